@@ -153,6 +153,41 @@ def test_a_unit_that_an_option_names_is_a_unit_of_length(rows, tmp_path):
     assert found.log.length_unit == "voxel"
 
 
+@pytest.mark.parametrize("name", ["{}", "pose.{}", "/odom/pose/pose/{}"])
+def test_tables_of_ros_messages_are_read(rows, tmp_path, name):
+    """Names of messages, of robots too; twists and stamps beside them count for nothing."""
+    sign = "/" if "/" in name else "."
+    pose = [name.format(f"position{sign}{axis}") for axis in "xyz"]
+    pose += [name.format(f"orientation{sign}{axis}") for axis in "xyzw"]
+    header = ["header.frame_id", "robot_name", *pose, *(f"twist.linear.{axis}" for axis in "xyz")]
+    lines = [
+        ",".join(["map", f"bot_{row[0]}", *row[1:4], *row[5:8], row[4], "7", "8", "9"])
+        for row in rows
+    ]
+
+    found = bring_in(tmp_path / "t.csv", [",".join(header), *lines])
+
+    plain = bring_in(tmp_path / "plain.csv", [",".join(COLUMNS), *map(",".join, rows)])
+    assert content(found) == content(plain)
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("alice", "robot_name: 'alice' has no number, or several; write it like bot_7"),
+        ("bot_2_7", "robot_name: 'bot_2_7' has no number, or several; write it like bot_7"),
+        ("arm_1", "robot_name: 'arm_1' has the number of another robot; give each its own"),
+    ],
+)
+def test_names_that_number_no_robot_are_refused(rows, tmp_path, name, problem):
+    """The line has the name: two robots never become one."""
+    lines = [",".join([f"bot_{row[0]}", *row[1:]]) for row in rows]
+    lines[5] = ",".join([name, *rows[5][1:]])
+
+    with pytest.raises(InputError, match=re.escape(f"t.csv:7: {problem}")):
+        bring_in(tmp_path / "t.csv", [",".join(["robot_name", *COLUMNS[1:]]), *lines])
+
+
 def test_incomplete_rows_are_listed_at_once(rows, tmp_path):
     """They are refused by line and number, or dropped on demand; a note says so."""
     lines = [",".join(COLUMNS), *map(",".join, rows)]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.records.io import CsvFile
 from tiswarm.records.messages import counted
@@ -17,9 +17,13 @@ from tiswarm.records.sensing_log import FARTHEST
 
 QUATERNION = ["qw", "qx", "qy", "qz"]
 _AXES = [*"xyz"]
+_ROBOT_NAME = "robot_name"
+_LONGEST_NUMBER = 18
+"""Digits of a number that an integer of 64 bits holds."""
+
 _WHOLE = ("robot", "sphere", "join")
 _NAMES = {
-    "robot": ("robot", "robot_id", "id"),
+    "robot": ("robot", "robot_id", "id", _ROBOT_NAME),
     "time": ("time", "t", "stamp", "timestamp", "frame", "step"),
 }
 """Names of a column, the first that a table has is read; others have their meaning as name."""
@@ -41,6 +45,10 @@ _UNIT = re.compile(
     r"(?P<name>\w+?)(?:_(?P<suffix>[A-Za-z]+)|\s*[\[(]\s*(?P<brackets>[^\])]*?)\s*[\])])"
 )
 """A name with its unit: `x_mm`, `x [mm]`, `x (mm)`."""
+
+
+_MESSAGE = re.compile(r"(?:.*[./])?(?:position|(?P<turn>orientation))[./](?P<axis>[wxyz])")
+"""A name as tables of ROS messages have it: `pose.position.x`, `pose.orientation.w`."""
 
 
 class PoseTable(NamedTuple):
@@ -94,7 +102,10 @@ def read_table(
     numbers = {
         name: text.integers(column) if name in _WHOLE else text.numbers(column)
         for name, column in columns.items()
+        if column.lower() != _ROBOT_NAME
     }
+    if columns["robot"].lower() == _ROBOT_NAME:
+        numbers["robot"] = _numbers_in(text, columns["robot"])
     rows = pd.DataFrame(numbers | {"line": [*text.rows], "run": _runs(text)})
     refuse_far(rows, path, dock_radius, columns)
     turned = sorted(
@@ -187,6 +198,8 @@ def _positions(header: Sequence[str], path: Path, length_unit: str) -> tuple[dic
 
 def _split(column: str) -> tuple[str, str]:
     """Split a column's name into its meaning in lower case, and its unit."""
+    if found := _MESSAGE.fullmatch(column):
+        return f"{'q' if found['turn'] else ''}{found['axis']}", ""
     found = _UNIT.fullmatch(column)
     if found is None:
         return column.lower(), ""
@@ -197,7 +210,7 @@ def _find(header: Sequence[str], meaning: str) -> str:
     """Find the column of a quantity by its names, of a time with a unit or not; else return ""."""
     for name in _NAMES.get(meaning, (meaning,)):
         for column in header:
-            if column.lower() == name:
+            if column.lower() == name or (name in QUATERNION and _split(column) == (name, "")):
                 return column
             if meaning == "time" and _split(column)[0] == name and _split(column)[1] in _TIMES:
                 return column
@@ -211,6 +224,23 @@ def _without_incomplete(text: CsvFile, columns: Iterable[str], *, drop: bool) ->
     if lines:
         text.drop(lines)
     return note
+
+
+def _numbers_in(text: CsvFile, column: str) -> Ints:
+    """Read the only number in the name of each robot, such as 7 in `bot_7`, shape (rows,)."""
+    names: list[str] = text.words(column).tolist()
+    named: dict[int, str] = {}
+    for row, name in enumerate(names):
+        found = re.findall(r"\d+", name)
+        problem = ""
+        if len(found) != 1 or len(found[0]) > _LONGEST_NUMBER:
+            problem = f"{name[:40]!r} has no number, or several; write it like bot_7"
+        elif named.setdefault(int(found[0]), name) != name:
+            problem = f"{name[:40]!r} has the number of another robot; give each its own"
+        if problem:
+            raise InputError(problem, path=text.path, line=text.line(row), key=column)
+    number = {name: robot for robot, name in named.items()}
+    return np.array([number[name] for name in names], np.int64)
 
 
 def report_incomplete(path: Path, lines: Sequence[int], *, drop: bool, name: str = "") -> list[str]:
