@@ -62,7 +62,7 @@ MALFORMED = {
     "ranges": [
         ([10, 2], "[2]", "is missing; add it"),
         ([10, 2, 0.1, 0], "[3]", "0 should be text"),
-        ([10, 2, 0.1, "camera", "camera"], "", "should have at most 4 items"),
+        ([10, 2, 0.1, "camera", "camera"], "", "not 5; name one source, and add the variance of"),
         ([10, 2, 0.1, ""], "", 'the header has no source ""; add it to sources there'),
         ([12, 2, 0.1], "", "robot 12 is not on an earlier line"),
         ([11, 2, 0.1], "", "the robot touches itself"),

@@ -53,6 +53,8 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
         choices = re.findall("'(.+?)'", context["expected"])
         message = re.sub(r"\b(True|False)\b", lambda found: found[0].lower(), message)
         message += did_you_mean(error["input"], choices)
+    if kind == "too_long" and [type(item) for item in list(error["input"])[-2:]] == [str, str]:
+        message += "; name one source, and add the variance of the other to the sd"
     return message.replace(" after validation", "")
 
 
