@@ -70,10 +70,12 @@ def test_a_start_leaves_the_arithmetic_of_python_alone():
         assert pool.submit(lambda: smallest / 2.0).result() == 5e-311
 
 
-@pytest.mark.parametrize(("arch", "threads"), [("abacus", None), ("cpu", 0), ("cpu", -2)])
+@pytest.mark.parametrize(
+    ("arch", "threads"), [("abacus", None), ("cpu", 0), ("cpu", -2), ("cpu", 40_000)]
+)
 def test_nonsense_is_refused(arch, threads):
-    """An unknown device or a thread count below one is the user's mistake."""
-    with pytest.raises(InputError, match=r"choose one of|give 1 or more"):
+    """An unknown device, or a number of threads that cannot start, is the user's mistake."""
+    with pytest.raises(InputError, match=r"choose one of|give 1 or more|give \d+ at most"):
         backend.start(arch, threads=threads)
 
 

@@ -1,6 +1,7 @@
 """Files appear whole or not at all, and tables are read whole."""
 
 import warnings
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -69,3 +70,15 @@ def test_a_table_reads_back_to_the_same_bits(tmp_path, numbers):
     write_frame(pd.DataFrame({"x": numbers}), path)
 
     assert read_frame(path, numbers=["x"])["x"].astype(float).tolist() == numbers
+
+
+def test_a_folder_named_as_the_home_is_another(tmp_path, monkeypatch):
+    """A shell makes ~ the home of the user; a program reads the folder that was named."""
+    (tmp_path / "home").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    Path("~").mkdir()
+    write_frame(pd.DataFrame({"x": [1.0]}), Path("~/t.csv"))
+    write_frame(pd.DataFrame({"x": [2.0]}), tmp_path / "home" / "t.csv")
+
+    assert read_frame(Path("~/t.csv"), numbers=["x"])["x"].tolist() == [1.0]

@@ -76,12 +76,14 @@ fcntl.flock = lambda *_: None
 """
 
 
-def _kill(trial, start: Callable[..., subprocess.Popen], folder: Path, check: Callable) -> None:
-    """Kill a command at its writes, give it again until it ends, and so on."""
+def _kill(
+    trial, start: Callable[..., subprocess.Popen], folder: Path, check: Callable, *, writes: int
+) -> None:
+    """Kill a command at one of its first writes, give it again until it ends, and so on."""
     random = trial.random()
     killed, number = 0, len(trial.numbers(KILLS))
     while killed < number:
-        at, way = random.randint(1, 12), random.choice(WAYS)
+        at, way = random.randint(1, writes), random.choice(WAYS)
         status = start(KILL_AT=str(at), KILL_WAY=way).wait(END_S)
         if status == -signal.SIGKILL:
             killed += 1
@@ -114,7 +116,10 @@ def test_studies_killed_as_they_write(trial, tmp_path, settings):
             path.name for path in expected.iterdir()
         )
 
-    _kill(trial, lambda **env: study.start("--no-pictures", **lines, **env), study.out, check)
+    _kill(
+        trial, lambda **env: study.start("--no-pictures", **lines, **env), study.out, check,
+        writes=12,
+    )  # fmt: skip
 
 
 def test_streams_killed_as_they_write(trial, tmp_path, towers):
@@ -143,7 +148,7 @@ def test_streams_killed_as_they_write(trial, tmp_path, towers):
         left = {name for name in found if name.endswith(".tmp")}
         assert {name: found[name] for name in found.keys() - left} == whole
 
-    _kill(trial, start, folder, check)
+    _kill(trial, start, folder, check, writes=1)
 
 
 def test_equal_runs_without_locks(trial, tmp_path):

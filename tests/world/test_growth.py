@@ -289,6 +289,16 @@ def test_one_mover_is_what_robots_one_at_a_time_are():
     assert _same(one, default)
 
 
+def test_more_movers_than_robots_take_no_memory():
+    """The slots of the others would stay empty, and a billion of them fill any memory."""
+    many, few = (
+        grow(TowerParams(movers=movers), robots=5, seeds=[0], robot=RobotGeometry())[0]
+        for movers in (10**9, 5)
+    )
+
+    assert _same(many, few)
+
+
 @pytest.mark.parametrize("kind", ["tower", "cantilever"])
 def test_several_movers_grow_one_sound_structure(kind):
     """Three at a time: none joins into another, and they join elsewhere than one at a time."""

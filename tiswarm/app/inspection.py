@@ -111,7 +111,7 @@ _LACKING = (
 
 def inspect(path: Path) -> Inspection:
     """Inspect a scenario, or a sensing log if the name ends in .jsonl, .jsonl.zst or .mcap."""
-    is_log = path.name.endswith((".jsonl", ".jsonl.zst", ".mcap"))
+    is_log = path.name.lower().endswith((".jsonl", ".jsonl.zst", ".mcap"))
     return _inspect_log(path) if is_log else _inspect_scenario(path)
 
 

@@ -177,7 +177,7 @@ def _status(arguments: list[str]) -> int:
         fail(lack)
         return lack.exit_status
     except TyperException as error:
-        fail(" ".join(error.format_message().split()))
+        fail(" ".join(error.format_message().replace("Value error, ", "").split()))
         return InputError.exit_status
     except OSError as error:
         what = error.filename or "cannot read or write"

@@ -34,6 +34,8 @@ from tiswarm.compute.program import Array
 
 _START_MB, _THREAD_MB = 1550, 10
 """Address space of a start and a small run, and of each thread; a gigabyte of it is never used."""
+_MOST_THREADS = 1024
+"""Threads that any machine starts; where one of 40,000 cannot start, the library waits for ever."""
 _BLOCKS = 8
 """Blocks of threads for each multiprocessor in a loop; more wait for their turn."""
 _ROUNDINGS = 32
@@ -203,6 +205,8 @@ def _checked(arch: Arch, threads: int | None, precision: AnyPrecision) -> _Choic
         raise InputError(f"unknown backend {arch!r}; choose one of {choices}", argument="arch")
     if threads is not None and threads < 1:
         raise InputError(f"{threads} threads cannot compute; give 1 or more", argument="threads")
+    if threads is not None and threads > (most := max(_MOST_THREADS, available_threads())):
+        raise InputError(f"{threads} threads are too many; give {most} at most", argument="threads")
     return _Choice(arch, threads, precision)
 
 

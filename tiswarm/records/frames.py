@@ -57,11 +57,12 @@ def read_frame(
         "float_precision": "round_trip",
         "low_memory": False,
     }  # fmt: skip
+    file = path.absolute()  # pandas takes a folder named ~ for the home of the user
     try:
-        found = list(pd.read_csv(path, nrows=0, **read).columns)
+        found = list(pd.read_csv(file, nrows=0, **read).columns)
         before = found[: found.index(numbers_after)] if numbers_after in found else []
         named = {*before} - {*numbers, *gaps, "robots"} | {*words, *notes}
-        table: pd.DataFrame = pd.read_csv(path, dtype=dict.fromkeys(named, str), **read)
+        table: pd.DataFrame = pd.read_csv(file, dtype=dict.fromkeys(named, str), **read)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):

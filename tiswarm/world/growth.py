@@ -103,7 +103,7 @@ class _GrowthBatch:
             self.believed = BelievedDocks(
                 CellList.allocate(count, docks), np.zeros((count, docks, 3))
             )
-        self.structure_of = np.repeat(np.arange(len(seeds), dtype=np.int32), params.movers)
+        self.structure_of = np.repeat(np.arange(count, dtype=np.int32), min(params.movers, robots))
         limits = climb_limits(params.climb, robot, params.terrain, by_belief=believe is not None)
         self.walks = Walks(self.structure_of, limits, params.climb, robot)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
