@@ -72,6 +72,17 @@ def test_a_long_absence_from_the_track_is_no_error(tracks, tmp_path):
     assert not any(" left out, robot 3 at time" in note for note in notes)
 
 
+def test_poses_that_are_noisier_than_the_limits_are_no_errors(tracks, tmp_path):
+    """Half of them would be left out; the note says what to do instead."""
+    random = np.random.default_rng(0)
+    noisy = [jumped(row, random.normal(0.0, 0.03, 3), Rotation.identity()) for row in tracks]
+
+    notes = bring_in(tmp_path, noisy).notes
+
+    assert not any("pose left out" in note or "poses left out" in note for note in notes)
+    assert any("noisier than the limits of contacts; give a larger --gap" in note for note in notes)
+
+
 def test_a_table_of_stances_has_no_errors_of_tracking(tracks, towers, tmp_path):
     """A final pose that no flip explains stays final where rows follow no motion."""
     few = replace(towers[0], walks=towers[0].walks[:4], loads=towers[0].loads[:4])

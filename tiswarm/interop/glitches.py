@@ -15,7 +15,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.interop.assumptions import Assumptions
 from tiswarm.interop.poses import Poses, Samples
 from tiswarm.interop.stances import motion_limits
-from tiswarm.records.messages import counted
+from tiswarm.records.messages import counted, percent
 
 _FINE = 0.5
 """Samples follow a motion if the dock that moves most moves by less than this part of the distance
@@ -23,6 +23,9 @@ between two docks, in the median: by less than 30 degrees of a flip."""
 
 _GAP = 1.5
 """A time between two samples that is longer than the median by this factor is a gap."""
+
+_RARE = 0.05
+"""Larger share of poses that no flip explains is noise, not errors of tracking."""
 
 _MOST_NAMED = 5
 """Robots that a note names."""
@@ -66,6 +69,11 @@ def without_glitches(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[st
         bad[first:after] = _between(motion, put, most)
         if follows:
             bad[first:after] |= _at_end(motion, bad[first:after], still, most)
+    if bad.mean() > _RARE:
+        share = f"{percent(float(bad.mean()))} % of the poses are where no flip leads"
+        return poses, [
+            f"{share}: they are noisier than the limits of contacts; give a larger --gap"
+        ]
     return (_kept(poses, samples, bad), [_note(poses, samples, bad)]) if bad.any() else (poses, [])
 
 

@@ -72,8 +72,9 @@ def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
             return _by_docks(turn.apply(body), touching)
     moved = poses.dock_offset_body + _off_center(poses, assumed)
     as_moved = replace(assumed, dock_offset_body=moved)
-    # As many contacts as unknowns fit any robots.
-    if (touching := count_touching(poses, as_moved)) >= max(least, 2.0 * _UNKNOWNS):
+    # Fitted unknowns put as many docks in contact by chance, where a structure has N - 1 contacts.
+    least = max(least, len(poses.robot_id) - 1.0 + _UNKNOWNS)
+    if (touching := count_touching(poses, as_moved)) >= least:
         return _by_docks(moved, touching)
     return ""
 
