@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests import foreign
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import (
@@ -155,6 +156,26 @@ def test_contacts_do_not_outvote_an_anchor(parted):
     for method in ("joint", "least-squares", "online"):
         found = localize(replace(log, fixes=off), METHODS[method])
         np.testing.assert_allclose(found.position[1] - parted.position[1], shift, atol=0.05)
+
+
+@pytest.mark.parametrize("method", ["joint", "least-squares", "hop-by-hop", "online"])
+def test_many_readings_that_share_an_error_do_not_outvote_an_anchor(method):
+    """Thirty ranges of each pair, all too long or all too short, pull at three anchors.
+
+    The anchors stay within five sd of 0.001 dock radii, and none of their fixes is an outlier.
+    """
+    log, place = foreign.room_of_tags(foreign.ROOM, 2, count=4, sd=0.02)
+    rng, readings = np.random.default_rng(0), np.repeat(log.ranges, 30, axis=0)
+    bias = np.repeat(0.03 * rng.choice([-1.0, 1.0], len(log.ranges)), 30)
+    readings[:, 2] += bias + 0.02 * rng.normal(size=len(readings))
+    fixes = log.fixes.copy()
+    fixes[:, 5] = KNOWN_SD * log.dock_radius
+
+    found = localize(replace(log, ranges=readings, fixes=fixes), METHODS[method])
+
+    moved = np.linalg.norm(found.position - place, axis=1)[:4] / log.dock_radius
+    assert moved.max() < 5.0 * KNOWN_SD
+    assert found.outlier_places is None or not len(found.outlier_places)
 
 
 def test_advice_chooses_anchors_on_the_ground(towers):

@@ -17,6 +17,7 @@ from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
 from tiswarm.localization.params import LARGE
 from tiswarm.localization.refinement import SETTLED, Cost
+from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence
 from tiswarm.records.sensing_log import SensingLog
@@ -147,8 +148,9 @@ def assess(
 
 def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) -> _NearestMinimum:
     """Take an estimate for the minimum."""
-    square = rows.residual(*estimate) ** 2 / rows.variance()
-    outlier = square > CONVERGENCE.outlier_sd**2
+    variance = rows.variance()
+    square = rows.residual(*estimate) ** 2 / variance
+    outlier = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
     square[outlier] = 0.0
     freedom = int((~outlier).sum()) - unknowns
     return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, square)
@@ -176,8 +178,9 @@ def _minimum(
     # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
     _, own = robust.refine(start, _ROUNDS, np.full(log.robot_count, _STAYS))
     state, least = robust.refine(start, _ROUNDS)
-    missed = rows.residual(state.position, state.yaw) ** 2 / rows.variance()
-    outlier = missed > CONVERGENCE.outlier_sd**2
+    variance = rows.variance()
+    missed = rows.residual(state.position, state.yaw) ** 2 / variance
+    outlier = (missed > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
     _, linear = cost(rows.select(~outlier), None).refine((state.position, state.yaw), _ROUNDS)
     square = np.zeros(len(rows))
     square[~outlier] = linear.square

@@ -19,10 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.linear import NOMINAL, Linear, LinearRows, by_group
+from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import Measurements, turned
 from tiswarm.measurements.orientations import Connections
-from tiswarm.measurements.rows import KNOWN, SPACING
+from tiswarm.measurements.rows import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 OVERLAP_SD = 0.05
@@ -103,13 +104,16 @@ class Cost:
             non_overlap: Whether docks that do not touch must not overlap.
             are_independent: Whether errors of orientations count as noise of each row, as the
                 annealer takes them, which is quicker.
-            further_variance: Variance of rows beside their noise [R^2], shape (E,).
+            further_variance: Variance of rows but known ones beside their noise [R^2], (E,).
             hinged: Pairs of robots whose offset is known to `HINGE_SD` as well, shape (n, 2).
         """
         self.hinged = hinged
         self.log, self.rows, self.walks, self.links = log, rows, rows.odometry, links
         self.robust_sd, self.non_overlap = robust_sd, non_overlap
-        self.variance = rows.variance() - rows.shared_variance + further_variance
+        variance = rows.variance()
+        self.is_known = are_known(variance, len(rows.other))
+        further_variance = np.where(self.is_known, 0.0, further_variance)
+        self.variance = variance - rows.shared_variance + further_variance
         self.own_variance = self.variance
         if not are_independent:
             self.own_variance = rows.own_variance + further_variance
@@ -305,8 +309,7 @@ class Cost:
             return self.own_variance, np.zeros(len(residual))
         square = self.robust_sd**2
         missed = residual**2 / (square * self.variance)
-        # Coordinates come last; known ones never give way.
-        missed[len(self.rows.other) :][self.variance[len(self.rows.other) :] <= KNOWN] = 0.0
+        missed[self.is_known] = 0.0
         # The three rows of a vector give way together: they are one measurement.
         offset = slice(len(self.rows.distances.stance), len(self.rows.other))
         missed[offset] = np.repeat(missed[offset].reshape(-1, 3).sum(axis=1), 3)

@@ -17,7 +17,7 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.rows import KNOWN, SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 ALLOWED_SD = 4.0
@@ -55,6 +55,13 @@ def stuck_robots(log: SensingLog) -> Ints:
     repeats = (log.stances.orientation_wxyz == log.orientation_wxyz[owner]).all(axis=1)
     same = np.bincount(owner, weights=repeats, minlength=log.robot_count)
     return np.flatnonzero((flips > 0) & (same == flips))
+
+
+def are_known(variance: Reals, pairs: int) -> Bools:
+    """Find coordinates that never give way: rows so certain, after those of pairs, shape (E,)."""
+    is_known: Bools = variance <= KNOWN
+    is_known[:pairs] = False
+    return is_known
 
 
 def _by_height(log: SensingLog) -> Iterator[tuple[int, str]]:

@@ -287,7 +287,8 @@ def _outliers(problem: Problem, ends: Ends) -> Bools:
     """
     order = np.argsort(np.argsort(ends.cost, kind="stable"))
     jury = (ends.weight > 0.0) | ((order < CONVERGENCE.jury) & np.isfinite(ends.cost))
-    outlier: Bools = (ends.missed[jury] > CONVERGENCE.outlier_sd**2).all(axis=0)
+    missed = (ends.missed[jury] > CONVERGENCE.outlier_sd**2).all(axis=0)
+    outlier: Bools = missed & ~problem.known
     links = len(problem.variance)
     outlier[:links] = problem.any_of_link(outlier[:links])
     return outlier
@@ -370,8 +371,7 @@ def minimum(
         are_independent=problem.rows.odometry.bias > 0.0,
         further_variance=(MIXTURE.tepid * annealed.sigma) ** 2,
     )
-    prior = REFINEMENT.prior_sd * np.sqrt(len(sd)) * sd
-    prior = np.maximum(prior, REFINEMENT.least_prior)
+    prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * sd, REFINEMENT.least_prior)
     state, linear = cost.refine((position, yaw), REFINEMENT.rounds, prior)
     free = ends.frame.motions(state.position, problem.part == problem.part[0])
     left = REFINEMENT.sd_scale * np.sqrt(linear.variance(free))

@@ -14,7 +14,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.planes import Planes, measured_planes
 from tiswarm.localization.joint.settings import OUTLIER_ROBOTS
-from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
+from tiswarm.measurements.consistency import ALLOWED_SD, are_known, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
 from tiswarm.measurements.cues import Measured, Precision
 from tiswarm.measurements.model import Measurements
@@ -25,7 +25,6 @@ from tiswarm.measurements.orientations import (
     connections_of,
     with_orientations,
 )
-from tiswarm.measurements.rows import KNOWN
 from tiswarm.records.sensing_log import SensingLog
 
 NO_ROBOTS: Ints = np.empty(0, np.int64)
@@ -86,6 +85,11 @@ class Problem:
         """Which links are of robots that have not left, shape (C,)."""
         is_present: Bools = np.logical_not(self.is_gone[self.pair].any(axis=1))
         return is_present
+
+    @property
+    def known(self) -> Bools:
+        """Coordinates that never give way, shape (E,)."""
+        return are_known(self.rows.variance(), len(self.rows.other))
 
     @property
     def untied(self) -> Bools:
@@ -291,7 +295,9 @@ def chosen_rows(
     if len(disregarded):
         rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
     variance = rows.variance()
-    is_wrong = inconsistent_places(rows, variance) & params.robust & (variance > KNOWN)
+    is_wrong = (
+        inconsistent_places(rows, variance) & params.robust & ~are_known(variance, len(rows.other))
+    )
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows, variance[~is_wrong]))
     # All fixes of a robot count, unlike other coordinates: none is a repetition of another.
