@@ -205,16 +205,21 @@ def load_run(folder: Path) -> RunData:
 
 def stated_scenario(folder: Path) -> dict[str, Any]:
     """Read the scenario of a run, every default included; empty where a run has none."""
-    path = folder / "scenario.yaml"
-    stated: Any = read_yaml(run_file(path)).data if path.exists() else {}
+    stated = _stated(folder)
     if not isinstance(stated, dict):
-        raise damaged(path, "it is no mapping of keys to values")
+        raise damaged(folder / "scenario.yaml", "it is no mapping of keys to values")
     return stated
+
+
+def _stated(folder: Path) -> Any:  # noqa: ANN401 - whatever stands there
+    path = folder / "scenario.yaml"
+    return read_yaml(run_file(path)).data if path.exists() else {}
 
 
 def stated_conditions(folder: Path) -> dict[str, dict[str, Any]]:
     """Read what each condition of a run sets, by its name; empty where a run has no scenario."""
-    conditions = stated_scenario(folder).get("conditions")
+    stated = _stated(folder)
+    conditions = stated.get("conditions") if isinstance(stated, dict) else None
     each = conditions.items() if isinstance(conditions, dict) else ()
     return {name: entries for name, entries in each if isinstance(entries, dict)}
 
