@@ -39,13 +39,13 @@ def log(towers) -> SensingLog:
 @pytest.mark.parametrize("params", METHODS, ids=lambda p: p.method)
 def test_fixes_alone_place_robots_as_well_as_they_can(log, towers, params):
     """Five planes of one robot meet in a point, with the error that their directions imply."""
-    fixed = with_fixes(log, towers[0], range(1, 30), each=5, sd=0.1)
+    fixed = with_fixes(log, towers[0], range(1, log.robot_count), each=5, sd=0.1)
     alone = dataclasses.replace(params, **dict.fromkeys(CONTACTS, False))
 
     found = localize(fixed, alone)
 
     error = found.position - towers[0].position
-    rows = fixed.fixes.reshape(29, 5, 7)
+    rows = fixed.fixes.reshape(log.robot_count - 1, 5, 7)
     information = np.einsum("nki,nkj->nij", rows[:, :, 1:4], rows[:, :, 1:4]) / 0.1**2
     squares = np.einsum("ni,nij,nj->n", error[1:], information, error[1:])
     assert 0.6 < squares.mean() / 3.0 < 1.6
@@ -90,7 +90,8 @@ def test_fixes_remove_floppy_modes(log, towers):
 @pytest.mark.parametrize("params", [JointParams(), *METHODS[1:]], ids=lambda p: p.method)
 def test_ranges_place_robots_among_some_that_are_known(log, towers, params):
     """With four known robots here and there, distances within 12 R determine the others."""
-    known = with_fixes(log, towers[0], [4, 11, 18, 25], each=5, sd=0.02)
+    here_and_there = range(2, log.robot_count, log.robot_count // 4)
+    known = with_fixes(log, towers[0], here_and_there, each=5, sd=0.02)
     ranged = with_ranges(known, towers[0], reach=12.0, sd=0.02)
 
     found = localize(ranged, dataclasses.replace(params, **dict.fromkeys(CONTACTS, False)))
