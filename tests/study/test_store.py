@@ -111,19 +111,25 @@ def tiny():
 
 def test_a_folder_that_no_run_made_is_refused(tiny, tmp_path):
     """Files of somebody else would be taken for results; an option takes the folder."""
-    with RunFolder.opened(tiny, tmp_path, Progress()) as folder:
-        made = folder.path
-    RunFolder.refuse_foreign(tiny, tmp_path)
-    (made / ".lock").unlink()
-    RunFolder.refuse_foreign(tiny, tmp_path)  # the scenario is that of the name
 
+    def opened(**options):
+        with RunFolder.opened(tiny, tmp_path, Progress(), **options) as folder:
+            return folder.path
+
+    made = opened()
+    opened()
+    (made / ".lock").unlink()
+    opened()  # the scenario is that of the name
+    (made / ".lock").unlink()
     (made / "scenario.yaml").write_text("mine")
 
     with pytest.raises(InputError, match=r"this folder has files, and no run made it; choose ano"):
-        RunFolder.refuse_foreign(tiny, tmp_path)
-    RunFolder.refuse_foreign(tiny, tmp_path, overwrite=True)
-    (made / "scenario.yaml").unlink()
-    RunFolder.refuse_foreign(tiny, tmp_path)  # there is nothing but empty folders
+        opened()
+    assert (made / "scenario.yaml").read_text() == "mine"
+    opened(overwrite=True)
+    for name in (".lock", "scenario.yaml"):
+        (made / name).unlink()
+    opened()  # there is nothing but empty folders
 
 
 @pytest.fixture(scope="module")

@@ -106,11 +106,6 @@ class Used(NamedTuple):
     rounding: numerics.Numerics | None = None
     """What rounded its numbers; None where that is unknown."""
 
-    @classmethod
-    def here(cls, stage: str, backend: Backend, force_error: float = 0.0) -> "Used":
-        """Note what computed a stage in this process."""
-        return cls(stage, backend, force_error, numerics.here())
-
 
 def peak_memory_mb() -> int:
     """Return the peak of memory since the stage began; off Linux, since the process began [MB]."""

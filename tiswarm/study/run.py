@@ -71,12 +71,11 @@ def run(
             other code.
     """
     whole = plan(scenario)
-    RunFolder.refuse_foreign(scenario, parent, overwrite=overwrite)
     running = _start_device(whole, arch, threads, execution, progress)
     number, count = execution.shard
     mine = whole.structures[number - 1 :: count]
     part = "" if count == 1 else f"{number}-of-{count}"
-    with RunFolder.opened(scenario, parent, progress, part) as folder:
+    with RunFolder.opened(scenario, parent, progress, part, overwrite=overwrite) as folder:
         stored = _read_stored(mine, folder, progress)
         missing = _without(mine, stored)
         outcomes: list[Outcome] = []
@@ -94,8 +93,7 @@ def run(
         records |= {name: record for name, record in others.items() if record.is_current}
         if len(records) == len(whole.cases):
             used = set(chain.from_iterable(outcome.used for outcome in outcomes))
-            costs = folder.read_costs(whole.cases)
-            folder.complete(records, costs, used)
+            costs = folder.complete(whole.cases, records, used)
             write_tables(folder.path, whole, records, costs)
     return RunResult(
         folder=folder.path,

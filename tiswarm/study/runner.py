@@ -163,7 +163,7 @@ class _CaseRunner:
                 settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,
                 believe=believe, on_progress=advance,
             )  # fmt: skip
-        self.used.add(Used.here("grow", backend.processor()))
+        self.used.add(Used("grow", backend.processor(), rounding=numerics.here()))
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs[first[seed].name]["grow"]
             if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
@@ -214,7 +214,8 @@ class _CaseRunner:
             for estimate, log in zip(estimates, logs, strict=True)
         ]
         error = running.force_error(max(farthest))
-        self.used.add(Used.here(f"localize by {registry.title(methods[0])}", running, error))
+        stage = f"localize by {registry.title(methods[0])}"
+        self.used.add(Used(stage, running, error, numerics.here()))
         return estimates
 
     def _store(

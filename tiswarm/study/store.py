@@ -141,7 +141,7 @@ class RunFolder:
         self.cases = path / "cases"
 
     @staticmethod
-    def refuse_foreign(scenario: Scenario, parent: Path, *, overwrite: bool = False) -> None:
+    def _refuse_foreign(scenario: Scenario, parent: Path, *, overwrite: bool = False) -> None:
         """Refuse a folder of the scenario's name that has files, but was not made by a run.
 
         A run leaves its lock there, and its scenario.
@@ -171,9 +171,21 @@ class RunFolder:
     @classmethod
     @contextmanager
     def opened(
-        cls, scenario: Scenario, parent: Path, progress: Progress, shard: str = ""
+        cls,
+        scenario: Scenario,
+        parent: Path,
+        progress: Progress,
+        shard: str = "",
+        *,
+        overwrite: bool = False,
     ) -> "Iterator[RunFolder]":
-        """Make or open the folder of a scenario, and keep other runs out while the block runs."""
+        """Make or open the folder of a scenario, and keep other runs out while the block runs.
+
+        Raises:
+            InputError: the folder has files, no run made it, and they are not to be replaced.
+            EnvironmentTroubleError: another run computes there.
+        """
+        cls._refuse_foreign(scenario, parent, overwrite=overwrite)
         folder = cls.of(scenario, parent)
         with folder.locked(shard) as has_locks:
             if not has_locks:
@@ -362,20 +374,21 @@ class RunFolder:
             )
 
     def complete(
-        self,
-        records: Mapping[str, CaseRecord],
-        costs: Mapping[str, Mapping[str, Cost]],
-        used: Collection[Used],
-    ) -> None:
+        self, cases: Sequence[Case], records: Mapping[str, CaseRecord], used: Collection[Used]
+    ) -> dict[str, Mapping[str, Cost]]:
         """Write the manifest of a run whose cases are all stored, unless it has one.
 
         Kept structures go, unless cases failed: the next run tries these again.
 
         Args:
-            records: Records of all cases by name.
-            costs: Their costs by name and stage.
+            cases: All cases.
+            records: Their records by name.
             used: What computed them, as far as this process knows.
+
+        Returns:
+            Their costs by name and stage.
         """
+        costs = self.read_costs(cases)
         if not self._has_manifest():
             used = used or {Used("grow", backend.current())}
             write_manifest(self.path, manifest(used, [*costs.values()], self._rounded_by()))
@@ -384,6 +397,7 @@ class RunFolder:
                 remove(kept)
             with suppress(OSError):  # there is none, or somebody keeps files in it
                 (self.path / _STRUCTURES).rmdir()
+        return costs
 
     def _has_manifest(self) -> bool:
         try:
