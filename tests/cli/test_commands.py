@@ -200,12 +200,13 @@ def test_an_estimate_that_did_not_converge_is_written_with_a_warning(tiswarm, tm
 
 
 @pytest.mark.parametrize(
-    ("robots", "seed"), [(12, 1), pytest.param(20, 0, marks=pytest.mark.trial)]
+    ("robots", "seed", "steps"), [(12, 1, 400), pytest.param(20, 0, 600, marks=pytest.mark.trial)]
 )
-def test_outliers_are_listed_with_their_line(tiswarm, tmp_path, robots, seed):
+def test_outliers_are_listed_with_their_line(tiswarm, tmp_path, robots, seed, steps):
     """One planted in a log is named where it stands, and a run says how many were found."""
     noise = ["sensing.tilt_noise_deg=1", "sensing.yaw_noise_deg=2", "sensing.false_contacts=0.1"]
-    joint = "localization={method: joint, chains: 2, steps: 400, hold_steps: 100}"
+    hold = steps // 3
+    joint = f"localization={{method: joint, chains: 2, steps: {steps}, hold_steps: {hold}}}"
     sets = [
         part
         for text in (*noise, joint, f"robots={robots}", f"seeds=[{seed}]")
@@ -217,7 +218,7 @@ def test_outliers_are_listed_with_their_line(tiswarm, tmp_path, robots, seed):
     case = next(tmp_path.glob("*/cases/*"))
     scores = json.loads((case / "case.json").read_text())["scores"]
 
-    chosen = ("--set", "chains=2", "--set", "steps=400", "--set", "hold_steps=100")
+    chosen = ("--set", "chains=2", "--set", f"steps={steps}", "--set", f"hold_steps={hold}")
     out = ("--out", tmp_path / "estimate.csv")
     printed = tiswarm("localize", case / "sensing.jsonl", "--method", "joint", *chosen, *out).stdout
 
