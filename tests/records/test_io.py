@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tiswarm.base.errors import InputError
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import replacing, write_bytes
 
@@ -82,3 +83,14 @@ def test_a_folder_named_as_the_home_is_another(tmp_path, monkeypatch):
     write_frame(pd.DataFrame({"x": [2.0]}), tmp_path / "home" / "t.csv")
 
     assert read_frame(Path("~/t.csv"), numbers=["x"])["x"].tolist() == [1.0]
+
+
+@pytest.mark.parametrize(
+    "cell", ["1e4001234567", "-1e4001234567", "1e400", "1_0", "inf", "1e13", "x", "", "True"]
+)
+def test_a_cell_that_is_no_number_is_refused(tmp_path, cell):
+    """Of long exponents, pandas reads another memory than the table's, and ends the process."""
+    (tmp_path / "t.csv").write_text(f"x,y\n1.0,\n{cell},1\n")
+
+    with pytest.raises(InputError, match=r"t.csv:3: x: .+ is not a number up to 1e\+12"):
+        read_frame(tmp_path / "t.csv", numbers=["x"])

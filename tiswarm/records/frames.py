@@ -5,6 +5,7 @@ no pandas. Tables of a run are our own, and may have a million rows, for which t
 much memory.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -86,10 +87,20 @@ def read_frame(
 
 def _check_numbers(cells: pd.Series, path: Path, *, gaps: bool) -> None:
     """Refuse the first cell that is no finite number of a usual size."""
-    is_number = pd.to_numeric(cells, errors="coerce").abs() <= _GREATEST
+    # `to_numeric` crashes the process on text such as 1e4001234567.
+    numbers = cells if pd.api.types.is_numeric_dtype(cells) else cells.map(_as_number)
+    is_number = numbers.abs() <= _GREATEST
     wrong = cells[~(is_number | cells.isna()) if gaps else ~is_number]
     if len(wrong):
         cell = wrong.iloc[0]
         text = "an empty cell" if pd.isna(cell) else repr(str(cell)[:40])
         problem = f"{text} is not a number up to {_GREATEST:g}; run the scenario again"
         raise InputError(problem, path=path, line=int(wrong.index[0]) + 2, key=str(cells.name))
+
+
+def _as_number(cell: object) -> float:
+    """Read a cell as a number; NaN where it is none."""
+    try:
+        return float(str(cell)) if "_" not in str(cell) else math.nan
+    except ValueError:
+        return math.nan
