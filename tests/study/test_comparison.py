@@ -1,5 +1,8 @@
 """Comparison of runs on the structures that they share."""
 
+import shutil
+from pathlib import Path
+
 import pandas as pd
 import pytest
 
@@ -60,3 +63,15 @@ def test_comparing_needs_two_runs(small_run, tmp_path):
             compare(runs, tmp_path / "both")
 
     assert not (tmp_path / "both").exists()
+
+
+def test_names_that_a_terminal_obeys_are_refused(small_run, other_run, tmp_path):
+    """A table of somebody else may hide what stands above it."""
+    run = Path(shutil.copytree(other_run, tmp_path / "run"))
+    table = run / "table.csv"
+    table.write_text(table.read_text().replace("baseline", "\x1b[2J"))
+
+    with pytest.raises(InputError, match=r"table.csv: cannot be read: .+2J\" is not printable"):
+        compare([small_run, run], tmp_path / "out")
+
+    assert not (tmp_path / "out").exists()

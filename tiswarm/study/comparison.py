@@ -10,7 +10,8 @@ import pandas as pd
 from tiswarm.base.errors import InputError
 from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame, write_frame
-from tiswarm.records.io import make_folder
+from tiswarm.records.io import damaged, make_folder
+from tiswarm.records.messages import shown
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.study.tables import accuracy_by_key, differences
@@ -66,9 +67,13 @@ def _read_table(run: Path) -> pd.DataFrame:
         msg = "has no table.csv; give a folder that `tiswarm run` made"
         raise InputError(msg, path=run)
     measures = ["rmse_R_mean", "rmse_R_ci95", "procrustes_disparity_mean"]
-    return read_frame(
+    table = read_frame(
         path, ["condition"], ["cases"], gaps=measures, notes=TABLE_NOTES, numbers_after="cases"
     )
+    for text in map(str, [*table.columns, *table.to_numpy().ravel()]):
+        if not text.isprintable():  # a terminal would obey it
+            raise damaged(path, f"{shown(text)} is not printable")
+    return table
 
 
 def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
