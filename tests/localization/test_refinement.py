@@ -57,6 +57,12 @@ def sensed(history, kind):
     return log
 
 
+@pytest.fixture(scope="module")
+def towers(tall_towers):
+    """Three towers of 30 robots: tests name robots, and compare with matrices of that size."""
+    return tall_towers
+
+
 def with_sources(log, history):
     """Let two sources measure robots along two or three axes, and every other range."""
     log = with_fixes(log, history, range(2, 30, 3), each=3, sd=0.05)
