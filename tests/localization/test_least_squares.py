@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tests.localization.test_hop_by_hop import fixed, ranging, swarm
+from tests.localization.test_hop_by_hop import fixed, ranging
 from tests.localization.test_problem import true_yaw
-from tests.structures import NOISY
+from tests.structures import NOISY, silent
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import HopByHopParams, JointParams, LeastSquaresParams
 from tiswarm.localization.registry import localize
@@ -60,12 +60,12 @@ def test_hop_by_hop_is_never_nearer_to_the_measurements(towers):
     logs += [observe(history, SensingParams()) for history in towers]
 
     for log in logs:
-        params = LeastSquaresParams(non_overlap=len(log.contacts) > 0)
-        hops = localize(log, HopByHopParams(non_overlap=params.non_overlap))
-        found = localize(log, params)
+        hops = localize(log, HopByHopParams(non_overlap=False))
+        found = localize(log, APART)  # overlaps are no part of the chi-square of the rows
 
-        least = chi_square(log, params, found.position)
-        assert least <= chi_square(log, params, hops.position) + 1e-3
+        # Positions are means of draws, which lie beside the minimum where robots are floppy.
+        least = chi_square(log, APART, found.solutions[0].position)
+        assert least <= chi_square(log, APART, hops.position) + 1e-3
 
 
 def test_errors_are_smaller_than_those_of_hop_by_hop(towers):
@@ -93,7 +93,7 @@ def test_a_bias_of_yaw_is_solved_for(towers):
 
     bias = true_yaw(log, history)
     off = np.linalg.norm([e.position - history.position for e in (solved, taken)], axis=2)
-    assert np.abs(bias).max() > 0.5
+    assert np.abs(bias).max() > 0.3
     assert np.quantile(np.abs(solved.yaw - bias), 0.7) < 0.05
     assert taken.yaw is None
     # Taken as noise, the bias costs a factor of nine here; taken as exact, it cost more.
@@ -103,7 +103,7 @@ def test_a_bias_of_yaw_is_solved_for(towers):
 def test_several_starts_find_both_images_of_a_ceiling():
     """Each has half of the weight, the robot is mirrored, and sd covers both."""
     truth = np.array([[0, 0, 9.0], [12, 0, 9], [0, 12, 9], [12, 12, 9], [5, 4, 2], [7, 9, 3]])
-    log = fixed(swarm(truth), truth, [1, 2, 3], sd=0.05)
+    log = fixed(silent(truth), truth, [1, 2, 3], sd=0.05)
     pair = np.array([[i, j] for i in (4, 5) for j in range(i)])
     length = np.linalg.norm(truth[pair[:, 0]] - truth[pair[:, 1]], axis=1)
     known = np.tile([0.05, -1.0], (len(pair), 1))
@@ -158,22 +158,24 @@ def test_parts_that_nothing_ties_do_not_push_others(towers):
     """Where they are is a guess, and robots that are known do not give way to it."""
     history = towers[0]
     log = observe(history, replace(NOISY, suite="freesn"))
-    cut = np.isin(log.contacts[:, [0, 2]], [28, 29]).any(axis=1)
-    directed = np.isin(log.directions[:, [0, 2]], [28, 29]).any(axis=1)
+    robots = log.robot_count
+    last = [robots - 2, robots - 1]
+    cut = np.isin(log.contacts[:, [0, 2]], last).any(axis=1)
+    directed = np.isin(log.directions[:, [0, 2]], last).any(axis=1)
     loose = replace(
         log,
         contacts=log.contacts[~cut],
         directions=log.directions[~directed],
-        flip_height=np.full(30, np.nan),
+        flip_height=np.full(robots, np.nan),
         stances=None,
     )
 
     found = localize(loose, LeastSquaresParams())
 
-    assert found.disconnected[28:].all()
-    assert not found.disconnected[:28].any()
+    assert found.disconnected[last].all()
+    assert not found.disconnected[: robots - 2].any()
     assert found.convergence.trusted
-    assert found.sd[28:].min() > 3.0 * found.sd[1:28].max()
+    assert found.sd[last].min() > 3.0 * found.sd[1 : robots - 2].max()
 
 
 def test_more_starts_and_another_seed_change_starts_alone():
