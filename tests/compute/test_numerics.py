@@ -27,3 +27,16 @@ def test_the_digest_of_blas_is_that_of_any_number_of_threads():
     numerics.here.cache_clear()
 
     assert numerics.here() == alone
+
+
+def test_linear_algebra_of_other_packages_is_not_named(monkeypatch):
+    """A plug-in that imports another library changes no number here, and no byte of a case."""
+    own = {"user_api": "blas", "internal_api": "openblas", "version": "1", "architecture": "Zen"}
+    own |= {"filepath": "/lib/numpy.libs/libscipy_openblas.so"}
+    other = {**own, "internal_api": "mkl", "filepath": "/lib/torch/lib/libmkl.so"}
+    found = [[own], [own, other], [other]]
+    monkeypatch.setattr(numerics, "threadpool_info", lambda: found.pop(0))
+
+    names = [numerics.here.__wrapped__().blas.partition(" (")[0] for _ in range(3)]
+
+    assert names == ["numpy openblas 1 Zen", "numpy openblas 1 Zen", "mkl 1 Zen"]

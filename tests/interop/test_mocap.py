@@ -185,3 +185,26 @@ def test_exports_without_poses_are_refused_with_what_to_export(frames, tmp_path)
 
         with pytest.raises(InputError, match=re.escape(f"{path}{problem}")):
             bring_in(path, lines)
+
+
+@pytest.mark.parametrize("names", [("bot 1", "bot 01", "bot 2"), ("bot 1", f"bot {10**19}", "b3")])
+def test_bodies_whose_numbers_are_no_names_are_counted(frames, tmp_path, names):
+    """Two bodies under one number would be one robot, and a serial number has too many digits."""
+    lines = [*motive(frames)]
+    lines[3] = ["", "Name", *(name for name in names for _ in range(11))]
+
+    found = bring_in(tmp_path / "take.csv", lines, up="y")
+
+    assert sorted(found.log.robot_id) == [0, 1, 2]
+    assert any(note.startswith("bodies are numbered as listed: bot 1 is 0") for note in found.notes)
+
+
+def test_a_blank_line_ends_no_export_of_motive(frames, tmp_path):
+    """Somebody who joined two takes left one, and the poses after it count."""
+    lines = [*motive(frames)]
+
+    whole = bring_in(tmp_path / "whole.csv", lines, up="y")
+    parted = bring_in(tmp_path / "parted.csv", [*lines[:20], [], *lines[20:], []], up="y")
+
+    assert np.array_equal(parted.position, whole.position)
+    assert parted.notes == whole.notes

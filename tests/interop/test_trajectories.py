@@ -170,6 +170,7 @@ def test_an_exported_trajectory_comes_back(exported, towers):
         ("7.tum", "0 1e11 0 0 0 0 0 1\n", "7.tum:1: x: 1e+11 is too far out; move the origin"),
         ("7.tum", "# t\n", "7.tum:1: there are no poses; add a line for each"),
         ("a.tum", "0 0 0 0 0 0 0 1\n", "a.tum: the name has no number, or several; name the file"),
+        (f"{10**19}.tum", "0 0 0 0 0 0 0 1\n", "000.tum: the name has no number, or several"),
         ("7.txt", "", "there are no files *.tum; add one for each robot"),
     ],
 )
@@ -178,4 +179,15 @@ def test_malformed_trajectories_are_refused(tmp_path, name, text, problem):
     (tmp_path / name).write_text(text)
 
     with pytest.raises(InputError, match=re.escape(problem)):
+        import_poses(tmp_path, Assumptions())
+
+
+def test_two_files_of_one_number_are_refused(tmp_path):
+    """Their poses would be those of one robot wherever the times differ."""
+    for time, name in enumerate(("bot_07.tum", "bot_7.tum")):
+        (tmp_path / name).write_text(f"{time} 0 0 0 0 0 0 1\n")
+
+    with pytest.raises(
+        InputError, match=r"bot_7\.tum: the name has the number of bot_07\.tum; give"
+    ):
         import_poses(tmp_path, Assumptions())

@@ -208,3 +208,14 @@ def test_a_file_of_a_run_replaces_a_link_and_not_what_it_leads_to(path):
 
     assert path.read_bytes() == before
     assert outputs.is_own(link)
+
+
+def test_a_folder_in_place_of_the_ledger_stays_closed(tmp_path):
+    """A service that writes an output a second would soon have no descriptors left."""
+    (tmp_path / outputs.LEDGER).mkdir()
+    before = len([*Path("/dev/fd").iterdir()])
+
+    for _ in range(3):
+        outputs.write(tmp_path / "estimate.csv", b"1", overwrite=True)
+
+    assert len([*Path("/dev/fd").iterdir()]) == before

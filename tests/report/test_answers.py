@@ -297,3 +297,25 @@ def test_the_question_of_a_run_is_that_of_its_scenario(tmp_path):
 
     assert last == "Means of 2 structures: height 12 R (a), 13 R (b)."
     assert shown == "Means of 2 structures: height 12 R (A), 13 R (b)."
+
+
+def test_methods_under_one_condition_have_no_common_traffic():
+    """The error of one method would stand beside the bytes of another, in the order of rows."""
+    table = pd.DataFrame({"condition": "all", "localization.method": ["distributed", "joint"]})
+    table = table.assign(cases=2, rmse_R_mean=[0.2, 0.1], sent_B_mean=[5000.0, np.nan])
+    table = table.assign(measurements="contacts")
+
+    texts = [answer("traffic", Results(t, NONE, NONE)) for t in (table, table[::-1])]
+
+    assert all("joint 0.10 R, distributed 0.20 R" in text for text in texts)
+
+
+@pytest.mark.parametrize("points", [1, 12])
+def test_bridges_without_a_count_are_not_counted(points):
+    """A table that somebody has edited ends no report in a traceback."""
+    table = pd.DataFrame({"condition": "a", "force": [*map(str, range(points))], "cases": 2})
+    table = table.assign(kind="bridge", rmse_R_mean=1.0, crossed_mean=np.nan)
+
+    text = answer("reached", Results(table, NONE, NONE))
+
+    assert text.startswith("Mean RMSE of 2 structures")

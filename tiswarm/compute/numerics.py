@@ -99,15 +99,15 @@ def simd_features() -> list[str]:
 
 def _blas() -> str:
     """Name the kernels of BLAS that numpy and scipy loaded."""
-    found = []
+    found: dict[str, list[str]] = {"numpy": [], "scipy": [], "": []}
     for each in threadpool_info():
         if each["user_api"] == "blas":
-            of = next(
-                (name for name in ("numpy", "scipy") if f"{name}.libs" in each["filepath"]), ""
-            )
+            of = next((name for name in found if name and f"{name}.libs" in each["filepath"]), "")
             parts = [of, each["internal_api"], each["version"], each.get("architecture")]
-            found.append(" ".join(str(part) for part in parts if part))
-    return ", ".join(sorted(found)) or "unknown"
+            found[of].append(" ".join(str(part) for part in parts if part))
+    # Other packages of this process may have loaded one of their own, which rounds nothing here.
+    named = sorted(found["numpy"] + found["scipy"]) or sorted(found[""])
+    return ", ".join(named) or "unknown"
 
 
 def _fixed(rows: int, columns: int) -> Reals:

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.interop.pose_table import QUATERNION, PoseTable, refuse_far
+from tiswarm.interop.pose_table import LONGEST_NUMBER, QUATERNION, PoseTable, refuse_far
 from tiswarm.interop.trajectories import LONGEST_TEXT
 from tiswarm.records.io import LARGEST, numbered_lines
 from tiswarm.records.messages import counted
@@ -59,6 +59,8 @@ class _Layout(NamedTuple):
 
     unit: str
     notes: list[str]
+    has_blocks: bool = False
+    """Whether a blank line ends the poses."""
 
 
 def read_mocap(path: Path, *, dock_radius: float) -> PoseTable | None:
@@ -180,7 +182,7 @@ def _vicon(path: Path, number: int, kind: str, lines: Iterator[_Line]) -> _Layou
         problem = "Vicon's rotations are RX, RY, RZ: angles in an order that the file does not "
         raise InputError(f"{problem}state; export quaternions", path=path, line=number + 3)
     unit = units[bodies[0].place[0]] if bodies and bodies[0].place[0] < len(units) else "mm"
-    return _Layout(bodies, lambda wxyz: wxyz, 0, unit or "mm", [])
+    return _Layout(bodies, lambda wxyz: wxyz, 0, unit or "mm", [], has_blocks=True)
 
 
 def _bodies(
@@ -215,7 +217,9 @@ def _table(path: Path, lines: Iterator[_Line], layout: _Layout, dock_radius: flo
     lost = 0
     for number, cells in lines:
         if not any(cells):
-            break  # Vicon's blocks end so
+            if layout.has_blocks:
+                break
+            continue
         for robot, body in zip(robots, layout.bodies, strict=True):
             place = _pose(path, number, cells, body)
             if place is None:
@@ -258,8 +262,9 @@ def _number(path: Path, line: int, cells: Sequence[str], column: int) -> float:
 def _numbers(names: Sequence[str]) -> tuple[list[int], list[str]]:
     """Take the numbers of robots from their names, or count them and say so."""
     found = [re.findall(r"\d+", name) for name in names]
-    if all(len(each) == 1 for each in found) and len({each[0] for each in found}) == len(names):
-        return [int(each[0]) for each in found], []
+    numbers = [int(each[0]) for each in found if [len(n) <= LONGEST_NUMBER for n in each] == [True]]
+    if len({*numbers}) == len(names):
+        return numbers, []
     listed = ", ".join(f"{name} is {number}" for number, name in enumerate(names[:3]))
     more = ", ..." * (len(names) > 3)  # noqa: PLR2004
     return [*range(len(names))], [f"bodies are numbered as listed: {listed}{more}"]

@@ -18,7 +18,7 @@ from tiswarm.records.sensing_log import FARTHEST
 QUATERNION = ["qw", "qx", "qy", "qz"]
 _AXES = [*"xyz"]
 _ROBOT_NAME = "robot_name"
-_LONGEST_NUMBER = 18
+LONGEST_NUMBER = 18
 """Digits of a number that an integer of 64 bits holds."""
 
 _WHOLE = ("robot", "sphere", "join")
@@ -233,7 +233,7 @@ def _numbers_in(text: CsvFile, column: str) -> Ints:
     for row, name in enumerate(names):
         found = re.findall(r"\d+", name)
         problem = ""
-        if len(found) != 1 or len(found[0]) > _LONGEST_NUMBER:
+        if len(found) != 1 or len(found[0]) > LONGEST_NUMBER:
             problem = f"{name[:40]!r} has no number, or several; write it like bot_7"
         elif named.setdefault(int(found[0]), name) != name:
             problem = f"{name[:40]!r} has the number of another robot; give each its own"

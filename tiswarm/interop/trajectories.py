@@ -16,7 +16,13 @@ import pandas as pd
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.interop.particles import gsd_library
-from tiswarm.interop.pose_table import QUATERNION, PoseTable, refuse_far, report_incomplete
+from tiswarm.interop.pose_table import (
+    LONGEST_NUMBER,
+    QUATERNION,
+    PoseTable,
+    refuse_far,
+    report_incomplete,
+)
 from tiswarm.records.io import LARGEST, numbered_lines, unreadable
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import FAR_FROM_UNIT
@@ -102,10 +108,14 @@ def read_tum(path: Path, *, dock_radius: float, drop_incomplete: bool) -> PoseTa
     notes: list[str] = []
     if path.is_dir():
         tables = []
+        named: dict[int, str] = {}
         for file in sorted(path.glob("*.tum")):
             numbers = re.findall(r"\d+", file.stem)
-            if len(numbers) != 1:
+            if len(numbers) != 1 or len(numbers[0]) > LONGEST_NUMBER:
                 problem = "the name has no number, or several; name the file as robot_7.tum"
+                raise InputError(problem, path=file)
+            if (other := named.setdefault(int(numbers[0]), file.name)) != file.name:
+                problem = f"the name has the number of {other}; give each robot its own"
                 raise InputError(problem, path=file)
             rows, lines = _trajectory(file, dock_radius)
             notes += report_incomplete(file, lines, drop=drop_incomplete, name=file.name)

@@ -208,8 +208,13 @@ def _record(path: Path, digest: str) -> None:
 
 def _open_ledger(ledger: Path, flags: int) -> FileIO:
     """Open a ledger without buffer; raise OSError where the file is another's, or too large."""
-    descriptor = os.open(ledger, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
-    file = os.fdopen(descriptor, "r+b" if flags & os.O_RDWR else "rb", buffering=0)
+    flags |= os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    descriptor = os.open(ledger, flags, 0o666)
+    try:
+        file = os.fdopen(descriptor, "r+b" if flags & os.O_RDWR else "rb", buffering=0)
+    except OSError:  # a folder
+        os.close(descriptor)
+        raise
     found = os.fstat(descriptor)
     is_plain = stat.S_ISREG(found.st_mode) and found.st_nlink == 1 and found.st_size < _LARGEST
     if is_plain and found.st_size == 0 and flags & os.O_RDWR:

@@ -13,6 +13,7 @@ import pandas as pd
 from tiswarm.records.messages import counted
 from tiswarm.report.comparison import (
     FEWEST,
+    METHOD,
     Row,
     at_points,
     conclusion,
@@ -20,6 +21,7 @@ from tiswarm.report.comparison import (
     mean_of,
     range_of,
     structures_of,
+    swept,
     two_digits,
 )
 
@@ -86,7 +88,7 @@ def _reached_at(rows: Sequence[Row], place: str) -> str:
 def _reached_by(rows: Sequence[Row]) -> str:
     """State what structures of a kind reached at many points."""
     kind = rows[0].get("kind")
-    if kind == "bridge" and _BRIDGES in rows[0]:
+    if kind == "bridge" and _has_bridges(rows):
         closed = sum(round(row[_BRIDGES] * row["cases"]) for row in rows)
         return f"bridges closed {closed} of {sum(int(row['cases']) for row in rows)}"
     if kind not in _MEASURES or _MEASURES[kind][1] not in rows[0]:
@@ -98,12 +100,17 @@ def _reached_by(rows: Sequence[Row]) -> str:
 def _reaches(rows: Sequence[Row]) -> tuple[str, list[str]]:
     """Return what structures of a kind are built for, and what those of each row reached."""
     kind = rows[0].get("kind")
-    if kind == "bridge" and _BRIDGES in rows[0]:
+    if kind == "bridge" and _has_bridges(rows):
         closed = [f"{round(row[_BRIDGES] * row['cases'])} of {row['cases']:.0f}" for row in rows]
         return "bridges closed", closed
     what, column = _MEASURES.get(str(kind), ("", ""))
     known = column in rows[0]
     return (what, [f"{two_digits(row[column])} R" for row in rows]) if known else ("", [])
+
+
+def _has_bridges(rows: Sequence[Row]) -> bool:
+    """Whether each row has the share of its bridges that were closed."""
+    return all(row.get(_BRIDGES, math.nan) >= 0.0 for row in rows)
 
 
 def _point_words(row: Row) -> str:
@@ -123,6 +130,8 @@ def _point_words(row: Row) -> str:
 
 def _traffic(results: Results) -> str:
     """State the errors of methods whose robots send little, and the least ones of all others."""
+    if METHOD in swept(results.table):
+        return ""  # one condition has methods of all kinds
     rows = _by_condition(results.table)
     sent = {name: [float(row.get(_SENT, math.nan)) for row in each] for name, each in rows.items()}
     if not any(max(of_name) >= 0.0 for of_name in sent.values()):
