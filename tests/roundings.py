@@ -33,7 +33,8 @@ ROOMS = ("compute", "engine", "evaluation", "localization", "measurements", "sen
 
 OTHER_LIBRARY = "quadrants"
 _PROBE = "from tiswarm.app.doctor import name_numerics; print(name_numerics('cpu'))"
-_SPIN = "while True: pass"
+_SPIN = "import os; parent = os.getppid()\nwhile os.getppid() == parent: sum(range(10**6))"
+"""Computes until its parent ends, however that ends."""
 
 
 def _numpy_features(prefix: str) -> str:
