@@ -67,6 +67,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.trial
 @on_each_library
 def test_a_device_takes_the_steps_of_the_processor(library):
     """A swarm and a batch, to the stated error of forces; lists as often, the same bytes twice.
@@ -116,6 +117,7 @@ print(np.abs(_annealed(logs, None) - right[0]).max())
 """
 
 
+@pytest.mark.trial
 @on_each_library
 def test_a_device_anneals_as_the_processor_does(library):
     """Five steps of two chains and two towers; later, rounding makes all chains differ."""
@@ -148,6 +150,7 @@ print(max(away))
 """
 
 
+@pytest.mark.trial
 @on_each_library
 def test_a_device_moves_all_robots_together_as_the_processor_does(library):
     """Twelve steps of two towers; each has the bytes that it has alone."""
@@ -165,6 +168,7 @@ _CONDITIONS = (
 )
 
 
+@pytest.mark.trial
 @on_each_library
 def test_a_study_uses_the_device_for_joint_and_together_alone(tmp_path, library):
     """Its manifest says so, and the other method gives the bytes of the processor."""

@@ -18,6 +18,12 @@ from tiswarm.sensing import SensingParams, observe
 PARAMS = JointParams(chains=46, steps=40, hold_steps=20, robust=False, end_sigma=0.1)
 
 
+@pytest.fixture(scope="module")
+def towers(tall_towers):
+    """Three towers of 30 robots: the measurements written out here are theirs."""
+    return tall_towers
+
+
 @pytest.fixture
 def logs(towers):
     """What the robots of three towers sensed."""

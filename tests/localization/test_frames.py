@@ -22,6 +22,12 @@ FREE = Frame(np.eye(3), is_hand_free=True)
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
+@pytest.fixture(scope="module")
+def towers(tall_towers):
+    """Three towers of 30 robots: the measurements written out here are theirs."""
+    return tall_towers
+
+
 def ranged(seed=0, **known):
     """Robots that know all their distances, and more of each other or of the world."""
     log, place = foreign.without_beacons(ROBOTS, seed)

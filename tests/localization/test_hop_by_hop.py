@@ -31,6 +31,12 @@ HOPS = HopByHopParams(non_overlap=False)  # points at random overlap
 METHODS = [HOPS, dataclasses.replace(HOPS, order="join")]
 
 
+@pytest.fixture(scope="module")
+def towers(tall_towers):
+    """Three towers of 30 robots: the measurements written out here are theirs."""
+    return tall_towers
+
+
 def fixed(log: SensingLog, truth: np.ndarray, robots, axes=EVERY_AXIS, sd=SHARP) -> SensingLog:
     """Add exact fixes of some robots along some directions."""
     robot, n = np.repeat(robots, len(axes)), np.tile(axes, (len(robots), 1))

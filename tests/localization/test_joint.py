@@ -30,6 +30,12 @@ BIASED = dataclasses.replace(NOISY, yaw_bias_deg=15.0, spawn_noise=0.2)
 
 
 @pytest.fixture(scope="module")
+def towers(tall_towers):
+    """Three towers of 30 robots: the measurements written out here are theirs."""
+    return tall_towers
+
+
+@pytest.fixture(scope="module")
 def log(towers) -> SensingLog:
     """What the robots of a small tower sensed, with noise."""
     return observe(towers[0], NOISY)

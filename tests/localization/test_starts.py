@@ -20,6 +20,12 @@ EXACT = 1e-6
 """Of coordinates from the square root of a sum of squares, relative to their size [1]."""
 
 
+@pytest.fixture(scope="module")
+def towers(tall_towers):
+    """Three towers of 30 robots: the measurements written out here are theirs."""
+    return tall_towers
+
+
 def starts_of(log):
     """Both images by multidimensional scaling [R]."""
     return scaled_distances(pose_problem(log, PARAMS), log.anchor_position / log.dock_radius)

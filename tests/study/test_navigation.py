@@ -108,7 +108,7 @@ def test_methods_that_place_robots_as_they_join_build_what_whole_logs_do(monkeyp
         )[0]  # fmt: skip
 
     one_by_one = built()
-    monkeypatch.setattr(navigation, "joining", lambda _: None)
+    monkeypatch.setattr(navigation.registry, "joining", lambda _: None)
     anew = built()
 
     assert all(same(a, b) for a, b in zip(one_by_one.walks, anew.walks, strict=True))
