@@ -15,7 +15,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from tiswarm.report import figure_style
+from tiswarm.report.render import pictures
 
 SHARE = float(os.environ.get("TISWARM_TRIAL_SHARE", "1"))
 SEED = int(os.environ.get("TISWARM_TRIAL_SEED", "0"))
@@ -87,6 +91,24 @@ def _limited() -> Iterator[None]:
         for number, (timer, _, _) in LIMITS_S.items():
             signal.setitimer(timer, 0.0)
             signal.signal(number, before[number])
+
+
+@pytest.fixture
+def coarse_pictures(monkeypatch) -> None:
+    """Draw figures coarsely and pictures empty, so that an attempt is quick."""
+    new_figure = figure_style.new_figure
+
+    def coarse(width, height):
+        figure = new_figure(width, height)
+        figure.set_dpi(20)
+        return figure
+
+    def blank(scenes, *_):
+        assert all(np.isfinite(scene.start).all() for scene in scenes)
+        return [np.zeros((s.camera.height, s.camera.width, 3), np.uint8) for s in scenes], "-", ""
+
+    monkeypatch.setattr(figure_style, "new_figure", coarse)
+    monkeypatch.setattr(pictures, "draw_scenes", blank)
 
 
 @pytest.fixture

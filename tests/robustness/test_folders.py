@@ -8,15 +8,12 @@ import resource
 import shutil
 from pathlib import Path
 
-import numpy as np
 import psutil
 import pytest
 from PIL import Image
 
 from tests.robustness.mutations import as_json_lines, damaged, mutated
 from tests.runs import call_here
-from tiswarm.report import figure_style
-from tiswarm.report.render import pictures
 
 pytestmark = pytest.mark.slow
 
@@ -63,21 +60,8 @@ def _outside(path: Path) -> Path:
 
 
 @pytest.fixture
-def prepared(tmp_path, monkeypatch) -> Path:
+def prepared(tmp_path, coarse_pictures) -> Path:
     """Folder of a run with pictures; figures are coarse and pictures empty, so that it is quick."""
-    new_figure = figure_style.new_figure
-
-    def coarse(width, height):
-        figure = new_figure(width, height)
-        figure.set_dpi(20)
-        return figure
-
-    def blank(scenes, *_):
-        assert all(np.isfinite(scene.start).all() for scene in scenes)
-        return [np.zeros((s.camera.height, s.camera.width, 3), np.uint8) for s in scenes], "-", ""
-
-    monkeypatch.setattr(figure_style, "new_figure", coarse)
-    monkeypatch.setattr(pictures, "draw_scenes", blank)
     done = call_here(
         "run", "tests/tower.yaml", "--set", "robots=6",
         "--set", "seeds=2", "--set", "conditions={a: {}, b: {localization.iterations: 20}}",

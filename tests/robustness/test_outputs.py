@@ -10,13 +10,10 @@ import time
 from pathlib import Path
 from unittest.mock import patch
 
-import numpy as np
 import pytest
 
 from tests.robustness.mutations import damaged
 from tests.runs import REPOSITORY, call_here, environment
-from tiswarm.report import figure_style
-from tiswarm.report.render import pictures
 
 pytestmark = pytest.mark.slow
 
@@ -52,23 +49,6 @@ FOLDERS = {
     ),
 }  # fmt: skip
 """By name: a command that lacks the name of a folder, and files that it writes there."""
-
-
-@pytest.fixture
-def _coarse(monkeypatch):
-    """Draw figures coarsely and pictures empty, so that an attempt is quick."""
-    new_figure = figure_style.new_figure
-
-    def coarse(width, height):
-        figure = new_figure(width, height)
-        figure.set_dpi(20)
-        return figure
-
-    def blank(scenes, *_):
-        return [np.zeros((s.camera.height, s.camera.width, 3), np.uint8) for s in scenes], "-", ""
-
-    monkeypatch.setattr(figure_style, "new_figure", coarse)
-    monkeypatch.setattr(pictures, "draw_scenes", blank)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +151,7 @@ def _check(before: dict[Path, object], here: Path, done, allowed: set[Path]) -> 
     assert not [*here.rglob(".*.tmp")]
 
 
-@pytest.mark.usefixtures("_coarse")
+@pytest.mark.usefixtures("coarse_pictures")
 def test_no_output_costs_a_file_of_somebody_else(trial, world, tmp_path):
     """Inputs, links, devices and files of the user, as outputs of every command that writes."""
     for number in trial.numbers(200):
@@ -204,7 +184,7 @@ def test_no_output_costs_a_file_of_somebody_else(trial, world, tmp_path):
     assert trial.failures == []
 
 
-@pytest.mark.usefixtures("_coarse")
+@pytest.mark.usefixtures("coarse_pictures")
 def test_a_run_changes_its_own_files_alone(trial, world, made, tmp_path):
     """A folder of its name that no run made is refused; in its own one, files of others stay."""
     for number in trial.numbers(20):
