@@ -13,7 +13,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.poses import Poses, Samples
+from tiswarm.interop.poses import Poses, Samples, some
 from tiswarm.interop.stances import motion_limits
 from tiswarm.records.messages import counted, percent
 
@@ -27,9 +27,6 @@ _GAP = 1.5
 _RARE = 0.05
 """Larger share of poses that no flip explains is noise, not errors of tracking."""
 
-_MOST_NAMED = 5
-"""Robots that a note names."""
-
 
 class _Motion(NamedTuple):
     """The samples of one robot."""
@@ -38,7 +35,7 @@ class _Motion(NamedTuple):
     """Centers of docks, shape (S, D, 3)."""
 
     time: Reals
-    """Shape (S,)."""
+    """Time of each sample, shape (S,)."""
 
     stays: Bools
     """Whether some dock stays from a sample to the next, shape (S - 1,)."""
@@ -142,9 +139,7 @@ def _note(poses: Poses, samples: Samples, bad: Bools) -> str:
         f"robot {name} at time {time:g}"
         for name, time in zip(names, samples.time[first].tolist(), strict=True)
     ]
-    more = f" and {len(places) - _MOST_NAMED} more" * (len(places) > _MOST_NAMED)
-    where = f"{', '.join(places[:_MOST_NAMED])}{more}"
     return (
-        f"{counted(int(bad.sum()), 'pose')} left out, {where}: no flip about a dock leads there "
-        "(keep them with --glitch-frames 0)"
+        f"{counted(int(bad.sum()), 'pose')} left out, {some(places)}: no flip about a dock leads "
+        "there (keep them with --glitch-frames 0)"
     )

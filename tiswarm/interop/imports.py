@@ -23,7 +23,7 @@ from tiswarm.interop.glitches import without_glitches
 from tiswarm.interop.hints import few_contacts, off_the_ground
 from tiswarm.interop.mocap import read_mocap
 from tiswarm.interop.pose_table import PoseTable, read_table
-from tiswarm.interop.poses import UPWARD, Poses, poses_by_run
+from tiswarm.interop.poses import UPWARD, Poses, poses_by_run, some
 from tiswarm.interop.stances import Rests, find_rests, stances_of
 from tiswarm.interop.trajectories import read_gsd, read_tum
 from tiswarm.measurements.orientations import ASSUMED
@@ -45,9 +45,6 @@ GAINS = (
     "heights, 0.2 R with contacts of stances too (docs/accuracy.md)"
 )
 """What heights and stances gain."""
-
-_MOST_NAMED = 5
-"""Robots that a note names."""
 
 
 class Imported(NamedTuple):
@@ -302,9 +299,7 @@ def _unrested(poses: Poses, rests: Rests | None) -> Iterator[str]:
 
 def _named(poses: Poses, robots: Ints) -> str:
     """Count robots and name the first ones."""
-    names = ", ".join(map(str, poses.robot_id[robots[:_MOST_NAMED]].tolist()))
-    more = ", ..." * (len(robots) > _MOST_NAMED)
-    return f"{counted(len(robots), 'robot')} ({names}{more})"
+    return f"{counted(len(robots), 'robot')} ({some(poses.robot_id[robots].tolist())})"
 
 
 def _describe(log: SensingLog) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """Poses of robots, of any simulator or motion-capture system, and tables of docks and contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,6 +30,16 @@ UPWARD = {
     "-x": (0.5, "y"),
 }
 """By the axis that is up, the turn that makes it z: half turns, and the axis of the turn."""
+
+
+_MOST_NAMED = 5
+"""Robots that a note names."""
+
+
+def some(names: Sequence[object]) -> str:
+    """List the first names, and count the others."""
+    more = f" and {len(names) - _MOST_NAMED} more" * (len(names) > _MOST_NAMED)
+    return ", ".join(map(str, names[:_MOST_NAMED])) + more
 
 
 class Samples(NamedTuple):
