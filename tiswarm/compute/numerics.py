@@ -47,7 +47,7 @@ class Numerics(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Eight hex digits that stand for all of it."""
+        """Digest of all four, eight hex digits."""
         return sha256(repr((*self,)).encode()).hexdigest()[:8]
 
     @property

@@ -26,13 +26,13 @@ _OFF_CENTER = 1.0
 """Largest coordinate of a tracked point in the body frame that is tried [dock radii]."""
 
 _STEP = 0.5
-"""Step between them [dock radii]."""
+"""Step between tried coordinates of that point [dock radii]."""
 
 _NEAR = 0.4
 """Largest gap and overlap of docks that a step may put in contact [dock radii]."""
 
 _BEST = 12
-"""Steps that are refined."""
+"""Number of tried points that are refined: those that put most docks in contact."""
 
 _UNKNOWNS = 3
 
@@ -58,7 +58,7 @@ def few_contacts(poses: Poses, assumed: Assumptions, contacts: int, overlaps: in
 
 
 def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
-    """Say which other meaning of poses would make far more docks touch; empty if none would."""
+    """Name the other meaning of poses that would make far more docks touch; empty if none would."""
     poses = poses.nearest(_MOST_ROBOTS)
     least = max(ENOUGH * len(poses.robot_id), FAR_MORE * contacts, 1.0)
     if (touching := count_touching(poses.conjugate(), assumed)) >= least:
@@ -80,7 +80,7 @@ def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
 
 
 def _by_docks(offset: Reals, touching: int) -> str:
-    """Say that docks at some offsets would touch."""
+    """Name the offsets at which docks would touch, and the remedy."""
     places = ", ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in (offset + 0.0).tolist())
     return f"docks at {places} in the body frame give {touching}: measure them, and add --docks"
 

@@ -88,7 +88,7 @@ class Rests(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """How far docks move that do not move but for noise."""
+    """Largest motions that noise explains, of docks at rest and of pivots."""
 
     still: float
     """Largest motion of a dock of a robot at rest."""

@@ -214,8 +214,9 @@ class JointParams(ChiSquareParams):
     measurements may be missed then [R]. At least 2 where ranges alone tie robots to each other."""
 
     end_sigma: Annotated[float, Field(gt=0.0)] | None = None
-    """The same when annealing ends [R]. If null 0.01 where measurements suffice and are sharp, up
-    to 0.025 where they are fewer than the coordinates by a twentieth, or that uncertain."""
+    """Square root of the temperature at which annealing ends [R]. If null 0.01 where measurements
+    suffice and are sharp, up to 0.025 where they are fewer than the coordinates by a twentieth, or
+    that uncertain."""
 
     extension_prior: Annotated[float, Field(ge=0.0, le=3.0)] = 1.5
     """Prior that robots extend outward: gain in log-likelihood for each R more between the centers
@@ -228,7 +229,7 @@ class JointParams(ChiSquareParams):
         return self.chains or (8 if robots <= LARGE else 4)
 
     def steps_for(self, robots: int) -> int:
-        """Steps of each of them."""
+        """Steps of each annealing."""
         return self.steps or (3000 if robots <= LARGE else 2000)
 
     def refines(self, robots: int) -> bool:
@@ -257,7 +258,7 @@ class OnlineParams(ChiSquareParams):
     """Annealings then, each from the present estimate."""
 
     steps: Annotated[int, Field(ge=1, le=10_000_000)] = 500
-    """Steps of each of them."""
+    """Steps of each annealing."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 200
     """Steps at the end temperature, over which positions are averaged."""
@@ -336,10 +337,10 @@ class DistributedParams(ChiSquareParams):
     """Annealings of the robots nearby by the robot that solves; 0 for none."""
 
     steps: Annotated[int, Field(ge=1, le=10_000_000)] = 400
-    """Steps of each of them."""
+    """Steps of each annealing."""
 
     start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
-    """Square root of the temperature at which they begin [R]."""
+    """Square root of the temperature at which annealings begin [R]."""
 
     def __post_init__(self) -> None:
         """Refuse settings of another scheme."""

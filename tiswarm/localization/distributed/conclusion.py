@@ -20,7 +20,7 @@ class Found:
     """Where each robot takes itself to be; at the anchor if it does not know, shape (N, 3)."""
 
     at_join: Reals
-    """The same as it joined, shape (N, 3)."""
+    """Position that each robot took itself to have as it joined, shape (N, 3)."""
 
     sd: Reals
     """Standard deviation of each position, as its robot knows it, shape (N,)."""

@@ -54,7 +54,7 @@ class Minimum(NamedTuple):
     """Squared residuals and overlaps in variances, priors of turns included [1]."""
 
     chi_square: float
-    """The same without overlaps [1]."""
+    """Squared residuals in variances, and priors of turns, without overlaps [1]."""
 
     spare: int | None
     """Measurements beyond the unknowns that they determine; None where they were not counted."""

@@ -252,7 +252,7 @@ class Tracker:
         )
 
     def _challenged(self, log: SensingLog, found: Assessment, is_tied: Bools) -> Assessment:
-        """Search a small structure from nowhere before a good verdict on where it is.
+        """Search a small structure without a start before a good verdict on where it is.
 
         Robots whose rows fit at several places may all fit in the wrong ones, and no chi-square
         says so.
