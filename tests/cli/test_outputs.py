@@ -18,6 +18,8 @@ def given(small_run, tmp_path_factory):
     for name in (LOG, ESTIMATE, TRUTH):
         shutil.copy(small_run / "cases" / "0-baseline" / name, folder)
     shutil.copy(REPOSITORY / "scenarios" / "examples" / "foreign-poses.csv", folder / "poses.csv")
+    with (folder / LOG).open() as file:
+        (folder / "header.jsonl").write_text(file.readline())
     (folder / "linked").symlink_to(".")
     return folder
 
@@ -35,6 +37,7 @@ def given(small_run, tmp_path_factory):
         (["localize", LOG, "--out", "a", "--report", "a"], "a: --report: out names the same file"),
         (["track", LOG, "--out", LOG], f"{LOG}: --out: this is an input"),
         (["track", LOG, "--out", "poses.csv"], "poses.csv: --out: no tiswarm command wrote"),
+        (["track", "header.jsonl", "--out", "a", "--estimate", "b"], "no robot has joined"),
         (["view", LOG, ESTIMATE, "--out", ESTIMATE], f"{ESTIMATE}: --out: this is an input"),
         (["explain", LOG, "3", ESTIMATE, "--out", LOG], f"{LOG}: --out: this is an input"),
         (["score", TRUTH, ESTIMATE, "--out", TRUTH], f"{TRUTH}: --out: this is an input"),

@@ -443,6 +443,19 @@ def test_the_working_folder_installs_no_plugin(files, monkeypatch):
     assert [path.count(str(files)) for path in found] == [0, 1]  # PYTHONPATH may name it
 
 
+def test_a_working_folder_that_is_gone_stops_nothing(tmp_path, monkeypatch):
+    """`python -m tiswarm` ended in a traceback there, `tiswarm` did not."""
+    found = []
+    monkeypatch.setattr("tiswarm.cli.main", lambda: found.append("called"))
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+
+    runpy.run_module("tiswarm", run_name="__main__")
+
+    assert found == ["called"]
+
+
 def test_a_format_of_a_plugin_is_written(tiswarm, files, log):
     """The example of the page lists the robots as atoms; an unknown format is a line."""
     (files / "xyz.py").write_text(XYZ)

@@ -40,3 +40,10 @@ def test_linear_algebra_of_other_packages_is_not_named(monkeypatch):
     names = [numerics.here.__wrapped__().blas.partition(" (")[0] for _ in range(3)]
 
     assert names == ["numpy openblas 1 Zen", "numpy openblas 1 Zen", "mkl 1 Zen"]
+
+
+def test_numpy_without_code_for_any_processor_is_named(monkeypatch):
+    """Distributions build such a numpy, and no run fails for it."""
+    monkeypatch.setattr(numerics.np, "show_config", lambda mode: {"Build Dependencies": {}})
+
+    assert ", baseline (" in numerics.here.__wrapped__().numpy

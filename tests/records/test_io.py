@@ -94,3 +94,13 @@ def test_a_cell_that_is_no_number_is_refused(tmp_path, cell):
 
     with pytest.raises(InputError, match=r"t.csv:3: x: .+ is not a number up to 1e\+12"):
         read_frame(tmp_path / "t.csv", numbers=["x"])
+
+
+@pytest.mark.parametrize(
+    "name", ["x" * 255, "\u00e9" * 127, "\u6f22" * 85], ids=["ascii", "latin", "han"]
+)
+def test_a_name_as_long_as_file_systems_allow_is_written(tmp_path, name):
+    """They count bytes, and letters beyond ASCII have several."""
+    write_bytes(tmp_path / name, b"1")
+
+    assert [path.name for path in tmp_path.iterdir()] == [name]

@@ -75,6 +75,7 @@ def track(
                 terminal.flush()
 
         tracker: Tracker = follow(lines, path, params=params, on_answer=answer, on_refused=warn)
-    if table is not None:
-        write_estimate(table, tracker.estimate(final=True), opened=opened)
+        final = None if table is None else tracker.estimate(final=True)
+    if table is not None and final is not None:
+        write_estimate(table, final, opened=opened)
     return tracker

@@ -94,7 +94,8 @@ def _target() -> str:
 
 def simd_features() -> list[str]:
     """List instructions for which numpy has code of its own and which it uses, the latest last."""
-    return list(np.show_config(mode="dicts")["SIMD Extensions"].get("found", []))
+    # A build without code of its own for any has no such entry.
+    return list(np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found", []))
 
 
 def _blas() -> str:

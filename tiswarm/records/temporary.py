@@ -11,7 +11,7 @@ from socket import gethostname
 import psutil
 
 _LENGTH = 200
-"""Characters of a name that its temporary name keeps; file systems allow 255 in all."""
+"""Bytes of a name that its temporary name keeps; file systems allow 255 in all."""
 
 _HOST = sha256(gethostname().encode()).hexdigest()[:6]
 _START = secrets.token_hex(4)
@@ -28,7 +28,8 @@ _LONGEST_S = 3600.0
 def path_for(path: Path, suffix: str) -> Path:
     """Return a hidden path beside one that nobody else writes to; it names the writer."""
     token = f"{_HOST}-{os.getpid()}-{_START}-{secrets.token_hex(4)}"
-    return path.with_name(f".{path.name[:_LENGTH]}.{token}.{suffix}")
+    kept = os.fsencode(path.name)[:_LENGTH].decode(errors="ignore")
+    return path.with_name(f".{kept}.{token}.{suffix}")
 
 
 def is_temporary(path: Path) -> bool:
