@@ -27,7 +27,7 @@ NOTHING = "ruff: no such rule"
     ids=["both pass", "test fails", "trial fails", "lint fails", "nothing ran", "neither ran"],
 )
 def test_one_closing_line_sums_both_parts(tmp_path, test, trial, status, closing):
-    """Whoever reads the last line and the exit status alone misses no failure.
+    """A reader of the last line and the exit status alone misses no failure.
 
     Both parts run in any case, and make's own exit status for a failure is 2.
     """

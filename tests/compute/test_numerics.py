@@ -9,7 +9,7 @@ from tiswarm.compute.lang import LIBRARY
 
 
 def test_libraries_that_round_numbers_are_named_with_digests_of_their_values():
-    """Two machines with the same text give the same bytes, whatever else differs."""
+    """Two machines with the same text give the same bytes, however much else differs."""
     found = numerics.here()
 
     assert found.kernels.startswith(f"{LIBRARY} ")

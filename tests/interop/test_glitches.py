@@ -49,7 +49,7 @@ def test_errors_of_tracking_change_no_log(tracks, tmp_path, when, frames):
 
 
 def test_errors_of_tracking_can_be_kept(tracks, tmp_path):
-    """The limit is an option: with 0 the last pose is final, whatever it is."""
+    """The limit is an option: with 0 the last pose is final, an error of tracking too."""
     last = rows_of_robot(tracks, 3)[-1]
     bad = list(tracks)
     bad[last] = jumped(tracks[last], [0.3, 0.4, 0.0], Rotation.identity())

@@ -133,7 +133,7 @@ def test_rigid_bodies_of_motive_are_read(few, frames, tmp_path):
 @pytest.mark.parametrize("repeated", [True, False])
 @pytest.mark.parametrize("matrix", [True, False])
 def test_rigid_bodies_of_qualisys_are_read(few, frames, tmp_path, matrix, repeated):
-    """Matrices, which list columns, hold whatever angles mean; these are the standard ones."""
+    """Matrices list columns and need no convention of angles; the angles are the standard ones."""
     lines = qualisys(frames, matrix=matrix, names_repeated=repeated)
 
     found = bring_in(tmp_path / "take.tsv", lines, "\t")

@@ -85,7 +85,7 @@ def test_overlaps_alone_move_robots_at_no_temperature():
 
 
 def test_each_chain_has_kicks_of_its_own():
-    """Chains search from the same places, so their kicks are all that tells them apart."""
+    """Chains search from the same places, so only their kicks distinguish them."""
     view = stepped(0.5, chains=3)[0]
 
     assert len({each.tobytes() for each in view}) == 3

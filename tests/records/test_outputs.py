@@ -51,7 +51,7 @@ def test_a_file_of_somebody_else_is_refused_and_stays(tmp_path, content):
     lambda path: path.with_name(outputs.LEDGER).write_bytes(b"mine"),
 ])  # fmt: skip
 def test_what_was_edited_or_lost_its_ledger_is_refused(path, change):
-    """Whoever edited an output wants to keep the edit."""
+    """A user who edited an output wants to keep the edit."""
     change(path)
     before = path.read_bytes()
 
@@ -110,7 +110,7 @@ def test_devices_and_pipes_are_refused(tmp_path, overwrite):
 
 @pytest.mark.parametrize("name", ["same", "folder/../same", "link", "hard", "linked/same"])
 def test_an_input_is_never_an_output(tmp_path, monkeypatch, name):
-    """Not under another name either, and not if tiswarm wrote it, and whatever the option says."""
+    """Neither another name, nor an earlier write by tiswarm, nor the option makes it an output."""
     monkeypatch.chdir(tmp_path)
     outputs.write(Path("same"), b"data")
     Path("folder").mkdir()

@@ -280,7 +280,7 @@ def test_shells_cannot_damage_a_log(world, tmp_path, command, status, said):
 
 
 def test_two_commands_never_mix_their_answers(world, tmp_path):
-    """Both write whole files: whoever ends last has the output, and kills leave no part."""
+    """Both write whole files: the output is of the one that ends last; kills leave no part."""
     out = tmp_path / "changes.jsonl"
     command = [sys.executable, "-m", "tiswarm", "track", world / LOG, "--out", out, *QUICK]
 

@@ -211,7 +211,7 @@ def stated_scenario(folder: Path) -> dict[str, Any]:
     return stated
 
 
-def _stated(folder: Path) -> Any:  # noqa: ANN401 - whatever stands there
+def _stated(folder: Path) -> Any:  # noqa: ANN401 - any JSON
     path = folder / "scenario.yaml"
     return read_yaml(run_file(path)).data if path.exists() else {}
 
