@@ -5,7 +5,7 @@ To add a question, write a function and add a line to `ANSWERS`, and its name to
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import pandas as pd
@@ -17,7 +17,9 @@ from tiswarm.report.comparison import (
     Row,
     at_points,
     conclusion,
+    errors_of,
     least_error,
+    list_errors,
     mean_of,
     range_of,
     structures_of,
@@ -164,7 +166,7 @@ def _cues(results: Results) -> str:
         return ""
     first = next(iter(rows))
     notes = {name: _changes(rows[first], each) for name, each in rows.items() if name != first}
-    ordered = sorted(rows, key=lambda name: sum(_errors(rows[name])) / len(rows[name]))
+    ordered = sorted(rows, key=lambda name: sum(errors_of(rows[name])) / len(rows[name]))
     return f"{_head(table)}: {_listed(rows, notes, ordered)}{_paper_order(table)}"
 
 
@@ -247,15 +249,8 @@ def _listed(
     by_least = sorted(rows, key=lambda name: least_error(rows[name]))
     ordered = ordered or by_least
     named = [name for n, name in enumerate(ordered) if n < _MOST_NAMED or name == by_least[0]]
-    texts = [f"{name} {range_of(_errors(rows[name]))}{notes.get(name, '')}" for name in named]
-    if rest := [name for name in ordered if name not in named]:
-        most = max(error for name in rest for error in _errors(rows[name]))
-        texts.append(f"and {len(rest)} more up to {two_digits(most)} R")
-    return ", ".join(texts)
-
-
-def _errors(rows: Iterable[Row]) -> list[float]:
-    return [float(row["rmse_R_mean"]) for row in rows]
+    rest = [name for name in ordered if name not in named]
+    return list_errors(rows, named, rest, notes)
 
 
 ANSWERS: dict[str, Callable[[Results], str]] = {

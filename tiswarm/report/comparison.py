@@ -119,7 +119,7 @@ def swept(table: pd.DataFrame) -> list[str]:
 
 def least_error(rows: Iterable[Row]) -> float:
     """Return the least mean RMSE of some rows [R]."""
-    return min(float(row[_RMSE]) for row in rows)
+    return min(errors_of(rows))
 
 
 def range_of(values: Iterable[float], unit: str = " R") -> str:
@@ -154,6 +154,25 @@ def mean_of(rows: Sequence[Row], points: int, *, by_condition: bool = False) -> 
     return f"{text} {each}" if points > 1 else text
 
 
+def errors_of(rows: Iterable[Row]) -> list[float]:
+    """List the mean RMSE of rows [R]."""
+    return [float(row[_RMSE]) for row in rows]
+
+
+def list_errors(
+    rows: Mapping[str, Sequence[Row]],
+    named: Sequence[str],
+    rest: Sequence[str],
+    notes: Mapping[str, str],
+) -> str:
+    """List the errors of some conditions with notes, and how far those of the rest reach."""
+    texts = [f"{name} {range_of(errors_of(rows[name]))}{notes.get(name, '')}" for name in named]
+    if rest:
+        most = max(error for name in rest for error in errors_of(rows[name]))
+        texts.append(f"and {len(rest)} more up to {two_digits(most)} R")
+    return ", ".join(texts)
+
+
 def _are_apart(found: Sequence[Group]) -> bool:
     """Whether there are many conditions, none of them with the measurements of another."""
     return len(found) > _MOST_GROUPS and all(len(group.members) == 1 for group in found)
@@ -180,7 +199,7 @@ def _by_measurements(found: Sequence[Group], points: int) -> Iterable[str]:
     if rest := found[_MOST_GROUPS:]:
         rows = [row for group in rest for rows in group.members.values() for row in rows]
         count = counted(len({*(name for group in rest for name in group.members)}), "condition")
-        errors = range_of(float(row[_RMSE]) for row in rows)
+        errors = range_of(errors_of(rows))
         yield f"with other measurements or noise, {count} of {errors}"
 
 
@@ -190,21 +209,16 @@ def _listed(members: Mapping[str, Sequence[Row]], group: Group | None = None) ->
     ordered = sorted(members, key=lambda name: least_error(members[name]))
     named = [name for n, name in enumerate(ordered) if n < MOST_NAMED or wins[name]]
     least = least_error(members[ordered[0]])
-    texts = []
+    notes = {}
     for name in named:
-        rows = members[name]
-        text = f"{name} {range_of(float(row[_RMSE]) for row in rows)}"
         if wins[name]:
             points = group.points if group else 0
             where = f" at {wins[name]} of {points} points" if points > 1 else ""
-            text += f" (the smallest on every structure{where})"
+            notes[name] = f" (the smallest on every structure{where})"
         elif group and group.points == 1 and name != ordered[0]:
-            text += _times(least_error(rows), least)
-        texts.append(text)
-    if rest := [name for name in ordered if name not in named]:
-        most = max(float(row[_RMSE]) for name in rest for row in members[name])
-        texts.append(f"and {len(rest)} more up to {two_digits(most)} R")
-    return ", ".join(texts)
+            notes[name] = _times(least_error(members[name]), least)
+    rest = [name for name in ordered if name not in named]
+    return list_errors(members, named, rest, notes)
 
 
 def _times(error: float, least: float) -> str:
