@@ -319,3 +319,14 @@ def test_bridges_without_a_count_are_not_counted(points):
     text = answer("reached", Results(table, NONE, NONE))
 
     assert text.startswith("Mean RMSE of 2 structures")
+
+
+@pytest.mark.parametrize(("joined", "of_all"), [({"joined_mean": 9.0}, " of 9"), ({}, "")])
+def test_disconnected_robots_are_counted_among_those_that_are_known(tmp_path, joined, of_all):
+    """A table that lost a column ends no report in a traceback."""
+    measures = dict.fromkeys(["rmse_R_ci95", "rmse_R_least", "rmse_R_most"], 1.0)
+    table = pd.DataFrame({"condition": ["a"], "cases": 2, "rmse_R_mean": 1.0, **measures})
+    table = table.assign(procrustes_disparity_mean=0.1, disconnected_mean=2.0, **joined)
+    table.to_csv(tmp_path / "table.csv", index=False)
+
+    assert headline(tmp_path).endswith(f", 2{of_all} robots disconnected on average")

@@ -111,7 +111,9 @@ def _disconnected(row: _Row) -> str:
     if math.isnan(lost) or not lost:
         return ""
     mean = " on average" if row["cases"] > 1 else ""
-    return f", {lost:.3g} of {row['joined_mean']:.3g} robots disconnected{mean}"
+    joined = row.get("joined_mean", math.nan)
+    of_all = "" if math.isnan(joined) else f" of {joined:.3g}"
+    return f", {lost:.3g}{of_all} robots disconnected{mean}"
 
 
 def _swept(row: _Row) -> list[Hashable]:
