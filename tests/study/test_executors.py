@@ -334,11 +334,16 @@ def test_a_killed_run_goes_on_to_the_same_bytes(process, whole, tmp_path, inject
 
 
 def test_a_folder_takes_one_run_at_a_time(whole):
-    """A second run is refused while the first computes; shards of one run are accepted."""
+    """A second run is refused while the first computes, and leaves the scenario of that one.
+
+    Shards of one run are accepted.
+    """
+    before = (whole / "scenario.yaml").read_bytes()
     with (whole / ".lock").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_SH)
         with pytest.raises(EnvironmentTroubleError, match="another run is at work here"):
-            run_tower(whole.parent, SMALL)
+            run_tower(whole.parent, [*SMALL, "description=another one"])
+        assert (whole / "scenario.yaml").read_bytes() == before
         assert run_tower(whole.parent, SMALL, shard=(1, 2)).missing == 0
 
 

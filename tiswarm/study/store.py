@@ -165,7 +165,6 @@ class RunFolder:
         """Make the folder of a scenario below `parent`, or open it where it exists."""
         folder = cls(_folder_of(scenario, parent))
         make_folder(folder.cases)
-        write_bytes(folder.path / "scenario.yaml", dump_scenario(scenario).encode())
         return folder
 
     @classmethod
@@ -192,6 +191,8 @@ class RunFolder:
                 progress.info(
                     f"{folder.path}: no file locks here; start this run only once at a time"
                 )
+            # Its description may be new; a run that is at work here keeps its own.
+            write_bytes(folder.path / "scenario.yaml", dump_scenario(scenario).encode())
             yield folder
 
     @contextmanager
