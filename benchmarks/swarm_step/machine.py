@@ -6,7 +6,7 @@ import platform
 import shutil
 import subprocess
 
-from tiswarm.study.provenance import machine
+from tiswarm.compute.machine import machine
 
 PACKAGES = (
     "jax",
