@@ -16,7 +16,8 @@ from typing import Any
 
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
-from tiswarm.study.provenance import machine, peak_memory_mb
+from tiswarm.compute.machine import machine
+from tiswarm.study.provenance import peak_memory_mb
 from tiswarm.world import growth, mechanics
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams

@@ -22,12 +22,13 @@ import numpy as np
 from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
+from tiswarm.compute.machine import machine
 from tiswarm.evaluation.metrics import rmse, robot_errors
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import module_of
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.study.provenance import machine, peak_memory_mb
+from tiswarm.study.provenance import peak_memory_mb
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.params import CantileverParams, TowerParams

@@ -3,6 +3,7 @@
 import pytest
 
 from benchmarks.growth import PARTS
+from tests.benchmarks.commands import call
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -11,3 +12,20 @@ def test_every_part_exists(part):
     owner, name = PARTS[part]
 
     assert callable(getattr(owner, name))
+
+
+@pytest.mark.trial
+@pytest.mark.parametrize(
+    ("name", "arguments", "row"),
+    [
+        ("growth", ["--quick"], "| 100 robots, 25 structures"),
+        ("million", ["--towers", "1", "--robots", "12"], "joint"),
+    ],
+)
+def test_the_command_prints_its_table(name, arguments, row):
+    """Both name the machine first, without which times say little."""
+    done = call(name, *arguments)
+
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("machine: {")
+    assert row in done.stdout

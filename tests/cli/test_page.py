@@ -87,6 +87,7 @@ def test_the_view_takes_the_structure_apart(seen):
     )
 
 
+@pytest.mark.trial
 @pytest.mark.parametrize("options", [(), ("--disable-3d-apis",)], ids=["webgl", "canvas"])
 def test_many_robots_look_like_few(seen, small_run, tmp_path, options):
     """WebGL and, without it, balls on a canvas cover the pixels that docks and arms cover."""
@@ -186,6 +187,7 @@ const wait = (time) => new Promise((done) => setTimeout(done, time));
 """
 
 
+@pytest.mark.trial
 def test_the_view_moves(small_run, tmp_path):
     """It opens on the best; robots join while it plays, a key stops it, and estimates converge."""
     page = (small_run / "report.html").read_text()

@@ -226,6 +226,7 @@ def test_a_page_without_truth_works_in_a_browser(log, estimate, tmp_path):
     assert seen["quantity"] == "distance from the estimate"
 
 
+@pytest.mark.trial
 @pytest.mark.parametrize("options", [(), ("--disable-3d-apis",)], ids=["webgl", "canvas"])
 def test_spheres_contain_nine_of_ten_positions(options, log, estimate, tmp_path):
     """A switch, off at first, draws them with their radius; without WebGL the page says so."""

@@ -39,7 +39,7 @@ def _walks(history):
     return [(*walk.center.ravel(), *walk.contacts.ravel()) for walk in history.walks]
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(
     params=st.sampled_from([TowerParams(), CantileverParams(), BridgeParams(), ChainParams()]),
     count=st.integers(2, 6),
