@@ -44,19 +44,17 @@ def _rmse(position, history):
 def test_robots_are_found_without_noise(towers):
     """Where walks leave next to nothing unknown, robots are where they truly are.
 
-    What is unknown is told by the spread of the chains.
+    In half as many steps, chains leave a tower in a mirror image under some roundings.
+    The spread of the chains states what is unknown.
     """
     logs = [observe(history, SensingParams()) for history in towers]
-    params = dataclasses.replace(SHORT, steps=1000)
+    params = dataclasses.replace(SHORT, steps=2000)
 
     estimates = localize_many(logs, [params] * len(logs))
 
-    errors = [
-        np.linalg.norm(estimate.position - history.position, axis=1)
-        for estimate, history in zip(estimates, towers, strict=True)
-    ]
-    assert np.median(errors) < 0.15  # two short chains may leave one tower in a mirror image
-    for estimate, error in zip(estimates, errors, strict=True):
+    for estimate, history in zip(estimates, towers, strict=True):
+        error = np.linalg.norm(estimate.position - history.position, axis=1)
+        assert np.median(error) < 0.15
         assert np.mean(error[1:] < 1.55 * estimate.sd[1:]) > 0.5
         assert estimate.residual[-1] < 0.3 * estimate.residual[0]
         np.testing.assert_array_equal(estimate.trace[-1], estimate.position)
