@@ -22,9 +22,9 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.evaluation.tables import MOST_WITHIN
-from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
+from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_format import line_text, parse_header, parse_robot

@@ -1,10 +1,10 @@
-"""Whether a change of the code leaves the results of every shipped scenario as they were, to the byte.
+"""Whether a change of the code leaves the results of the shipped scenarios as they were.
 
-    python -m benchmarks.result_bytes --store before.json      # run all at small size, keep the digests
-    python -m benchmarks.result_bytes --against before.json    # run again; status 1 if a file differs
+    python -m benchmarks.result_bytes --store before.json      # run all, keep the digests
+    python -m benchmarks.result_bytes --against before.json    # again; status 1 if a file differs
     python -m benchmarks.result_bytes --scenarios joint online --against before.json
 
-A scenario runs with few robots, one seed and the first entries of its sweep, with all its conditions.
+A scenario runs with few robots, one seed and the first entries of its sweep, with all conditions.
 Digests are of the files of each case that state results, not times: logs, truth, estimates, errors
 and residuals. They hold on one kind of processor with one set of libraries.
 """

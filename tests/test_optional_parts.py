@@ -29,10 +29,10 @@ assert tiswarm.read_log(log).localize(chains=1, steps=10, hold_steps=5).position
 ASKED = {
     "tiswarm.app.live": "view runs --live",
     "tiswarm.interop": "export sensing.jsonl known.csv",
-    "tiswarm.localization.distributed": "localize sensing.jsonl --method distributed",
+    "tiswarm.parts.between": "localize sensing.jsonl --method distributed",
     "tiswarm.localization.hop_by_hop": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.localization.least_squares": "localize sensing.jsonl --method least-squares",
-    "tiswarm.localization.online": "localize sensing.jsonl --method online",
+    "tiswarm.parts.online": "localize sensing.jsonl --method online",
     "tiswarm.localization.together": "localize sensing.jsonl --method virtual-force "
     "--set schedule=together",
     "tiswarm.measurements.advice": "advise sensing.jsonl known.csv",
@@ -47,7 +47,7 @@ ASKED = {
 
 ALSO_LACKING = {
     "tiswarm.localization.hop_by_hop": ["tiswarm.localization.least_squares"],
-    "tiswarm.localization.online": ["tiswarm.localization.distributed"],
+    "tiswarm.parts.online": ["tiswarm.parts.between"],
 }
 """By part, others that begin where it ends, and cannot do without it."""
 

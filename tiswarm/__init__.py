@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     from tiswarm.base.robot import RobotGeometry
     from tiswarm.engine.relax import RelaxResult, relax
     from tiswarm.interop.exports import export_format
-    from tiswarm.localization.online.tracker import Tracker
     from tiswarm.localization.plugins import method
     from tiswarm.localization.virtual_force import Localizer
+    from tiswarm.parts.online.tracker import Tracker
     from tiswarm.sensing.plugins import sensor
 
 __all__ = [
@@ -91,7 +91,7 @@ _HOME = {
     "RelaxResult": "tiswarm.engine.relax",
     "RobotGeometry": "tiswarm.base.robot",
     "Run": "tiswarm.app.results",
-    "Tracker": "tiswarm.localization.online.tracker",
+    "Tracker": "tiswarm.parts.online.tracker",
     "export_format": "tiswarm.interop.exports",
     "method": "tiswarm.localization.plugins",
     "open_run": "tiswarm.app.results",

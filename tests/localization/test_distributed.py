@@ -13,16 +13,18 @@ from hypothesis import strategies as st
 from tests.localization.test_online import LOCAL, lines_of
 from tests.structures import NOISY, with_directions, with_fixes
 from tiswarm.base.errors import InputError
-from tiswarm.localization.distributed.channel import (
+from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
+from tiswarm.localization.registry import centered, localize_many
+from tiswarm.parts.between.channel import (
     ACKNOWLEDGMENT,
     ADDRESS,
     HEADER,
     Channel,
     Message,
 )
-from tiswarm.localization.distributed.local import Program
-from tiswarm.localization.distributed.swarm import PeerSwarm
-from tiswarm.localization.distributed.wire import (
+from tiswarm.parts.between.local import Program
+from tiswarm.parts.between.swarm import PeerSwarm
+from tiswarm.parts.between.wire import (
     Reader,
     Writer,
     line_bytes,
@@ -31,9 +33,7 @@ from tiswarm.localization.distributed.wire import (
     step,
     write_place,
 )
-from tiswarm.localization.online.tracker import Tracker
-from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
-from tiswarm.localization.registry import centered, localize_many
+from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_format import parse_robot
 from tiswarm.sensing import observe
 

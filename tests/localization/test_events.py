@@ -8,8 +8,6 @@ import pytest
 
 from tests.localization.test_online import QUICK, fed, lines_of
 from tests.structures import NOISY
-from tiswarm.localization.online.neighborhood import Configuration
-from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import (
     HopByHopParams,
     JointParams,
@@ -18,6 +16,8 @@ from tiswarm.localization.params import (
 )
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.advice import advise
+from tiswarm.parts.online.neighborhood import Configuration
+from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_events import parse_line
 from tiswarm.records.sensing_format import parse_header

@@ -12,12 +12,12 @@ from tests.structures import NOISY, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.online.annealing import annealed_estimate, reannealed
-from tiswarm.localization.online.configuration import Configuration
-from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import HopByHopParams, OnlineParams
 from tiswarm.localization.refinement import Cost, State
 from tiswarm.localization.registry import centered, localize
+from tiswarm.parts.online.annealing import annealed_estimate, reannealed
+from tiswarm.parts.online.configuration import Configuration
+from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import observe
 from tiswarm.world.growth import grow

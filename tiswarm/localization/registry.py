@@ -24,8 +24,8 @@ METHODS = {
     "virtual-force": "tiswarm.localization.virtual_force",
     "least-squares": "tiswarm.localization.least_squares",
     "hop-by-hop": "tiswarm.localization.hop_by_hop.method",
-    "online": "tiswarm.localization.online.method",
-    "distributed": "tiswarm.localization.distributed.method",
+    "online": "tiswarm.parts.online.method",
+    "distributed": "tiswarm.parts.between.method",
 }
 OWN = "tiswarm.localization.plugins"
 """Modules with the functions `batch_key` and `localize_batch`, imported when they are used; `OWN`

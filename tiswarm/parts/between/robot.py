@@ -17,11 +17,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tiswarm.localization.distributed.channel import Message
-from tiswarm.localization.distributed.local import Known, LocalSwarm, Program
-from tiswarm.localization.distributed.replies import CHECK, asking, read_answer, read_result
-from tiswarm.localization.distributed.settings import ANSWERS
-from tiswarm.localization.distributed.wire import (
+from tiswarm.parts.between.channel import Message
+from tiswarm.parts.between.local import Known, LocalSwarm, Program
+from tiswarm.parts.between.replies import CHECK, asking, read_answer, read_result
+from tiswarm.parts.between.settings import ANSWERS
+from tiswarm.parts.between.wire import (
     NUMBER,
     Reader,
     Whereabouts,

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from tiswarm.base.errors import InputError
-from tiswarm.localization.online.tracker import Change, Tracker
 from tiswarm.localization.params import OnlineParams
+from tiswarm.parts.online.tracker import Change, Tracker
 from tiswarm.records.io import at_line, decode
 
 _DIGITS = 6

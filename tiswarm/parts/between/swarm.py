@@ -3,10 +3,10 @@
 import numpy as np
 
 from tiswarm.base.aliases import Reals
-from tiswarm.localization.distributed.channel import Channel, Message
-from tiswarm.localization.distributed.conclusion import Found
-from tiswarm.localization.distributed.local import Program
-from tiswarm.localization.distributed.robot import Peer
+from tiswarm.parts.between.channel import Channel, Message
+from tiswarm.parts.between.conclusion import Found
+from tiswarm.parts.between.local import Program
+from tiswarm.parts.between.robot import Peer
 from tiswarm.records.sensing_format import RobotLine
 
 _MOST_TURNS = 1000

@@ -2,7 +2,8 @@
 
 from tiswarm.compute.lang import F64, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import vector_at
-from tiswarm.localization.online.arrays import (
+from tiswarm.localization.refinement import OVERLAP_SD
+from tiswarm.parts.online.arrays import (
     DIRECTION,
     GONE,
     RESIDUAL,
@@ -11,7 +12,7 @@ from tiswarm.localization.online.arrays import (
     Scratch,
     Table,
 )
-from tiswarm.localization.online.row_kernels import (
+from tiswarm.parts.online.row_kernels import (
     center_of,
     dock_arm,
     factor_covariance,
@@ -20,8 +21,7 @@ from tiswarm.localization.online.row_kernels import (
     overlap_of,
     whiten,
 )
-from tiswarm.localization.online.settings import CANDIDATES
-from tiswarm.localization.refinement import OVERLAP_SD
+from tiswarm.parts.online.settings import CANDIDATES
 
 _AXES = 3
 _VALUES = 4

@@ -15,8 +15,8 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import rms
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import OnlineParams
+from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import SensingLog

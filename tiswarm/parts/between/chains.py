@@ -5,9 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization.distributed.chain_kernels import ChainDocks, ChainRows, anneal_near
-from tiswarm.localization.distributed.settings import CHAINS
-from tiswarm.localization.online.arrays import (
+from tiswarm.localization.params import DistributedParams
+from tiswarm.measurements.rows import SPACING
+from tiswarm.parts.between.chain_kernels import ChainDocks, ChainRows, anneal_near
+from tiswarm.parts.between.settings import CHAINS
+from tiswarm.parts.online.arrays import (
     ARM,
     AXIS,
     COORDINATE,
@@ -19,11 +21,9 @@ from tiswarm.localization.online.arrays import (
     VALUE,
     VARIANCE,
 )
-from tiswarm.localization.online.configuration import Configuration
-from tiswarm.localization.online.layers import LocalLayers
-from tiswarm.localization.online.neighborhood import Neighborhood
-from tiswarm.localization.params import DistributedParams
-from tiswarm.measurements.rows import SPACING
+from tiswarm.parts.online.configuration import Configuration
+from tiswarm.parts.online.layers import LocalLayers
+from tiswarm.parts.online.neighborhood import Neighborhood
 
 _AXES = 3
 

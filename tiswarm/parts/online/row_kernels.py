@@ -5,7 +5,8 @@ The equations are those of `Measurements`. Lengths in R.
 
 from tiswarm.compute.lang import Ref, ti
 from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
-from tiswarm.localization.online.arrays import (
+from tiswarm.measurements.rows import KNOWN, SPACING
+from tiswarm.parts.online.arrays import (
     ARM,
     AXIS,
     COORDINATE,
@@ -29,7 +30,6 @@ from tiswarm.localization.online.arrays import (
     VARIANCE,
     WIDENED,
 )
-from tiswarm.measurements.rows import KNOWN, SPACING
 
 _SMALL = 1e-8
 """Squared angle below which a turn is its series [rad^2]."""

@@ -14,13 +14,13 @@ import numpy as np
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
-from tiswarm.localization.distributed.conclusion import estimate_of
-from tiswarm.localization.distributed.local import Program
-from tiswarm.localization.distributed.published import algorithm_1
-from tiswarm.localization.distributed.swarm import PeerSwarm
-from tiswarm.localization.distributed.wire import MOST_ROBOTS
-from tiswarm.localization.online.lines import refuse_header, refuse_line
 from tiswarm.localization.params import DistributedParams
+from tiswarm.parts.between.conclusion import estimate_of
+from tiswarm.parts.between.local import Program
+from tiswarm.parts.between.published import algorithm_1
+from tiswarm.parts.between.swarm import PeerSwarm
+from tiswarm.parts.between.wire import MOST_ROBOTS
+from tiswarm.parts.online.lines import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_format import RobotLine, line_text, parse_header, parse_robot

@@ -13,10 +13,10 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization import virtual_force
-from tiswarm.localization.distributed.channel import HEADER, Channel
-from tiswarm.localization.distributed.wire import pose_bytes
 from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
 from tiswarm.measurements.contacts import contact_count
+from tiswarm.parts.between.channel import HEADER, Channel
+from tiswarm.parts.between.wire import pose_bytes
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Reals
-from tiswarm.localization.distributed.wire import (
+from tiswarm.parts.between.wire import (
     Reader,
     Whereabouts,
     Writer,

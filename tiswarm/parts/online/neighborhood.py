@@ -12,10 +12,10 @@ import scipy.linalg
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.online.blocks import Block, scratch_for, table_of
-from tiswarm.localization.online.configuration import Configuration, Shapes, robots_at
-from tiswarm.localization.online.neighborhood_kernels import sum_equations
-from tiswarm.localization.online.settings import NEIGHBORS
+from tiswarm.parts.online.blocks import Block, scratch_for, table_of
+from tiswarm.parts.online.configuration import Configuration, Shapes, robots_at
+from tiswarm.parts.online.neighborhood_kernels import sum_equations
+from tiswarm.parts.online.settings import NEIGHBORS
 
 _AXES = 3
 _LAPACK: Any = scipy.linalg.lapack

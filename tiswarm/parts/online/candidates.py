@@ -8,7 +8,8 @@ robot's final orientation are noise here, which is in several of its rows. Lengt
 import numpy as np
 
 from tiswarm.base.aliases import Reals
-from tiswarm.localization.online.arrays import (
+from tiswarm.measurements.rows import SPACING
+from tiswarm.parts.online.arrays import (
     ARM,
     KIND,
     OFFSET,
@@ -18,11 +19,10 @@ from tiswarm.localization.online.arrays import (
     VALUE,
     VARIANCE,
 )
-from tiswarm.localization.online.blocks import Block, scratch_for, table_of
-from tiswarm.localization.online.candidate_kernels import descend
-from tiswarm.localization.online.configuration import Configuration, Shapes, robots_at
-from tiswarm.localization.online.settings import CANDIDATES
-from tiswarm.measurements.rows import SPACING
+from tiswarm.parts.online.blocks import Block, scratch_for, table_of
+from tiswarm.parts.online.candidate_kernels import descend
+from tiswarm.parts.online.configuration import Configuration, Shapes, robots_at
+from tiswarm.parts.online.settings import CANDIDATES
 
 _AXES = 3
 _GOLDEN = np.pi * (1.0 + 5.0**0.5)

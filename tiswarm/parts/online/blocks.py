@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.joint.problem import chosen_rows
-from tiswarm.localization.online.arrays import (
+from tiswarm.localization.params import OnlineParams
+from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.odometry import Odometry
+from tiswarm.parts.online.arrays import (
     ARM,
     AXIS,
     COORDINATE,
@@ -33,9 +36,6 @@ from tiswarm.localization.online.arrays import (
     Scratch,
     Table,
 )
-from tiswarm.localization.params import OnlineParams
-from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.odometry import Odometry
 from tiswarm.records.sensing_log import SensingLog
 
 _AXES = 3

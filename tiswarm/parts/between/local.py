@@ -14,16 +14,16 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization.distributed.chains import annealed
-from tiswarm.localization.distributed.settings import ANSWERS
-from tiswarm.localization.distributed.wire import Whereabouts, read_line, rounding_sd
-from tiswarm.localization.online.blocks import Block, block_of
-from tiswarm.localization.online.configuration import Configuration
-from tiswarm.localization.online.layers import LocalLayers
-from tiswarm.localization.online.lines import mentioned, standing
-from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.params import DistributedParams, OnlineParams
 from tiswarm.localization.registry import centered
+from tiswarm.parts.between.chains import annealed
+from tiswarm.parts.between.settings import ANSWERS
+from tiswarm.parts.between.wire import Whereabouts, read_line, rounding_sd
+from tiswarm.parts.online.blocks import Block, block_of
+from tiswarm.parts.online.configuration import Configuration
+from tiswarm.parts.online.layers import LocalLayers
+from tiswarm.parts.online.lines import mentioned, standing
+from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_format import (
     STANCE_LISTS,

@@ -6,7 +6,9 @@ one order. Lengths in R.
 
 from tiswarm.compute.lang import F64, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import part_at
-from tiswarm.localization.online.arrays import (
+from tiswarm.localization.refinement import OVERLAP_SD
+from tiswarm.measurements.rows import SPACING
+from tiswarm.parts.online.arrays import (
     COORDINATE,
     DIRECTION,
     GONE,
@@ -21,7 +23,7 @@ from tiswarm.localization.online.arrays import (
     Scratch,
     Table,
 )
-from tiswarm.localization.online.row_kernels import (
+from tiswarm.parts.online.row_kernels import (
     center_of,
     dock_arm,
     factor_covariance,
@@ -31,8 +33,6 @@ from tiswarm.localization.online.row_kernels import (
     overlap_of,
     whiten,
 )
-from tiswarm.localization.refinement import OVERLAP_SD
-from tiswarm.measurements.rows import SPACING
 
 _AXES = 3
 _PARTS = 6

@@ -13,11 +13,11 @@ from tiswarm.localization.joint.initialization import place_disconnected, set_ap
 from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE
-from tiswarm.localization.online.configuration import Configuration
-from tiswarm.localization.online.settings import CANDIDATES, TIMES
 from tiswarm.localization.params import JointParams, OnlineParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.contacts import untied_directions
+from tiswarm.parts.online.configuration import Configuration
+from tiswarm.parts.online.settings import CANDIDATES, TIMES
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -18,22 +18,22 @@ from tiswarm.base.errors import InputError
 from tiswarm.compute import backend, program
 from tiswarm.localization.assessment import Assessment, assess, rms
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.online.annealing import annealed_estimate, elsewhere, reannealed
-from tiswarm.localization.online.blocks import Block, block_of
-from tiswarm.localization.online.layers import LocalLayers
-from tiswarm.localization.online.lines import (
+from tiswarm.localization.params import LocalizationParams, OnlineParams
+from tiswarm.localization.registry import centered, uncentered
+from tiswarm.parts.online.annealing import annealed_estimate, elsewhere, reannealed
+from tiswarm.parts.online.blocks import Block, block_of
+from tiswarm.parts.online.layers import LocalLayers
+from tiswarm.parts.online.lines import (
     mentioned,
     refuse_header,
     refuse_line,
     released,
     standing,
 )
-from tiswarm.localization.online.neighborhood import Neighborhood
-from tiswarm.localization.online.settings import (
+from tiswarm.parts.online.neighborhood import Neighborhood
+from tiswarm.parts.online.settings import (
     TIMES,
 )
-from tiswarm.localization.params import LocalizationParams, OnlineParams
-from tiswarm.localization.registry import centered, uncentered
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import SensingLogBuilder

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
-from tiswarm.localization.online.arrays import (
+from tiswarm.measurements.rows import SPACING
+from tiswarm.parts.online.arrays import (
     GONE,
     POSITION,
     STATE,
@@ -15,7 +16,6 @@ from tiswarm.localization.online.arrays import (
     TURN_SD,
     BelievedRobots,
 )
-from tiswarm.measurements.rows import SPACING
 
 _AXES = 3
 
