@@ -41,7 +41,7 @@ ASKED = {
     "tiswarm.report.render": "render sensing.jsonl known.csv",
     "tiswarm.study.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
-    "tiswarm.sensing.suites": "run tower --set sensing.suite=zooids --plan",
+    "tiswarm.parts.suites": "run tower --set sensing.suite=zooids --plan",
 }
 """By part, a command that needs it."""
 

@@ -31,10 +31,10 @@ from tiswarm.compute import backend
 from tiswarm.localization.joint.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.params import HopByHopParams, LeastSquaresParams, Together
 from tiswarm.localization.registry import METHODS, localize_many
+from tiswarm.parts.suites.senses import in_sight
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.suites.sight import in_sight
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 

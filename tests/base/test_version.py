@@ -87,7 +87,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
         ("localization/together.py", {"virtual-force", "distributed", "all"}),
         ("parts/online/layers.py", {"online", "distributed", "all"}),
         ("parts/between/wire.py", {"distributed", "all"}),
-        trial("sensing/suites/beacons.py", {*METHODS, "all"}),
+        trial("parts/suites/senses.py", {*METHODS, "all"}),
         ("localization/least_squares.py", {"least-squares", "all"}),
         ("report/page.py", set()),
         trial("study/executors.py", set()),

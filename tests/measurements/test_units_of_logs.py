@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from tests.structures import Rule, structure, with_fixes, with_ranges
 from tiswarm.measurements.units import HEADER, slips
+from tiswarm.parts.suites.systems import SUITES
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.suites.systems import SUITES
 
 FACTORS = [0.001, 0.01, 25.4, 100.0, 1000.0]
 """Ten times the shortest range is possible in a room of this size."""

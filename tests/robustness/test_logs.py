@@ -24,13 +24,13 @@ from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.interop.exports import FORMATS, export_view
 from tiswarm.localization.registry import localize
+from tiswarm.parts.suites.systems import STATIONS
 from tiswarm.records.mcap_file import SENSING, encode_messages
 from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.suites.systems import STATIONS
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.localization.params import VirtualForceParams
+from tiswarm.parts.suites.systems import SUITES
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash, scenario_schema
 from tiswarm.sensing import SensingParams
-from tiswarm.sensing.suites.systems import SUITES
 from tiswarm.world.params import ClimbParams, TowerParams
 
 CORNERS = [(x, y, z) for x in (-1.5, 4.0) for y in (-1.0, 3.5) for z in (-1.25, 2.0)]

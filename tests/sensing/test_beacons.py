@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tiswarm.parts.suites.senses import find_lookouts, in_sight
+from tiswarm.parts.suites.systems import CEILING, STATIONS, WALL_TAGS
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.suites.sight import find_lookouts, in_sight
-from tiswarm.sensing.suites.systems import CEILING, STATIONS, WALL_TAGS
 
 NO_TOUCH = {"contacts": False, "ground_docks": False, "heights": False, "stances": False}
 

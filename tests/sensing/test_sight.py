@@ -12,9 +12,9 @@ from tests import oracle, oracle_terrain
 from tests.strategies import vectors
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
+from tiswarm.parts.suites.senses import Views, find_lookouts, in_sight
 from tiswarm.records.terrain import Terrain
 from tiswarm.sensing import SensingParams
-from tiswarm.sensing.suites.sight import Views, find_lookouts, in_sight
 from tiswarm.world.history import History, Walk
 
 AIR = Terrain(ground_z=-1e8)

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tiswarm.parts.suites.systems import CEILING, STATIONS, SUITES
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import NEW_LISTS, STANCE_LISTS
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.suites.systems import CEILING, STATIONS, SUITES
 
 SENSED = {
     "fireant-v3": {"contacts", "ground_docks"},

@@ -10,11 +10,11 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.base.progress import Progress
+from tiswarm.parts.suites.systems import SUITES
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.sensing.suites.systems import SUITES
 
 TABLE_1 = load_scenario(REPOSITORY / "scenarios" / "table-1.yaml", ["robots=8", "seeds=2"])
 CHOSEN = ["fireant-v3", "fireant-v3-joint", "zooids", "zooids-joint", "zooids-touch", "kilobot"]

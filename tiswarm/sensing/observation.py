@@ -25,10 +25,10 @@ from tiswarm.sensing.plugins import COLUMNS, own_rows
 from tiswarm.world.history import History
 
 SENSES = {
-    "fixes": "tiswarm.sensing.suites.beacons:sense_fixes",
-    "ranges": "tiswarm.sensing.suites.ranging:sense_ranges",
-    "directions": "tiswarm.sensing.suites.connections:sense_directions",
-    "connections": "tiswarm.sensing.suites.connections:sense_connections",
+    "fixes": "tiswarm.parts.suites.senses:sense_fixes",
+    "ranges": "tiswarm.parts.suites.senses:sense_ranges",
+    "directions": "tiswarm.parts.suites.senses:sense_directions",
+    "connections": "tiswarm.parts.suites.senses:sense_connections",
 }
 """By list of the log, a function of history and settings that returns rows of it."""
 

@@ -13,7 +13,7 @@ from tiswarm.base.plugins import Plugin, registered, watch
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
 from tiswarm.sensing.plugins import SuiteName
 
-SUITE_OF = "tiswarm.sensing.suites.systems:suite_of"
+SUITE_OF = "tiswarm.parts.suites.systems:suite_of"
 """Function that returns a suite by its name."""
 
 _Coordinate = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]

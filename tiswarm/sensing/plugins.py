@@ -65,7 +65,7 @@ def sensor(
     """Register a function as a sensor, which scenarios choose as `sensing.suite`.
 
     The function takes the history of a structure, `tiswarm.world.history.History`, and the settings
-    of `sensing`. It returns rows of (robot, stance, ...) as `tiswarm.sensing.suites` has them.
+    of `sensing`. It returns rows of (robot, stance, ...) as `tiswarm.parts.suites` has them.
     Random numbers should depend on `history.seed` alone.
 
     Args:
