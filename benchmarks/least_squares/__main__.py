@@ -24,10 +24,10 @@ import tiswarm
 from benchmarks.least_squares.factor_graph import Array, Minimum, levenberg_marquardt
 from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse
+from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.hop_by_hop.method import place
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.params import LeastSquaresParams
-from tiswarm.localization.refinement import Cost
 from tiswarm.records.sensing_log import SensingLog
 
 PARAMS = LeastSquaresParams(robust=False, non_overlap=False, touches=False)

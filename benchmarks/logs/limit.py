@@ -6,10 +6,10 @@ import numpy as np
 
 from benchmarks.logs.grade import error
 from tiswarm.base.aliases import Bools, Reals
+from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import JointParams
-from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
 
@@ -57,7 +57,7 @@ def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Lim
         problem.rows.associated(*start),
         yaw_precision=problem.yaw_precision,
         links=problem.connections,
-        robust_sd=ANNEALING.outlier_sd,
+        robust_sd=ROBUST_SD,
     )
     state, _ = cost.refine(start, ROUNDS)
     seen = observability(log, PARAMS.cues, truth, yaw_unknown=log.yaw_bias > 0.0)

@@ -8,6 +8,7 @@ import pytest
 
 from tests.localization.test_online import QUICK, fed, lines_of
 from tests.structures import NOISY
+from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.params import (
     HopByHopParams,
     JointParams,
@@ -16,7 +17,6 @@ from tiswarm.localization.params import (
 )
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.advice import advise
-from tiswarm.parts.online.neighborhood import Configuration
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_events import parse_line

@@ -11,12 +11,12 @@ from tests.foreign import open_chain
 from tests.structures import NOISY, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.localization.cost.cost import Cost, State
+from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import HopByHopParams, OnlineParams
-from tiswarm.localization.refinement import Cost, State
 from tiswarm.localization.registry import centered, localize
 from tiswarm.parts.online.annealing import annealed_estimate, reannealed
-from tiswarm.parts.online.configuration import Configuration
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import observe

@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.cost.cost import SETTLED, Cost
+from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.cue_params import CUES, ChiSquareParams
 from tiswarm.localization.joint.problem import Problem, pose_problem
-from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
+from tiswarm.localization.joint.settings import CONVERGENCE, MIXTURE
 from tiswarm.localization.params import LARGE
-from tiswarm.localization.refinement import SETTLED, Cost
 from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence
@@ -174,7 +175,7 @@ def _minimum(
 
     aside = np.cumsum(is_guess)[:, None] * np.array([_CLEARANCE, 0.0, 0.0])
     start = estimate[0] + is_guess[:, None] * aside, estimate[1]
-    robust = cost(rows, ANNEALING.outlier_sd)
+    robust = cost(rows, ROBUST_SD)
     # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
     _, own = robust.refine(start, _ROUNDS, np.full(log.robot_count, _STAYS))
     state, least = robust.refine(start, _ROUNDS)

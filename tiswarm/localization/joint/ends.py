@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.frames import HELD, Frame, align, free_frame
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
 from tiswarm.localization.joint.starts import scaled_distances
-from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
@@ -79,7 +80,7 @@ def _descended(
         log,
         problem.rows.associated(*start),
         yaw_precision=problem.yaw_precision,
-        robust_sd=ANNEALING.outlier_sd if params.robust else None,
+        robust_sd=ROBUST_SD if params.robust else None,
         non_overlap=params.non_overlap,
         are_independent=True,
         further_variance=(MIXTURE.tempered * sigma) ** 2,

@@ -13,6 +13,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.assessment import misfit_by_robot
+from tiswarm.localization.cost.cost import SETTLED, Cost
 from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further
@@ -26,7 +27,6 @@ from tiswarm.localization.joint.settings import (
     SD_CALIBRATION,
 )
 from tiswarm.localization.joint.starts import images
-from tiswarm.localization.refinement import SETTLED, Cost
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Solution
 from tiswarm.records.sensing_log import SensingLog

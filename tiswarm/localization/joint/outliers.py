@@ -16,12 +16,13 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.cost.cost import Cost, State
+from tiswarm.localization.cost.linear import Linear
+from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.problem import Problem, pose_problem
-from tiswarm.localization.joint.settings import ANNEALING, OUTLIER_ROBOTS
-from tiswarm.localization.linear import Linear
-from tiswarm.localization.refinement import Cost, State
+from tiswarm.localization.joint.settings import OUTLIER_ROBOTS
 from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted
@@ -164,7 +165,7 @@ def _fitted(
         log,
         problem.rows.associated(*start),
         yaw_precision=problem.yaw_precision,
-        robust_sd=ANNEALING.outlier_sd,
+        robust_sd=ROBUST_SD,
         non_overlap=params.non_overlap and not sd,
         further_variance=sd**2,
     )

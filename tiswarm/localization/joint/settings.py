@@ -29,9 +29,6 @@ class AnnealSchedule:
     """Least square root of the start temperature where ranges alone tie robots to each other [R]:
     they leave more minima to escape from. See `docs/notes/ranges.md`."""
 
-    outlier_sd: float = 3.0
-    """Width of the robust loss [standard deviations]: where a contact begins to give way."""
-
     growing: float = 0.1
     """Share of the steps in which docks grow to their full size [1], so that robots pass through
     each other at first."""

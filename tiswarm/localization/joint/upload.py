@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
+from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.joint.arrays import (
     ACROSS,
     AGE,
@@ -61,7 +62,6 @@ from tiswarm.localization.joint.arrays import (
     Traits,
 )
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.joint.subtrees import Forest
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.rows import KNOWN
@@ -118,7 +118,7 @@ def measured_arrays(
         PLANE_END: plane[1:],
     }
     weight = {
-        ROBUST: np.repeat([ANNEALING.outlier_sd**-2 * p.robust for p in params], size),
+        ROBUST: np.repeat([ROBUST_SD**-2 * p.robust for p in params], size),
         YAW_PRECISION: np.repeat([p.yaw_precision for p in problems], size),
         LIGHTEST: np.full(len(order), lightest),
     }
@@ -202,7 +202,7 @@ def _planes_of(problem: Problem, params: JointParams) -> Reals:
     """Gather the columns of `MeasuredColumns.plane` of one structure, shape (P, 11)."""
     planes = problem.planes
     gives_way = planes.is_redundant(problem.part) & (planes.precision * KNOWN < 1.0)
-    robust = ANNEALING.outlier_sd**-2 * params.robust * gives_way
+    robust = ROBUST_SD**-2 * params.robust * gives_way
     return _packed({
         POINT: planes.point,
         DIRECTION: planes.direction,

@@ -5,11 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization.params import DistributedParams
-from tiswarm.measurements.rows import SPACING
-from tiswarm.parts.between.chain_kernels import ChainDocks, ChainRows, anneal_near
-from tiswarm.parts.between.settings import CHAINS
-from tiswarm.parts.online.arrays import (
+from tiswarm.localization.cost.kernels import (
     ARM,
     AXIS,
     COORDINATE,
@@ -21,9 +17,12 @@ from tiswarm.parts.online.arrays import (
     VALUE,
     VARIANCE,
 )
-from tiswarm.parts.online.configuration import Configuration
+from tiswarm.localization.cost.neighborhood import Configuration, Neighborhood
+from tiswarm.localization.params import DistributedParams
+from tiswarm.measurements.rows import SPACING
+from tiswarm.parts.between.chain_kernels import ChainDocks, ChainRows, anneal_near
+from tiswarm.parts.between.settings import CHAINS
 from tiswarm.parts.online.layers import LocalLayers
-from tiswarm.parts.online.neighborhood import Neighborhood
 
 _AXES = 3
 

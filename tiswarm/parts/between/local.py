@@ -14,16 +14,17 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.cost.neighborhood import Block, Configuration, block_of
+from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
+from tiswarm.localization.joint.problem import chosen_rows
 from tiswarm.localization.params import DistributedParams, OnlineParams
 from tiswarm.localization.registry import centered
+from tiswarm.measurements.odometry import Odometry
 from tiswarm.parts.between.chains import annealed
 from tiswarm.parts.between.settings import ANSWERS
 from tiswarm.parts.between.wire import Whereabouts, read_line, rounding_sd
-from tiswarm.parts.online.blocks import Block, block_of
-from tiswarm.parts.online.configuration import Configuration
 from tiswarm.parts.online.layers import LocalLayers
 from tiswarm.parts.online.lines import mentioned, standing
-from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_format import (
     STANCE_LISTS,
@@ -295,4 +296,5 @@ def _measured(
         builder.add(standing(program.decoded(sensed)) if sensed else _ANCHOR)
     builder.add(own)
     members = np.array([*(number for number, _ in others), own.robot], np.int64)
-    return block_of(centered(builder.log()), params, members)
+    log = centered(builder.log())
+    return block_of(chosen_rows(log, params, Odometry(log))[0], members)

@@ -5,6 +5,9 @@ from dataclasses import fields
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
+from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.neighborhood import Configuration
+from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
@@ -12,12 +15,10 @@ from tiswarm.localization.joint.ends import ranked
 from tiswarm.localization.joint.initialization import place_disconnected, set_apart
 from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.joint.problem import Problem, pose_problem
-from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE
+from tiswarm.localization.joint.settings import CONVERGENCE
 from tiswarm.localization.params import JointParams, OnlineParams
-from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.contacts import untied_directions
-from tiswarm.parts.online.configuration import Configuration
-from tiswarm.parts.online.settings import CANDIDATES, TIMES
+from tiswarm.parts.online.settings import TIMES
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -46,7 +47,7 @@ def reannealed(
     cost = Cost(
         log,
         problem.rows,
-        robust_sd=ANNEALING.outlier_sd if params.robust else None,
+        robust_sd=ROBUST_SD if params.robust else None,
         non_overlap=params.non_overlap,
     )
     walks = problem.rows.odometry

@@ -6,13 +6,17 @@ Robots have numbers, in join order. Lengths in R, relative to the anchor.
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.cost.candidates import candidates, extension
+from tiswarm.localization.cost.neighborhood import (
+    Block,
+    Configuration,
+    Linearized,
+    Neighborhood,
+    Shapes,
+)
+from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.params import OnlineParams
 from tiswarm.measurements.rows import SPACING
-from tiswarm.parts.online.blocks import Block
-from tiswarm.parts.online.candidates import candidates, extension
-from tiswarm.parts.online.configuration import Configuration, Shapes
-from tiswarm.parts.online.neighborhood import Linearized, Neighborhood
-from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 
 _AXES = 3
 _LEAST_SD = 1e-9

@@ -17,11 +17,12 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend, program
 from tiswarm.localization.assessment import Assessment, assess, rms
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.cost.neighborhood import Block, Neighborhood, block_of
+from tiswarm.localization.joint.problem import chosen_rows, pose_problem
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
+from tiswarm.measurements.odometry import Odometry
 from tiswarm.parts.online.annealing import annealed_estimate, elsewhere, reannealed
-from tiswarm.parts.online.blocks import Block, block_of
 from tiswarm.parts.online.layers import LocalLayers
 from tiswarm.parts.online.lines import (
     mentioned,
@@ -30,10 +31,7 @@ from tiswarm.parts.online.lines import (
     released,
     standing,
 )
-from tiswarm.parts.online.neighborhood import Neighborhood
-from tiswarm.parts.online.settings import (
-    TIMES,
-)
+from tiswarm.parts.online.settings import TIMES
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import SensingLogBuilder
@@ -340,7 +338,8 @@ class Tracker:
             builder.add(standing(self._lines[names[member]]))
         builder.add(line)
         every = np.array([*members, own], np.int64)
-        return block_of(centered(builder.log()), self._params, every)
+        log = centered(builder.log())
+        return block_of(chosen_rows(log, self._params, Odometry(log))[0], every)
 
     def _measured_anew(self, changed: AbstractSet[int], solved: list[int]) -> bool:
         """Measure the rows of some robots anew, and solve for what is near some of them.

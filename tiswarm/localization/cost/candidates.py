@@ -8,8 +8,7 @@ robot's final orientation are noise here, which is in several of its rows. Lengt
 import numpy as np
 
 from tiswarm.base.aliases import Reals
-from tiswarm.measurements.rows import SPACING
-from tiswarm.parts.online.arrays import (
+from tiswarm.localization.cost.kernels import (
     ARM,
     KIND,
     OFFSET,
@@ -18,11 +17,18 @@ from tiswarm.parts.online.arrays import (
     TURN_SD,
     VALUE,
     VARIANCE,
+    descend,
 )
-from tiswarm.parts.online.blocks import Block, scratch_for, table_of
-from tiswarm.parts.online.candidate_kernels import descend
-from tiswarm.parts.online.configuration import Configuration, Shapes, robots_at
-from tiswarm.parts.online.settings import CANDIDATES
+from tiswarm.localization.cost.neighborhood import (
+    Block,
+    Configuration,
+    Shapes,
+    robots_at,
+    scratch_for,
+    table_of,
+)
+from tiswarm.localization.cost.settings import CANDIDATES
+from tiswarm.measurements.rows import SPACING
 
 _AXES = 3
 _GOLDEN = np.pi * (1.0 + 5.0**0.5)

@@ -18,16 +18,14 @@ from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.linear import NOMINAL, Linear, LinearRows, by_group
+from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, by_group
+from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import Measurements, turned
 from tiswarm.measurements.orientations import Connections
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.sensing_log import SensingLog
-
-OVERLAP_SD = 0.05
-"""Overlap of two docks that counts like a measurement missed by one standard deviation [R]."""
 
 HINGE_SD = 1.0
 """Standard deviation of the offset of two robots in contact along each axis, where only what their

@@ -1,0 +1,1 @@
+"""The cost of configurations, its minima near a state, and their uncertainty."""

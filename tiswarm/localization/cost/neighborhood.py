@@ -1,0 +1,441 @@
+"""Generalized least squares over the robots near one that joined, all others as they are.
+
+Each robot brings a block of rows. These are about itself and earlier robots: those of a log in
+which the anchor and the robots that it names only stand, and it alone sensed anything. Noise of its
+earlier stances is in several of its rows at once; the covariance of two rows is d N e, with d and e
+the derivatives of the rows by its center and N a matrix that no position changes.
+
+The cost is that of `Cost`: rows in their covariance, turns of final orientations as unknowns, and
+overlaps of docks that do not touch. Lengths in R.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.cost.kernels import (
+    ARM,
+    AXIS,
+    COORDINATE,
+    DISTANCE,
+    FIRST,
+    GONE,
+    HINGE,
+    KIND,
+    MEMBER,
+    OFFSET,
+    OTHER_ARM,
+    OWN_VARIANCE,
+    POSITION,
+    REALS,
+    SEEN,
+    STATE,
+    STAYS,
+    TAIL,
+    TURN,
+    TURN_SD,
+    VALUE,
+    VARIANCE,
+    BelievedRobots,
+    Scratch,
+    Table,
+    sum_equations,
+)
+from tiswarm.localization.cost.settings import NEIGHBORS, ROBUST_SD
+from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.rows import SPACING
+
+_AXES = 3
+_PARTS = 6
+"""Unknowns of a robot: its shift and its turn."""
+
+_LAPACK: Any = scipy.linalg.lapack
+"""Its functions have no types, and cost less to call than those above them."""
+
+
+class Configuration(NamedTuple):
+    """Where N robots are, and by how much their final orientations are off."""
+
+    position: Reals
+    """Centers [R], shape (N, 3)."""
+
+    turn: Reals
+    """Error of each final orientation as a rotation vector in standard deviations, shape (N, 3)."""
+
+
+class Shapes(NamedTuple):
+    """What no estimate changes of N robots."""
+
+    arm: Reals
+    """Center to dock at the final stance, as sensed [R], shape (N, docks, 3)."""
+
+    turn_sd: Reals
+    """Standard deviation of each final orientation about each axis [rad], shape (N, 3)."""
+
+    touch: NDArray[np.int32]
+    """Contacts by the later robot: its dock, an earlier robot, the dock of that one, (T, 3)."""
+
+    touch_start: NDArray[np.int32]
+    """First contact of each robot, shape (N + 1,)."""
+
+    gone: set[int]
+    """Robots that have left, whose docks are in nobody's way."""
+
+    @classmethod
+    def of_none(cls, docks: int) -> "Shapes":
+        """Begin without robots; each is to have so many docks."""
+        return cls(
+            arm=np.empty((0, docks, _AXES)),
+            turn_sd=np.empty((0, _AXES)),
+            touch=np.empty((0, 3), np.int32),
+            touch_start=np.zeros(1, np.int32),
+            gone=set(),
+        )
+
+    def with_robot(
+        self, arm: Reals, turn_sd: Reals, touching: set[tuple[int, int, int]]
+    ) -> "Shapes":
+        """Append a robot; arguments are as the fields."""
+        touch = np.array(sorted(touching), np.int32).reshape(-1, 3)
+        return Shapes(
+            np.concatenate([self.arm, arm[None]]),
+            np.concatenate([self.turn_sd, turn_sd[None]]),
+            np.concatenate([self.touch, touch]),
+            np.append(self.touch_start, np.int32(len(self.touch) + len(touch))),
+            self.gone,
+        )
+
+    @property
+    def reach(self) -> float:
+        """Distance of two centers beyond which no docks overlap [R]."""
+        # All robots have the same docks.
+        return 2.0 * float(np.linalg.norm(self.arm[0], axis=1).max()) + SPACING
+
+
+def robots_at(state: Configuration, shapes: Shapes, stays: Reals | float = 0.0) -> BelievedRobots:
+    """Put robots where they are, as kernels take them.
+
+    Args:
+        state: Where they are.
+        shapes: All N robots.
+        stays: Standard deviation of each coordinate of those that do not move [R], shape (N,).
+    """
+    columns = np.empty((len(shapes.arm), STATE))
+    columns[:, POSITION:TURN], columns[:, TURN:TURN_SD] = state
+    columns[:, TURN_SD:STAYS], columns[:, STAYS] = shapes.turn_sd, stays
+    columns[:, GONE] = 0.0
+    columns[[*shapes.gone], GONE] = 1.0
+    return BelievedRobots(columns, shapes.arm, shapes.touch, shapes.touch_start)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """The m rows of one robot."""
+
+    rows: Measurements
+    """The rows, about robots numbered as in `members`, the robot itself last."""
+
+    members: Ints
+    """Index of each robot that the block knows in the whole structure: the anchor, robots named by
+    the rows, and the robot itself, shape (M,)."""
+
+    number: NDArray[np.int32]
+    """The rows as kernels take them: columns of `Table.number`, shape (m, 3)."""
+
+    real: Reals
+    """The same: columns of `Table.real`, shape (m, REALS)."""
+
+    noise: Reals
+    """N: covariance of rows a and b by noise of earlier stances, for unit derivatives along axes
+    i and j [R^2], at [b, j, a, i], shape (m, 3, m, 3)."""
+
+    about: Ints
+    """Which of the members rows are about, ascending, shape (k,)."""
+
+    turn_sd: Reals
+    """Standard deviation of the robot's final orientation about each axis [rad], shape (3,)."""
+
+    arm: Reals
+    """Center to dock at the final stance [R], shape (docks, 3)."""
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return len(self.rows)
+
+    @property
+    def partners(self) -> Ints:
+        """Earlier robots that rows are about, ascending, shape (k,)."""
+        return self.members[self.about]
+
+    def with_final_noise(self) -> Reals:
+        """Return `noise` with that of the robot's final orientation, shape (m, 3, m, 3)."""
+        tail = self.real[:, TAIL : TAIL + _AXES]
+        return self.noise + _products(_turns(tail, self.turn_sd)[:, :, None])
+
+
+def block_of(rows: Measurements, members: Ints) -> Block:
+    """Lay out the rows of the last robot of a log, the only one that sensed anything.
+
+    Args:
+        rows: Those of the robot, after the anchor and those that it names; the anchor is at the
+            origin.
+        members: Index of each robot in the whole structure, shape (M,).
+    """
+    odometry, last = rows.odometry, rows.robots - 1
+    # Where other robots were measured to be is in the blocks of their own.
+    rows = rows.select((rows.robot == last) & (rows.robot > 0))
+    row, stance, part = rows.noisy_arms()[0]
+    # The final orientation is an unknown beside the position; earlier ones are noise.
+    is_final = stance == odometry.final[last]
+    tail = np.zeros((len(rows), _AXES))
+    tail[row[is_final]] = part[is_final]
+    sd = odometry.turn_sd[:, [0, 0, 1]]
+    row, stance, part = row[~is_final], stance[~is_final], part[~is_final]
+    # Three columns for each earlier stance, whose turn is in all rows sensed before it.
+    which, column = np.unique(stance, return_inverse=True)
+    turns = np.zeros((len(rows), _AXES, len(which), _AXES))
+    turns[row, :, column] = _turns(part, sd[stance])
+    about, place = np.unique(rows.other, return_inverse=True)
+    number, real = _columns(rows, place, tail)
+    return Block(
+        rows=rows,
+        members=members,
+        number=number,
+        real=real,
+        noise=_products(turns),
+        about=about,
+        turn_sd=sd[odometry.final[last]],
+        arm=odometry.arm[odometry.final[last]],
+    )
+
+
+def _columns(rows: Measurements, place: Ints, tail: Reals) -> tuple[NDArray[np.int32], Reals]:
+    """Write rows as `Table` has them; the other robot of each pair has a place among partners."""
+    d, o, p = rows.distances, rows.offsets, rows.places
+    first, pairs = len(d.stance), len(place)
+    number, real = np.zeros((len(rows), 3), np.int32), np.zeros((len(rows), REALS))
+    number[:, KIND] = COORDINATE
+    number[:first, KIND] = np.where(d.is_hinge, HINGE, DISTANCE)
+    number[first:pairs, KIND] = OFFSET
+    number[:pairs, MEMBER] = 1 + place
+    number[:, FIRST] = np.arange(len(rows))
+    number[first:pairs, FIRST] -= np.arange(pairs - first, dtype=np.int32) % _AXES
+    real[first:, AXIS : AXIS + _AXES] = np.concatenate([o.axis, p.direction])
+    real[:, ARM : ARM + _AXES], real[:, TAIL : TAIL + _AXES] = rows.arm, tail
+    real[:pairs, OTHER_ARM : OTHER_ARM + _AXES] = rows.other_arm
+    real[:first, VALUE], real[pairs:, VALUE] = d.length, p.value
+    real[:, OWN_VARIANCE], real[:, VARIANCE] = rows.own_variance, rows.variance()
+    return number, real
+
+
+def _turns(part: Reals, sd: Reals) -> Reals:
+    """Derivatives of d . (w x part), with w in sd: rows for each axis of d, (n, 3, 3)."""
+    turns: Reals = np.cross(np.eye(_AXES), part[:, None]) * np.broadcast_to(sd, part.shape)[:, None]
+    return turns
+
+
+def _products(turns: Reals) -> Reals:
+    """Multiply derivatives by all turns, shape (m, 3, turns, 3), in pairs, (m, 3, m, 3)."""
+    rows = len(turns)
+    flat = turns.reshape(_AXES * rows, turns[0].size // _AXES if rows else 0)
+    return (flat @ flat.T).reshape(rows, _AXES, rows, _AXES)
+
+
+def table_of(blocks: list[Block]) -> Table:
+    """Put the rows of blocks one after the other, as kernels take them."""
+    member = [[b.members[-1:], b.partners] for b in blocks]
+    size = [(len(b), b.noise.size, 1 + len(b.about)) for b in blocks]
+    return Table(
+        block=np.cumsum([(0, 0, 0), *size], axis=0, dtype=np.int32),
+        member=np.concatenate([each for pair in member for each in pair]).astype(np.int32),
+        number=np.concatenate([b.number for b in blocks]),
+        real=np.concatenate([b.real for b in blocks]),
+        noise=np.concatenate([b.noise.ravel() for b in blocks]),
+    )
+
+
+def scratch_for(blocks: list[Block]) -> Scratch:
+    """Make room for the largest of some blocks."""
+    rows = max(map(len, blocks))
+    # An overlap has two members.
+    values = _PARTS * max(2, *(1 + len(b.about) for b in blocks)) + 1 + _AXES
+    return Scratch(
+        covariance=np.empty((rows, rows)),
+        row=np.empty((rows, SEEN)),
+        value=np.empty((values, rows)),
+        place=np.empty(values, np.int32),
+    )
+
+
+class Linearized(NamedTuple):
+    """The cost near a state: cost + 2 slope . step + step . information . step.
+
+    Steps are those of K robots, all shifts [R] and then all turns [1].
+    """
+
+    cost: float
+    """Squares of rows and overlaps, priors of turns, and the loss of robust rows beyond that."""
+
+    information: Reals
+    """Shape (6 K, 6 K)."""
+
+    slope: Reals
+    """Shape (6 K,)."""
+
+    of_others: Reals
+    """Change of the slope by a common shift of all other robots, weighed by their sd, (6 K, 3)."""
+
+    square: Reals
+    """Chi-square of the rows of each block, by their robust loss where they give way, (B,)."""
+
+    overlap: Reals
+    """Greatest overlap of each robot [standard deviations], shape (K,)."""
+
+
+class Neighborhood:
+    """The cost of K robots that may move, and of the B blocks of rows that are about them."""
+
+    def __init__(
+        self,
+        moving: Ints,
+        blocks: list[Block],
+        shapes: Shapes,
+        *,
+        robust: bool = False,
+        non_overlap: bool = True,
+        sd: Reals | None = None,
+    ) -> None:
+        """Gather what does not change with the state.
+
+        Args:
+            moving: Robots that may move, ascending, shape (K,); the anchor only turns.
+            blocks: Blocks with rows about them; none is empty.
+            shapes: All N robots.
+            robust: Whether rows that disagree with all others give way.
+            non_overlap: Whether docks that do not touch must not overlap.
+            sd: Standard deviation of the positions of robots that stay [R], shape (N,); 0 if None.
+        """
+        self.moving, self.shapes = moving, shapes
+        self.robust, self.non_overlap = robust, non_overlap
+        self.number = {int(block.members[-1]): k for k, block in enumerate(blocks)}
+        self.table, self._scratch = table_of(blocks), scratch_for(blocks)
+        robots = len(shapes.arm)
+        self._column = np.full(robots, -1, np.int32)
+        self._column[moving] = np.arange(len(moving))
+        # Three axes share the variance.
+        stays = np.zeros(robots) if sd is None else sd / np.sqrt(_AXES)
+        self._stays = np.where(self._column < 0, stays, 0.0)
+
+    def linearized(self, state: Configuration) -> Linearized:
+        """Linearize the cost at a state."""
+        moving, count = self.moving.astype(np.int32), 6 * len(self.moving)
+        total = np.zeros((count + _AXES + 1, count + _AXES + 1))
+        square, overlap = np.empty(len(self.number) + 1), np.zeros(len(moving))
+        sum_equations(
+            ROBUST_SD**2 * self.robust, int(self.non_overlap), self.shapes.reach,
+            *self.table, *robots_at(state, self.shapes, self._stays), *self._scratch,
+            moving, self._column, total, square, overlap,
+        )  # fmt: skip
+        off = state.turn[self.moving].ravel()
+        # A turn is in standard deviations, so that its prior has precision 1.
+        of_turns = np.arange(len(off), count)
+        slope = total[-1, :count].copy()
+        slope[of_turns] += off
+        lower = total[:count, :count]
+        information = lower + np.tril(lower, -1).T
+        information[of_turns, of_turns] += 1.0
+        return Linearized(
+            cost=float(total[-1, -1] + off @ off + square[-1]),
+            information=information,
+            slope=slope,
+            of_others=total[count:-1, :count].T,
+            square=square[:-1],
+            overlap=overlap,
+        )
+
+    def solved(self, state: Configuration) -> tuple[Configuration, Linearized]:
+        """Take steps toward the minimum; return the best state on the way, and the cost there."""
+        best = here = state, self.linearized(state)
+        for _ in range(NEIGHBORS.rounds):
+            state, linear = here
+            shift, turn = self._step(linear)
+            gain = -linear.slope @ np.concatenate([shift.ravel(), turn.ravel()])
+            # Most joins need one step; each costs as much as the first.
+            if gain < NEIGHBORS.settled:
+                break
+            position, turned = state.position.copy(), state.turn.copy()
+            position[self.moving] += shift
+            turned[self.moving] += turn
+            state = Configuration(position, turned)
+            here = state, self.linearized(state)
+            if here[1].cost < best[1].cost:
+                best = here
+        return best
+
+    def _factor(self, linear: Linearized, damping: float) -> Reals:
+        """Damp shifts, hold the anchor, and factor what is known: all turns, then all shifts.
+
+        Returns:
+            The lower Cholesky factor, shape (6 K, 6 K).
+        """
+        count = 3 * len(self.moving)
+        known = np.roll(linear.information, count, axis=(0, 1))
+        shifts = np.arange(count, 2 * count)
+        known[shifts, shifts] += damping
+        if self.moving[0] == 0:
+            # The anchor stays where it is, but its orientation is as noisy as any.
+            anchor = shifts[:_AXES]
+            known[anchor] = known[:, anchor] = 0.0
+            known[anchor, anchor] = 1.0
+        # Symmetric: its transpose is the same matrix in the order that needs no copy.
+        factor: Reals
+        factor, trouble = _LAPACK.dpotrf(known.T, lower=1, overwrite_a=1)
+        if trouble:
+            raise np.linalg.LinAlgError("the information of a neighborhood is not positive")
+        return factor
+
+    def _step(self, linear: Linearized) -> tuple[Reals, Reals]:
+        """Solve for the shifts and the turns of all robots that may move, (K, 3) both."""
+        slope = linear.slope.copy()
+        if self.moving[0] == 0:
+            slope[:_AXES] = 0.0
+        count = len(slope) // 2
+        # A robot with a free direction takes no step along it.
+        factor = self._factor(linear, NEIGHBORS.damping)
+        step, _ = _LAPACK.dpotrs(factor, -np.roll(slope, count), lower=1)
+        steps = np.roll(step, count).reshape(2, -1, _AXES)
+        far, most = np.linalg.norm(steps[0], axis=1), NEIGHBORS.longest_step
+        steps[0] *= np.minimum(1.0, most / np.maximum(far, most))[:, None]
+        return steps[0], steps[1]
+
+    def missed(self, linear: Linearized, robot: int) -> tuple[float, float]:
+        """Chi-square of the rows of a robot, and its greatest overlap in standard deviations."""
+        return float(linear.square[self.number[robot]]), float(linear.overlap[self._column[robot]])
+
+    def sd(self, linear: Linearized) -> Reals:
+        """Compute the standard deviation of each robot that may move [R], shape (K,).
+
+        Errors of the robots that stay count as a shift that they share.
+        """
+        count = 3 * len(self.moving)
+        factor = self._factor(linear, NEIGHBORS.open_precision)
+        others = np.roll(linear.of_others, count, axis=0)
+        if self.moving[0] == 0:
+            others[count : count + _AXES] = 0.0
+        # Turns come first: the last rows of the factor are that of what is known of the shifts
+        # alone, and the variance is the square of its inverse.
+        half, _ = _LAPACK.dtrtrs(factor, others, lower=1)
+        inverse, _ = _LAPACK.dtrtri(factor[count:, count:], lower=1)
+        inverse = np.tril(inverse)
+        own = (inverse**2).sum(axis=0)
+        # A neighborhood hangs on robots that are wrong themselves, and by much the same.
+        shared = inverse.T @ half[count:]
+        square = own + (shared**2).sum(axis=1)
+        if self.moving[0] == 0:
+            square[:_AXES] = 0.0
+        sd: Reals = np.sqrt(square.reshape(-1, _AXES).sum(axis=1))
+        return sd
