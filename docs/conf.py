@@ -16,7 +16,7 @@ from sphinx.application import Sphinx
 import tiswarm
 
 ROOT = Path(__file__).parents[1]
-IN_ROOT = {"index": "README.md", "contributing": "CONTRIBUTING.md", "changelog": "CHANGELOG.md"}
+IN_ROOT = {"index": "README.md"}
 """Pages of the site whose text stands in the root of the repository."""
 
 EXAMPLE = {"seeds": 1, "robots": 60}
@@ -52,6 +52,8 @@ def read_page(_app: Sphinx, page: str, source: list[str]) -> None:
         source[0] = add_outputs(source[0])
     for target, name in IN_ROOT.items():
         source[0] = re.sub(rf"\]\((\.\./)*{name}", f"](/{target}.md", source[0])
+    # Other pages of the root go along as files.
+    source[0] = re.sub(r"\]\(((\.\./)+[A-Z]+\.md)\)", r"](path:\1)", source[0])
     source[0] = re.sub(r"(?<=[\d)]) (?=± [\d.])|(?<=±) (?=[\d.])", "\N{NO-BREAK SPACE}", source[0])
 
 
