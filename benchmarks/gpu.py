@@ -33,7 +33,7 @@ from benchmarks.swarm_step.scenes import Scene, StepParams, make
 from tiswarm.app import doctor
 from tiswarm.base.params import ARCHS
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.compute import backend, cards
+from tiswarm.compute import backend, machine
 from tiswarm.localization.joint.annealing import Annealer
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams
@@ -65,7 +65,7 @@ def main() -> None:
         "joint": lambda: [time_joint(arch, n) for n in options.joint_sizes],
         "digests": lambda: compare_runs(arch, brief=options.brief),
     }
-    running, card = backend.start(arch), cards.find_card(arch)
+    running, card = backend.start(arch), machine.find_card(arch)
     report |= {
         "arch": arch,
         "card": running.card,

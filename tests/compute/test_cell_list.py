@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link, relink
 from tiswarm.compute.lang import Ints1, Ints2, Reals2, ti
+from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link, relink
 
 
 @ti.kernel

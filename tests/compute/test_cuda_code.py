@@ -95,8 +95,8 @@ def _answer(value):
 _COMPILE = """
 import os, sys
 from tests.compute.test_cuda_code import compile_all
-from tiswarm.compute import backend, cards
-card = cards.find_card("cuda")
+from tiswarm.compute import backend, machine
+card = machine.find_card("cuda")
 assert card == ("stub of an H100", "CUDA 12.8", False, True, 132)
 folder, log = sys.argv[1:]
 for precision in ("f64", "f32"):

@@ -48,9 +48,9 @@ import json, sys
 from tests.compute.test_devices import _relaxed
 from tests.devices import ARCH
 from tiswarm.app import doctor
-from tiswarm.compute import backend, cards
+from tiswarm.compute import backend, machine
 from tiswarm.base.errors import EnvironmentTroubleError
-card = cards.find_card(ARCH)
+card = machine.find_card(ARCH)
 assert backend.start("auto").arch == ("cpu" if card and card.is_software else ARCH)
 if ARCH == "vulkan":
     try: backend.start(ARCH, precision="f64")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.strategies import vectors
-from tiswarm.engine.places import Places
+from tiswarm.engine.stepping import Places
 
 LARGEST = 2.0**29
 """Half of the box around a swarm at first, in units."""

@@ -13,9 +13,9 @@ from tests.strategies import rotations, vectors
 from tests.structures import silent
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute import backend
-from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
 from tiswarm.compute.lang import Ints1, Ints2, Reals2, Reals3, ti
 from tiswarm.compute.math import dock_offsets
+from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
 from tiswarm.localization import virtual_force
 from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many

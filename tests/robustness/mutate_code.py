@@ -45,8 +45,8 @@ ROOMS = {
 """Files of tests by room, in its folder of tests; all of them where none is named."""
 
 NOT_NUMERICAL = {
-    "__init__.py", "backend.py", "cards.py", "kernel_cache.py", "lang.py", "machine.py", "paper.py",
-    "params.py", "program.py", "registry.py", "settings.py",
+    "__init__.py", "backend.py", "kernel_cache.py", "lang.py", "machine.py", "paper.py",
+    "params.py", "registry.py", "settings.py",
 }  # fmt: skip
 """Files that start something, or hold choices."""
 

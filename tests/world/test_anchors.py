@@ -14,7 +14,6 @@ from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import dump_scenario, scenario_hash
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.world.anchors import anchor_fault, anchor_places
 from tiswarm.world.growth import grow
 from tiswarm.world.history import read_history, write_history
 from tiswarm.world.params import (
@@ -23,6 +22,8 @@ from tiswarm.world.params import (
     ChainParams,
     StructureParams,
     TowerParams,
+    anchor_fault,
+    anchor_places,
 )
 from tiswarm.world.validity import find_fault
 

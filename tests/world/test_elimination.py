@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests import frames
 from tiswarm.compute import backend
 from tiswarm.compute.lang import Ints1, Ints2, Ints3, Reals2, Reals3, ti
-from tiswarm.world.elimination_kernels import (
+from tiswarm.world.frame_kernels import (
     HALF_COLUMNS,
     NODE_COLUMNS,
     ORDER_COLUMNS,

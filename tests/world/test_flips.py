@@ -9,9 +9,9 @@ from tests import oracle
 from tests.strategies import unit_vectors, vectors
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.lang import Reals2, ti
+from tiswarm.world.climb_kernels import crossing_angles
 from tiswarm.world.growth import grow
 from tiswarm.world.params import ClimbParams, TowerParams
-from tiswarm.world.turn_kernels import crossing_angles
 
 FULL_TURN = 2.0 * np.pi
 

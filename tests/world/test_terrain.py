@@ -10,9 +10,8 @@ from tests.strategies import unit_vectors
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.lang import Reals2, ti
 from tiswarm.records.terrain import Terrain
-from tiswarm.world.climb_arrays import ClimbLimits
+from tiswarm.world.climb_kernels import ClimbLimits, slab_angles
 from tiswarm.world.params import ClimbParams
-from tiswarm.world.turn_kernels import slab_angles
 from tiswarm.world.walks import climb_limits
 
 FULL_TURN = 2.0 * np.pi

@@ -5,16 +5,24 @@ chooses. All others run on the processor in f64: they walk along few chains of d
 which a card is slower, and need functions that some cards lack in f64. One backend runs at a time,
 so a stage first calls `device` or `processor`.
 
-A device that is not there is an error, never a silent
-change of device.
+A device that is not there is an error, never a silent change of device.
+
+A process has one program of the kernel library. `ti.init` and `ti.reset` end the one that runs and
+free its arrays, no matter who calls them. A fork copies a program without its threads, and what
+uses the copy waits for them for ever.
 """
 
+import atexit
 import contextlib
+import ctypes
+import io
 import os
 import sys
 import threading
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,10 +35,149 @@ from threadpoolctl import threadpool_limits
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.memory import naming_shortage, require_address_space
 from tiswarm.base.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
-from tiswarm.compute import cards, kernel_cache, program
-from tiswarm.compute.lang import LIBRARY, DeviceArray, ti
+from tiswarm.compute import kernel_cache, machine
+from tiswarm.compute.lang import LIBRARIES, LIBRARY, DeviceArray, ti, variables_hidden
 from tiswarm.compute.math_kernels import probe_arithmetic
-from tiswarm.compute.program import Array
+
+_PROGRAM = "prog" if LIBRARY == "taichi" else "_prog"
+"""Where the library's record of a program has the program itself; it has None after its end."""
+
+_QUIET = {"TI_SKIP_VERSION_CHECK": "ON"}
+"""Variables while a program starts: taichi would ask a server of its makers for a newer version."""
+
+_turn = threading.RLock()
+_cache: Path | None = None
+"""Folder of compiled kernels of our program; None where we started none."""
+_runtime: "weakref.ref[Any] | None" = None
+"""The library's record of our program, another for each program; None while it starts or ends."""
+_is_orphan = False
+"""Whether this process was forked while our program ran."""
+
+
+@contextlib.contextmanager
+def exclusive() -> Iterator[None]:
+    """Let one thread at a time compute; the library compiles and starts for one alone."""
+    with _turn:
+        yield
+
+
+def is_running() -> bool:
+    """Whether our program runs.
+
+    Raises:
+        EnvironmentTroubleError: somebody else's runs, or this process is a fork.
+    """
+    if _is_orphan:
+        raise EnvironmentTroubleError(
+            "this process was forked after tiswarm had computed, and kernels do not survive that; "
+            'start processes by spawn, as multiprocessing.get_context("spawn") does'
+        )
+    if _program_of(ti.lang.impl.get_runtime()) is None:
+        return False
+    if not _is_ours():
+        others = (name for name in LIBRARIES if name != LIBRARY and find_spec(name))
+        ways_out = ["call its reset() first", "run tiswarm in a process of its own"]
+        ways_out += [f"set TISWARM_BACKEND={name}" for name in others]
+        raise EnvironmentTroubleError(
+            f"another program of {LIBRARY} runs in this process, and tiswarm would end it; "
+            f"{' or '.join(ways_out)}"
+        )
+    return _runtime is not None
+
+
+def _is_ours() -> bool:
+    """Whether the program that runs, or whose start or end was interrupted, is ours."""
+    runtime = ti.lang.impl.get_runtime()
+    return _cache is not None and (_runtime is None or _runtime() is runtime)
+
+
+def _start_program(cache: Path, **options: Any) -> None:  # noqa: ANN401 - the library's own
+    """Start our program, where none runs. Nothing else may call `ti.init`.
+
+    Args:
+        cache: Folder of compiled kernels, which is cleared if it is damaged.
+        options: Those of `ti.init`.
+    """
+    global _runtime, _cache  # noqa: PLW0603 - the library itself is one per process
+    with kernel_cache.sealed(cache):
+        pass  # finds damage before the library reads it
+    _cache, _runtime = cache, None
+    atexit.register(end)
+    with (
+        contextlib.redirect_stdout(io.StringIO()),
+        _float_state_kept(),
+        variables_hidden(LIBRARY, _QUIET),
+    ):
+        ti.init(offline_cache=True, offline_cache_file_path=str(cache), **options)
+    _runtime = weakref.ref(ti.lang.impl.get_runtime(), lambda _: kernel_cache.seal(cache))
+
+
+def end() -> None:
+    """End our program, even if it only started in part; nothing of others is ended.
+
+    The library writes its new kernels now, not later without a seal.
+    """
+    global _runtime, _cache  # noqa: PLW0603
+    if _cache and _is_ours():
+        _runtime = None  # else it would seal within the seal
+        with kernel_cache.sealed(_cache):
+            ti.reset()
+    _cache = None
+
+
+class Array(ti.ScalarNdarray):  # type: ignore[misc]  # it has no types
+    """An array of our program, which frees nothing after the program has ended.
+
+    The library's own would be freed by its address, where an array of another program may lie.
+    """
+
+    def __init__(self, dtype: Any, shape: tuple[int, ...]) -> None:  # noqa: ANN401
+        """Reserve an array of the type and shape."""
+        self.runtime = weakref.ref(ti.lang.impl.get_runtime())
+        super().__init__(dtype, shape)
+
+    def __del__(self) -> None:
+        """Free the array."""
+        runtime = self.runtime()
+        if runtime is not None and _program_of(runtime) is not None:
+            super().__del__()
+
+
+def _program_of(runtime: Any) -> Any:  # noqa: ANN401 - the library has no types
+    return vars(runtime)[_PROGRAM]
+
+
+@contextlib.contextmanager
+def _float_state_kept() -> Iterator[None]:
+    """Undo that `ti.init` makes subnormal results 0, which would hold for all of Python.
+
+    The kernels' own threads, which it starts, keep that state. Without POSIX nothing is undone.
+    """
+    math = ctypes.CDLL(None) if os.name == "posix" else None
+    state = ctypes.create_string_buffer(256)  # at least the size of any system's fenv_t
+    if math:
+        math.fegetenv(state)
+    try:
+        yield
+    finally:
+        if math:
+            math.fesetenv(state)
+
+
+def _abandon() -> None:
+    """Leave our program alone in the child of a fork, which has none of its threads."""
+    global _turn, _runtime, _cache, _is_orphan  # noqa: PLW0603
+    _turn = threading.RLock()  # a thread that the child lacks may have had its turn
+    if not _is_ours():
+        return
+    record = vars(ti.lang.impl.get_runtime())
+    if record[_PROGRAM] is not None:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(record[_PROGRAM]))  # its end would wait
+    record[_PROGRAM], _runtime, _cache, _is_orphan = None, None, None, True
+
+
+os.register_at_fork(after_in_child=_abandon)
+
 
 _START_MB, _THREAD_MB = 1550, 10
 """Address space of a start and a small run, and of each thread; a gigabyte of it is never used."""
@@ -106,7 +253,7 @@ class Backend:
         if not self.on_card:
             free = psutil.virtual_memory().available
         elif self.arch == "cuda":
-            free = cards.free_cuda_memory()
+            free = machine.free_cuda_memory()
         if free is not None and needed > free:
             raise EnvironmentTroubleError(
                 f"{robots} robots need about {needed / 1e9:.1f} GB of memory and {free / 1e9:.1f} "
@@ -173,7 +320,7 @@ def start(
         running = _run(choice)
         _chosen.choice = choice
         return running
-    has_vulkan = (card := cards.find_card("vulkan")) is not None and not card.is_software
+    has_vulkan = (card := machine.find_card("vulkan")) is not None and not card.is_software
     candidates: tuple[Arch, ...] = ("cuda", "metal", "vulkan")
     for candidate in candidates if has_vulkan else candidates[:2]:
         with contextlib.suppress(EnvironmentTroubleError):
@@ -210,16 +357,16 @@ def _checked(arch: Arch, threads: int | None, precision: AnyPrecision) -> _Choic
     return _Choice(arch, threads, precision)
 
 
-@program.exclusive()
+@exclusive()
 def _run(choice: _Choice) -> Backend:
     """Start a backend, or do nothing where the very same one runs."""
     global _started  # noqa: PLW0603 - the kernel library itself is one per process
-    arch, card = choice.arch, cards.find_card(choice.arch)
+    arch, card = choice.arch, machine.find_card(choice.arch)
     precision: Precision = "f64" if arch == "cpu" or (card and card.has_fast_f64) else "f32"
     if choice.precision != "auto":
         precision = choice.precision
     count = choice.threads or available_threads()
-    if program.is_running():
+    if is_running():
         wanted = (arch, count, precision)
         if _started and (_started.arch, _started.threads, _started.precision) == wanted:
             return _started
@@ -234,14 +381,14 @@ def _run(choice: _Choice) -> Backend:
     for solve in (np.linalg.solve, scipy.linalg.blas.dtrsv):  # type: ignore[attr-defined]
         solve(np.eye(2), np.ones(2))
     _started = None  # a start that fails may leave nothing running
-    program.end()
+    end()
     library = f"{LIBRARY} {'.'.join(map(str, ti.__version__))}"
     cache = kernel_cache.find_folder(library.replace(" ", "-"))
     try:
         _init(arch, count, precision, cache, blocks=_BLOCKS * card.multiprocessors if card else 0)
         _probe(arch, precision)
     except BaseException:  # also an interrupt
-        program.end()  # seals the kernels of the probe
+        end()  # seals the kernels of the probe
         raise
     _started = Backend(
         arch=arch, threads=count, precision=precision, library=library,
@@ -252,7 +399,7 @@ def _run(choice: _Choice) -> Backend:
 
 def current() -> Backend:
     """Return the running backend, starting the device of parallel stages where none runs."""
-    return _started if _started and program.is_running() else device()
+    return _started if _started and is_running() else device()
 
 
 @contextlib.contextmanager
@@ -285,7 +432,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks
     }
     try:
         with naming_shortage():
-            program.start(cache, arch=wanted, log_level=ti.CRITICAL, **options)
+            _start_program(cache, arch=wanted, log_level=ti.CRITICAL, **options)
     except RuntimeError as error:
         raise EnvironmentTroubleError(
             f"backend {arch} is not available on this machine; use --arch cpu"

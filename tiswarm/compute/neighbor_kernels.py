@@ -1,7 +1,13 @@
-"""Kernels of the neighbor list: Verlet rows are written of docks that are sorted into cells.
+"""Kernels that find neighbors: a cell list that grows, and Verlet rows of docks sorted into cells.
 
-Functions work for one dock, bucket or row at a time. A swarm-wide loop over threads and one
-thread that lists a whole small structure therefore run the same lines.
+`CellList` grows one item at a time. It is a hash table of chains: space is cut into cubes; a linear
+hash of the cube's indices names a bucket, and each bucket holds a chain of items. Cubes that share
+a bucket cost time but are never confused, since every item found is tested by its distance; and no
+item is found twice, because the 27 cubes around a point always have 27 different buckets.
+
+`Cells` hold all docks at once, in the order of a linear hash of their cells: a counting sort. Rows
+are written of them. Functions work for one dock, bucket or row at a time. A swarm-wide loop over
+threads and one thread that lists a whole small structure therefore run the same lines.
 
 A robot has one row, or, where a graphics card computes (`on_card`), each of its docks has one: a
 card needs many threads that each do little. An entry of a row is one integer: other dock, whether
@@ -23,19 +29,224 @@ named below; the last two are written.
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, Static, ti
-from tiswarm.compute.sorting_kernels import (
-    BLOCK,
-    CELL_LENGTH,
-    CELL_WIDTH,
-    Cells,
-    bucket_of_cell,
-    cell,
-    count_dock,
-    dock_at,
-    scatter_dock,
-    sort_bucket,
-)
+import numpy as np
+
+from tiswarm.compute.lang import I32, Float, Ints1, Ints2, Reals1, Ref, Static, ti
+
+_STRIDE_Y, _STRIDE_Z = 1_640_531_527, 1_013_904_223
+_MIN_BUCKETS = 128
+"""Fewest buckets for which the 27 cubes around a point keep apart (and any power of two above)."""
+
+
+class CellList(NamedTuple):
+    """Chains of S structures with up to K items each."""
+
+    head: Ints2
+    """First item of each bucket or -1, shape (S, buckets)."""
+
+    following: Ints2
+    """Next item of the chain or -1, shape (S, K)."""
+
+    @classmethod
+    def allocate(cls, structures: int, capacity: int) -> "CellList":
+        """Reserve empty chains for `structures` structures of `capacity` items."""
+        buckets = max(_MIN_BUCKETS, 1 << (2 * capacity - 1).bit_length())
+        return cls(
+            head=np.full((structures, buckets), -1, np.int32),
+            following=np.full((structures, capacity), -1, np.int32),
+        )
+
+
+@ti.func
+def cube_of(point, inverse_edge):
+    """Find the indices of the cube that holds `point`."""
+    return ti.cast(ti.floor(point * inverse_edge), ti.i64)
+
+
+@ti.func
+def _bucket_of(cube, buckets):
+    """Hash a cube to its bucket; `buckets` is a power of two."""
+    key = cube[0] + _STRIDE_Y * cube[1] + _STRIDE_Z * cube[2]
+    return ti.cast(key & ti.cast(buckets - 1, ti.i64), ti.i32)
+
+
+@ti.func
+def first_item(cells: Ref, structure, cube, which):
+    """Read the head of the chain of one of the 27 cubes around and including `cube`.
+
+    `which` runs from 0 to 26.
+    """
+    neighbor = cube + ti.Vector([which % 3 - 1, which // 3 % 3 - 1, which // 9 - 1])
+    return cells.head[structure, _bucket_of(neighbor, cells.head.shape[1])]
+
+
+@ti.func
+def link(cells: Ref, structure, item, cube):
+    """Put an item in front of its bucket's chain."""
+    bucket = _bucket_of(cube, cells.head.shape[1])
+    cells.following[structure, item] = cells.head[structure, bucket]
+    cells.head[structure, bucket] = item
+
+
+@ti.func
+def relink(cells: Ref, structure, item, old, new):
+    """Move an item from the chain of one cube to the front of another's."""
+    bucket = _bucket_of(old, cells.head.shape[1])
+    if bucket != _bucket_of(new, cells.head.shape[1]):
+        after = cells.following[structure, item]
+        if cells.head[structure, bucket] == item:
+            cells.head[structure, bucket] = after
+        else:
+            before = cells.head[structure, bucket]
+            while cells.following[structure, before] != item:
+                before = cells.following[structure, before]
+            cells.following[structure, before] = after
+        link(cells, structure, item, new)
+
+
+_STRIDE_STRUCTURE = 1_779_033_703
+CELL_LENGTH = 0.25
+"""Edge of a cell along x, in cutoffs: short, since runs of cells along x are cheap."""
+CELL_WIDTH = 2.0
+"""Edge along y and z, in cutoffs: the ball around a dock reaches at most one cell more."""
+BLOCK = 16
+"""Sorted docks that are compared at a time."""
+SCAN_BLOCK = 256
+"""Numbers that one thread sums up: buckets, then totals of these, then totals of those."""
+
+
+class Cells(NamedTuple):
+    """M docks in the order of the buckets of their cells, one table after the other."""
+
+    begin: Ints1
+    """First slot of each bucket, then M and a spare, shape (buckets + 2,) a table."""
+
+    dock: Ints1
+    """Dock in each slot; docks of a bucket in ascending order, shape (M,)."""
+
+    place: Reals1
+    """x of the docks slot by slot, then all y, all z, all structures, each followed by room for
+    BLOCK more, shape (4 (M + BLOCK),)."""
+
+
+@ti.func
+def dock_at(dock: Ref, base, m):
+    """Read the place of dock `m` and, last, the number of its structure."""
+    at = base + 4 * m
+    return ti.Vector([dock[at], dock[at + 1], dock[at + 2], dock[at + 3]])
+
+
+@ti.func
+def cell(value, per_length):
+    """Find the index of a cell along one axis."""
+    return ti.cast(ti.floor(value * per_length), ti.i64)
+
+
+@ti.func
+def bucket_of_cell(grid: Ref, x, y, z, structure):
+    """Hash a cell to its bucket, linearly: cells along x have buckets in succession."""
+    key = x + grid.stride_y * y + grid.stride_z * z
+    key += _STRIDE_STRUCTURE * ti.cast(structure, ti.i64)
+    return ti.cast(key & ti.cast(grid.buckets - 1, ti.i64), ti.i32)
+
+
+@ti.func
+def _own_bucket(grid: Ref, at):
+    """Find the bucket of the cell that holds a dock."""
+    per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
+    per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
+    return bucket_of_cell(
+        grid, cell(at[0], per_length), cell(at[1], per_width), cell(at[2], per_width), at[3]
+    )
+
+
+@ti.func
+def count_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
+    """Count a dock in its bucket; offset by two, so that scan and scatter yield starts in place."""
+    ti.atomic_add(cells.begin[grid.table + _own_bucket(grid, dock_at(dock, base, m)) + 2], 1)
+
+
+@ti.func
+def scatter_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
+    """Put a dock into the next free slot of its bucket."""
+    bucket = _own_bucket(grid, dock_at(dock, base, m))
+    slot = grid.slot + ti.atomic_add(cells.begin[grid.table + bucket + 1], 1)
+    cells.dock[slot] = m
+
+
+@ti.func
+def sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
+    """Order the docks of a bucket by number, since threads have scattered them in any order."""
+    first = grid.slot + cells.begin[grid.table + bucket]
+    last = grid.slot + cells.begin[grid.table + bucket + 1]
+    for slot in range(first + 1, last):
+        m = cells.dock[slot]
+        to = slot
+        while to > first and cells.dock[ti.max(to - 1, 0)] > m:
+            cells.dock[to] = cells.dock[to - 1]
+            to -= 1
+        cells.dock[to] = m
+    for slot in range(first, last):
+        at = dock_at(dock, base, cells.dock[slot])
+        for c in ti.static(range(4)):
+            cells.place[slot + c * (cells.place.shape[0] // 4)] = at[c]
+
+
+@ti.func
+def _sum_up(value: Ref, first, past):
+    """Add to each of some numbers those before it; return the sum of all."""
+    total = 0
+    for k in range(first, past):
+        total += value[k]
+        value[k] = total
+    return total
+
+
+@ti.kernel
+def sort_docks(
+    docks: I32, cutoff: Float, stride_y: I32, stride_z: I32, base: I32, dock: Reals1,
+    block_total_out: Ints1, group_total_out: Ints1,
+    begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Reals1,  # Cells
+):  # fmt: skip
+    """Counting sort of all docks by the bucket of their cell; within a bucket, by number.
+
+    Numbers are those of `grid`, with one table for all docks.
+
+    Args:
+        base: Where the current docks start in `dock`.
+        dock: Places, last the structure, rows of four.
+        block_total_out: Scratch, shape (B,) with B = ceil(buckets / SCAN_BLOCK).
+        group_total_out: Scratch, shape (ceil(B / SCAN_BLOCK),).
+    """
+    cells = ti.static(Cells(begin_out, sorted_dock_out, sorted_place_out))
+    grid = ti.Struct(
+        docks=docks, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
+        buckets=begin_out.shape[0] - 2, table=0, slot=0,
+    )  # fmt: skip
+    # Computed here, the bounds of loops need no launch before each loop.
+    buckets, blocks, groups = grid.buckets, block_total_out.shape[0], group_total_out.shape[0]
+    for k in range(begin_out.shape[0]):
+        begin_out[k] = 0
+    for m in range(sorted_dock_out.shape[0]):
+        count_dock(grid, base, m, dock, cells)
+    for block in range(blocks):
+        past = ti.min((block + 1) * SCAN_BLOCK, buckets)
+        block_total_out[block] = _sum_up(begin_out, block * SCAN_BLOCK + 2, past + 2)
+    for group in range(groups):
+        past = ti.min((group + 1) * SCAN_BLOCK, blocks)
+        group_total_out[group] = _sum_up(block_total_out, group * SCAN_BLOCK, past)
+    ti.loop_config(serialize=True)
+    for group in range(1, groups):
+        group_total_out[group] += group_total_out[group - 1]
+    for block in range(SCAN_BLOCK, blocks):
+        block_total_out[block] += group_total_out[block // SCAN_BLOCK - 1]
+    for k in range(SCAN_BLOCK, buckets):
+        begin_out[k + 2] += block_total_out[k // SCAN_BLOCK - 1]
+    for m in range(sorted_dock_out.shape[0]):
+        scatter_dock(grid, base, m, dock, cells)
+    for bucket in range(buckets):
+        sort_bucket(grid, base, bucket, dock, cells)
+
 
 FIRST, END, TABLE, BUCKETS, STRIDE_Y, STRIDE_Z, ROW, ROOM, LONGEST, BUILDS = range(10)
 """Columns of a structure: its first robot and the one after its last; where its table starts in

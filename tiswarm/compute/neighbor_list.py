@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute import neighbor_kernels as kernels
-from tiswarm.compute import sorting_kernels as sorting
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_kernels import ConnectedDocks, Rows
@@ -81,7 +80,7 @@ def hash_strides(extent: Reals, cutoff: float, buckets: int) -> tuple[int, int]:
     Returns:
         Buckets from one cell to the next along y, and along z.
     """
-    edge = cutoff * np.array([sorting.CELL_LENGTH, sorting.CELL_WIDTH, sorting.CELL_WIDTH])
+    edge = cutoff * np.array([kernels.CELL_LENGTH, kernels.CELL_WIDTH, kernels.CELL_WIDTH])
     # A run, or a neighbor on either side, extends beyond the box.
     padding = np.array([kernels.LONGEST_RUN + 1, 3, 3])
     cells = np.ceil(extent / edge) + padding
@@ -163,13 +162,13 @@ class NeighborList:
         first, entry = self._pack(contacts)
         self.connections = ConnectedDocks(start=seldom.upload(first), entry=seldom.upload(entry))
         places = seldom.reals if unit is None else seldom.ints
-        self.cells = sorting.Cells(
+        self.cells = kernels.Cells(
             begin=seldom.ints(self.table_size),
             dock=seldom.ints(robots * docks),
-            place=places(4 * (robots * docks + sorting.BLOCK)),
+            place=places(4 * (robots * docks + kernels.BLOCK)),
         )
-        blocks = -(-self.table_size // sorting.SCAN_BLOCK)
-        self.totals = seldom.ints(blocks), seldom.ints(-(-blocks // sorting.SCAN_BLOCK))
+        blocks = -(-self.table_size // kernels.SCAN_BLOCK)
+        self.totals = seldom.ints(blocks), seldom.ints(-(-blocks // kernels.SCAN_BLOCK))
         self.longest = seldom.ints(1)
         sizes = self._row_size(), self.row_count, self.row_count
         entries, first, count = (memory.ints(size) for size in sizes)
@@ -199,7 +198,7 @@ class NeighborList:
             dock: Places of docks and, last, their structure: rows of four.
             base: Where in `dock` the current ones start.
         """
-        sorting.sort_docks(
+        kernels.sort_docks(
             self.docks, self.cutoff, self.stride_y, self.stride_z, base, dock, *self.totals,
             *self.cells,
         )  # fmt: skip

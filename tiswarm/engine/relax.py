@@ -18,12 +18,10 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyArch, AnyPrecision, Precision
 from tiswarm.base.robot import Robot
-from tiswarm.compute import backend, program
+from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.engine.kernels import Gains
-from tiswarm.engine.places import Places
-from tiswarm.engine.stepping import RelaxState, Stepper
-from tiswarm.engine.swarm import Swarm
+from tiswarm.engine.stepping import Places, RelaxState, Stepper, Swarm
 
 SMALL = 2_000
 """Most robots of a structure that one thread relaxes by itself, without a pause."""
@@ -53,7 +51,7 @@ class RelaxResult:
     docks D / 2 from touching, connected or not, where that is larger."""
 
 
-@program.exclusive()
+@backend.exclusive()
 def relax(
     position: ArrayLike,
     orientation_wxyz: ArrayLike,
@@ -140,7 +138,7 @@ class PreparedSwarm:
     state: RelaxState
     """The robots after the last call."""
 
-    @program.exclusive()
+    @backend.exclusive()
     def __init__(
         self,
         position: ArrayLike,
@@ -197,7 +195,7 @@ class PreparedSwarm:
             )
         return places
 
-    @program.exclusive()
+    @backend.exclusive()
     def relax(
         self,
         *,

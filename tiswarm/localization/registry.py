@@ -11,7 +11,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.parts import load
 from tiswarm.base.progress import Advance, by_share, ignore
-from tiswarm.compute import backend, program
+from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.measurements.observability import observability
@@ -131,7 +131,7 @@ def localize(
     return estimate
 
 
-@program.exclusive()
+@backend.exclusive()
 def localize_many(
     logs: Sequence[SensingLog],
     params: Sequence[LocalizationParams],

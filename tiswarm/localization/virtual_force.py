@@ -22,9 +22,9 @@ from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load
 from tiswarm.base.progress import ignore
-from tiswarm.compute import backend, program
-from tiswarm.compute.cell_kernels import CellList
+from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
+from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import BackPropagation, LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force_arrays import (
@@ -276,7 +276,7 @@ class Localizer:
             **self._head.source_arrays(),
         )
 
-    @program.exclusive()
+    @backend.exclusive()
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""
         count, every = self._count, self._params.iterations

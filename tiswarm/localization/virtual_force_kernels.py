@@ -4,9 +4,9 @@ Structures are independent and run in parallel; within one, robots follow each o
 Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 """
 
-from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link, relink
 from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import vector_at, vector_in
+from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link, relink
 from tiswarm.engine.kernels import capped, dock_pair_force, parting
 from tiswarm.localization.virtual_force_arrays import (
     ALL_DOCKS,

@@ -37,8 +37,7 @@ from tiswarm.scenario.validation import (
 )
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
-from tiswarm.world.anchors import anchor_fault
-from tiswarm.world.params import StructureParams
+from tiswarm.world.params import StructureParams, anchor_fault
 
 _SWEEP_SECTIONS = ("robots", "precision", "robot", "structure", "sensing", "localization")
 _SLUG = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,98}[A-Za-z0-9_-])?")

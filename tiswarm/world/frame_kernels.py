@@ -1,10 +1,294 @@
-"""Frames: how a kernel finds the forces in structures of beams at rest."""
+"""Frames: how a kernel finds the forces in structures of beams at rest.
+
+It solves a sparse system of 6 x 6 blocks by elimination over a graph. Nodes of 6 unknowns are
+eliminated one after the other, always one of the fewest neighbors that are left (minimum degree).
+With K the matrix of those that are left, C C' = K_kk the Cholesky factorization of the pivot's
+block, and a and b neighbors of k,
+
+    Z_a = C^-1 K_ka,    y = C^-1 f_k,    K_ab -= Z_a' Z_b,    f_a -= Z_a' y,
+
+which joins all neighbors of k to each other. Then, in reverse, u_k = C^-T (y - sum_a Z_a u_a).
+A matrix that is not positive definite gives NaN (George and Liu, Computer Solution of Large Sparse
+Positive Definite Systems, 1981).
+"""
 
 from typing import NamedTuple
 
 from tiswarm.compute.lang import F64, GRAIN, I32, Ints1, Ints3, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import vector_in
-from tiswarm.world.elimination_kernels import EliminationArrays, clear, edge_between, solve
+
+
+class EliminationArrays(NamedTuple):
+    """S systems with room for M nodes and L blocks: those of the nodes, then those of edges."""
+
+    node: Ints3
+    """Shape (S, M, NODE_COLUMNS); columns:
+
+    FIRST: First half-edge of the node.
+    DEGREE: Its neighbors that are left.
+    LEFT, RIGHT: Nodes before and after it in the list of those of its degree, or -1.
+    MARKED_BY: Node that marked it as a neighbor last, or -1.
+    MARK: Half-edge by which it did.
+    """
+
+    order: Ints3
+    """Lists, whose rows are no nodes, shape (S, M + 1, ORDER_COLUMNS); columns:
+
+    LEAST: First node of the list of those with as many neighbors as the row says, or -1.
+    PIVOT: Node that was eliminated in the step that the row says.
+    NEAR: Half-edges to the neighbors of the pivot, one a row.
+    """
+
+    half: Ints3
+    """Half-edges, shape (S, 2 L, HALF_COLUMNS); the edge with block e has 2 e and 2 e + 1. Columns:
+
+    NEXT: Next half-edge of its node, or -1.
+    OTHER: Node at the other end.
+    """
+
+    block_count: Ints1
+    """Blocks that the elimination needed so far; it stops where they exceed L, shape (S,)."""
+
+    block: Reals3
+    """Row by row: K_aa, then C; K_ab, a < b, then Z, shape (S, L, 36)."""
+
+    motion: Reals3
+    """f of each node; then u, shape (S, M, 6)."""
+
+
+_FIRST, _DEGREE, _LEFT, _RIGHT, _MARKED_BY, _MARK = range(6)
+_LEAST, _PIVOT, _NEAR = range(3)
+_NEXT, _OTHER = range(2)
+NODE_COLUMNS, ORDER_COLUMNS, HALF_COLUMNS = 6, 3, 2
+
+
+@ti.func
+def clear(work: Ref, s, nodes):
+    """Start a system of so many nodes that nothing joins; `motion` is left as it is."""
+    work.block_count[s] = nodes
+    for a in range(nodes):
+        work.node[s, a, _FIRST] = -1
+        work.node[s, a, _DEGREE] = 0
+        work.node[s, a, _MARKED_BY] = -1
+        for c in range(36):
+            work.block[s, a, c] = 0.0
+
+
+@ti.func
+def edge_between(work: Ref, s, a, b):
+    """Find the block of the edge between two nodes, or add it; return -1 without room."""
+    half = work.node[s, a, _FIRST]
+    while half >= 0 and work.half[s, half, _OTHER] != b:
+        half = work.half[s, half, _NEXT]
+    if half < 0:
+        half = _add_edge(work, s, a, b)
+    return half // 2 if half >= 0 else -1
+
+
+@ti.func
+def _add_edge(work: Ref, s, a, b):
+    """Join two nodes; return the half-edge of `a`, or -1 without room."""
+    edge = work.block_count[s]
+    work.block_count[s] += 1
+    half = -1
+    if edge < work.block.shape[1]:
+        half = 2 * edge
+        for c in range(36):
+            work.block[s, edge, c] = 0.0
+        work.half[s, half, _OTHER] = b
+        work.half[s, half, _NEXT] = work.node[s, a, _FIRST]
+        work.node[s, a, _FIRST] = half
+        work.half[s, half + 1, _OTHER] = a
+        work.half[s, half + 1, _NEXT] = work.node[s, b, _FIRST]
+        work.node[s, b, _FIRST] = half + 1
+        work.node[s, a, _DEGREE] += 1
+        work.node[s, b, _DEGREE] += 1
+    return half
+
+
+@ti.func
+def _enter(work: Ref, s, a):
+    """Put a node in front of those of its degree."""
+    node = ti.static(work.node)
+    degree = node[s, a, _DEGREE]
+    first = work.order[s, degree, _LEAST]
+    node[s, a, _LEFT] = -1
+    node[s, a, _RIGHT] = first
+    if first >= 0:
+        node[s, first, _LEFT] = a
+    work.order[s, degree, _LEAST] = a
+
+
+@ti.func
+def _leave(work: Ref, s, a, degree):
+    """Take a node out from those of a degree."""
+    node = ti.static(work.node)
+    left, right = node[s, a, _LEFT], node[s, a, _RIGHT]
+    if left >= 0:
+        node[s, left, _RIGHT] = right
+    else:
+        work.order[s, degree, _LEAST] = right
+    if right >= 0:
+        node[s, right, _LEFT] = left
+
+
+@ti.func
+def _eliminate(work: Ref, s, k):
+    """Eliminate node `k`: C replaces its block, y its load in `motion`, and Z_a those of edges.
+
+    Returns:
+        Its neighbors; `order` lists the half-edges to them.
+    """
+    # C C' = K_kk: C_ij = (K_ij - sum_c C_ic C_jc) / C_jj, or the square root of that for i = j
+    for j in range(6):
+        for i in range(j, 6):
+            value = work.block[s, k, 6 * i + j]
+            for c in range(j):
+                value -= work.block[s, k, 6 * i + c] * work.block[s, k, 6 * j + c]
+            if i > j:
+                value /= work.block[s, k, 7 * j]
+            else:
+                # NaN also where rounding makes a pivot 0.
+                value = ti.sqrt(value) if value > 0.0 else ti.math.nan
+            work.block[s, k, 6 * i + j] = value
+    # y = C^-1 f_k, row by row
+    for i in range(6):
+        value = work.motion[s, k, i]
+        for c in range(i):
+            value -= work.block[s, k, 6 * i + c] * work.motion[s, k, c]
+        work.motion[s, k, i] = value / work.block[s, k, 7 * i]
+    near = 0
+    half = work.node[s, k, _FIRST]
+    while half >= 0:
+        work.order[s, near, _NEAR] = half
+        near += 1
+        a, edge = work.half[s, half, _OTHER], half // 2
+        _leave(work, s, a, work.node[s, a, _DEGREE])
+        work.node[s, a, _DEGREE] -= 1
+        _forward(work, s, k, a, edge)
+        half = work.half[s, half, _NEXT]
+    return near
+
+
+@ti.func
+def _forward(work: Ref, s, k, a, edge):
+    """Replace K_ka by Z_a, and subtract Z_a' y."""
+    # The block is that of the lower number, K_ak = K_ka' where that is a.
+    if a < k:
+        for i in range(6):
+            for j in range(i):
+                upper, lower = work.block[s, edge, 6 * j + i], work.block[s, edge, 6 * i + j]
+                work.block[s, edge, 6 * i + j] = upper
+                work.block[s, edge, 6 * j + i] = lower
+    # Z_a = C^-1 K_ka, row by row, and f_a -= Z_a' y
+    for i in range(6):
+        row = ti.Vector([work.block[s, edge, 6 * i + j] for j in range(6)])
+        for c in range(i):
+            row -= work.block[s, k, 6 * i + c] * ti.Vector(
+                [work.block[s, edge, 6 * c + j] for j in range(6)]
+            )
+        row /= work.block[s, k, 7 * i]
+        for j in ti.static(range(6)):
+            work.block[s, edge, 6 * i + j] = row[j]
+            work.motion[s, a, j] -= row[j] * work.motion[s, k, i]
+
+
+@ti.func
+def _subtract(block: Ref, s, target, one, other):
+    """Subtract Z_one' Z_other from a block."""
+    for i in range(6):
+        row = ti.Vector([block[s, target, 6 * i + j] for j in range(6)])
+        for c in ti.static(range(6)):
+            factor = block[s, one, 6 * c + i]
+            row -= factor * ti.Vector([block[s, other, 6 * c + j] for j in range(6)])
+        for j in ti.static(range(6)):
+            block[s, target, 6 * i + j] = row[j]
+
+
+@ti.func
+def _join_neighbors(work: Ref, s, k, near):
+    """Subtract Z_a' Z_b for all pairs of neighbors of `k`, each with itself too."""
+    for n in range(near):
+        from_k = work.order[s, n, _NEAR]
+        a = work.half[s, from_k, _OTHER]
+        # Mark the neighbors of `a`, and drop `k` from them.
+        before = -1
+        half = work.node[s, a, _FIRST]
+        while half >= 0:
+            other, following = work.half[s, half, _OTHER], work.half[s, half, _NEXT]
+            if other != k:
+                work.node[s, other, _MARKED_BY] = a
+                work.node[s, other, _MARK] = half
+                before = half
+            elif before < 0:
+                work.node[s, a, _FIRST] = following
+            else:
+                work.half[s, before, _NEXT] = following
+            half = following
+        for m in range(near):
+            to_b = work.order[s, m, _NEAR]
+            b = work.half[s, to_b, _OTHER]
+            if a <= b:
+                half = work.node[s, b, _MARK]
+                if a == b:
+                    half = 2 * a
+                elif work.node[s, b, _MARKED_BY] != a:
+                    half = _add_edge(work, s, a, b)
+                # K_ab -= Z_a' Z_b
+                if half >= 0:
+                    _subtract(work.block, s, half // 2, from_k // 2, to_b // 2)
+
+
+@ti.func
+def _back(work: Ref, s, k):
+    """Find the motion of `k` from those that were eliminated later."""
+    # y - sum_a Z_a u_a
+    rest = ti.Vector([work.motion[s, k, i] for i in range(6)])
+    half = work.node[s, k, _FIRST]
+    while half >= 0:
+        a, edge = work.half[s, half, _OTHER], half // 2
+        for j in range(6):
+            moved = work.motion[s, a, j]
+            rest -= moved * ti.Vector([work.block[s, edge, 6 * i + j] for i in range(6)])
+        half = work.half[s, half, _NEXT]
+    for c in ti.static(range(6)):
+        work.motion[s, k, c] = rest[c]
+    # u_k = C^-T of that, from the last row to the first
+    for back in range(6):
+        i = 5 - back
+        value = work.motion[s, k, i]
+        for c in range(i + 1, 6):
+            value -= work.block[s, k, 6 * c + i] * work.motion[s, k, c]
+        work.motion[s, k, i] = value / work.block[s, k, 7 * i]
+
+
+@ti.func
+def solve(work: Ref, s, nodes):
+    """Solve a system; return whether there was room for the edges."""
+    for degree in range(nodes + 1):
+        work.order[s, degree, _LEAST] = -1
+    for a in range(nodes):
+        _enter(work, s, a)
+    least = 0
+    for step in range(nodes):
+        if work.block_count[s] <= work.block.shape[1]:
+            while work.order[s, least, _LEAST] < 0:
+                least += 1
+            k = work.order[s, least, _LEAST]
+            work.order[s, step, _PIVOT] = k
+            _leave(work, s, k, least)
+            near = _eliminate(work, s, k)
+            _join_neighbors(work, s, k, near)
+            for n in range(near):
+                _enter(work, s, work.half[s, work.order[s, n, _NEAR], _OTHER])
+            # Neighbors lose no more than the pivot, so that the least degree falls by one at most.
+            least = ti.max(least - 1, 0)
+    has_room = work.block_count[s] <= work.block.shape[1]
+    if has_room:
+        for step in range(nodes):
+            _back(work, s, work.order[s, nodes - 1 - step, _PIVOT])
+    return has_room
+
 
 NODE_A, NODE_B, DOCK_A, DOCK_B = range(4)
 """Columns of a beam: nodes that its ends move with, and docks that it joins, if it is a contact."""

@@ -21,15 +21,13 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.compute import backend, program
-from tiswarm.compute.cell_kernels import CellList
+from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets, uniform
-from tiswarm.world.anchors import anchor_places
-from tiswarm.world.climb_arrays import BelievedDocks, StructureArrays
+from tiswarm.compute.neighbor_kernels import CellList
+from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_docks
 from tiswarm.world.history import History, LoadSummary, Walk
-from tiswarm.world.join_kernels import list_docks
 from tiswarm.world.mechanics import Frames, StructureFailure
-from tiswarm.world.params import RecruitParams, StructureParams
+from tiswarm.world.params import RecruitParams, StructureParams, anchor_places
 from tiswarm.world.walks import Spawn, Walks, climb_limits
 
 _MAX_TRIES = 64
@@ -40,7 +38,7 @@ Believe = Callable[[Sequence[History]], Sequence[Reals]]
 each; dock k of robot i is in row n i + k."""
 
 
-@program.exclusive()
+@backend.exclusive()
 def grow(
     params: StructureParams,
     *,

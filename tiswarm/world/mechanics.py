@@ -31,18 +31,16 @@ from pydantic.dataclasses import dataclass as parameters
 
 from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.params import STRICT
-from tiswarm.compute import backend, program
-from tiswarm.world.elimination_kernels import (
-    HALF_COLUMNS,
-    NODE_COLUMNS,
-    ORDER_COLUMNS,
-    EliminationArrays,
-)
+from tiswarm.compute import backend
 from tiswarm.world.frame_kernels import (
     DOCK_A,
     DOCK_B,
     GROUND,
+    HALF_COLUMNS,
     NO_DOCK,
+    NODE_COLUMNS,
+    ORDER_COLUMNS,
+    EliminationArrays,
     FrameArrays,
     LoadArrays,
     find_loads,
@@ -272,7 +270,7 @@ class Frames:
         frame.stiffness[of, place] = stiff[order].reshape(-1, 144)
         np.add.at(count, of, 1)
 
-    @program.exclusive()
+    @backend.exclusive()
     def solve(self, structures: Sequence[int]) -> None:
         """Find the forces at rest under the own weight of some structures."""
         self._admit()

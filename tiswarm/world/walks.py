@@ -11,8 +11,8 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import TiswarmError
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
-from tiswarm.world import flip_kernels
-from tiswarm.world.climb_arrays import (
+from tiswarm.world import climb_kernels
+from tiswarm.world.climb_kernels import (
     EDGE,
     FLAT,
     MAX_TOUCHING,
@@ -21,9 +21,9 @@ from tiswarm.world.climb_arrays import (
     ClimbLimits,
     StructureArrays,
     WalkArrays,
+    join_undisturbed,
 )
 from tiswarm.world.history import Walk
-from tiswarm.world.join_kernels import join_undisturbed
 from tiswarm.world.params import ClimbParams
 
 _Slots = NDArray[np.int32]
@@ -131,11 +131,11 @@ class Walks:
         """Let the robots in the slots `movers` walk on from their first stance."""
         cells, *docks = structures
         believed_cells, believed_dock = believed
-        flip_kernels.climb(
+        climb_kernels.climb(
             self.limits, movers, self.state, self.planned, self.failed, *cells, *docks,
             *believed_cells, believed_dock, *self.climbers, *self.stances,
         )  # fmt: skip
-        if (self.state[movers] == flip_kernels.SCRATCH_FULL).any():
+        if (self.state[movers] == climb_kernels.SCRATCH_FULL).any():
             raise TiswarmError(
                 "more docks than fit stand within one flip of a robot: the structure overlaps"
             )
@@ -186,5 +186,5 @@ class Walks:
             edge_docks=np.argwhere(on_ground == EDGE).astype(np.int32),
             planned_robot=planned // self.docks,  # and GROUND, -1, stays what it is
             failed_flips=self.failed[slot, : last + 1].copy(),
-            recruited=bool(self.state[slot] == flip_kernels.RECRUITED),
+            recruited=bool(self.state[slot] == climb_kernels.RECRUITED),
         )

@@ -18,13 +18,13 @@ from tiswarm.compute.lang import (
     ti,
 )  # fmt: skip
 from tiswarm.compute.neighbor_kernels import (
+    Cells,
     ConnectedDocks,
     Rows,
     begin_structure,
     fits,
     list_structure,
 )
-from tiswarm.compute.sorting_kernels import Cells
 from tiswarm.localization.joint.arrays import (
     AGE,
     IS_THIN,

@@ -15,7 +15,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.compute import backend, program
+from tiswarm.compute import backend
 from tiswarm.localization.assessment import Assessment, assess, rms
 from tiswarm.localization.cost.neighborhood import Block, Neighborhood, block_of
 from tiswarm.localization.joint.problem import chosen_rows, pose_problem
@@ -126,7 +126,7 @@ class Tracker:
         """Names of the robots that have left, in join order, shape (G,)."""
         return self.names[sorted(self._layers.gone)]
 
-    @program.exclusive()
+    @backend.exclusive()
     def take(self, line: Line) -> Change:
         """Take the next line of a sensing file: a robot that joins, or an event.
 
@@ -140,7 +140,7 @@ class Tracker:
             return self.release(entry.robot, entry.contacts)
         return self._updated(entry) if entry.event == "replace" else self._joined(entry)
 
-    @program.exclusive()
+    @backend.exclusive()
     def join(self, robot: Line) -> Change:
         """Add the next robot; the first one is the anchor.
 
@@ -153,7 +153,7 @@ class Tracker:
         """
         return self._joined(parse_robot(line_text(robot)))
 
-    @program.exclusive()
+    @backend.exclusive()
     def update(self, robot: Line) -> Change:
         """Replace the line of a robot that has joined, as after it has sensed more.
 
@@ -165,7 +165,7 @@ class Tracker:
         """
         return self._updated(parse_robot(line_text(robot)))
 
-    @program.exclusive()
+    @backend.exclusive()
     def leave(self, robot: int) -> Change:
         """Mark a robot as gone. What was sensed of it stays; later robots may stand in its place.
 
@@ -179,7 +179,7 @@ class Tracker:
         self._layers.gone.add(self._index[robot])
         return self._change(self._layers.mean, annealed=False)
 
-    @program.exclusive()
+    @backend.exclusive()
     def release(self, robot: int, contacts: Sequence[tuple[int | None, int, int | None]]) -> Change:
         """Drop contacts that a robot has let go of.
 
@@ -206,7 +206,7 @@ class Tracker:
         """Gather the cost of some robots, ascending by join order, all others where they are."""
         return self._layers.neighborhood(robots)
 
-    @program.exclusive()
+    @backend.exclusive()
     def estimate(self, *, final: bool = False) -> Estimate:
         """Return the estimate of all robots, with verdicts.
 

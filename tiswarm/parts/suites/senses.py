@@ -93,8 +93,8 @@ def in_sight(history: History, views: Views) -> Bools:
     """
     if not len(views.robot):
         return np.empty(0, np.bool_)
-    from tiswarm.compute import backend, program  # noqa: PLC0415 - slow to import
-    from tiswarm.compute.cell_kernels import CellList  # noqa: PLC0415
+    from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
+    from tiswarm.compute.neighbor_kernels import CellList  # noqa: PLC0415
     from tiswarm.parts.suites.sight_kernels import Segments, SightLimits, find_blocked  # noqa: PLC0415
 
     radius = history.robot.dock_radius
@@ -110,7 +110,7 @@ def in_sight(history: History, views: Views) -> Bools:
     near = _near_part(views, dock.min(axis=0) - reach, dock.max(axis=0) + reach)
     robots = np.column_stack([views.joined, views.robot, views.other]).astype(np.int32)
     blocked = np.empty(len(robots), np.int32)
-    with program.exclusive():
+    with backend.exclusive():
         backend.processor()
         find_blocked(
             limits, dock, *Segments(views.start, views.end, near, robots),

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
 from tiswarm.compute.lang import F64, I32, Ints1, Ints2, Reals2, Ref, kernel_struct, ti
 from tiswarm.compute.math_kernels import vector_at
+from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
 
 
 @kernel_struct

@@ -308,7 +308,7 @@ def _open3d_tracer(scene: Scene) -> Trace:
 
 def taichi_tracer(scene: Scene) -> Trace:
     """Prepare a kernel that intersects each ray with the capsules of its tile."""
-    from tiswarm.compute import backend, program  # noqa: PLC0415 - slow to import
+    from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
     from tiswarm.report.render.kernels import FAR, trace_capsules  # noqa: PLC0415 - slow to import
 
     camera = scene.camera
@@ -322,7 +322,7 @@ def taichi_tracer(scene: Scene) -> Trace:
 
     def trace(pixels: Array32, _direction: Array32) -> tuple[Array32, Ints]:
         depth, seen = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.int32)
-        with program.exclusive():
+        with backend.exclusive():
             backend.processor()
             trace_capsules(
                 np.ascontiguousarray(pixels), lens, tile_start, tile_item, *capsules, depth, seen

@@ -1,0 +1,779 @@
+"""Walks: how robots climb a structure that stands still meanwhile, flip by flip, and then join it.
+
+A flip turns a robot about an axis through one of its attached docks (the pivot), at right
+angles to the line from that dock to the robot's center, until another dock first touches
+something: another dock, flat ground, a rounded edge. It is planned by where the robot believes
+docks are, and ends by where they are; where robots know, both are the same.
+
+A dock that turns about a pivot by the angle t has, along any fixed direction, a coordinate of
+the form a cos t + b sin t + c. Against a dock at w from the pivot the direction is w, against
+flat ground it is straight down; both ask where a cos t + b sin t first rises through a level,
+which has a closed form. At a rounded edge the squared distance to its axis is followed in
+steps that cannot jump over a contact.
+
+Robots that climbed at the same time join in turn. Lengths in R, angles in rad, all in float64.
+"""
+
+from typing import NamedTuple
+
+from tiswarm.compute.lang import (  # fmt: skip  # fmt: skip
+    F64,
+    GRAIN,
+    I32,
+    Ints1,
+    Ints2,
+    Ints3,
+    Ints4,
+    Reals2,
+    Reals3,
+    Ref,
+    Vec3,
+    Vec4,
+    kernel_struct,
+    ti,
+)
+from tiswarm.compute.math_kernels import (  # fmt: skip
+    axis_rotation,
+    quaternion_at,
+    quaternion_product,
+    rotate,
+    vector_at,
+    vector_in,
+)
+from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
+
+FLAT, EDGE = 1, 2
+"""Ground that a dock stands on; 0 for none."""
+MAX_TOUCHING = 12
+"""No more unit spheres than this can touch one (the kissing number)."""
+
+
+@kernel_struct
+class ClimbLimits:
+    """Numbers that do not change during a climb; see `ClimbParams` and `Terrain`."""
+
+    spacing: F64
+    contact_gap: F64
+    ground_z: F64
+    left_edge: F64
+    right_edge: F64
+    min_flip: F64
+    max_flip: F64
+    revisit_distance: F64
+    full_turn: F64
+    reach: F64
+    inverse_edge: F64
+    twists: I32
+    is_planar: I32
+    by_belief: I32
+
+
+class StructureArrays(NamedTuple):
+    """S structures with room for N robots of n docks each; n i + k is dock k of robot i."""
+
+    cells: CellList
+    """The joined docks by place."""
+
+    dock: Reals3
+    """Dock centers [R]; rows of robots that have not joined are meaningless, (S, n N, 3)."""
+
+    relay: Ints2
+    """Call that each dock passes on; a robot that touches a positive one is recruited, (S, n N)."""
+
+    robot_count: Ints1
+    """Robots that have joined, shape (S,)."""
+
+
+class BelievedDocks(NamedTuple):
+    """The joined docks where robots believe them; those of `StructureArrays` if they know."""
+
+    cells: CellList
+    """The docks by believed place."""
+
+    dock: Reals3
+    """Dock centers [R], shape (S, n N, 3)."""
+
+
+class Climbers(NamedTuple):
+    """Robots that climb at the same time, one slot each."""
+
+    structure: Ints1
+    """Structure that each slot's robots climb, ascending, shape (slots,)."""
+
+    first_stance: Ints1
+    """Stance to go on from; those before it are kept, shape (slots,)."""
+
+    goal: Reals2
+    """Goal of each [R], shape (slots, 3)."""
+
+    patience: Ints1
+    """Steps in a row without a new best with which each gives up; 0 to stay where it starts."""
+
+    settles: Ints1
+    """Whether each turns, where it stays, until a third dock touches."""
+
+    dock_offset_body: Reals2
+    """Center to dock in the body frame [R], shape (n, 3)."""
+
+    near: Reals3
+    """Scratch: vectors from the pivot to docks in reach, as believed, shape (slots, near, 3)."""
+
+    obstacle: Reals3
+    """Scratch: the same as they are, for robots that do not know, shape (slots, near, 3)."""
+
+
+class WalkArrays(NamedTuple):
+    """Stances of the climbers' walks, by slot."""
+
+    center: Reals3
+    """Centers [R], shape (slots, stances, 3)."""
+
+    orientation: Reals3
+    """Body to world, wxyz, shape (slots, stances, 4)."""
+
+    pivot_dock: Ints2
+    """Dock that stays put as the robot leaves a stance, shape (slots, stances)."""
+
+    touching: Ints4
+    """Docks of the structure that each dock touches, or -1, (slots, stances, n, MAX_TOUCHING)."""
+
+    on_ground: Ints3
+    """0, FLAT or EDGE, shape (slots, stances, n)."""
+
+    last: Ints1
+    """Last stance of each walk, shape (slots,)."""
+
+    best: Ints1
+    """Best stance of each walk, shape (slots,)."""
+
+    stay: Ints1
+    """Stance where each robot stays, settled or not, shape (slots,)."""
+
+
+_SETTLED_RISE = 1e-12
+"""A dock whose coordinate swings by less than this [R] slides along: it never enters."""
+_RESTING_ANGLE = 1e-7
+"""A contact met this little before the start of a turn is the one the dock rests on [rad]."""
+_RESTING_GAP = 1e-10
+"""Squared distances to an edge this close to contact are contact [R^2]."""
+_MET = 1e-13
+"""Largest step that counts as arrival at the edge [rad]."""
+_NUDGE = 1e-3
+"""Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
+_MAX_STEPS = 500
+"""Most steps along an edge; 10 to 40 are usual."""
+
+
+@ti.func
+def _ahead(angle, full_turn):
+    """Wrap an angle to [0, a full turn); an angle just behind 0 is the contact it rests on."""
+    wrapped = angle - full_turn * ti.floor(angle / full_turn)
+    return ti.select(wrapped > full_turn - _RESTING_ANGLE, 0.0, wrapped)
+
+
+@ti.func
+def crossing_angles(a, b, level, full_turn):
+    """Find where a cos t + b sin t first rises through `level`, turning forward and backward.
+
+    Returns a full turn where it never does. Rising means entering: the obstacle lies above the
+    level. A dock above the level all the way round touches at its lowest point, where it starts,
+    and cannot turn.
+    """
+    angles = ti.Vector([full_turn, full_turn])
+    swing = ti.sqrt(a * a + b * b)
+    if swing <= -level and swing > _SETTLED_RISE:
+        angles = ti.Vector([0.0, 0.0])
+    elif swing > level and swing > _SETTLED_RISE:
+        peak = ti.atan2(b, a)
+        half_width = ti.acos(level / swing)
+        angles[0] = _ahead(peak - half_width, full_turn)
+        angles[1] = _ahead(-peak - half_width, full_turn)
+    return angles
+
+
+@ti.func
+def _edge_angle(middle, across, onward, edge, side, limits):
+    """Find the turn after which a dock first meets a slab with a rounded edge, or a full turn.
+
+    The slab ends at `edge`, on its right for a `side` of 1, else -1 on its left.
+    The dock is at middle + across cos t + onward sin t. Its squared distance to the slab's
+    spine less D^2, g(t), is smooth with |g''| <= m, so up to the root of
+    g + g' h - m h^2 / 2 nothing can be met.
+    """
+    depth = 0.5 * limits.spacing
+    height = middle[2] - (limits.ground_z - depth)
+    swing_x = ti.sqrt(across[0] * across[0] + onward[0] * onward[0])
+    swing_z = ti.sqrt(across[2] * across[2] + onward[2] * onward[2])
+    reach_x = ti.max(side * (middle[0] - edge) + swing_x, 0.0)
+    bend = 2.0 * (swing_x * (swing_x + reach_x) + swing_z * (swing_z + ti.abs(height) + swing_z))
+    met = limits.full_turn
+    t = 0.0 * height
+    steps = 0
+    if swing_z < _SETTLED_RISE and ti.abs(height) > limits.spacing - _RESTING_GAP:
+        t = limits.full_turn  # it slides along the flat and never enters
+    # Each step ends before anything can be met: no contact is jumped over.
+    while t < limits.full_turn and steps < _MAX_STEPS:
+        steps += 1
+        c = ti.cos(t)
+        s = ti.sin(t)
+        out = ti.max(side * (middle[0] + across[0] * c + onward[0] * s - edge), 0.0)
+        up = height + across[2] * c + onward[2] * s
+        gap = out * out + up * up - limits.spacing * limits.spacing
+        slope = 2.0 * side * out * (onward[0] * c - across[0] * s)
+        slope += 2.0 * up * (onward[2] * c - across[2] * s)
+        if gap < _RESTING_GAP and t == 0.0 and slope > -_RESTING_GAP:
+            gap = 0.0
+            t = ti.max(slope / bend, _NUDGE)
+        else:
+            room = slope * slope + 2.0 * bend * gap
+            step = (slope + ti.sqrt(ti.max(room, 0.0))) / bend
+            if step < _MET:
+                met = t
+                break
+            t += step
+    return ti.min(met, limits.full_turn)
+
+
+@ti.func
+def slab_angles(middle, across, onward, edge, side, limits):
+    """Find the angles, forward and backward, at which a dock first meets a slab."""
+    angles = ti.Vector([limits.full_turn, limits.full_turn])
+    swing_x = ti.sqrt(across[0] * across[0] + onward[0] * onward[0])
+    swing_z = ti.sqrt(across[2] * across[2] + onward[2] * onward[2])
+    top = limits.ground_z + 0.5 * limits.spacing
+    if middle[2] - swing_z < top + _RESTING_GAP:
+        inland = side * (middle[0] - edge) + swing_x <= 0.0
+        if inland and middle[2] > limits.ground_z:
+            angles = crossing_angles(-across[2], -onward[2], middle[2] - top, limits.full_turn)
+        elif side * (middle[0] - edge) - swing_x < limits.spacing:
+            angles[0] = _edge_angle(middle, across, onward, edge, side, limits)
+            angles[1] = _edge_angle(middle, across, -onward, edge, side, limits)
+    return angles
+
+
+@ti.func
+def contact_angles(limits: Ref, arm, axis, pivot, near: Ref, mover, near_count):
+    """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped."""
+    along = arm.dot(axis)
+    across = arm - along * axis
+    onward = axis.cross(arm)
+    middle = pivot + along * axis
+    first = slab_angles(middle, across, onward, limits.left_edge, 1.0, limits)
+    first = ti.min(first, slab_angles(middle, across, onward, limits.right_edge, -1.0, limits))
+    for k in range(near_count):
+        to_other = vector_in(near, mover, k)
+        level = 0.5 * (arm.norm_sqr() + to_other.norm_sqr() - limits.spacing * limits.spacing)
+        level -= along * to_other.dot(axis)
+        met = crossing_angles(to_other.dot(across), to_other.dot(onward), level, limits.full_turn)
+        first = ti.min(first, met)
+    return first
+
+
+_ALONG = 1e-6
+"""Squared sine of the angle below which a dock counts as on the z axis of the body."""
+GROUND = -1
+"""What a flip is planned to end at if that is no dock."""
+
+
+@kernel_struct
+class Flip:
+    """A flip that could be taken, and how many fail that the robot tries before."""
+
+    distance: F64
+    center: Vec3
+    orientation: Vec4
+    planned: Vec4
+    pivot: I32
+    overflow: I32
+    failed: I32
+
+
+@ti.func
+def gather_near(limits: Ref, docks: Ref, s, pivot, near: Ref, mover):
+    """List the vectors from `pivot` to docks in reach, true or believed; return how many."""
+    count = 0
+    cube = cube_of(pivot, limits.inverse_edge)
+    for which in range(27):
+        item = first_item(docks.cells, s, cube, which)
+        while item >= 0:
+            offset = vector_in(docks.dock, s, item) - pivot
+            if offset.norm_sqr() < limits.reach * limits.reach:
+                if count < near.shape[1]:
+                    for c in ti.static(range(3)):
+                        near[mover, count, c] = offset[c]
+                count += 1
+            item = docks.cells.following[s, item]
+    return count
+
+
+@ti.func
+def _revisits(limits: Ref, walks: Ref, mover, stance, point):
+    """Whether the walk up to `stance` has had its center at `point` before."""
+    seen = False
+    for earlier in range(stance + 1):
+        offset = point - vector_in(walks.center, mover, earlier)
+        seen = seen or offset.norm() < limits.revisit_distance
+    return seen
+
+
+@ti.func
+def _across(arm):
+    """Find the unit vector across `arm` nearest to the body's z axis, or x for an arm along z."""
+    size = arm.norm_sqr()
+    across = ti.Vector([0.0, 0.0, 1.0]) - arm[2] / size * arm
+    if across.norm_sqr() < _ALONG:
+        across = ti.Vector([1.0, 0.0, 0.0]) - arm[0] / size * arm
+    return across.normalized()
+
+
+@ti.func
+def misplaced(limits: Ref, structures: Ref, believed: Ref, s, walks: Ref, mover, stance, k):
+    """Find the vector from where a robot's dock `k` is to where the robot believes it.
+
+    A robot takes its place from a dock that it touches: with dock `k`, else with another, else at
+    the last stance where it touched one. Until then it knows its place.
+    """
+    by = ti.Vector([0.0, 0.0, 0.0], F64)
+    if limits.by_belief:
+        docks = walks.touching.shape[2]
+        found = False
+        at = stance
+        while at >= 0 and not found:
+            for step in range(docks):
+                item = walks.touching[mover, at, (k + step) % docks, 0]
+                if item >= 0 and not found:
+                    by = vector_in(believed.dock, s, item) - vector_in(structures.dock, s, item)
+                    found = True
+            at -= 1
+    return by
+
+
+@ti.func
+def _first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count):
+    """Find the angles, forward and backward, at which a turn about dock `k` meets something."""
+    first = ti.Vector([limits.full_turn, limits.full_turn])
+    for step in range(1, body.shape[0]):
+        arm = rotate(q, vector_at(body, (k + step) % body.shape[0]) - vector_at(body, k))
+        first = ti.min(first, contact_angles(limits, arm, axis, pivot, near, mover, count))
+    return first
+
+
+@ti.func
+def nearest_flip(
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k, least
+):
+    """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
+
+    A flip ends where it truly meets something. One that meets nothing, or what the robot has
+    been at before, fails, and the robot tries its next best. Flips are counted that fail and were
+    to end nearer to the goal than `least` [R].
+    """
+    s = climbers.structure[mover]
+    body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
+    here = vector_in(walks.center, mover, stance)
+    q = quaternion_at(walks.orientation, mover, stance)
+    goal = vector_at(climbers.goal, mover)
+    chosen = Flip(
+        distance=ti.math.inf, center=here, orientation=q, planned=q, pivot=-1, overflow=0, failed=0
+    )
+    body_in = vector_at(body, k)
+    to_center = -rotate(q, body_in)
+    pivot = here - to_center
+    by = misplaced(limits, structures, believed, s, walks, mover, stance, k)
+    found = gather_near(limits, believed, s, pivot + by, near, mover)
+    count = ti.min(found, near.shape[1])
+    chosen.overflow = ti.cast(found > count, ti.i32)
+    obstacles = 0
+    if limits.by_belief:
+        obstacles = gather_near(limits, structures, s, pivot, obstacle, mover)
+        chosen.overflow = ti.cast(obstacles > obstacle.shape[1], ti.i32)
+    normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
+    if limits.is_planar:
+        normal = ti.Vector([0.0, 1.0, 0.0])  # exactly, so that y stays 0
+    elif body_in[2] != 0.0:
+        normal = rotate(q, _across(body_in))
+    side = normal.cross(to_center.normalized())
+    for twist in range(limits.twists):
+        turn = 0.5 * limits.full_turn * twist / limits.twists
+        axis = ti.cos(turn) * normal + ti.sin(turn) * side
+        first = _first_met(limits, body, q, k, axis, pivot + by, near, mover, count)
+        truly = first
+        if limits.by_belief:
+            truly = _first_met(limits, body, q, k, axis, pivot, obstacle, mover, obstacles)
+        for way in ti.static(range(2)):
+            angle = first[way]
+            if angle >= limits.min_flip and angle <= limits.max_flip:
+                flip = axis_rotation(axis, (1.0 - 2.0 * way) * angle)
+                planned = quaternion_product(flip, q).normalized()
+                end = pivot - rotate(planned, body_in)
+                distance = (end + by - goal).norm()
+                if distance < chosen.distance and not _revisits(limits, walks, mover, stance, end):
+                    turned = planned
+                    fails = False
+                    if limits.by_belief:
+                        angle = truly[way]
+                        flip = axis_rotation(axis, (1.0 - 2.0 * way) * angle)
+                        turned = quaternion_product(flip, q).normalized()
+                        end = pivot - rotate(turned, body_in)
+                        fails = angle < limits.min_flip or angle > limits.max_flip
+                        fails = fails or _revisits(limits, walks, mover, stance, end)
+                    if fails:
+                        chosen.failed += ti.cast(distance < least, ti.i32)
+                    else:
+                        chosen.distance = distance
+                        chosen.center = end
+                        chosen.orientation = turned
+                        chosen.planned = planned
+                        chosen.pivot = k
+    return chosen
+
+
+@ti.func
+def planned_dock(limits: Ref, believed: Ref, body: Ref, s, pivot, planned, k):
+    """Find a believed dock that a turn about dock `k` to `planned` was to end at, or GROUND."""
+    met = GROUND
+    limit = limits.spacing + limits.contact_gap
+    for step in range(1, body.shape[0]):
+        arm = vector_at(body, (k + step) % body.shape[0]) - vector_at(body, k)
+        point = pivot + rotate(planned, arm)
+        cube = cube_of(point, limits.inverse_edge)
+        for which in range(27):
+            item = first_item(believed.cells, s, cube, which)
+            while item >= 0:
+                if (vector_in(believed.dock, s, item) - point).norm_sqr() < limit * limit:
+                    met = item
+                item = believed.cells.following[s, item]
+    return met
+
+
+_WALKING, _ENDED, RECRUITED, SCRATCH_FULL = range(4)
+"""States of a walk."""
+
+
+@ti.func
+def _ground_kind(point, limits):
+    """Find the ground that a dock at `point` stands on: 0, FLAT or EDGE."""
+    kind = 0
+    depth = 0.5 * limits.spacing
+    up = point[2] - (limits.ground_z - depth)
+    for way in ti.static(range(2)):
+        side = 1.0 - 2.0 * way
+        edge = limits.left_edge if way == 0 else limits.right_edge
+        out = ti.max(side * (point[0] - edge), 0.0)
+        limit = limits.spacing + limits.contact_gap
+        if out * out + up * up < limit * limit:
+            kind = ti.select(out == 0.0 and up > 0.0, FLAT, EDGE)
+    return kind
+
+
+@ti.func
+def _sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k, point):
+    """Record what dock `k` at `point` touches; return whether any of it recruits."""
+    count = 0
+    called = 0
+    limit = limits.spacing + limits.contact_gap
+    for slot in range(MAX_TOUCHING):
+        walks.touching[mover, stance, k, slot] = -1
+    cube = cube_of(point, limits.inverse_edge)
+    for which in range(27):
+        item = first_item(structures.cells, s, cube, which)
+        while item >= 0:
+            if (vector_in(structures.dock, s, item) - point).norm_sqr() < limit * limit:
+                walks.touching[mover, stance, k, count] = item
+                count += 1
+                if structures.relay[s, item] > 0:
+                    called = 1
+            item = structures.cells.following[s, item]
+    walks.on_ground[mover, stance, k] = _ground_kind(point, limits)
+    return called
+
+
+@ti.func
+def _is_attached(walks: Ref, mover, stance, k):
+    """Whether dock `k` touches another dock or the ground."""
+    return walks.touching[mover, stance, k, 0] >= 0 or walks.on_ground[mover, stance, k] != 0
+
+
+@ti.func
+def _move_to(walks: Ref, mover, stance, here, q):
+    for c in ti.static(range(3)):
+        walks.center[mover, stance, c] = here[c]
+    for c in ti.static(range(4)):
+        walks.orientation[mover, stance, c] = q[c]
+
+
+@ti.func
+def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
+    """Let a robot that touches with two docks turn about these until a third touches too.
+
+    It turns the way that takes the smaller angle. The stance it comes to is written behind the
+    last of the walk, with the pivot that leads to it.
+    """
+    s, best = climbers.structure[m], walks.best[m]
+    body, near = ti.static(climbers.dock_offset_body, climbers.near)
+    docks = body.shape[0]
+    free, attached = -1, 0
+    for k in range(docks):
+        if _is_attached(walks, m, best, k):
+            attached += 1
+        else:
+            free = k
+    if free >= 0 and attached == 2:  # noqa: PLR2004 - an axis
+        one, other = -1, -1
+        for step in range(1, docks):
+            k = (free + step) % docks
+            if _is_attached(walks, m, best, k):
+                one, other = ti.select(one < 0, k, one), k
+        q = quaternion_at(walks.orientation, m, best)
+        body_in = vector_at(body, one)
+        across = rotate(q, vector_at(body, other) - body_in)
+        pivot = vector_in(walks.center, m, best) + rotate(q, body_in)
+        axis = across.normalized()
+        count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
+        met = ti.Vector([limits.full_turn, limits.full_turn])
+        for k in range(docks):
+            if k != one and k != other:
+                arm = rotate(q, vector_at(body, k) - body_in)
+                met = ti.min(met, contact_angles(limits, arm, axis, pivot, near, m, count))
+        angle = ti.min(met[0], met[1])
+        if angle <= limits.max_flip:
+            flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
+            turned = quaternion_product(flip, q).normalized()
+            end = pivot - rotate(turned, body_in)
+            stay = walks.last[m] + 1
+            walks.stay[m] = stay
+            walks.pivot_dock[m, stay] = one
+            _move_to(walks, m, stay, end, turned)
+            for k in range(docks):
+                point = end + rotate(turned, vector_at(body, k))
+                _sense_contacts(limits, structures, s, walks, m, stay, k, point)
+
+
+@ti.kernel
+def climb(
+    limits: ClimbLimits, movers: Ints1, state_out: Ints1, planned_out: Ints2, failed_out: Ints2,
+    # StructureArrays
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
+    # BelievedDocks
+    believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3,
+    # Climbers
+    structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
+    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3,
+    # WalkArrays, from the first stance on
+    center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
+    on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
+):  # fmt: skip
+    """Walk each mover up its structure, one flip at a time, toward its goal.
+
+    Of all flips about all attached docks the one that ends nearest to the goal is taken,
+    unless the walk has been there before. A robot that is recruited stops where it is. Else
+    the walk ends after `patience` steps without a new best, or when no flip is left, and
+    the caller lets the robot walk back to its best stance. Distances to the goal, and what a
+    flip meets, are as the robot believes; what it touches and where a flip ends are as they are.
+
+    Args:
+        limits: Terrain, distances and limits.
+        movers: Slots of the robots that move, shape (M,).
+        state_out: How each walk ended, shape (slots,).
+        planned_out: Item of the dock that the flip from each stance was planned to end at, or
+            GROUND, shape (slots, stances); written only where robots go by belief.
+        failed_out: Flips that failed at each stance, of the same shape; written as rarely.
+    """
+    structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
+    believed = ti.static(BelievedDocks(CellList(believed_head, believed_following), believed_dock))
+    climbers = ti.static(Climbers(
+        structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
+    ))  # fmt: skip
+    walks = ti.static(WalkArrays(
+        center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last_out,
+        best_out, stay_out,
+    ))  # fmt: skip
+    for i, idle in ti.ndrange(movers.shape[0], GRAIN):
+        if idle == 0:
+            m = movers[i]
+            s = structure[m]
+            target = vector_at(goal, m)
+            stance = first_stance[m]
+            best_stance = 0
+            best_distance = ti.math.inf
+            for earlier in range(stance):
+                by = misplaced(limits, structures, believed, s, walks, m, earlier, 0)
+                distance = (vector_in(center_out, m, earlier) + by - target).norm()
+                if distance < best_distance:
+                    best_distance = distance
+                    best_stance = earlier
+            state_out[m] = _WALKING
+            while state_out[m] == _WALKING:
+                here = vector_in(center_out, m, stance)
+                q = quaternion_at(orientation_out, m, stance)
+                flip = Flip(
+                    distance=ti.math.inf, center=here, orientation=q, planned=q, pivot=-1,
+                    overflow=0, failed=0,
+                )  # fmt: skip
+                called = failed = 0
+                for k in range(dock_offset_body.shape[0]):
+                    point = here + rotate(q, vector_at(dock_offset_body, k))
+                    called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
+                by = misplaced(limits, structures, believed, s, walks, m, stance, 0)
+                distance = (here + by - target).norm()
+                if distance < best_distance:
+                    best_distance = distance
+                    best_stance = stance
+                if called:
+                    state_out[m] = RECRUITED
+                    best_stance = stance
+                elif stance - best_stance < patience[m]:
+                    # Which flips the robot tries before is known once the one that it takes is.
+                    least = -ti.math.inf
+                    for _ in range(1 + limits.by_belief):
+                        for k in range(dock_offset_body.shape[0]):
+                            if _is_attached(walks, m, stance, k):
+                                other = nearest_flip(
+                                    limits, structures, believed, climbers, walks, m, stance, k,
+                                    least,
+                                )  # fmt: skip
+                                if other.overflow:
+                                    state_out[m] = SCRATCH_FULL
+                                if other.distance < flip.distance:
+                                    flip = other
+                                failed += other.failed
+                        least = flip.distance
+                if limits.by_belief:
+                    failed_out[m, stance] = failed
+                if state_out[m] == _WALKING:
+                    # One is kept for settling.
+                    if flip.pivot < 0 or stance + 2 >= center_out.shape[1]:
+                        state_out[m] = _ENDED
+                    else:
+                        pivot_dock_out[m, stance] = flip.pivot
+                        if limits.by_belief:
+                            arm = rotate(q, vector_at(dock_offset_body, flip.pivot))
+                            by = misplaced(
+                                limits, structures, believed, s, walks, m, stance, flip.pivot
+                            )
+                            planned_out[m, stance] = planned_dock(
+                                limits, believed, dock_offset_body, s, here + arm + by,
+                                flip.planned, flip.pivot,
+                            )  # fmt: skip
+                        stance += 1
+                        _move_to(walks, m, stance, flip.center, flip.orientation)
+            last_out[m] = stance
+            best_out[m] = best_stance
+            stay_out[m] = best_stance
+            if settles[m]:
+                _settle(limits, structures, climbers, walks, m)
+
+
+@ti.func
+def _first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: Ref, newest):
+    """Find the first stance of a walk that docks from item `newest` on could matter to, or -1.
+
+    Only docks within a flip's reach of its own matter to what a robot senses and does. A robot
+    settles anew from the last stance that it walked to.
+    """
+    disturbed = -1
+    for stance in range(ti.max(walks.last[mover], walks.stay[mover]) + 1):
+        here = vector_in(walks.center, mover, stance)
+        q = quaternion_at(walks.orientation, mover, stance)
+        for k in range(body.shape[0]):
+            point = here + rotate(q, vector_at(body, k))
+            cube = cube_of(point, limits.inverse_edge)
+            for which in range(27):
+                item = first_item(structures.cells, s, cube, which)
+                while item >= newest:  # chains run from the newest item to the oldest
+                    offset = vector_in(structures.dock, s, item) - point
+                    if offset.norm_sqr() < limits.reach * limits.reach:
+                        disturbed = ti.min(stance, walks.last[mover])
+                    item = structures.cells.following[s, item]
+        if disturbed >= 0:
+            break
+    return disturbed
+
+
+@ti.kernel
+def join_undisturbed(
+    limits: ClimbLimits, first_mover: Ints1, movers: Ints1, wants: Ints1, dock_offset_body: Reals2,
+    # StructureArrays
+    head_out: Ints2, following_out: Ints2, dock_out: Reals3, relay: Ints2, robot_count_out: Ints1,
+    # WalkArrays
+    center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
+    last: Ints1, best: Ints1, stay: Ints1,
+    disturbed_out: Ints1, joined_out: Ints1,
+):  # fmt: skip
+    """Let movers that climbed at the same time join one after the other, as far as they can.
+
+    A mover joins if nothing that joined before it in this round lies near any stance of its
+    walk: then it has met all it would have met, had it started afterwards. The others are
+    to go on from the first stance that is disturbed.
+
+    Args:
+        limits: Terrain, distances and limits.
+        first_mover: First entry of `movers` of each structure, shape (S + 1,).
+        movers: Slots of the movers, structure by structure, shape (M,).
+        wants: Whether each slot's walk ends where it can stay, shape (slots,).
+        dock_offset_body: Center to dock in the body frame [R], shape (docks, 3).
+        disturbed_out: First disturbed stance of each slot, or -1.
+        joined_out: Number under which each slot's robot joined, or -1.
+    """
+    structures = ti.static(
+        StructureArrays(CellList(head_out, following_out), dock_out, relay, robot_count_out)
+    )
+    walks = ti.static(
+        WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
+    )
+    body = ti.static(dock_offset_body)
+    for s, idle in ti.ndrange(robot_count_out.shape[0], GRAIN):
+        if idle == 0:
+            docks = body.shape[0]
+            newest = docks * robot_count_out[s]
+            for n in range(first_mover[s], first_mover[s + 1]):
+                m = movers[n]
+                joined_out[m] = -1
+                passed = -1
+                if docks * robot_count_out[s] > newest:
+                    passed = _first_disturbed(limits, structures, s, walks, m, body, newest)
+                if wants[m] and passed < 0 and docks * robot_count_out[s] < dock_out.shape[1]:
+                    joined_out[m] = robot_count_out[s]
+                    here = vector_in(center, m, stay[m])
+                    q = quaternion_at(orientation, m, stay[m])
+                    for k in range(docks):
+                        point = here + rotate(q, vector_at(body, k))
+                        item = docks * joined_out[m] + k
+                        for c in ti.static(range(3)):
+                            dock_out[s, item, c] = point[c]
+                        link(structures.cells, s, item, cube_of(point, limits.inverse_edge))
+                    robot_count_out[s] += 1
+            # Only now is it known who has joined beside those that go on.
+            for n in range(first_mover[s], first_mover[s + 1]):
+                m = movers[n]
+                disturbed_out[m] = -1
+                if joined_out[m] < 0 and docks * robot_count_out[s] > newest:
+                    disturbed_out[m] = _first_disturbed(
+                        limits, structures, s, walks, m, body, newest
+                    )
+
+
+@ti.kernel
+def list_docks(
+    inverse_edge: F64, chosen: Ints1, dock_count: Ints1,
+    # BelievedDocks
+    head_out: Ints2, following_out: Ints2, dock: Reals3,
+):  # fmt: skip
+    """List anew, by place, the docks of some structures that have moved.
+
+    Args:
+        inverse_edge: One over the edge of a cube [1 / R].
+        chosen: Structures to list, shape (C,).
+        dock_count: Docks of every structure, shape (S,).
+        head_out: First item of each bucket; see `CellList`.
+        following_out: Next item of each chain.
+        dock: Dock centers [R], shape (S, n N, 3).
+    """
+    cells = ti.static(CellList(head_out, following_out))
+    for c, idle in ti.ndrange(chosen.shape[0], GRAIN):
+        if idle == 0:
+            s = chosen[c]
+            for bucket in range(head_out.shape[1]):
+                head_out[s, bucket] = -1
+            for item in range(dock_count[s]):
+                link(cells, s, item, cube_of(vector_in(dock, s, item), inverse_edge))
