@@ -25,8 +25,7 @@ from tiswarm.evaluation.tables import MOST_WITHIN
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.parts.online.tracker import Tracker
-from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_file import log_entries
+from tiswarm.records.sensing_file import SensingLogBuilder, log_entries
 from tiswarm.records.sensing_format import line_text, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

@@ -18,9 +18,8 @@ from tiswarm.localization.params import (
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.advice import advise
 from tiswarm.parts.online.tracker import Tracker
-from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_events import parse_line
-from tiswarm.records.sensing_format import parse_header
+from tiswarm.records.sensing_file import SensingLogBuilder
+from tiswarm.records.sensing_format import parse_header, parse_line
 from tiswarm.sensing import observe
 
 LEFT = 3

@@ -27,8 +27,7 @@ from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import LARGE, JointParams
 from tiswarm.measurements.observability import observability
-from tiswarm.measurements.odometry import CENTER
-from tiswarm.measurements.orientations import connections_of, with_orientations
+from tiswarm.measurements.odometry import CENTER, connections_of, with_orientations
 from tiswarm.records.sensing_log import SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

@@ -11,11 +11,10 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements import advice, rigidity
 from tiswarm.measurements.advice import advise, advise_together
 from tiswarm.measurements.cues import Precision, measure
-from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.model import Coordinates, Distances, Measurements
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.measurements.rigidity import FloppyMotions, further_rows, weld
-from tiswarm.measurements.rows import Coordinates, Distances
 from tiswarm.records.sensing_log import canonical_contacts
 from tiswarm.sensing import SensingParams, observe
 

@@ -5,9 +5,9 @@ import numpy as np
 from tiswarm.localization.params import JointParams, LeastSquaresParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements import cues
+from tiswarm.measurements.model import Coordinates
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER
-from tiswarm.measurements.rows import Coordinates
 from tiswarm.sensing import SensingParams, observe
 
 

@@ -18,7 +18,7 @@ from tiswarm.localization.params import (
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import observability
-from tiswarm.measurements.orientations import with_orientations
+from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.measurements.verdicts import describe_outliers
 from tiswarm.records.sensing_log import SensingNoise

@@ -11,11 +11,10 @@ from tests.strategies import rotations, vectors
 from tests.structures import with_directions
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import cue_names, measure
-from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.rigidity import floppy_modes, weld
-from tiswarm.measurements.rows import SPACING
 from tiswarm.records.sensing_log import SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

@@ -12,8 +12,7 @@ from tests.structures import with_connections, with_directions
 from tiswarm.localization.params import JointParams, LeastSquaresParams, VirtualForceParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.cues import cue_names, measure
-from tiswarm.measurements.odometry import Odometry
-from tiswarm.measurements.orientations import connections_of, with_orientations
+from tiswarm.measurements.odometry import Odometry, connections_of, with_orientations
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tiswarm.measurements.cues import measure
+from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.observability import observability
-from tiswarm.measurements.rows import SPACING
 from tiswarm.sensing import SensingParams, observe
 
 NOISY = {"tilt_noise_deg": 1.0, "yaw_noise_deg": 2.0}

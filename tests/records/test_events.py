@@ -11,9 +11,14 @@ from hypothesis import strategies as st
 
 from tests.records.test_sensing_file import ANCHOR, HEADER, JOINER, content, written
 from tiswarm.base.errors import InputError
-from tiswarm.records.sensing_events import line_schema, parse_line
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
-from tiswarm.records.sensing_format import CONTACT_LISTS, parse_header, parse_robot
+from tiswarm.records.sensing_format import (
+    CONTACT_LISTS,
+    line_schema,
+    parse_header,
+    parse_line,
+    parse_robot,
+)
 
 HEADER = {**HEADER, "version": 3}
 THIRD = {
@@ -218,7 +223,7 @@ def test_a_refused_event_changes_nothing(tmp_path):
 
 def builder_of(lines):
     """Make a builder that has taken some lines."""
-    from tiswarm.records.sensing_builder import SensingLogBuilder  # noqa: PLC0415
+    from tiswarm.records.sensing_file import SensingLogBuilder  # noqa: PLC0415
 
     header, *others = map(json.dumps, lines)
     builder = SensingLogBuilder(parse_header(header))

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.mcap_file import SENSING, encode_messages
-from tiswarm.records.sensing_events import line_schema
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
-from tiswarm.records.sensing_format import NEW_LISTS
+from tiswarm.records.sensing_format import NEW_LISTS, line_schema
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
 
 number = st.floats(-4.0, 4.0, allow_subnormal=False)  # within 1e10 of the smallest dock radii

@@ -5,7 +5,7 @@ import pytest
 
 from tiswarm.base.errors import InputError
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.trace import read_trace, write_trace
+from tiswarm.records.frames import read_trace, write_trace
 
 
 def estimate_of(frames, robots=3):

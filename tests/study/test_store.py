@@ -19,7 +19,7 @@ from tiswarm import study
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.compute import numerics
-from tiswarm.records.temporary import path_for
+from tiswarm.records.io import path_for
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, runner, store
 from tiswarm.study.cases import plan

@@ -11,7 +11,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load
 from tiswarm.compute.math import dock_offsets
-from tiswarm.measurements.orientations import with_orientations
+from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.sensing_log import SensingLog

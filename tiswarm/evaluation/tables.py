@@ -14,7 +14,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
 from tiswarm.measurements import contacts
 from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.orientations import with_orientations
+from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.positions import Truth, read_length_unit, read_positions

@@ -21,7 +21,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.measurements.orientations import ASSUMED
+from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.report.swarm_view import SwarmView
 
 _EXACT_SD = 1e-3

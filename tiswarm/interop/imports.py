@@ -26,7 +26,7 @@ from tiswarm.interop.pose_table import PoseTable, read_table
 from tiswarm.interop.poses import UPWARD, Poses, poses_by_run, some
 from tiswarm.interop.stances import Rests, find_rests, stances_of
 from tiswarm.interop.trajectories import read_gsd, read_tum
-from tiswarm.measurements.orientations import ASSUMED
+from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.records import outputs
 from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain

@@ -13,7 +13,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.interop.pose_table import QUATERNION, PoseTable
 from tiswarm.records.io import CsvFile
-from tiswarm.records.sensing_builder import FAR_FROM_UNIT
+from tiswarm.records.sensing_file import FAR_FROM_UNIT
 
 _OTHER_ORDER: dict[tuple[str, ...], int] = {
     ("qw", "qx", "qy", "qz"): 1,

@@ -25,7 +25,7 @@ from tiswarm.interop.pose_table import (
 )
 from tiswarm.records.io import LARGEST, numbered_lines, unreadable
 from tiswarm.records.messages import counted
-from tiswarm.records.sensing_builder import FAR_FROM_UNIT
+from tiswarm.records.sensing_file import FAR_FROM_UNIT
 
 _TUM = ["time", *"xyz", "qx", "qy", "qz", "qw"]
 

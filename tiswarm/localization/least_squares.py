@@ -20,7 +20,7 @@ from tiswarm.localization.joint.method import mixed
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.measurements.cues import Precision, measure
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -15,7 +15,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.measurements.observability import observability
-from tiswarm.measurements.orientations import with_orientations
+from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -26,7 +26,7 @@ from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach
 from tiswarm.measurements.cues import measure
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -41,7 +41,7 @@ from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import in_plane, measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
-from tiswarm.records.sensing_builder import SensedStance, SensingLogBuilder
+from tiswarm.records.sensing_file import SensedStance, SensingLogBuilder
 from tiswarm.records.sensing_format import (
     Line,
     RobotLine,

@@ -17,11 +17,9 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.expected_error import Images, Posterior
-from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.odometry import CENTER, Odometry
-from tiswarm.measurements.orientations import ASSUMED
+from tiswarm.measurements.model import SPACING, Coordinates, Distances, Measurements
+from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
 from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
-from tiswarm.measurements.rows import SPACING, Coordinates, Distances
 from tiswarm.records.estimate import Solution
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
 

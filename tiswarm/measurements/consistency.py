@@ -16,8 +16,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.cues import measure
-from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.rows import KNOWN, SPACING
+from tiswarm.measurements.model import KNOWN, SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog
 
 ALLOWED_SD = 4.0

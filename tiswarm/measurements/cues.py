@@ -13,17 +13,16 @@ import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
-from tiswarm.measurements.orientations import LINK_SD, with_orientations
-from tiswarm.measurements.rows import (
+from tiswarm.measurements.model import (
     NO_COORDINATES,
     NO_OFFSETS,
     SPACING,
     Coordinates,
     Distances,
+    Measurements,
     Offsets,
 )
+from tiswarm.measurements.odometry import CENTER, LINK_SD, UNKNOWN, Odometry, with_orientations
 from tiswarm.records.sensing_log import SensingLog
 
 _UP = np.array([0.0, 0.0, 1.0])

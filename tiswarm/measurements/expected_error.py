@@ -24,8 +24,7 @@ import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_array, kron
 
 from tiswarm.base.aliases import Reals
-from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.estimate import Solution
 
 _AT_ONCE = 256

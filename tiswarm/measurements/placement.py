@@ -15,7 +15,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.cues import Measured
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 _DRAWS = 200_000

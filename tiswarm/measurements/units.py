@@ -18,9 +18,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.cues import measure
-from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import UNKNOWN, Odometry
-from tiswarm.measurements.rows import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 _SLIP = 4.0

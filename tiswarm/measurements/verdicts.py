@@ -8,8 +8,8 @@ import numpy as np
 from tiswarm.base.aliases import AnyInts, Ints, Reals
 from tiswarm.measurements.contacts import parts, reach
 from tiswarm.measurements.cues import Measured, measure
+from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.odometry import CENTER, UNKNOWN
-from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog

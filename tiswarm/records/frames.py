@@ -2,18 +2,21 @@
 
 Tables of users are read by `records.io.CsvFile`, which names the line of every mistake and imports
 no pandas. Tables of a run are our own, and may have a million rows, for which text would take too
-much memory.
+much memory. The centers of an estimate at some iterations have the table `trace.csv`.
 """
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records.io import Opener, damaged, replacing, run_file
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.io import Opener, damaged, replacing, run_file, write_bytes
 
 _GREATEST = 1e12
 """Greatest number of a table: above, sums of squares and pictures lose all digits."""
@@ -104,3 +107,54 @@ def _as_number(cell: object) -> float:
         return float(str(cell)) if "_" not in str(cell) else math.nan
     except ValueError:
         return math.nan
+
+
+MOST_ROBOTS = 1_000
+"""Robots of an estimate beyond which no trace is stored: it would outgrow the log."""
+
+_MOST_FRAMES = 24
+_DIGITS = 3  # decimals of a coordinate
+_TRACE = ["iteration", "robot", "x_R", "y_R", "z_R"]
+
+
+class EstimateTrace(NamedTuple):
+    """Centers of N robots at K iterations."""
+
+    iteration: Ints  # ascending, shape (K,)
+    center: Reals  # shape (K, N, 3)
+
+
+def thinned(estimate: Estimate) -> EstimateTrace | None:
+    """Take a few iterations of an estimate in its unit, the last one too; None if it has no two."""
+    frames = len(estimate.trace)
+    if frames < 2 or len(estimate.robot_id) > MOST_ROBOTS:  # noqa: PLR2004 - no motion
+        return None
+    kept = np.linspace(0, frames - 1, min(frames, _MOST_FRAMES)).round().astype(int)
+    return EstimateTrace(estimate.iteration[kept], estimate.trace[kept])
+
+
+def write_trace(path: Path, estimate: Estimate) -> None:
+    """Write a row for each iteration and robot [R]; nothing if there is no motion to show."""
+    trace = thinned(estimate)
+    if trace is None:
+        return
+    lines = [",".join(_TRACE)]
+    for iteration, center in zip(trace.iteration.tolist(), trace.center.tolist(), strict=True):
+        for robot, (x, y, z) in zip(estimate.robot_id.tolist(), center, strict=True):
+            lines.append(f"{iteration},{robot},{x:.{_DIGITS}f},{y:.{_DIGITS}f},{z:.{_DIGITS}f}")
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+def read_trace(path: Path, robots: int) -> EstimateTrace | None:
+    """Read the trace of an estimate of N robots [R]; None if none was stored.
+
+    Raises:
+        InputError: the table is damaged.
+    """
+    if not path.exists():
+        return None
+    table = read_frame(path, numbers=_TRACE)[_TRACE].to_numpy(float)
+    if len(table) % robots or len(table) < 2 * robots:
+        raise damaged(path, f"its {len(table)} rows are no iterations of {robots} robots")
+    frames = table.reshape(-1, robots, len(_TRACE))
+    return EstimateTrace(frames[:, 0, 0].astype(np.int64), frames[:, :, 2:])

@@ -1,4 +1,6 @@
-"""The interchange file `sensing.jsonl`: from a log to a file and back.
+"""The interchange file `sensing.jsonl`: from a log to a file and back, line by line.
+
+The builder of a log refuses what the lines before a line rule out.
 
 Numbers are written in the shortest form that reads back as the same float64, so a log comes back
 bit for bit, and a file that we wrote, read and write again keeps its bytes. Reader and writer need
@@ -6,29 +8,414 @@ memory for the log and one line.
 """
 
 import json
-from collections.abc import Iterator
+import math
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
-from itertools import chain
+from functools import partial
+from itertools import chain, zip_longest
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.base.aliases import Bools, Ints
 from tiswarm.base.errors import InputError
 from tiswarm.records.io import Opener, at_line, decode, raw_lines, replacing
 from tiswarm.records.mcap_file import sensing_lines
-from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_events import EVENT_VERSION, parse_line
+from tiswarm.records.messages import shown
 from tiswarm.records.sensing_format import (
+    CONTACT_LISTS,
+    EVENT_VERSION,
     FORMAT,
+    MOST_CONTACTS,
     NEW_LISTS,
     NEW_NOISE,
+    REPEATABLE,
     ROBOT_NUMBERS,
     STANCE_LISTS,
+    HeaderLine,
+    RobotLine,
+    SensingLine,
+    StanceEntry,
     parse_header,
+    parse_line,
 )
-from tiswarm.records.sensing_log import SensingLog, canonical_contacts
+from tiswarm.records.sensing_log import SensingLog, Stances, canonical_contacts
+
+FAR_FROM_UNIT = 1e-3
+"""Deviation of a unit vector's or quaternion's length from 1 above which it is refused."""
+
+_CLOSE_TO_UNIT = 1e-9
+"""Deviation below which neither is scaled to 1, so that our own ones keep their bits."""
+
+Contact = tuple[int | None, int, int | None]
+"""Own dock, name of the other robot, its dock; None for an unknown dock."""
+
+
+class SensedStance(NamedTuple):
+    """One checked stance, with indices in place of the names of other robots."""
+
+    orientation_wxyz: list[float]
+    lists: dict[str, list[tuple[Any, ...]]]  # sorted items of each list in `STANCE_LISTS`
+
+
+class SensingLogBuilder:
+    """Builds a log line by line; checks each against those before it.
+
+    A line that is refused leaves no trace: an InputError names the key at fault, but neither file
+    nor line.
+    """
+
+    def __init__(self, header: HeaderLine) -> None:
+        """Start a log without robots."""
+        self.header = header
+        self._source_of = {name: row for row, name in enumerate(header.sources or {})}
+        self._index_of: dict[int, int] = {}
+        self._gone: set[int] = set()
+        self._lines = 1  # the header
+        # A robot has one entry in all columns that follow, or one more with each new line.
+        self._entry = array("q")
+        self._line = array("q")
+        self._touching = array("B")  # final contacts of every dock, robot after robot
+        self._final = _StanceColumns()
+        self._earlier = _StanceColumns()
+        self._numbers = {key: array("d") for key in ROBOT_NUMBERS}
+        self._pivot_dock = array("i")
+        self._stance_start = array("q", [0])
+        self._has_stances = array("b")
+
+    def take(self, line: SensingLine) -> None:
+        """Take a line of any kind."""
+        if line.event == "leave":
+            self.leave(line.robot)
+        elif line.event == "release":
+            self.release(line.robot, line.contacts)
+        elif line.event == "replace":
+            self.replace(line)
+        else:
+            self.add(line)
+
+    def add(self, line: RobotLine) -> SensedStance:
+        """Append a robot and return its final stance."""
+        if line.robot in self._index_of:
+            problem = f"robot {line.robot} has a line already; give every robot its own number"
+            raise InputError(problem, key="robot")
+        entry, number = len(self._line), len(self._index_of)
+        stance = self._enter(line, number)
+        self._index_of[line.robot] = number
+        self._entry.append(entry)
+        return stance
+
+    def replace(self, line: RobotLine) -> SensedStance:
+        """Take a new line of a robot in place of its last one, and return its final stance."""
+        entry, number = len(self._line), self._present(line.robot, "robot")
+        stance = self._enter(line, number)
+        self._entry[number] = entry
+        return stance
+
+    def leave(self, robot: int) -> None:
+        """Mark the robot of this name as gone; all that was sensed stays."""
+        number = self._present(robot, "robot")
+        if number == 0:
+            problem = "the anchor holds all others; start a log with another anchor"
+            raise InputError(problem, key="robot")
+        self._gone.add(number)
+        self._lines += 1
+
+    def release(self, robot: int, contacts: Sequence[Contact]) -> None:
+        """Drop contacts of a robot, with the directions and connections of these docks.
+
+        Args:
+            robot: Its name.
+            contacts: Rows of (own dock, name of the other robot, other dock), None for an unknown
+                dock; the line of either of the two has each.
+        """
+        released: list[tuple[int, int, int, int]] = []
+        for place, (dock, name, its) in enumerate(contacts):
+            own, other = self._present(robot, "robot"), self._present(name, f"contacts[{place}]")
+            ends = [(own, -1 if dock is None else dock), (other, -1 if its is None else its)]
+            (earlier, its_dock), (later, own_dock) = sorted(ends)
+            contact = (later, own_dock, earlier, its_dock)
+            if contact in released or not self._final.holds((self._entry[later], *contact[1:])):
+                problem = f"robots {robot} and {name} do not touch so; correct the docks"
+                raise InputError(problem, key=f"contacts[{place}]")
+            released.append(contact)
+        for later, own_dock, earlier, its_dock in released:
+            if self._final.drop((self._entry[later], own_dock, earlier, its_dock)):
+                for end in self._ends(later, own_dock, earlier, its_dock):
+                    self._touching[end] -= 1
+        self._lines += 1
+
+    def log(self) -> SensingLog:
+        """Assemble the log; at least one robot must have been added."""
+        entry, start = np.array(self._entry), np.array(self._stance_start)
+        final = self._final.arrays(entry)
+        final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
+        numbers: dict[str, Any] = {
+            key: np.array(self._numbers[key]).reshape(-1, *np.shape(missing))[entry]
+            for key, missing in ROBOT_NUMBERS.items()
+        }
+        line, count = np.array(self._line)[entry], np.diff(start)[entry]
+        first = np.concatenate([[0], np.cumsum(count)])
+        # The stances of an entry are in a row; those of robots follow by join order.
+        chosen = np.repeat(start[entry] - first[:-1], count) + np.arange(first[-1])
+        stances = Stances(
+            start=first,
+            pivot_dock=np.array(self._pivot_dock, dtype=np.int32)[chosen],
+            **self._earlier.arrays(chosen),
+        )
+        in_order = np.array_equal(line, 2 + np.arange(len(line)))
+        return SensingLog(
+            robot_id=np.array(list(self._index_of), dtype=np.int64),
+            gone=np.array(sorted(self._gone), np.int64),
+            line=None if in_order else line,
+            dock_radius=self.header.dock_radius,
+            dock_offset_body=np.array(self.header.dock_offsets, dtype=np.float64),
+            anchor_position=np.array(self.header.anchor_position, dtype=np.float64),
+            ground_z=self.header.ground_z,
+            stances=stances if np.array(self._has_stances)[entry].any() else None,
+            noise=self.header.noise,
+            length_unit=self.header.length_unit,
+            **self.header.source_arrays(),
+            **final,
+            **numbers,
+        )
+
+    def _present(self, robot: int, key: str) -> int:
+        """Return the number of the robot of this name, which has joined and not left."""
+        if robot not in self._index_of:
+            problem = f"robot {robot} is not on an earlier line; let it join first"
+            raise InputError(problem, key=key)
+        if (number := self._index_of[robot]) in self._gone:
+            problem = f"robot {robot} has left; delete this line, or let the robot leave later"
+            raise InputError(problem, key=key)
+        return number
+
+    def _enter(self, line: RobotLine, number: int) -> SensedStance:
+        """Append the entry of a robot of this number, and return its final stance."""
+        stances = line.stances or []
+        for key in ROBOT_NUMBERS:
+            length, anchor = getattr(line, key), self.header.anchor_position
+            self.header.refuse_far(key, length, anchor if np.ndim(length) else anchor[2])
+        who = (line.robot, number)
+        final = self._checked(line, "", who)
+        earlier = [self._checked(each, f"stances[{n}].", who) for n, each in enumerate(stances)]
+        self._count_contacts(who, final)
+        self._final.append(final)
+        for stance in earlier:
+            self._earlier.append(stance)
+        for key, missing in ROBOT_NUMBERS.items():
+            length = getattr(line, key)
+            self._numbers[key].extend(np.ravel(missing if length is None else length))
+        self._pivot_dock.extend(entry.pivot_dock for entry in stances)
+        self._stance_start.append(len(self._pivot_dock))
+        self._has_stances.append(line.stances is not None)
+        self._lines += 1
+        self._line.append(self._lines)
+        return final
+
+    def _checked(
+        self, entry: RobotLine | StanceEntry, prefix: str, who: tuple[int, int]
+    ) -> SensedStance:
+        """Check one stance of the robot of this name and number."""
+        if isinstance(entry, StanceEntry):
+            self._check_dock(entry.pivot_dock, f"{prefix}pivot_dock")
+        if entry.ground_docks and self.header.ground_z is None:
+            problem = "there is no ground; give ground_z in the header or leave ground_docks empty"
+            raise InputError(problem, key=f"{prefix}ground_docks")
+        orientation = self._orientation(entry, f"{prefix}orientation_wxyz", who[1])
+        check: dict[str, Callable[[Any, str], Any]] = {
+            "dock": self._check_dock,
+            "dock or null": lambda dock, key: -1 if dock is None else self._check_dock(dock, key),
+            "robot": partial(self._robot_index, *who),
+            "number": lambda number, _: number,
+            "source": self._source_index,
+        }
+        lists: dict[str, list[tuple[Any, ...]]] = {}
+        for name, kinds in STANCE_LISTS.items():
+            if name in NEW_LISTS:
+                self.header.refuse_new(f"{prefix}{name}", getattr(entry, name))
+            items: list[tuple[Any, ...]] = []
+            if not getattr(entry, name):  # as most are
+                lists[name] = items
+                continue
+            first: dict[tuple[Any, ...], int] = {}
+            for place, numbers in enumerate(getattr(entry, name)):
+                here = f"{prefix}{name}[{place}]"
+                # A source may be left out at the end.
+                pairs = zip_longest(kinds, [numbers] if len(kinds) == 1 else numbers)
+                item = tuple(check[kind](number, here) for kind, number in pairs)
+                items.append(self._checked_item(name, item, here))
+                before = first.setdefault(items[-1], place)
+                if before != place and name not in REPEATABLE:
+                    problem = f"repeats {prefix}{name}[{before}]; list it once"
+                    raise InputError(problem, key=here)
+            lists[name] = sorted(items)
+        return SensedStance(orientation, lists)
+
+    def _checked_item(self, name: str, item: tuple[Any, ...], key: str) -> tuple[Any, ...]:
+        """Check the numbers of an item of one list beside each other; scale unit vectors."""
+        if name == "fixes":
+            self._check_fix(item, key)
+        elif name == "ranges":
+            self._check_range(item, key)
+        elif name == "displacements":
+            self._check_displacement(item, key)
+        elif name in {"directions", "connections"}:
+            what = "direction" if name == "directions" else "quaternion"
+            return (*item[:3], *_unit(item[3:], what, key))
+        elif name == "touches" and -1 not in {item[0], item[2]}:
+            raise InputError("both docks are known; list the contact in contacts", key=key)
+        return item
+
+    def _orientation(self, entry: RobotLine | StanceEntry, key: str, number: int) -> list[float]:
+        """Check a stance's orientation; NaN for a robot without a compass."""
+        if entry.orientation_wxyz is not None:
+            return _unit(entry.orientation_wxyz, "quaternion", key)
+        if self.header.version == 1:
+            raise InputError("null needs version 2; give an orientation or that version", key=key)
+        if number == 0:
+            raise InputError("the anchor's orientation is null; give it", key=key)
+        if isinstance(entry, RobotLine) and entry.stances:
+            problem = "null leaves the stances without an end; give an orientation or no stances"
+            raise InputError(problem, key=key)
+        return [math.nan] * 4
+
+    def _check_fix(self, fix: tuple[float, ...], key: str) -> None:
+        *direction, value, sd, _ = fix
+        _unit(direction, "direction", key)
+        self.header.refuse_far(key, value, np.dot(direction, self.header.anchor_position))
+        self.header.refuse_sd(key, sd)
+
+    def _check_range(self, measured: tuple[float, ...], key: str) -> None:
+        _, distance, sd, _ = measured
+        self.header.refuse_far(key, distance, 0.0)
+        if not distance > 0.0:
+            raise InputError(f"the distance {distance:g} should be positive; correct it", key=key)
+        self.header.refuse_sd(key, sd)
+
+    def _check_displacement(self, measured: tuple[float, ...], key: str) -> None:
+        _, *vector, sd = measured
+        self.header.refuse_far(key, vector, 0.0)
+        if not any(vector):
+            raise InputError("the vector has length 0; correct it", key=key)
+        self.header.refuse_sd(key, sd)
+
+    def _ends(self, robot: int, dock: int, other: int, its: int) -> list[int]:
+        """Return where `_touching` has the two docks of a contact."""
+        docks = len(self.header.dock_offsets)
+        return [docks * robot + dock, docks * other + its]
+
+    def _count_contacts(self, who: tuple[int, int], final: SensedStance) -> None:
+        docks, (robot, mine) = len(self.header.dock_offsets), who
+        touching = Counter[int]()
+        for contact in final.lists["contacts"]:
+            touching.update(self._ends(mine, *contact))
+        if mine < len(self._entry):
+            for contact in self._final.items("contacts", self._entry[mine]):
+                touching.subtract(self._ends(mine, *contact))
+        for place, more in touching.items():
+            before = self._touching[place] if place < len(self._touching) else 0
+            if before + more > MOST_CONTACTS:
+                name = [*self._index_of, robot][place // docks]
+                problem = (
+                    f"dock {place % docks} of robot {name} has more than {MOST_CONTACTS} contacts"
+                )
+                raise InputError(f"{problem}; delete false ones", key="contacts")
+        if mine == len(self._entry):
+            self._touching.extend(bytes(docks))
+        for place, more in touching.items():
+            self._touching[place] += more
+
+    def _robot_index(self, myself: int, number: int, name: int, key: str) -> int:
+        if name == myself:
+            problem = "the robot touches itself; name another robot or delete the contact"
+            raise InputError(problem, key=key)
+        if self._index_of.get(name, number) >= number:
+            problem = f"robot {name} is not on an earlier line; list a contact at the later robot"
+            raise InputError(problem, key=key)
+        return self._index_of[name]
+
+    def _source_index(self, name: str | None, key: str) -> int:
+        if name is not None and name not in self._source_of:
+            problem = f"the header has no source {shown(name)}; add it to sources there"
+            raise InputError(problem, key=key)
+        return -1 if name is None else self._source_of[name]
+
+    def _check_dock(self, dock: int, key: str) -> int:
+        count = len(self.header.dock_offsets)
+        if not 0 <= dock < count:
+            problem = f"there is no dock {dock}; the header has docks 0 to {count - 1}"
+            raise InputError(problem, key=key)
+        return dock
+
+
+class _StanceColumns:
+    """Orientation and lists of many stances, in little memory."""
+
+    def __init__(self) -> None:
+        self._orientation = array("d")
+        self._lists = {
+            key: array("d" if "number" in kinds else "i") for key, kinds in STANCE_LISTS.items()
+        }
+
+    def append(self, stance: SensedStance) -> None:
+        row = len(self._orientation) // 4
+        self._orientation.extend(stance.orientation_wxyz)
+        for key, items in stance.lists.items():
+            for item in items:
+                self._lists[key].extend((row, *item))
+
+    def items(self, key: str, stance: int) -> list[tuple[Any, ...]]:
+        """Return the items of one list of a stance."""
+        table = self._table(key)
+        return [tuple(row) for row in table[table[:, 0] == stance, 1:].tolist()]
+
+    def holds(self, contact: tuple[int, int, int, int]) -> bool:
+        """Whether a stance has a contact of these docks: (stance, own dock, robot, its dock)."""
+        return any(self._is_of(contact, key).any() for key in CONTACT_LISTS)
+
+    def drop(self, contact: tuple[int, int, int, int]) -> bool:
+        """Drop the items of a contact; return whether one of `contacts` was among them."""
+        found = {key: self._is_of(contact, key) for key in CONTACT_LISTS}
+        for key, is_item in found.items():
+            if is_item.any():
+                kept = array(self._lists[key].typecode)
+                kept.frombytes(self._table(key)[~is_item].tobytes())
+                self._lists[key] = kept
+        return bool(found["contacts"].any())
+
+    def arrays(self, chosen: Ints) -> dict[str, Any]:
+        """Return the arrays of some stances, renumbered in this order."""
+        number = np.full(len(self._orientation) // 4, -1)
+        number[chosen] = np.arange(len(chosen))
+        lists = {}
+        for key in STANCE_LISTS:
+            table = self._table(key)
+            table[:, 0] = number[table[:, 0].astype(np.int64)]
+            table = table[table[:, 0] >= 0]
+            lists[key] = table[np.argsort(table[:, 0], kind="stable")]
+        return {"orientation_wxyz": np.array(self._orientation).reshape(-1, 4)[chosen], **lists}
+
+    def _table(self, key: str) -> Any:  # noqa: ANN401 - of integers or floats
+        """Return the items of a list of all stances, shape (n, 1 + numbers of an item)."""
+        return np.array(self._lists[key]).reshape(-1, 1 + len(STANCE_LISTS[key]))
+
+    def _is_of(self, contact: tuple[int, int, int, int], key: str) -> Bools:
+        """Find the items of a contact in a list, shape (n,)."""
+        is_item: Bools = (self._table(key)[:, :4] == contact).all(axis=1)
+        return is_item
+
+
+def _unit(parts: Sequence[float], what: str, key: str) -> list[float]:
+    length = math.hypot(*parts)
+    if not abs(length - 1.0) <= FAR_FROM_UNIT:  # as for lengths that are NaN
+        raise InputError(f"the {what} has length {length:.6g}; scale it to 1", key=key)
+    scale = 1.0 if abs(length - 1.0) <= _CLOSE_TO_UNIT else length
+    return [part / scale for part in parts]
 
 
 def read_sensing_log(path: Path) -> SensingLog:

@@ -3,8 +3,8 @@
 A header comes first, then one robot a line, the anchor first. Each line is a JSON object, and an
 optional key may be left out or null. A new optional key takes three declarations: its type in
 `RobotLine` or `StanceEntry`, its entry in `ROBOT_NUMBERS` or `STANCE_LISTS`, and its array in
-`SensingLog` or `Stances`. Reader and writer loop over the entries. Events are in
-`sensing_events.py`.
+`SensingLog` or `Stances`. Reader and writer loop over the entries. An event says
+what changed later, about robots on earlier lines. The log is that of the swarm after all events.
 """
 
 import json
@@ -22,6 +22,7 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetPydanticSchema,
+    TypeAdapter,
     ValidationError,
     model_validator,
 )
@@ -29,7 +30,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
-from tiswarm.records.messages import dotted, explain, shown
+from tiswarm.records.messages import did_you_mean, dotted, explain, shown
 from tiswarm.records.sensing_log import FARTHEST, SensingNoise
 
 FORMAT = "tiswarm-sensing"
@@ -398,3 +399,63 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 _DECODER = json.JSONDecoder(object_pairs_hook=_without_duplicates)
+
+
+EVENT_VERSION = 3
+"""First version of the format that has events."""
+
+
+class LeaveLine(BaseModel):
+    """A robot has left. What it sensed, and what others sensed of it, stays."""
+
+    model_config = STRICT
+
+    event: Literal["leave"]
+
+    robot: Name
+    """Name of a robot on an earlier line, other than the anchor."""
+
+
+class ReleaseLine(BaseModel):
+    """A robot has let go of others: docks that touched no longer do."""
+
+    model_config = STRICT
+
+    event: Literal["release"]
+
+    robot: Name
+    """Name of a robot on an earlier line."""
+
+    contacts: Annotated[Touches, Field(min_length=1)]
+    """Rows of [own dock, other robot, other dock], null for a dock that is unknown. The line of one
+    of the two robots has each."""
+
+
+SensingLine = RobotLine | LeaveLine | ReleaseLine
+"""A line after the header."""
+
+_MODELS: dict[str, type[SensingLine]] = {
+    "leave": LeaveLine,
+    "release": ReleaseLine,
+    "replace": RobotLine,
+}
+
+
+def parse_line(text: str, header: HeaderLine) -> SensingLine:
+    """Read a line after this header; an InputError names the key, but neither file nor line."""
+    entries = parse_json(text)
+    event = entries.get("event")
+    if event is None:
+        return parsed(entries, RobotLine)
+    if header.version < EVENT_VERSION:
+        remedy = f"give version {EVENT_VERSION} in the header"
+        raise InputError(f"version {header.version} has no events; {remedy}", key="event")
+    if not isinstance(event, str) or event not in _MODELS:
+        problem = f"{shown(event)} should be one of {', '.join(_MODELS)}"
+        raise InputError(f"{problem}{did_you_mean(event, _MODELS)}", key="event")
+    return parsed(entries, _MODELS[event])
+
+
+def line_schema() -> dict[str, object]:
+    """Return the JSON Schema of a line: the header, a robot or an event."""
+    return TypeAdapter(HeaderLine | SensingLine).json_schema()

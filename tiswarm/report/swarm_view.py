@@ -9,15 +9,14 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
-from tiswarm.measurements.orientations import with_orientations
+from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.frames import read_frame
+from tiswarm.records.frames import EstimateTrace, read_frame, read_trace, thinned
 from tiswarm.records.io import MAX_LOG_BYTES, at_line, numbered_lines, run_file
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import parse_header
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import Terrain
-from tiswarm.records.trace import EstimateTrace, read_trace, thinned
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
 from tiswarm.report.run_data import StoredCase
 

@@ -14,9 +14,8 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization import registry
-from tiswarm.measurements.orientations import with_orientations
-from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_file import log_entries
+from tiswarm.measurements.odometry import with_orientations
+from tiswarm.records.sensing_file import SensingLogBuilder, log_entries
 from tiswarm.records.sensing_format import STANCE_LISTS, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario

@@ -23,12 +23,14 @@ from tiswarm.base.plugins import registered
 from tiswarm.base.progress import Progress
 from tiswarm.base.version import __version__
 from tiswarm.compute import backend, numerics
-from tiswarm.records import temporary
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.frames import write_frame
+from tiswarm.records.frames import write_frame, write_trace
 from tiswarm.records.io import (
     digest,
+    is_abandoned,
+    is_temporary,
     make_folder,
+    path_for,
     read_json,
     run_file,
     write_bytes,
@@ -38,7 +40,6 @@ from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.run_folder import Manifest, check_folders, read_manifest, write_manifest
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.trace import write_trace
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.cases import Case
 from tiswarm.study.provenance import Cost, Used, case_code, manifest, structure_code
@@ -241,7 +242,7 @@ class RunFolder:
 
     def _remove_partial_files(self) -> None:
         for partial in [*self.cases.glob(".*.part"), *self.path.rglob(".*.tmp")]:
-            if temporary.is_abandoned(partial):
+            if is_abandoned(partial):
                 remove(partial)
 
     def read_case(self, name: str) -> CaseRecord | None:
@@ -299,7 +300,7 @@ class RunFolder:
     @contextmanager
     def _new_folder(self, name: str) -> Iterator[Path]:
         """Make an empty folder for a case, which is gone at the end unless it was published."""
-        folder = temporary.path_for(self.cases / name, "part")
+        folder = path_for(self.cases / name, "part")
         folder.mkdir()
         try:
             yield folder
@@ -425,7 +426,7 @@ def _keep_others(old: Path, new: Path) -> None:
     """Move files of somebody else from the folder of a case to the one that is to replace it."""
     if old.is_dir() and not old.is_symlink():
         for path in old.iterdir():
-            if path.name not in _CASE_FILES and not temporary.is_temporary(path):
+            if path.name not in _CASE_FILES and not is_temporary(path):
                 path.rename(new / path.name)
 
 

@@ -28,7 +28,7 @@ from tiswarm.localization.cost.neighborhood import (
     table_of,
 )
 from tiswarm.localization.cost.settings import CANDIDATES
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 
 _AXES = 3
 _GOLDEN = np.pi * (1.0 + 5.0**0.5)

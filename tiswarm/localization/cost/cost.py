@@ -22,9 +22,8 @@ from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, by_gro
 from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.contacts import close_docks
-from tiswarm.measurements.model import Measurements, turned
-from tiswarm.measurements.orientations import Connections
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING, Measurements, turned
+from tiswarm.measurements.odometry import Connections
 from tiswarm.records.sensing_log import SensingLog
 
 HINGE_SD = 1.0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from tiswarm.compute.lang import F64, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
 from tiswarm.localization.cost.settings import CANDIDATES, OVERLAP_SD
-from tiswarm.measurements.rows import KNOWN, SPACING
+from tiswarm.measurements.model import KNOWN, SPACING
 
 ROW, NOISE, MEMBERS = range(3)
 """Columns of `Table.block`: where the rows, the noise and the members of a block begin."""

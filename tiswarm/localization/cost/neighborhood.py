@@ -46,8 +46,7 @@ from tiswarm.localization.cost.kernels import (
     sum_equations,
 )
 from tiswarm.localization.cost.settings import NEIGHBORS, ROBUST_SD
-from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING, Measurements
 
 _AXES = 3
 _PARTS = 6

@@ -40,8 +40,7 @@ from tiswarm.localization.hop_by_hop.trilateration import (
 from tiswarm.localization.params import HopByHopParams
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import measure
-from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING, Measurements
 
 POINTS = 3
 """Independent linear equations from which on spheres and planes intersect in one or two points."""

@@ -42,7 +42,7 @@ from tiswarm.localization.joint.upload import (
     traits_of,
 )
 from tiswarm.localization.params import JointParams
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 _BYTES = 1_000

@@ -26,7 +26,7 @@ from tiswarm.localization.joint.arrays import (
     VECTOR,
     YAW_PRECISION,
 )
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 
 _OFFSET_STIFFNESS = 2.0
 """Stiffness that an offset counts for, in its own. Robots that offsets hold in all directions at

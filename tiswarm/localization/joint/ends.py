@@ -13,7 +13,7 @@ from tiswarm.localization.joint.frames import HELD, Frame, align, free_frame
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
 from tiswarm.localization.joint.starts import scaled_distances
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 

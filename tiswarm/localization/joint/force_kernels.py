@@ -35,7 +35,7 @@ from tiswarm.localization.joint.arrays import (
     YAW_PRECISION,
 )
 from tiswarm.localization.joint.contact_kernels import TINY, pull_of_contacts, push_inside, turned
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 
 MOST_STIFFNESS = 1.2
 """Robots held more stiffly are given the mass to swing no faster: two that hold each other, each

@@ -7,7 +7,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 _TINY = 1e-9

@@ -18,10 +18,10 @@ from tiswarm.measurements.consistency import ALLOWED_SD, are_known, inconsistent
 from tiswarm.measurements.contacts import parts, reach, untied_directions
 from tiswarm.measurements.cues import Measured, Precision
 from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.odometry import Odometry
-from tiswarm.measurements.orientations import (
+from tiswarm.measurements.odometry import (
     ASSUMED,
     Connections,
+    Odometry,
     connections_of,
     with_orientations,
 )

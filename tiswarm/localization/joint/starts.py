@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 
 MOST_ROBOTS = 1000
 """Robots beyond which the matrix of all distances takes too long."""

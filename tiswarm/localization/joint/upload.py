@@ -64,7 +64,7 @@ from tiswarm.localization.joint.arrays import (
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.subtrees import Forest
 from tiswarm.localization.params import JointParams
-from tiswarm.measurements.rows import KNOWN
+from tiswarm.measurements.model import KNOWN
 
 
 def traits_of(problems: Sequence[Problem], *, by_block: bool) -> Traits:

@@ -12,7 +12,7 @@ from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals
 from tiswarm.compute.math_kernels import kick_of, vector_at
 from tiswarm.localization.joint.force_kernels import MOST_STIFFNESS
 from tiswarm.localization.joint.motion_kernels import MEMORY
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 
 _TINY = 1e-9
 """Least distance of docks that a force has a direction for [R]."""

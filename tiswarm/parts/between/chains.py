@@ -19,7 +19,7 @@ from tiswarm.localization.cost.kernels import (
 )
 from tiswarm.localization.cost.neighborhood import Configuration, Neighborhood
 from tiswarm.localization.params import DistributedParams
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 from tiswarm.parts.between.chain_kernels import ChainDocks, ChainRows, anneal_near
 from tiswarm.parts.between.settings import CHAINS
 from tiswarm.parts.online.layers import LocalLayers

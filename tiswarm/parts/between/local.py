@@ -25,7 +25,7 @@ from tiswarm.parts.between.settings import ANSWERS
 from tiswarm.parts.between.wire import Whereabouts, read_line, rounding_sd
 from tiswarm.parts.online.layers import LocalLayers
 from tiswarm.parts.online.lines import mentioned, standing
-from tiswarm.records.sensing_builder import SensingLogBuilder
+from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import (
     STANCE_LISTS,
     HeaderLine,

@@ -16,7 +16,7 @@ from tiswarm.localization.cost.neighborhood import (
 )
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.params import OnlineParams
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.model import SPACING
 
 _AXES = 3
 _LEAST_SD = 1e-9

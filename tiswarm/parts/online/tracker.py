@@ -34,9 +34,15 @@ from tiswarm.parts.online.lines import (
 from tiswarm.parts.online.settings import TIMES
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
-from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_events import parse_line
-from tiswarm.records.sensing_format import Line, RobotLine, line_text, parse_header, parse_robot
+from tiswarm.records.sensing_file import SensingLogBuilder
+from tiswarm.records.sensing_format import (
+    Line,
+    RobotLine,
+    line_text,
+    parse_header,
+    parse_line,
+    parse_robot,
+)
 from tiswarm.records.sensing_log import SensingLog
 
 _AXES = 3
