@@ -34,8 +34,8 @@ from tiswarm.app import doctor
 from tiswarm.base.params import ARCHS
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, machine
-from tiswarm.localization.joint.annealing import Annealer
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

@@ -33,7 +33,7 @@ ASKED = {
     "tiswarm.localization.hop_by_hop": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.localization.least_squares": "localize sensing.jsonl --method least-squares",
     "tiswarm.parts.online": "localize sensing.jsonl --method online",
-    "tiswarm.localization.together": "localize sensing.jsonl --method virtual-force "
+    "tiswarm.localization.virtual_force.together": "localize sensing.jsonl --method virtual-force "
     "--set schedule=together",
     "tiswarm.measurements.advice": "advise sensing.jsonl known.csv",
     "tiswarm.measurements.placement": "explain sensing.jsonl 1 known.csv",

@@ -28,7 +28,7 @@ from tests.world.test_growth import FIREANT, KINDS
 from tiswarm import relax, study
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend
-from tiswarm.localization.joint.card_kernels import STEPS_A_LAUNCH
+from tiswarm.localization.chains.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.params import HopByHopParams, LeastSquaresParams, Together
 from tiswarm.localization.registry import METHODS, localize_many
 from tiswarm.parts.suites.senses import in_sight

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from tiswarm.engine.relax import RelaxResult, relax
     from tiswarm.interop.exports import export_format
     from tiswarm.localization.plugins import method
-    from tiswarm.localization.virtual_force import Localizer
+    from tiswarm.localization.virtual_force.method import Localizer
     from tiswarm.parts.online.tracker import Tracker
     from tiswarm.sensing.plugins import sensor
 
@@ -87,7 +87,7 @@ __all__ = [
 _HOME = {
     "EnvironmentTroubleError": "tiswarm.base.errors",
     "InputError": "tiswarm.base.errors",
-    "Localizer": "tiswarm.localization.virtual_force",
+    "Localizer": "tiswarm.localization.virtual_force.method",
     "RelaxResult": "tiswarm.engine.relax",
     "RobotGeometry": "tiswarm.base.robot",
     "Run": "tiswarm.app.results",

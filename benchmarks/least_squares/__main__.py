@@ -24,9 +24,9 @@ import tiswarm
 from benchmarks.least_squares.factor_graph import Array, Minimum, levenberg_marquardt
 from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse
+from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.hop_by_hop.method import place
-from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 

@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.localization.joint.problem import Problem
+from tiswarm.localization.chains.problem import Problem
 
 Array = NDArray[np.float64]
 Residual = Callable[[list[Array], list[float]], tuple[float, list[Array], list[float]]]

@@ -6,9 +6,9 @@ import numpy as np
 
 from benchmarks.logs.grade import error
 from tiswarm.base.aliases import Bools, Reals
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog

@@ -11,8 +11,8 @@ import tiswarm
 from benchmarks.least_squares.factor_graph import by_robot, levenberg_marquardt, minimum
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
+from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.hop_by_hop.method import place
-from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 

@@ -84,7 +84,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
             {"joint", "least-squares", "online", "all"},
         ),
         ("localization/hop_by_hop/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
-        ("localization/together.py", {"virtual-force", "distributed", "all"}),
+        ("localization/virtual_force/together.py", {"virtual-force", "distributed", "all"}),
         ("parts/online/layers.py", {"online", "distributed", "all"}),
         ("parts/between/wire.py", {"distributed", "all"}),
         trial("parts/suites/senses.py", {*METHODS, "all"}),

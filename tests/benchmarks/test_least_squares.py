@@ -8,7 +8,7 @@ import pytest
 
 from tests.benchmarks.commands import call
 from tests.structures import with_directions
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.sensing import SensingParams, observe
 
 pytest.importorskip("gtsam")

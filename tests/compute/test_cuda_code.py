@@ -18,9 +18,9 @@ from tests.devices import require, run_child
 from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute import backend
-from tiswarm.localization.joint.annealing import Annealer
-from tiswarm.localization.joint.kernels import note_places
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.kernels import note_places
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.localization.registry import localize
 from tiswarm.records.sensing_file import write_sensing_log

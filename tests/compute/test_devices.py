@@ -16,9 +16,9 @@ from tiswarm.compute import backend
 from tiswarm.engine import kernels
 from tiswarm.engine.relax import PreparedSwarm
 from tiswarm.localization import registry
-from tiswarm.localization.joint import annealing
-from tiswarm.localization.joint.annealing import Annealer
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains import annealer
+from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.records.positions import write_estimate
 from tiswarm.scenario.expansion import load_scenario
@@ -251,6 +251,6 @@ def test_a_device_that_returns_without_working_is_refused(monkeypatch):
 def test_an_annealing_without_steps_is_refused(towers, monkeypatch):
     """As on a device that drops its launches."""
     logs = [observe(towers[0], SensingParams())]
-    monkeypatch.setattr(annealing, "take_steps", lambda *arguments: None)
+    monkeypatch.setattr(annealer, "take_steps", lambda *arguments: None)
     with pytest.raises(EnvironmentTroubleError, match="its driver is faulty"):
         _annealed(logs, by_block=False)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiswarm.localization.joint.annealing import cooled, end_sigma, thermostat
-from tiswarm.localization.joint.motion_kernels import MEMORY
+from tiswarm.localization.chains.annealer import cooled, end_sigma, thermostat
+from tiswarm.localization.chains.kernels import MEMORY
 from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import JointParams
 

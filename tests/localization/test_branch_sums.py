@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from tiswarm.compute import backend
-from tiswarm.localization.joint.annealing import Annealer
-from tiswarm.localization.joint.arrays import MASS, TAKEN, VELOCITY, WEIGHT
-from tiswarm.localization.joint.card_kernels import STEPS_A_LAUNCH
-from tiswarm.localization.joint.motion_kernels import RUN
-from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.subtrees import find_subtrees
+from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.arrays import MASS, TAKEN, VELOCITY, WEIGHT
+from tiswarm.localization.chains.card_kernels import RUN, STEPS_A_LAUNCH
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.subtrees import find_subtrees
 from tiswarm.localization.params import JointParams
 from tiswarm.sensing import SensingParams, observe
 

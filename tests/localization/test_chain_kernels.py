@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tiswarm.localization.joint.motion_kernels import MEMORY
+from tiswarm.localization.chains.kernels import MEMORY
 from tiswarm.parts.between.chain_kernels import ChainDocks, ChainRows, anneal_near
 
 DOCKS = 1.2 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.8, 0.0], [-0.5, -0.8, 0.0]])

@@ -9,14 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.structures import Rule, structure
-from tiswarm.localization.joint import annealing, method
+from tiswarm.localization.chains.annealer import Annealer, anneal
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.joint import method
 from tiswarm.localization.joint.chains import (
     between_chains,
     deviation,
     failed,
     squares,
 )
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import CONVERGENCE
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
@@ -36,7 +37,7 @@ def test_no_chain_gains_energy(kind):
     """
     log, _ = structure(Rule(kind=kind, offset=1.1547, untied=0.3), 60, 0)
     params = JointParams()
-    annealer = annealing.Annealer([log], [params], [pose_problem(log, params)])
+    annealer = Annealer([log], [params], [pose_problem(log, params)])
     heat = []
 
     for step in (200, 300, 500, 800, 1200, 1800, 2500, 3000):
@@ -59,7 +60,7 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
     rows = known.rows
     short = dataclasses.replace(rows, arm=0.1 * rows.arm, other_arm=0.1 * rows.other_arm)
     again = dataclasses.replace(known, rows=short)  # nowhere can all of these hold
-    annealer = annealing.Annealer([log], [params], [again])
+    annealer = Annealer([log], [params], [again])
     annealer.advance(1500)
     heat = []
 
@@ -96,7 +97,7 @@ def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypa
     """One whose robot is out of reach, or that ran hot; all others stay as they are."""
     log, _ = structure(Rule(kind="loops"), 30, 2)
     known = pose_problem(log, SHORT)
-    sound = annealing.anneal([log], [SHORT], [known])[0]
+    sound = anneal([log], [SHORT], [known])[0]
     away, hot = np.zeros((2, 4))
     away[1], hot[2] = 1e3, 1e3
     last = sound.last.copy()
@@ -124,7 +125,7 @@ def test_chains_that_fail_again_and_again_do_not_count(monkeypatch):
     """Those that are left make the estimate; if none is, it says that it did not converge."""
     log, _ = structure(Rule(kind="loops"), 30, 2)
     known = pose_problem(log, SHORT)
-    sound = annealing.anneal([log], [SHORT], [known])[0]
+    sound = anneal([log], [SHORT], [known])[0]
     one = dataclasses.replace(sound, temperature=np.array([9.0, 1.0, 1.0, 1.0]))
     every = dataclasses.replace(sound, temperature=np.full(4, 9.0))
 
@@ -178,7 +179,7 @@ def test_squares_are_those_of_residuals_in_standard_deviations():
     log, truth = structure(Rule(kind="loops", untied=0.3), 20, 4)
     heights = dataclasses.replace(log, flip_height=truth[:, 2].copy())
     known = pose_problem(heights, SHORT)
-    found = annealing.anneal([heights], [SHORT], [known])[0]
+    found = anneal([heights], [SHORT], [known])[0]
 
     missed, away = np.split(squares(known, found), [len(known.other)], axis=1)
 
@@ -200,7 +201,7 @@ def test_parts_that_nothing_ties_are_kept_out_of_each_others_way():
         found = localize(log, dataclasses.replace(SHORT, seed=seed))
         known = pose_problem(log, SHORT)
         bound = known.reach() + 5.0
-        annealer = annealing.Annealer([log], [SHORT], [known])
+        annealer = Annealer([log], [SHORT], [known])
         start = annealer.by_robot(annealer.swarm.position)[0]
         first = np.unique(known.part, return_index=True)[1]
         apart = np.linalg.norm(start[first][:, None] - start[first], axis=2)

@@ -8,8 +8,8 @@ import pytest
 from tests import foreign
 from tests.structures import with_fixes, with_ranges
 from tiswarm.localization.assessment import assess
-from tiswarm.localization.joint.annealing import start_sigma
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.annealer import start_sigma
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import (
     HopByHopParams,
     JointParams,

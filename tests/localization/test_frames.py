@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from tests import foreign
 from tests.strategies import rotations, unit_vectors
 from tests.structures import with_directions
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.joint.frames import Frame, align, free_frame
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams
 from tiswarm.sensing import SensingParams, observe
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.structures import Rule, structure, with_heights
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.localization.registry import localize_many
 

@@ -7,8 +7,9 @@ import pytest
 
 from tests import oracle
 from tests.structures import NOISY, silent, with_directions, with_fixes, with_ranges
-from tiswarm.localization.joint import annealing, initialization
-from tiswarm.localization.joint.arrays import (
+from tiswarm.localization.chains import initialization
+from tiswarm.localization.chains.annealer import Annealer, anneal
+from tiswarm.localization.chains.arrays import (
     AGE,
     IS_THIN,
     MASS,
@@ -17,9 +18,9 @@ from tiswarm.localization.joint.arrays import (
     WEIGHT,
     YAW,
 )
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.subtrees import find_subtrees, weights
 from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.joint.subtrees import find_subtrees, weights
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -60,7 +61,7 @@ def test_forces_match_the_energies_written_out_slowly(towers, docks, noise, robu
         log = with_directions(log, towers[0], sd_deg=5.0, robots=range(0, 30, 2))
     params = dataclasses.replace(SHORT, robust=robust, start_sigma=0.3, end_sigma=0.3)
     known = pose_problem(log, params)
-    annealer = annealing.Annealer([log], [params], [known])
+    annealer = Annealer([log], [params], [known])
     annealer.advance(steps)
     before, heading = (
         annealer.by_robot(annealer.swarm.position),
@@ -116,7 +117,7 @@ def test_anchors_stay_where_they_are(towers):
     """Whatever is shifted or turned."""
     log = observe(towers[0], BIASED)
 
-    found = annealing.anneal([log], [SHORT], [pose_problem(log, SHORT)])[0]
+    found = anneal([log], [SHORT], [pose_problem(log, SHORT)])[0]
 
     for positions in (found.mean, found.last, found.trace):
         np.testing.assert_allclose(positions[:, 0] - log.anchor_position, 0.0, atol=1e-12)
@@ -134,7 +135,7 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed
     log = dataclasses.replace(log, fixes=np.array(fixes).reshape(-1, 7))
     params = dataclasses.replace(SHORT, walk_contacts=False)
     known = pose_problem(log, params)
-    annealer = annealing.Annealer([log], [params], [known])
+    annealer = Annealer([log], [params], [known])
     tree = find_subtrees(known.pair, known.roots, log.robot_count)
     count = len(tree.parent)
     annealer.advance(4)
@@ -184,7 +185,7 @@ def test_a_pair_stands_as_far_apart_as_its_likelihood_says():
         params = dataclasses.replace(
             PAIR, chains=200, hold_steps=2000, extension_prior=stretch, robust=False
         )
-        found = annealing.anneal([log], [params], [pose_problem(log, params)])[0]
+        found = anneal([log], [params], [pose_problem(log, params)])[0]
         weight = np.exp(stretch * far)
         expected = 3.0 + 2.0 * np.sum(cosine * weight) / weight.sum()
         assert found.mean[:, 1, 0].mean() == pytest.approx(expected, abs=0.1)
@@ -199,7 +200,7 @@ def test_what_is_likelier_the_farther_it_reaches_does_not_draw_contacts_out():
             PAIR, chains=1000, hold_steps=1, extension_prior=stretch, contact_sd=1.0, robust=False
         )
         known = pose_problem(log, params)
-        found = annealing.anneal([log], [params], [known])[0]
+        found = anneal([log], [params], [known])[0]
         length.append(known.residual(found.last, found.last_yaw).mean())
     assert length[1] == pytest.approx(length[0], abs=0.1)
 
@@ -228,7 +229,7 @@ def test_every_contact_has_its_share_of_the_heat(towers, noise):
     )
     known = pose_problem(log, params)
 
-    found = annealing.anneal([log], [params], [known])[0]
+    found = anneal([log], [params], [known])[0]
 
     gap = known.residual(found.last, found.last_yaw)
     assert np.mean(gap**2 / (known.variance + 0.1**2)) == pytest.approx(1.0, abs=0.1)
@@ -250,9 +251,7 @@ def test_steps_are_the_same_however_threads_share_them(towers):
     short = dataclasses.replace(SHORT, steps=60, hold_steps=20)
     params = [dataclasses.replace(short, end_sigma=end) for end in (None, 0.1, 0.2)]
     known = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
-    swarms = [
-        annealing.Annealer(logs, params, known, by_block=by_block) for by_block in (True, False)
-    ]
+    swarms = [Annealer(logs, params, known, by_block=by_block) for by_block in (True, False)]
     rows = swarms[0].neighbors
     rows.make_room(0)  # what does not fit is given room on the way
 
@@ -269,7 +268,7 @@ def test_steps_are_the_same_however_threads_share_them(towers):
 def test_rows_serve_as_if_made_anew_for_each_step(log):
     """Thin ones while all is hot, thick ones for many steps later: no overlap is missed."""
     known = [pose_problem(log, SHORT)]
-    kept, anew = (annealing.Annealer([log], [SHORT], known) for _ in range(2))
+    kept, anew = (Annealer([log], [SHORT], known) for _ in range(2))
     skins, ages = set(), []
 
     for step in range(1, SHORT.steps + 1):
@@ -289,7 +288,7 @@ def test_the_share_of_the_steps_that_is_done_grows_up_to_all_of_them(log):
     """From none to one, in even parts, with the steps at the end temperature."""
     shares = []
 
-    annealing.anneal([log], [SHORT], [pose_problem(log, SHORT)], on_progress=shares.append)
+    anneal([log], [SHORT], [pose_problem(log, SHORT)], on_progress=shares.append)
 
     even = np.union1d(np.linspace(0.0, 1.0, ANNEALING.frames), [0.75])
     np.testing.assert_allclose(shares, even, atol=1.0 / 400)

@@ -12,9 +12,9 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
+from tiswarm.localization.chains import initialization
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cue_params import CUES
-from tiswarm.localization.joint import initialization
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from tests.localization.test_hop_by_hop import fixed, ranging
 from tests.localization.test_problem import true_yaw
 from tests.structures import NOISY, silent
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import HopByHopParams, JointParams, LeastSquaresParams
 from tiswarm.localization.registry import localize
 from tiswarm.sensing import SensingParams, observe

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from tests import foreign
 from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.localization.chains.initialization import place_disconnected
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.ends import aligned, ranked
-from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import minimum, mix
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import MIXTURE, SD_CALIBRATION
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many

@@ -11,9 +11,9 @@ from tests.foreign import open_chain
 from tests.structures import NOISY, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost, State
 from tiswarm.localization.cost.neighborhood import Configuration
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import HopByHopParams, OnlineParams
 from tiswarm.localization.registry import centered, localize
 from tiswarm.parts.online.annealing import annealed_estimate, reannealed

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.joint import method, outliers
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import OutlierRobotSettings
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize

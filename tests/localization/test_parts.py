@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from tests import oracle
 from tests.structures import Rule, structure, with_heights
-from tiswarm.localization.joint.annealing import Annealer
-from tiswarm.localization.joint.arrays import MASS, MOVES
+from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.arrays import MASS, MOVES
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.joint.planes import Planes
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.observability import observability

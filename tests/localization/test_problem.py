@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests import foreign
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import observability

@@ -20,11 +20,11 @@ from tests.structures import (
     with_ranges,
 )
 from tiswarm.compute.math import dock_offsets
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost import cost as refinement
 from tiswarm.localization.cost.cost import SETTLED, Cost, State
 from tiswarm.localization.cost.linear import NOMINAL
 from tiswarm.localization.cost.settings import OVERLAP_SD
-from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import LARGE, JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER, connections_of, with_orientations

@@ -20,7 +20,7 @@ from tiswarm.localization.params import (
     VirtualForceParams,
 )
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.localization.virtual_force import Localizer
+from tiswarm.localization.virtual_force.method import Localizer
 from tiswarm.measurements.advice import advise, advise_together
 from tiswarm.measurements.cues import cue_names
 from tiswarm.records.sensing_file import log_entries

@@ -16,11 +16,17 @@ from tiswarm.compute import backend
 from tiswarm.compute.lang import Ints1, Ints2, Reals2, Reals3, ti
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
-from tiswarm.localization import virtual_force
 from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.localization.virtual_force_arrays import LogArrays, PlacedRobots, VirtualForceGains
-from tiswarm.localization.virtual_force_kernels import _dock_at, _gains_of, _move
+from tiswarm.localization.virtual_force import method
+from tiswarm.localization.virtual_force.kernels import (
+    LogArrays,
+    PlacedRobots,
+    VirtualForceGains,
+    _dock_at,
+    _gains_of,
+    _move,
+)
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
@@ -254,7 +260,7 @@ def test_docks_that_rounding_moves_across_a_face_are_found_again():
 
 def test_a_launch_that_does_nothing_is_noticed(log, monkeypatch):
     """Some drivers return without having run the kernel; that is no estimate."""
-    monkeypatch.setattr(virtual_force, "localize_in_join_order", lambda *_arrays: None)
+    monkeypatch.setattr(method, "localize_in_join_order", lambda *_arrays: None)
 
     with pytest.raises(EnvironmentTroubleError, match="use --arch cpu"):
         localize(log, SHORT)

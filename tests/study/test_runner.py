@@ -7,7 +7,7 @@ import pytest
 from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import study
 from tiswarm.base.progress import Progress
-from tiswarm.localization import virtual_force
+from tiswarm.localization.virtual_force import method
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, runner
 from tiswarm.study.runner import SAMPLE_ROBOTS
@@ -71,7 +71,7 @@ def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "KEPT_FROM_S", 0.0)
 
     with monkeypatch.context() as patched:
-        patched.setattr(virtual_force, "localize_in_join_order", _interrupt)
+        patched.setattr(method, "localize_in_join_order", _interrupt)
         with pytest.raises(KeyboardInterrupt):
             study.run(small, tmp_path / "stopped", progress=progress)
     monkeypatch.setattr(runner, "grow", _grow_samples_only)

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import SETTLED, Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.cue_params import CUES, ChiSquareParams
-from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import CONVERGENCE, MIXTURE
 from tiswarm.localization.params import LARGE
 from tiswarm.measurements.consistency import are_known

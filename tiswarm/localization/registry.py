@@ -21,7 +21,7 @@ from tiswarm.records.sensing_log import SensingLog
 
 METHODS = {
     "joint": "tiswarm.localization.joint.method",
-    "virtual-force": "tiswarm.localization.virtual_force",
+    "virtual-force": "tiswarm.localization.virtual_force.method",
     "least-squares": "tiswarm.localization.least_squares",
     "hop-by-hop": "tiswarm.localization.hop_by_hop.method",
     "online": "tiswarm.parts.online.method",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.joint.problem import Problem
+from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, SD_CALIBRATION
 
 _BY_CHAIN = ("mean", "within", "last", "mean_yaw", "last_yaw", "temperature")

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.frames import HELD, Frame, align, free_frame
-from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
 from tiswarm.localization.joint.starts import scaled_distances
 from tiswarm.measurements.model import SPACING

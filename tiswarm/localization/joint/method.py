@@ -8,14 +8,14 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import rms
+from tiswarm.localization.chains.annealer import anneal
+from tiswarm.localization.chains.initialization import place_disconnected
+from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cue_params import ChiSquareParams
-from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.ends import further_starts
-from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import mix
 from tiswarm.localization.joint.outliers import disregard, explains, warned
-from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import JointParams
 from tiswarm.records.estimate import Estimate

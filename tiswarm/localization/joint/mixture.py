@@ -13,12 +13,12 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.assessment import misfit_by_robot
+from tiswarm.localization.chains.initialization import place_disconnected
+from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.cost.cost import SETTLED, Cost
 from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further
-from tiswarm.localization.joint.initialization import place_disconnected
-from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import (
     ANNEALING,
     CONVERGENCE,

@@ -6,7 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.base.aliases import Bools, Reals
-from tiswarm.localization.joint.problem import Problem
+from tiswarm.localization.chains.problem import Problem
 from tiswarm.measurements.model import SPACING
 
 MOST_ROBOTS = 1000

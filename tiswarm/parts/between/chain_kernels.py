@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import kick_of, vector_at
-from tiswarm.localization.joint.force_kernels import MOST_STIFFNESS
-from tiswarm.localization.joint.motion_kernels import MEMORY
+from tiswarm.localization.chains.force_kernels import MOST_STIFFNESS
+from tiswarm.localization.chains.kernels import MEMORY
 from tiswarm.measurements.model import SPACING
 
 _TINY = 1e-9

@@ -6,7 +6,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.assessment import assess, rms
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import DistributedParams
 from tiswarm.records.estimate import Convergence, Estimate
 from tiswarm.records.sensing_log import SensingLog

@@ -14,9 +14,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost.neighborhood import Block, Configuration, block_of
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
-from tiswarm.localization.joint.problem import chosen_rows
 from tiswarm.localization.params import DistributedParams, OnlineParams
 from tiswarm.localization.registry import centered
 from tiswarm.measurements.odometry import Odometry

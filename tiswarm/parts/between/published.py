@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization import virtual_force
 from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
+from tiswarm.localization.virtual_force.method import localize_batch
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.parts.between.channel import HEADER, Channel
 from tiswarm.parts.between.wire import pose_bytes
@@ -35,7 +35,7 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
         judge for themselves.
     """
     settings = params.published
-    [found] = virtual_force.localize_batch([log], [settings])
+    [found] = localize_batch([log], [settings])
     robots = log.robot_count
     channel = Channel(params, robots, lambda _, message: message)
     touching: list[set[int]] = [set() for _ in range(robots)]

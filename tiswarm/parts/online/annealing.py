@@ -5,16 +5,16 @@ from dataclasses import fields
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
+from tiswarm.localization.chains.annealer import anneal
+from tiswarm.localization.chains.initialization import place_disconnected, set_apart
+from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.cue_params import ChiSquareParams
-from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.ends import ranked
-from tiswarm.localization.joint.initialization import place_disconnected, set_apart
 from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
-from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import CONVERGENCE
 from tiswarm.localization.params import JointParams, OnlineParams
 from tiswarm.measurements.contacts import untied_directions

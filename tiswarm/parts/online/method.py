@@ -14,7 +14,7 @@ import numpy as np
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import rms
-from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.params import OnlineParams
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.estimate import Estimate

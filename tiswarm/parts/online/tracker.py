@@ -17,8 +17,8 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
 from tiswarm.localization.assessment import Assessment, assess, rms
+from tiswarm.localization.chains.problem import chosen_rows, pose_problem
 from tiswarm.localization.cost.neighborhood import Block, Neighborhood, block_of
-from tiswarm.localization.joint.problem import chosen_rows, pose_problem
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
 from tiswarm.measurements.odometry import Odometry

@@ -5,17 +5,13 @@ orientations sensed, a subtree can move as one only by a shift. Moving its robot
 would take ever longer the more there are, so the annealer shifts whole subtrees too.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.csgraph import dijkstra
 
-from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.compute.backend import Allocator
-from tiswarm.localization.joint.arrays import WEIGHT, Subtrees
-from tiswarm.localization.joint.problem import Problem
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.contacts import touching
 
 _SUBTREE_WEIGHT = 3.0
@@ -68,52 +64,6 @@ def find_subtrees(pair: Ints, roots: Ints, robots: int) -> Forest:
         first=np.searchsorted(np.sort(owner), np.arange(len(parent) + 1)),
         parent=number[parent[np.argsort(number)]],
     )
-
-
-def subtree_arrays(
-    memory: Allocator, problems: Sequence[Problem], trees: Sequence[Forest], chains: int
-) -> Subtrees:
-    """Put the subtrees of all structures on the device, at rest.
-
-    Args:
-        memory: Where arrays are allocated.
-        problems: Measurements of each structure.
-        trees: Subtrees of each.
-        chains: Chains of each.
-    """
-    count = np.array([len(tree.parent) for tree in trees])
-    own = np.concatenate([np.diff(tree.first) for tree in trees])
-    end = np.cumsum(own)
-    parent = np.concatenate(
-        [t.parent + a for t, a in zip(trees, np.cumsum(count) - count, strict=True)]
-    )
-    last = end.copy()
-    # Parents stand before what grows out of them: backward, each is whole when it is added.
-    for subtree in range(len(own) - 1, -1, -1):
-        last[parent[subtree]] = max(last[parent[subtree]], last[subtree])
-    ordinal = np.concatenate([np.arange(n) for n in count])
-    held = [_held(problem)[tree.order] for problem, tree in zip(problems, trees, strict=True)]
-    before = np.pad(np.cumsum(np.concatenate(held), axis=0), ((1, 0), (0, 0)))
-    # Everyone together does not move.
-    moves = (before[last] == before[end - own]) & (ordinal > 0)[:, None]
-    table = [end - own, end, last, parent, moves, ordinal]  # OWN to ORDINAL
-    motion = np.zeros((chains, len(own), WEIGHT + 1))
-    motion[:, :, WEIGHT] = np.concatenate([weights(tree) for tree in trees])
-    return Subtrees(
-        table=memory.upload(np.column_stack(table)),
-        motion=memory.upload(motion.reshape(-1, WEIGHT + 1)),
-    )
-
-
-def _held(problem: Problem) -> Bools:
-    """Find the axes along which coordinates of each robot stop its subtrees, shape (N, 3).
-
-    Many robots that were measured would hold a subtree more stiffly than its mass allows. What
-    holds a root is in the root's own mass: a part moves as one toward where its root was measured.
-    """
-    held = problem.planes.along(len(problem.part))
-    held[problem.roots] = False
-    return held
 
 
 def weights(tree: Forest) -> Reals:

@@ -1,5 +1,8 @@
 """Steps of every robot of every chain: forces, then motions, then the age of the Verlet rows.
 
+Motions are Langevin dynamics: each has a mass, keeps a part of its velocity, and is kicked so that
+it reaches the temperature sigma^2. Robots move, their turns, and subtrees.
+
 `take_steps` is for processors; `card_kernels` has the kernel of graphics cards.
 """
 
@@ -17,6 +20,7 @@ from tiswarm.compute.lang import (
     Static,
     ti,
 )  # fmt: skip
+from tiswarm.compute.math_kernels import kick_of, part_at
 from tiswarm.compute.neighbor_kernels import (
     Cells,
     ConnectedDocks,
@@ -25,13 +29,35 @@ from tiswarm.compute.neighbor_kernels import (
     fits,
     list_structure,
 )
-from tiswarm.localization.joint.arrays import (
+from tiswarm.localization.chains.arrays import (
     AGE,
+    COS,
+    FORCE,
+    INERTIA,
     IS_THIN,
+    MASS,
+    MOVES,
+    NUMBER,
+    ORDINAL,
+    OWN,
+    OWN_END,
+    OWN_SHIFT,
+    PARENT,
+    SHIFT,
+    SIN,
+    SPIN,
+    SQUARE,
     STALE,
+    SUBTREE,
     TAKEN,
+    TORQUE,
+    TOTAL,
     TREE,
     TREE_END,
+    VELOCITY,
+    WEIGHT,
+    YAW,
+    YAW_PRECISION,
     Blocks,
     Contacts,
     Copies,
@@ -41,14 +67,159 @@ from tiswarm.localization.joint.arrays import (
     Subtrees,
     variant_of,
 )
-from tiswarm.localization.joint.force_kernels import pull_robot
-from tiswarm.localization.joint.motion_kernels import (
-    gather_pulls,
-    move_robot,
-    move_subtree,
-    pull_subtree,
-    spread_shifts,
-)
+from tiswarm.localization.chains.force_kernels import pull_robot, sigma_of
+
+_STEP = 1.0
+"""Time step, where a robot held by one equation swings in 2 pi."""
+MEMORY = 0.985
+"""What friction leaves of a velocity in one step."""
+_SUBTREE_KICKS = 2**30
+"""Number of the first subtree among those of robots, so that subtrees draw other random numbers."""
+
+
+@ti.func
+def _moved(table: Ref, i, column, force, mass, sigma, kick):
+    """Change a velocity, a column of a table; return how far it leads."""
+    # s = sigma sqrt((1 - a^2) / m)
+    heat = sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass)
+    # v' = v + F h / m
+    speed = table[i, column] + _STEP * force / mass
+    # v <- a v' + s xi
+    table[i, column] = MEMORY * speed + heat * kick
+    # x = h (v' + v) / 2
+    return 0.5 * _STEP * (speed + table[i, column])
+
+
+@ti.func
+def _turn_dock(turn, r, k, arm: Ref):
+    """Turn dock `k` of copy r of a robot about the vertical through its center."""
+    if turn != 0.0:
+        c, s = ti.cos(turn), ti.sin(turn)
+        x, y = arm[r, k, 0], arm[r, k, 1]
+        arm[r, k, 0] = c * x - s * y
+        arm[r, k, 1] = s * x + c * y
+
+
+@ti.func
+def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
+    """Turn copy r of a robot, its docks with it."""
+    count = robots.label.shape[0]
+    kick = kick_of(step.seed, r // count, -1 - robots.label[r % count, NUMBER], step.number)[0]
+    heading = ti.static(swarm.heading)
+    sigma = sigma_of(r % count, step, robots)
+    turn = _moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], sigma, kick)
+    heading[r, YAW] += turn
+    heading[r, COS] = ti.cos(heading[r, YAW])
+    heading[r, SIN] = ti.sin(heading[r, YAW])
+    for k in range(swarm.arm.shape[1]):
+        _turn_dock(turn, r, k, swarm.arm)
+    if step.number >= step.hold:
+        heading[r, TOTAL] += heading[r, YAW]
+
+
+@ti.func
+def pull_subtree(k, robots, trees: Ref, swarm: Ref):
+    """Write the force on the own robots of copy k of a subtree, and the mass of the subtree.
+
+    A subtree that becomes heavier keeps its kinetic energy.
+    """
+    n = k % trees.table.shape[0]
+    start = k // trees.table.shape[0] * robots
+    pull = 0.0 * part_at(swarm.motion, start, FORCE)
+    mass = 0.0 * pull[0]
+    for r in range(start + trees.table[n, OWN], start + trees.table[n, OWN_END]):
+        pull += part_at(swarm.motion, r, FORCE)
+        mass += trees.motion[k, WEIGHT] * swarm.motion[r, MASS]
+    note_pull(k, pull, mass, trees)
+
+
+@ti.func
+def note_pull(k, pull, mass, trees: Ref):
+    """Write the force on copy k of a subtree, and its mass; velocities shrink as this grows."""
+    lighter = ti.sqrt(trees.motion[k, MASS] / mass)
+    trees.motion[k, MASS] = mass
+    for c in ti.static(range(3)):
+        trees.motion[k, FORCE + c] = pull[c]
+        trees.motion[k, VELOCITY + c] *= lighter
+
+
+@ti.func
+def gather_pulls(b, blocks: Ref, trees: Ref):
+    """Add to the force on each subtree of block b those on all that grow out of it."""
+    count = trees.table.shape[0]
+    first, last = blocks.progress[b, TREE], blocks.progress[b, TREE_END]
+    chain = first // count
+    for back in range(1, last - first):
+        k = last - back
+        parent = chain * count + trees.table[k - chain * count, PARENT]
+        for c in ti.static(range(3)):
+            trees.motion[parent, FORCE + c] += trees.motion[k, FORCE + c]
+
+
+@ti.func
+def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
+    """Write the shift of copy k of a subtree, without that of the subtrees it grows out of.
+
+    Args:
+        k: Copy of the subtree.
+        on_card: Whether `gather_shifts` follows, not `spread_shifts`.
+        step: The step.
+        robots: Robots.
+        trees: Subtrees.
+    """
+    count = trees.table.shape[0]
+    n = k % count
+    kick = kick_of(step.seed, k // count, _SUBTREE_KICKS + trees.table[n, ORDINAL], step.number)
+    motion, shift = ti.static(trees.motion, OWN_SHIFT if on_card else SHIFT)
+    sigma = sigma_of(trees.table[n, OWN], step, robots)
+    for c in ti.static(range(3)):
+        motion[k, shift + c] = 0.0
+        if trees.table[n, MOVES + c] == 1:
+            force, mass = motion[k, FORCE + c], motion[k, MASS]
+            motion[k, shift + c] = _moved(motion, k, VELOCITY + c, force, mass, sigma, kick[c])
+
+
+@ti.func
+def spread_shifts(b, blocks: Ref, trees: Ref):
+    """Add to the shift of each subtree of block b that of the subtree it grows out of."""
+    count = trees.table.shape[0]
+    first, last = blocks.progress[b, TREE], blocks.progress[b, TREE_END]
+    chain = first // count
+    for k in range(first + 1, last):
+        parent = chain * count + trees.table[k - chain * count, PARENT]
+        for c in ti.static(range(3)):
+            trees.motion[k, SHIFT + c] += trees.motion[parent, SHIFT + c]
+
+
+@ti.func
+def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: Ref, swarm: Ref):
+    """Move copy r by itself and with its subtree, and turn it if robots turn; anchors stay.
+
+    Returns:
+        Its squared distance from where its Verlet row was built.
+    """
+    motion, position = ti.static(swarm.motion, swarm.position)
+    count = robots.label.shape[0]
+    i, chain = r % count, r // count
+    strayed = 0.0 * motion[r, MASS]
+    number = robots.label[i, NUMBER]
+    kick = kick_of(step.seed, chain, number, step.number)
+    sigma = sigma_of(i, step, robots)
+    k = chain * trees.table.shape[0] + robots.label[i, SUBTREE]
+    for c in ti.static(range(3)):
+        if number > 0:
+            force, mass = motion[r, FORCE + c], motion[r, MASS]
+            alone = _moved(motion, r, VELOCITY + c, force, mass, sigma, kick[c])
+            position[r, c] += alone + trees.motion[k, SHIFT + c]
+        strayed += (position[r, c] - blocks.listed[4 * r + c]) ** 2
+    if ti.static(variant.turning) and robots.weight[i, YAW_PRECISION] > 0.0:
+        _turn_robot(r, step, robots, swarm)
+    if step.number >= step.hold:
+        for c in ti.static(range(3)):
+            swarm.total[r, c] += position[r, c]
+            swarm.total[r, SQUARE] += position[r, c] * position[r, c]
+    return strayed
+
 
 SKIN = 2.0
 """Reach of Verlet rows beyond the distance at which docks can touch [R]."""

@@ -10,7 +10,7 @@ back-propagation would revisit recent robots every ten joins. Its virtual torque
 our trials, see `docs/accuracy.md`.
 
 `localize_batch` places the robots of whole logs, `Localizer` each robot as it joins. Under the
-schedule `together` all robots step at once; `tiswarm.localization.together` does that.
+schedule `together` all robots step at once; the module `together` does that.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -27,7 +27,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import BackPropagation, LocalizationParams, VirtualForceParams
-from tiswarm.localization.virtual_force_arrays import (
+from tiswarm.localization.virtual_force.kernels import (
     ALL_DOCKS,
     DOCKS_OF_NEIGHBORS,
     NO_DOCKS,
@@ -35,8 +35,8 @@ from tiswarm.localization.virtual_force_arrays import (
     PlacedRobots,
     Trace,
     VirtualForceGains,
+    localize_in_join_order,
 )
-from tiswarm.localization.virtual_force_kernels import localize_in_join_order
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import in_plane, measure
 from tiswarm.records.estimate import Estimate
@@ -52,7 +52,7 @@ from tiswarm.records.sensing_format import (
 from tiswarm.records.sensing_log import SensingLog
 
 _WORLD_UP = np.array([[0.0, 0.0, 1.0]])
-_TOGETHER = "tiswarm.localization.together"
+_TOGETHER = "tiswarm.localization.virtual_force.together"
 _NO_SWEEPS = BackPropagation(sweeps=0)
 
 

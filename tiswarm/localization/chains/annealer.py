@@ -16,7 +16,7 @@ from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
-from tiswarm.localization.joint.arrays import (
+from tiswarm.localization.chains.arrays import (
     AGE,
     IS_THIN,
     MASS,
@@ -26,21 +26,19 @@ from tiswarm.localization.joint.arrays import (
     TOTAL,
     VELOCITY,
     YAW,
-)
-from tiswarm.localization.joint.card_kernels import take_steps_on_card
-from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.initialization import initial_guess, reinitialize_lost
-from tiswarm.localization.joint.kernels import SKIN, THIN_SKIN, note_places, take_steps
-from tiswarm.localization.joint.motion_kernels import MEMORY, sum_rows
-from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays
-from tiswarm.localization.joint.upload import (
     block_arrays,
     measured_arrays,
+    subtree_arrays,
     swarm_arrays,
     traits_of,
 )
+from tiswarm.localization.chains.card_kernels import sum_rows, take_steps_on_card
+from tiswarm.localization.chains.initialization import initial_guess, reinitialize_lost
+from tiswarm.localization.chains.kernels import MEMORY, SKIN, THIN_SKIN, note_places, take_steps
+from tiswarm.localization.chains.problem import Problem
+from tiswarm.localization.chains.subtrees import find_subtrees
+from tiswarm.localization.joint.chains import Annealed
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
