@@ -22,8 +22,8 @@ from tiswarm.parts.between.channel import (
     Channel,
     Message,
 )
-from tiswarm.parts.between.local import Program
-from tiswarm.parts.between.swarm import PeerSwarm
+from tiswarm.parts.between.method import PeerSwarm
+from tiswarm.parts.between.robot import Program
 from tiswarm.parts.between.wire import (
     Reader,
     Writer,

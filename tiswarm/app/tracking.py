@@ -52,7 +52,7 @@ def track(
         InputError: the input cannot be read, its header or a setting is invalid, or an output is an
             input, or a file that no tiswarm command wrote.
     """
-    follow = load("tiswarm.parts.online.stream:follow", "track")
+    follow = load("tiswarm.parts.online.method:follow", "track")
     file, terminal = (as_path(out, "out"), None) if isinstance(out, _NAME) else (None, out)
     table = None if estimate is None else as_path(estimate, "estimate")
     outputs.check({"out": file, "estimate": table}, [source], overwrite=overwrite)

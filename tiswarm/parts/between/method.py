@@ -4,6 +4,13 @@ By default one robot solves for all that are within `reach` of it: the anchor, l
 
 The log is cut into lines, one for each robot; from then on a robot has its own line, and what it
 hears. Under `touch` robots in contact at the end, as the log has it, hear each other.
+
+Algorithm 1 of the paper runs between robots, too: what it sends, beside the estimate of
+`virtual-force`. A robot that joins needs the poses of those that it touches, and for undocked
+repulsion of all near it: the paper's minimal global channel, on which robots "periodically
+broadcast an estimated pose proxy (e.g., center and dock position)". Without that repulsion, those
+that it touches answer it. In a round of back-propagation each robot sends its position after each
+of its steps. By touch, robots pass on what they hear.
 """
 
 import json
@@ -12,19 +19,30 @@ from dataclasses import replace
 
 import numpy as np
 
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
-from tiswarm.localization.params import DistributedParams
-from tiswarm.parts.between.conclusion import estimate_of
-from tiswarm.parts.between.local import Program
-from tiswarm.parts.between.published import algorithm_1
-from tiswarm.parts.between.swarm import PeerSwarm
-from tiswarm.parts.between.wire import MOST_ROBOTS
+from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
+from tiswarm.localization.virtual_force import method as virtual_force
+from tiswarm.measurements.contacts import contact_count
+from tiswarm.parts.between.channel import HEADER, Channel, Message
+from tiswarm.parts.between.conclusion import Found, estimate_of
+from tiswarm.parts.between.robot import Peer, Program
+from tiswarm.parts.between.wire import MOST_ROBOTS, pose_bytes
 from tiswarm.parts.online.lines import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_format import RobotLine, line_text, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
+
+_MOST_TURNS = 1000
+"""Times that robots go on without an answer after a join, before the next one joins."""
+
+_OF_DISTANCE = 8
+"""Operations for the distance of two docks [1]."""
+
+_OF_FORCE = 30
+"""Operations for the force between them [1]."""
 
 
 def batch_key(log: SensingLog, params: DistributedParams) -> Hashable:  # noqa: ARG001
@@ -85,3 +103,117 @@ def _localized(
         swarm.join(line)
         on_progress((line.robot + 1) / len(lines))
     return estimate_of(log, params, swarm.found())
+
+
+class PeerSwarm:
+    """Robots that join one by one. Nothing here looks into one for the sake of another."""
+
+    def __init__(self, program: Program, robots: int) -> None:
+        """Begin without robots; so many will join, and all are programmed alike."""
+        self._program = program
+        self.channel = Channel(program.params, robots, self._hear)
+        self.robots: list[Peer] = []
+        self._memory = np.zeros(robots, np.int64)
+        self._at_join = np.zeros((robots, 3))
+
+    def join(self, line: RobotLine) -> None:
+        """Let the next robot join, and all go on until none waits for an answer."""
+        robot = Peer(self._program, line)
+        self.robots.append(robot)
+        self.channel.join({*robot.touching})
+        robot.join()
+        self._send(robot)
+        self.channel.settle()
+        for _ in range(_MOST_TURNS):
+            waiting = [each for each in self.robots if each.waits]
+            if not waiting:
+                break
+            # Nothing is under way, so no answer will come.
+            for each in waiting:
+                each.expire()
+                self._send(each)
+            self.channel.settle()
+        self._at_join[robot.number] = self._positions()[-1]
+        # Memory counts at its fullest.
+        memory = [each.memory for each in self.robots]
+        self._memory[: len(memory)] = np.maximum(self._memory[: len(memory)], memory)
+
+    def _hear(self, number: int, message: Message) -> Message:
+        """Give a robot a message, send what it answers, and return what it passes on."""
+        robot = self.robots[number]
+        passed = robot.hear(message)
+        self._send(robot)
+        return passed
+
+    def _send(self, robot: Peer) -> None:
+        while robot.outbox:
+            self.channel.send(robot.outbox.pop(0))
+
+    def _positions(self) -> Reals:
+        """List where the robots take themselves to be; at the anchor if they do not know."""
+        places = [robot.place for robot in self.robots]
+        return np.array([np.zeros(3) if place is None else place.position for place in places])
+
+    def found(self) -> Found:
+        """Gather what each robot knows of itself."""
+        robots = self.robots
+        reason = "robots search near each other only, and many at once may be in a mirror image"
+        if not self._program.params.chains:
+            reason = "no robot annealed those near it, and any may be in a mirror image"
+        operations = np.array([robot.operations for robot in robots])
+        return Found(
+            position=self._positions(),
+            at_join=self._at_join,
+            sd=np.array([0.0 if robot.place is None else robot.place.sd for robot in robots]),
+            lost=np.array([robot.place is None for robot in robots], np.bool_),
+            doubtful=np.array([robot.judge() for robot in robots], np.bool_),
+            traffic=self.channel.traffic(self._memory, operations),
+            steps=len(robots),
+            reason=reason,
+        )
+
+
+def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
+    """Localize a log by Algorithm 1, and count what robots send.
+
+    Returns:
+        The estimate without losses and rounding, with the traffic of the channel. Robots do not
+        judge for themselves.
+    """
+    settings = params.published
+    [found] = virtual_force.localize_batch([log], [settings])
+    robots = log.robot_count
+    channel = Channel(params, robots, lambda _, message: message)
+    touching: list[set[int]] = [set() for _ in range(robots)]
+    for i, _, j, _ in log.contacts.tolist():
+        touching[max(i, j)].add(min(i, j))
+    pose = HEADER + pose_bytes(params.bits, with_orientation=True)
+    moved = HEADER + pose_bytes(params.bits, with_orientation=False)
+    rounds = params.back_propagation
+    for number in range(robots):
+        channel.join(touching[number])
+        if not params.undocked_repulsion:
+            channel.answer(number, pose)
+        elif params.poses == "every-join" or number == robots - 1:
+            channel.broadcast(pose)
+        if rounds is not None and _follows(rounds, number + 1, robots):
+            channel.broadcast(moved, rounds.sweeps, by_all=params.undocked_repulsion)
+    heard_of = np.full(robots, robots) if params.undocked_repulsion else 1 + channel.degree
+    memory = heard_of * (pose - HEADER)
+    traffic = channel.traffic(memory, _operations(log, settings, found.steps))
+    return replace(found, traffic=traffic)
+
+
+def _follows(rounds: BackPropagation, joined: int, robots: int) -> bool:
+    """Judge whether a round follows a join."""
+    return joined % rounds.every == 0 or joined == robots
+
+
+def _operations(log: SensingLog, params: VirtualForceParams, steps: Ints | None) -> Reals:
+    """Count the operations of each robot, shape (N,); for Eq. (2) it looks at all docks."""
+    taken = np.full(log.robot_count, params.iterations) if steps is None else steps
+    docks = len(log.dock_offset_body)
+    # Only robots that have joined before are heard.
+    pairs = docks**2 * np.arange(log.robot_count) * params.undocked_repulsion
+    per_step = _OF_DISTANCE * pairs + _OF_FORCE * contact_count(log)
+    return np.asarray(taken * per_step, np.float64)

@@ -1,4 +1,4 @@
-"""Constants of robots that localize themselves, each with its unit and its reason. Lengths in R.
+"""Constants of chains near one robot, each with its unit and its reason. Lengths in R.
 
 Chosen on towers and cantilevers of the seeds 1000 to 1007, which no result is reported on.
 """
@@ -22,23 +22,4 @@ class ChainSettings:
     the rows of a robot, as in `joint`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AnswerSettings:
-    """What is worth a message."""
-
-    moved: float = 0.02
-    """Shift from which on a robot hears where it is now [R]."""
-
-    turned: float = 0.2
-    """Turn from which on it does [standard deviations]."""
-
-    doubtful_sd: float = 1.0
-    """Standard deviation from which on a robot doubts its position: half a dock diameter [R]."""
-
-    stays_sd: float = 0.05
-    """Standard deviation of each coordinate of a robot whose other rows are not here: the robots
-    that solved for it know more of it [R]."""
-
-
 CHAINS = ChainSettings()
-ANSWERS = AnswerSettings()

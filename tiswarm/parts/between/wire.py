@@ -7,6 +7,8 @@
 | `candidates` | other places that its rows allow |
 | `numbers` | which robots share rows with it |
 
+Robots ask for these, and answer; one that solved says of others where they are.
+
 A coordinate is rounded to one of 2^bits values within a range, a power of two, that the message
 states. Lengths in R, relative to the anchor.
 """
@@ -14,6 +16,7 @@ states. Lengths in R, relative to the anchor.
 import json
 import math
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +32,9 @@ MOST_ROBOTS = 2**NUMBER
 
 COUNT = 8
 """Bits of a count."""
+
+CHECK = 15
+"""Bits of the checksum by which a robot knows that what another one holds of it is current."""
 
 _ANGLE = 10
 """Bits of a part of a quaternion that suffice: the step is a tenth of a degree."""
@@ -58,6 +64,7 @@ _PLAIN = ("contacts", "ground_docks")
 """Lists of a stance that have a code of their own; all others are sent as text."""
 
 _AXES = 3
+_NO_CANDIDATES: Reals = np.empty((0, _AXES))
 
 
 class Whereabouts(NamedTuple):
@@ -345,3 +352,44 @@ def _read_stance(source: Reader, docks: int, stays: list[list[int]]) -> dict[str
         "contacts": sorted(contacts),
         "ground_docks": ground,
     }
+
+
+class Answer(NamedTuple):
+    """What a robot says of itself, or one that solved says of it."""
+
+    is_new: bool
+    sharing: tuple[int, ...]
+    place: Whereabouts | None
+    candidates: Reals
+    is_surprising: bool
+
+
+def asking(wants_line: int, checksum: int) -> bytes:
+    """Write what is asked of a robot: its line, and its place unless that has this checksum."""
+    part = Writer(None)
+    part.number(wants_line, 1)
+    part.number(checksum, CHECK)
+    return part.to_bytes()
+
+
+@lru_cache(maxsize=20_000)
+def read_answer(content: bytes, bits: int | None, with_candidates: bool) -> Answer:  # noqa: FBT001
+    """Read what a robot says of itself."""
+    answer = Reader(content, bits)
+    is_new, is_placed = answer.number(1) == 1, answer.number(1)
+    sharing = tuple(read_numbers(answer)) if is_new else ()
+    place = read_place(answer) if is_placed else None
+    candidates = read_candidates(answer) if is_placed and with_candidates else _NO_CANDIDATES
+    return Answer(is_new, sharing, place, candidates, is_surprising=False)
+
+
+@lru_cache(maxsize=20_000)
+def read_result(content: bytes, bits: int | None) -> Answer:
+    """Read what one that solved says of a robot."""
+    answer = Reader(content, bits)
+    has_candidates, is_surprising = answer.number(1), answer.number(1) == 1
+    place = read_place(answer)
+    candidates = read_candidates(answer) if has_candidates else _NO_CANDIDATES
+    return Answer(
+        is_new=True, sharing=(), place=place, candidates=candidates, is_surprising=is_surprising
+    )
