@@ -30,8 +30,7 @@ ASKED = {
     "tiswarm.app.live": "view runs --live",
     "tiswarm.interop": "export sensing.jsonl known.csv",
     "tiswarm.parts.between": "localize sensing.jsonl --method distributed",
-    "tiswarm.localization.hop_by_hop": "localize sensing.jsonl --method hop-by-hop",
-    "tiswarm.localization.least_squares": "localize sensing.jsonl --method least-squares",
+    "tiswarm.parts.peers": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.parts.online": "localize sensing.jsonl --method online",
     "tiswarm.localization.virtual_force.together": "localize sensing.jsonl --method virtual-force "
     "--set schedule=together",
@@ -46,7 +45,6 @@ ASKED = {
 """By part, a command that needs it."""
 
 ALSO_LACKING = {
-    "tiswarm.localization.hop_by_hop": ["tiswarm.localization.least_squares"],
     "tiswarm.parts.online": ["tiswarm.parts.between"],
 }
 """By part, others that begin where it ends, and cannot do without it."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tiswarm.localization.hop_by_hop.trilateration import (
+from tiswarm.parts.peers.trilateration import (
     INDEPENDENT,
     POINTS,
     Ties,

@@ -22,8 +22,8 @@ from tiswarm.records.sensing_log import SensingLog
 METHODS = {
     "joint": "tiswarm.localization.joint.method",
     "virtual-force": "tiswarm.localization.virtual_force.method",
-    "least-squares": "tiswarm.localization.least_squares",
-    "hop-by-hop": "tiswarm.localization.hop_by_hop.method",
+    "least-squares": "tiswarm.parts.peers.least_squares",
+    "hop-by-hop": "tiswarm.parts.peers.hop_by_hop",
     "online": "tiswarm.parts.online.method",
     "distributed": "tiswarm.parts.between.method",
 }

@@ -29,7 +29,11 @@ from scipy.spatial import cKDTree
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import assess, rms
-from tiswarm.localization.hop_by_hop.trilateration import (
+from tiswarm.localization.params import HopByHopParams
+from tiswarm.measurements.contacts import disconnected, parts
+from tiswarm.measurements.cues import measure
+from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.parts.peers.trilateration import (
     POINTS,
     Ties,
     Trilateration,
@@ -37,10 +41,6 @@ from tiswarm.localization.hop_by_hop.trilateration import (
     outer,
     unit,
 )
-from tiswarm.localization.params import HopByHopParams
-from tiswarm.measurements.contacts import disconnected, parts
-from tiswarm.measurements.cues import measure
-from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

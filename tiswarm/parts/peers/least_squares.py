@@ -14,13 +14,13 @@ from tiswarm.base.progress import ignore
 from tiswarm.compute.math import normal
 from tiswarm.localization.chains.initialization import set_apart
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.hop_by_hop.method import place
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.ends import further_starts, settled
 from tiswarm.localization.joint.method import mixed
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING
+from tiswarm.parts.peers.hop_by_hop import place
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -1,1 +1,0 @@
-"""Optional: the method `hop-by-hop`, as rival systems localize."""

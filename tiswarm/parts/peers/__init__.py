@@ -1,0 +1,1 @@
+"""Optional: methods by which rival systems, and general solvers, localize."""
