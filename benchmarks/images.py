@@ -14,12 +14,18 @@ from PIL import Image, ImageDraw, ImageFont
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute import backend
+from tiswarm.parts.pictures.animation import FRAME_MS, LAST_MS, draw_joins, encode_webp
+from tiswarm.parts.pictures.pictures import (
+    Keys,
+    Scale,
+    Tile,
+    add_legend,
+    build_pictures,
+    draw_side_by_side,
+)
+from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.records.messages import three_digits
 from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, colors_along
-from tiswarm.report.render.animation import FRAME_MS, LAST_MS, draw_joins, encode_webp
-from tiswarm.report.render.pictures import Keys, Scale, add_legend, build_pictures
-from tiswarm.report.render.scene import TRUE_SIZE, build_scene
-from tiswarm.report.render.side_by_side import Tile, draw_side_by_side
 from tiswarm.report.run_data import RunData, StoredCase, load_run
 from tiswarm.report.swarm_view import read_case_view
 

@@ -27,7 +27,7 @@ assert tiswarm.read_log(log).localize(chains=1, steps=10, hold_steps=5).position
 """
 
 ASKED = {
-    "tiswarm.app.live": "view runs --live",
+    "tiswarm.parts.live": "view runs --live",
     "tiswarm.interop": "export sensing.jsonl known.csv",
     "tiswarm.parts.between": "localize sensing.jsonl --method distributed",
     "tiswarm.parts.peers": "localize sensing.jsonl --method hop-by-hop",
@@ -37,8 +37,8 @@ ASKED = {
     "tiswarm.measurements.advice": "advise sensing.jsonl known.csv",
     "tiswarm.measurements.placement": "explain sensing.jsonl 1 known.csv",
     "tiswarm.report.placement_figure": "explain sensing.jsonl 1 known.csv",
-    "tiswarm.report.render": "render sensing.jsonl known.csv",
-    "tiswarm.study.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
+    "tiswarm.parts.pictures": "render sensing.jsonl known.csv",
+    "tiswarm.parts.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
     "tiswarm.parts.suites": "run tower --set sensing.suite=zooids --plan",
 }

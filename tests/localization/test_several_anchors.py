@@ -23,11 +23,11 @@ from tiswarm.localization.registry import localize, localize_many
 from tiswarm.localization.virtual_force.method import Localizer
 from tiswarm.measurements.advice import advise, advise_together
 from tiswarm.measurements.cues import cue_names
+from tiswarm.parts.navigation import _parts
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.study.navigation import _parts
 from tiswarm.world.growth import grow
 from tiswarm.world.params import CantileverParams, TowerParams
 

@@ -12,6 +12,7 @@ from PIL import Image
 from tests.report.conftest import write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
+from tiswarm.parts.pictures.pictures import build_pictures
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import space
 from tiswarm.report.captions import caption_of
@@ -25,7 +26,6 @@ from tiswarm.report.page_tables import (
     result_tables,
 )
 from tiswarm.report.remarks import notes_of, warnings_of
-from tiswarm.report.render.pictures import build_pictures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.space import build_view, first_series
 from tiswarm.report.swarm_view import read_case_view

@@ -11,10 +11,14 @@ from PIL import Image
 from tests.report.conftest import is_blank, write_case, write_summary
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
-from tiswarm.report.render import open3d_library
-from tiswarm.report.render.pictures import build_pictures, render_run
-from tiswarm.report.render.raycast import draw_scenes
-from tiswarm.report.render.side_by_side import build_sizes, draw_side_by_side
+from tiswarm.parts.pictures import raycast
+from tiswarm.parts.pictures.pictures import (
+    build_pictures,
+    build_sizes,
+    draw_side_by_side,
+    render_run,
+)
+from tiswarm.parts.pictures.raycast import draw_scenes
 from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view
 
@@ -85,15 +89,15 @@ def test_an_open3d_that_crashes_does_not_end_the_run(scene, tmp_path, monkeypatc
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setitem(sys.modules, "open3d", None)  # undone in the end
     del sys.modules["open3d"]
-    open3d_library.try_in_child.cache_clear()
+    raycast.try_in_child.cache_clear()
 
     _, renderer, reason = draw_scenes([scene])
     (library / "__init__.py").write_text("works = True\n")
-    found = open3d_library.import_open3d()
+    found = raycast.import_open3d()
     del sys.modules["open3d"]
-    open3d_library.try_in_child.cache_clear()
-    monkeypatch.setattr(open3d_library, "child_command", lambda _: ["false"])
-    again = open3d_library.import_open3d()
+    raycast.try_in_child.cache_clear()
+    monkeypatch.setattr(raycast, "child_command", lambda _: ["false"])
+    again = raycast.import_open3d()
 
     assert renderer == "taichi"
     assert reason.startswith("open3d: its import crashes with SIGABRT; `tiswarm doctor`")

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.pictures import build_pictures
-from tiswarm.report.render.raycast import taichi_tracer
-from tiswarm.report.render.scene import fit_camera
+from tiswarm.parts.pictures.pictures import build_pictures
+from tiswarm.parts.pictures.raycast import taichi_tracer
+from tiswarm.parts.pictures.scene import fit_camera, mesh_capsules
 from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view
 

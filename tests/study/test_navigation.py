@@ -11,9 +11,9 @@ from tests.world.test_beliefs import same
 from tiswarm import study
 from tiswarm.base.progress import Progress
 from tiswarm.localization.registry import joining, localize
+from tiswarm.parts import navigation
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.sensing import observe
-from tiswarm.study import navigation
 from tiswarm.world.growth import grow
 
 SETS = ["robots=10", "seeds=2", "sensing.tilt_noise_deg=1"]

@@ -21,13 +21,9 @@ import numpy as np
 from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import ARCHS, Arch
+from tiswarm.base.parts import load
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import machine
-from tiswarm.records.terrain import Terrain
-from tiswarm.report.render.open3d_library import import_open3d
-from tiswarm.report.render.raycast import TRACERS, draw_scenes
-from tiswarm.report.render.scene import build_scene
-from tiswarm.report.swarm_view import DrawnRobots, Look
 
 _PROBE_SECONDS = 60
 _ROBOTS, _STEPS = 10_000, 20
@@ -74,7 +70,7 @@ def examine() -> Iterator[Finding]:
     yield Finding("kernel cache", *_in_child(start_cache, "cpu"))
     for arch in ARCHS:
         yield Finding(f"backend {arch}", *_in_child(try_backend, arch))
-    for renderer in TRACERS:
+    for renderer in _renderers("TRACERS"):
         yield Finding(f"renderer {renderer}", *_in_child(draw_test_picture, renderer))
     if packages := missing_packages():
         detail = f"apt-get install {' '.join(packages)}"
@@ -154,12 +150,12 @@ def start_cache(arch: Arch) -> str:
 
 def draw_test_picture(renderer: str) -> str:
     """Draw one robot in a small picture; return the time it took in words."""
-    begin = time.perf_counter()
-    center = np.array([[0.0, 0.0, 1.0]])
-    dock = center + RobotGeometry().dock_offset_body[None]
-    robots = DrawnRobots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
-    draw_scenes([build_scene(robots, Terrain()).within(100, 100)], renderer)
-    return f"drew a test picture in {time.perf_counter() - begin:.1f} s"
+    return str(_renderers("draw_test_picture")(renderer))
+
+
+def _renderers(name: str) -> Any:  # noqa: ANN401 - of many types
+    """Load a name of the optional part that draws."""
+    return load(f"tiswarm.parts.pictures.raycast:{name}", "a renderer")
 
 
 def missing_packages() -> list[str]:
@@ -173,7 +169,7 @@ def missing_packages() -> list[str]:
     needed = set(_TAICHI_LIBRARIES) if importlib.util.find_spec("taichi") else set()
     if importlib.util.find_spec("open3d"):
         try:
-            import_open3d()
+            _renderers("import_open3d")()
         except (ImportError, OSError):
             needed |= _LIBRARIES.keys()
     missing = [

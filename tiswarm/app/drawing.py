@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from tiswarm.study.run import RunResult
 
 PAGE = "report.html"
-_PICTURES = "tiswarm.report.render.pictures"
-_ANIMATION = "tiswarm.report.render.animation:animate_run"
+_PICTURES = "tiswarm.parts.pictures.pictures"
+_ANIMATION = "tiswarm.parts.pictures.animation:animate_run"
 
 
 def draw_all(

@@ -114,7 +114,7 @@ def chosen_movie(movie: AnyMovie | None, *, animate: bool) -> AnyMovie | None:
     """Return the file format of an animation, the best one if none was chosen; None without one."""
     if movie or not animate:
         return movie
-    best_movie = load("tiswarm.report.render.animation:best_movie", "an animation")
+    best_movie = load("tiswarm.parts.pictures.animation:best_movie", "an animation")
     found: AnyMovie = best_movie()
     return found
 

@@ -168,11 +168,12 @@ def view(
     cases of a run that is still computed, and the 3D view of one. Ctrl-C ends the command.
     """
     if live:
-        from tiswarm.app.live import serve
+        from tiswarm.base.parts import load
         from tiswarm.base.plugins import load_plugins
 
         refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
         load_plugins(plugins)
+        serve = load("tiswarm.parts.live:serve", "view --live")
         serve(log, port or 0, lambda page: show_page(page, opened=opened))
         return
     from tiswarm import api

@@ -28,11 +28,11 @@ class OwnFormat(NamedTuple):
 
 FORMATS: dict[str, str] = {
     "csv": "tiswarm.interop.pose_tables:encode_csv",
-    "gltf": "tiswarm.interop.solids:encode_gltf",
+    "gltf": "tiswarm.parts.pictures.solids:encode_gltf",
     "gsd": "tiswarm.interop.particles:encode_gsd",
     "mcap": "tiswarm.interop.pose_tables:encode_mcap",
     "parquet": "tiswarm.interop.pose_tables:encode_parquet",
-    "ply": "tiswarm.interop.solids:encode_ply",
+    "ply": "tiswarm.parts.pictures.solids:encode_ply",
     "pyfg": "tiswarm.interop.factor_graph:encode_pyfg",
     "tum": "tiswarm.interop.pose_tables:encode_tum",
 }

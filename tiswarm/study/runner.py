@@ -35,7 +35,7 @@ from tiswarm.world.validity import find_fault
 KEPT_FROM_S = 10.0
 """Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
 
-_NAVIGATION = "tiswarm.study.navigation:believe_by"
+_NAVIGATION = "tiswarm.parts.navigation:believe_by"
 
 SAMPLE_ROBOTS, SAMPLE_SEED = 4, 2**31 - 1
 """Size and seed of the structure that warms up the kernels."""

@@ -2,24 +2,115 @@
 
 A renderer finds the first capsule along each ray: `open3d` with Embree on a mesh, `taichi` with a
 kernel of our own on exact capsules. Rays, ground, color and soft edges are shared. Pixels on an
-edge are averaged over several rays.
+edge are averaged over several rays. Importing open3d ends the process on some machines, so a child
+tries it first.
 """
 
+import contextlib
+import ctypes
+import platform
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Sequence
+from functools import cache
+from hashlib import sha256
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Advance, ignore
-from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.open3d_library import import_open3d
-from tiswarm.report.render.scene import Scene, color_of_capsules, relative_light
-from tiswarm.report.render.shade import Array32
+from tiswarm.base.robot import RobotGeometry
+from tiswarm.compute import kernel_cache, machine
+from tiswarm.parts.pictures.scene import (
+    Array32,
+    Scene,
+    build_scene,
+    color_of_capsules,
+    mesh_capsules,
+    relative_light,
+)
+from tiswarm.records.terrain import Terrain
+from tiswarm.report.swarm_view import DrawnRobots, Look
 
-Picture = NDArray[np.uint8]
+_LONGEST_S = 120.0
+"""Time that the import may take, on a slow disk that has not read it before."""
+
+_TRIAL = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+from {__name__} import load_open3d
+load_open3d()
+"""
+
+
+def import_open3d() -> Any:  # noqa: ANN401 - open3d has no types
+    """Import open3d, if it does not end a child of this process that tries to.
+
+    A file beside the compiled kernels notes that it does not: each installation is tried once.
+
+    Raises:
+        ImportError: open3d is not installed, lacks a library, or would end this process.
+    """
+    if "open3d" not in sys.modules:
+        try_in_child()
+    return load_open3d()
+
+
+def load_open3d() -> Any:  # noqa: ANN401 - open3d has no types
+    """Import open3d, after the library that `libusb_package` brings, where it is installed."""
+    with contextlib.suppress(ImportError, OSError):
+        import libusb_package  # noqa: PLC0415 - optional
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    import open3d
+
+    return open3d
+
+
+@cache
+def try_in_child() -> None:
+    """Import open3d in a child, unless one has done it before.
+
+    An import that fails there without a crash may be tried here.
+
+    Raises:
+        ImportError: the child crashed, or did not end.
+    """
+    spec = find_spec("open3d")
+    if spec is None or spec.origin is None:
+        return
+    changed = Path(spec.origin).stat().st_mtime_ns
+    key = repr(
+        (spec.origin, changed, sys.version, platform.release(), machine.machine()["processor"])
+    )
+    mark = kernel_cache.find_folder("open3d") / sha256(key.encode()).hexdigest()[:16]
+    if mark.exists():
+        return
+    try:
+        status = subprocess.run(  # noqa: S603 - our own interpreter and code
+            child_command(_TRIAL), capture_output=True, timeout=_LONGEST_S, check=False
+        ).returncode
+    except subprocess.TimeoutExpired as error:
+        problem = f"its import takes longer than {_LONGEST_S:g} s"
+        raise ImportError(problem) from error
+    if status < 0:
+        raise ImportError(f"its import crashes with {signal.Signals(-status).name}")
+    if status == 0:
+        with contextlib.suppress(OSError):
+            mark.parent.mkdir(parents=True, exist_ok=True)
+            mark.touch()
+
+
+Pixels = NDArray[np.uint8]
 Trace = Callable[[Array32, Array32], tuple[Array32, Ints]]
 """From pixels (column, row), shape (n, 2), and the directions of their rays, shape (n, 3), to the
 depth of the first capsule, infinite if there is none, and its index or -1, each of shape (n,)."""
@@ -28,9 +119,7 @@ _SUBPIXELS = np.array([[x + 0.5, (5 * x + 2) % 8 + 0.5] for x in range(8)], np.f
 """Eight places in an edge pixel, no two of them in one row or column."""
 
 _MANY_EDGES = 0.3  # share of edge pixels above which four rays are cast in each instead of eight
-_FACES = np.array(
-    [-2, -3, -4]
-)  # faces of the ground, by the direction of the normal; -1 is nothing
+_FACES = np.array([-2, -3, -4])  # of the ground, by direction of the normal; -1 is nothing
 _FAINT = 0.5  # opacity below which ground hides nothing
 _OTHERS = 5  # more than the objects that are no capsules
 _GHOST_GAP = 0.3  # ghosts less far before robots than this coincide with them [R]
@@ -43,7 +132,7 @@ _TILE = 12  # edge of a tile in which the `taichi` renderer sorts capsules [pixe
 
 def draw_scenes(
     scenes: list[Scene], renderer: str | None = None, advance: Advance = ignore
-) -> tuple[list[Picture], str, str]:
+) -> tuple[list[Pixels], str, str]:
     """Draw scenes with one renderer, or with the first of `TRACERS` that works.
 
     Args:
@@ -60,8 +149,8 @@ def draw_scenes(
         EnvironmentTroubleError: the renderer does not work on this machine.
     """
 
-    def draw(tracer: Callable[[Scene], Trace], advance: Advance) -> list[Picture]:
-        pictures: dict[int, Picture] = {}
+    def draw(tracer: Callable[[Scene], Trace], advance: Advance) -> list[Pixels]:
+        pictures: dict[int, Pixels] = {}
         for alike in _alike(scenes):
             pictures |= zip(alike, _draw([scenes[number] for number in alike], tracer), strict=True)
             advance(len(alike))
@@ -75,7 +164,7 @@ def draw_growth(
     added: Sequence[Reals],
     renderer: str | None = None,
     advance: Advance = ignore,
-) -> tuple[list[Picture], str, str]:
+) -> tuple[list[Pixels], str, str]:
     """Draw scenes before one camera, each with a few robots more than the one before.
 
     Only the surroundings of new robots, and ground that they darken, are cast again.
@@ -95,8 +184,8 @@ def draw_growth(
         EnvironmentTroubleError: the renderer does not work on this machine.
     """
 
-    def draw(tracer: Callable[[Scene], Trace], advance: Advance) -> list[Picture]:
-        pictures: list[Picture] = []
+    def draw(tracer: Callable[[Scene], Trace], advance: Advance) -> list[Pixels]:
+        pictures: list[Pixels] = []
         cells = _ground_cells(scenes[0])
         for number, (scene, centers) in enumerate(zip(scenes, added, strict=True)):
             if pictures:
@@ -115,9 +204,9 @@ def draw_growth(
 
 def _drawn_by_first(
     renderer: str | None,
-    draw: Callable[[Callable[[Scene], Trace], Advance], list[Picture]],
+    draw: Callable[[Callable[[Scene], Trace], Advance], list[Pixels]],
     advance: Advance,
-) -> tuple[list[Picture], str, str]:
+) -> tuple[list[Pixels], str, str]:
     """Draw with a renderer, or with the first that works; returns its name, and why not a better.
 
     Raises:
@@ -197,7 +286,7 @@ def _surroundings(scene: Scene, centers: Reals) -> Bools:
 
 def _draw(
     scenes: list[Scene], tracer: Callable[[Scene], Trace], part: Ints | None = None
-) -> list[Picture]:
+) -> list[Pixels]:
     """Draw scenes that differ by colors alone, each of shape (height, width, 3).
 
     Of a part of the pixels, colors have the shape (n, 3).
@@ -309,7 +398,7 @@ def _open3d_tracer(scene: Scene) -> Trace:
 def taichi_tracer(scene: Scene) -> Trace:
     """Prepare a kernel that intersects each ray with the capsules of its tile."""
     from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
-    from tiswarm.report.render.kernels import FAR, trace_capsules  # noqa: PLC0415 - slow to import
+    from tiswarm.parts.pictures.kernels import FAR, trace_capsules  # noqa: PLC0415 - slow to import
 
     camera = scene.camera
     start, end = (camera.project(ends.astype(np.float64)) for ends in (scene.start, scene.end))
@@ -363,3 +452,13 @@ def _sort_into_tiles(
 
 TRACERS: dict[str, Callable[[Scene], Trace]] = {"open3d": _open3d_tracer, "taichi": taichi_tracer}
 """The renderers by name, best first; `taichi` needs no library beyond the engine's."""
+
+
+def draw_test_picture(renderer: str) -> str:
+    """Draw one robot in a small picture; return the time it took in words."""
+    begin = time.perf_counter()
+    center = np.array([[0.0, 0.0, 1.0]])
+    dock = center + RobotGeometry().dock_offset_body[None]
+    robots = DrawnRobots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
+    draw_scenes([build_scene(robots, Terrain()).within(100, 100)], renderer)
+    return f"drew a test picture in {time.perf_counter() - begin:.1f} s"

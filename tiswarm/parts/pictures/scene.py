@@ -2,20 +2,183 @@
 
 Everything but the ground is a capsule: all points within a radius of a segment. A sphere is a
 capsule whose two ends coincide. A scene stores the light that each capsule and the ground receive,
-and one set of formulas turns it into color, so that all renderers draw the same picture.
+and one set of formulas turns it into color, so that all renderers draw the same picture. The ground
+hides nothing: a plane fades around the docks that stand on it, and a slab toward its rear.
 """
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
-from tiswarm.report.ground import shown_slabs
-from tiswarm.report.render.lit_ground import Ground, lay_ground
-from tiswarm.report.render.shade import Array32, blocked_light, dot, unit
+from tiswarm.report.ground import Slab, shown_slabs, standing_docks
 from tiswarm.report.swarm_view import DrawnRobots, Look
+
+Array32 = NDArray[np.float32]
+
+_SHADE_RANGE = 8.0  # beyond it robots cast no shade [R]; half of it in a crowd, to save time
+_CROWD = 2_000  # robots of a crowd
+_SAME_PLACE = 1e-6  # distance from its center within which a robot casts no shade: its hub [R]
+
+
+def blocked_light(points: Reals, blockers: Reals) -> Array32:
+    """Sum the light that robots block from points, in terms that are linear in the normal.
+
+    A sphere of radius r at distance d in direction u blocks (r/d)^2 max(0, n.u) of the light
+    on a surface with normal n; 1/4 + n.u / 2 approximates max(0, n.u). Rows of `blockers` are
+    center and radius of the spheres [R].
+    """
+    center = blockers[:, :3]
+    reach = _SHADE_RANGE if len(center) <= _CROWD else _SHADE_RANGE / 2.0
+    pairs = cKDTree(points).sparse_distance_matrix(cKDTree(center), reach, output_type="ndarray")
+    i, j = pairs["i"], pairs["j"]
+    away = center[j] - points[i]
+    distance = np.maximum(pairs["v"], 1e-9)
+    blocked = np.minimum((blockers[j, 3] / distance) ** 2, 0.5) * (1.0 - distance / reach)
+    blocked *= _SHADE_RANGE / reach  # makes up for the shorter range in a crowd
+    blocked[pairs["v"] < _SAME_PLACE] = 0.0
+    terms = np.column_stack([blocked / 4.0, away * (blocked / distance / 2.0)[:, None]])
+    sums = [np.bincount(i, weights=term, minlength=len(points)) for term in terms.T]
+    return np.column_stack(sums).astype(np.float32)
+
+
+def dot(a: Array32, b: Array32) -> Array32:
+    """Multiply rows, shape (n,)."""
+    products: Array32 = np.einsum("ij,ij->i", a, b)
+    return products
+
+
+def unit(vectors: Array32) -> Array32:
+    """Scale rows to length 1."""
+    length = np.sqrt(np.maximum(dot(vectors, vectors), np.float32(1e-12)))
+    units: Array32 = (vectors / length[:, None]).astype(np.float32)
+    return units
+
+
+_CELLS = 160
+_FADE = (2.0, 9.0)  # distances from the nearest standing dock where a plane fades [R]
+_REAR_FADE = 4.0  # length over which a slab fades at its rear [R]
+_GRAY = 0.92
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """Flat ground cut into cells; with slabs, only what lies on them is there."""
+
+    corner: Reals  # center of the cell with the least x and y [R], shape (3,)
+    cell: float  # distance between the centers of two neighboring cells [R]
+    look: Array32  # brightness, and opacity from 0 to 1, by y and x cell, shape (cells, cells, 2)
+    slabs: list[Slab]
+
+    @property
+    def corners(self) -> Reals:
+        """Corners of a box that has all of it [R], shape (8, 3)."""
+        x, y = (self.corner[:2] + self.cell * np.outer([0.0, len(self.look) - 1.0], [1.0, 1.0])).T
+        z = self.corner[2] - np.array([0.0, 2.0 * EDGE_RADIUS * bool(self.slabs)])
+        return np.stack(np.meshgrid(x, y, z), axis=-1).reshape(-1, 3)
+
+    def cast(self, eye: Array32, direction: Array32) -> tuple[Array32, Array32]:
+        """Find depth, infinite if there is none, and normal where rays (n, 3) meet the ground."""
+        depth = np.full(len(direction), np.inf, np.float32)
+        normal = np.zeros_like(direction)
+        normal[:, 2] = 1.0
+        if not self.slabs:
+            fall = np.minimum(direction[:, 2], np.float32(-1e-9))
+            depth = (np.float32(self.corner[2]) - eye[2]) / fall
+            return np.where(depth > 0.0, depth, np.inf), normal
+        for slab in self.slabs:
+            _cast_slab(slab, eye, direction, depth, normal)
+        return depth, normal
+
+    def paint(self, points: Array32, light: Array32) -> tuple[Array32, Array32]:
+        """Return brightness and opacity of points in a relative light, shapes (n, 1)."""
+        last = len(self.look) - 1
+        place = (points[:, :2] - self.corner[:2]) / self.cell
+        inside = ((place >= 0.0) & (place < last)).all(axis=1, keepdims=True)
+        place = np.clip(place, 0.0, last - 0.001)
+        column, row = place.astype(np.int64).T
+        right, down = (place - np.floor(place)).T[:, :, None]
+        upper = self.look[row, column] * (1.0 - right) + self.look[row, column + 1] * right
+        lower = self.look[row + 1, column] * (1.0 - right) + self.look[row + 1, column + 1] * right
+        look = (upper * (1.0 - down) + lower * down).astype(np.float32)
+        return light[:, None] * look[:, :1], inside * look[:, 1:]
+
+
+def lay_ground(terrain: Terrain, dock: Reals, blockers: Reals) -> Ground | None:
+    """Lay ground around docks (n, 3), darker beneath robots; None if no dock stands on a plane."""
+    slabs = shown_slabs(terrain, dock)
+    standing = standing_docks(terrain, dock)[:, :2]
+    if slabs:
+        ends = [x for s in slabs for x in (s.rear, s.edge + s.outward * EDGE_RADIUS)]
+        low, high = np.array([[min(ends), slabs[0].low_y], [max(ends), slabs[0].high_y]])
+    elif len(standing):
+        low, high = standing.min(axis=0) - _FADE[1], standing.max(axis=0) + _FADE[1]
+    else:
+        return None
+    cell = float(np.max(high - low)) / (_CELLS - 3)
+    corner = np.array([*(low - cell), terrain.ground_z])
+    x, y = np.meshgrid(*(corner[:2, None] + cell * np.arange(_CELLS)), indexing="xy")
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, terrain.ground_z)])
+    if slabs:
+        ahead = [slab.outward * (points[:, 0] - slab.rear) for slab in slabs]
+        share = np.min(ahead, axis=0) / _REAR_FADE
+    else:
+        distance, _ = cKDTree(standing).query(points[:, :2])
+        share = (_FADE[1] - distance) / (_FADE[1] - _FADE[0])
+    share = np.clip(share, 0.0, 1.0)
+    shade = blocked_light(points, blockers)
+    gray = _GRAY * np.exp(-1.3 * np.maximum(shade[:, 0] + shade[:, 3], 0.0))
+    look = np.column_stack([gray, share * share * (3.0 - 2.0 * share)])
+    look = look.reshape(*x.shape, 2).astype(np.float32)
+    return Ground(corner=corner, cell=cell, look=look, slabs=slabs)
+
+
+def _cast_slab(
+    slab: Slab, eye: Array32, direction: Array32, depth: Array32, normal: Array32
+) -> None:
+    """Write depth and normal of rays (n, 3) that meet a slab before their depth."""
+    dx, dy, dz = np.where(direction == 0.0, np.float32(1e-9), direction).T
+    left, right = sorted([slab.rear, slab.edge])
+    x_in, x_out = _between(dx, left - eye[0], right - eye[0])
+    y_in, y_out = _between(dy, slab.low_y - eye[1], slab.high_y - eye[1])
+    z_in, z_out = _between(dz, slab.top - 2.0 * EDGE_RADIUS - eye[2], slab.top - eye[2])
+    flat_in = np.maximum(np.maximum(x_in, y_in), z_in)
+    flat = flat_in < np.minimum(np.minimum(x_out, y_out), z_out)
+
+    axis_x, axis_z = slab.edge - eye[0], slab.top - EDGE_RADIUS - eye[2]  # of the rounded edge
+    length2 = dx * dx + dz * dz
+    middle = (dx * axis_x + dz * axis_z) / length2
+    off2 = (axis_x - middle * dx) ** 2 + (axis_z - middle * dz) ** 2
+    half = np.sqrt(np.maximum(EDGE_RADIUS**2 - off2, 0.0) / length2)
+    edge_in = np.maximum(middle - half, y_in)
+    edge = edge_in < np.minimum(middle + half, y_out)
+
+    met = np.minimum(np.where(flat, flat_in, np.inf), np.where(edge, edge_in, np.inf))
+    ray = np.flatnonzero((met > 0.0) & (met < depth))
+    met = met[ray]
+    depth[ray] = met
+    out = -np.sign(direction[ray])
+    normal[ray] = np.eye(3, dtype=np.float32)[2] * out
+    for axis, begin in enumerate((x_in, y_in)):
+        side = met == begin[ray]
+        normal[ray[side]] = np.eye(3, dtype=np.float32)[axis] * out[side]
+    bent = met == (middle - half)[ray]
+    where = ray[bent]
+    normal[where, 0] = met[bent] * dx[where] - axis_x
+    normal[where, 1] = 0.0
+    normal[where, 2] = met[bent] * dz[where] - axis_z
+
+
+def _between(across: Array32, low: float, high: float) -> tuple[Array32, Array32]:
+    """Find the depths at which rays pass between two planes at these distances from the eye."""
+    first, second = low / across, high / across
+    return np.minimum(first, second), np.maximum(first, second)
+
 
 _ROD_RADIUS = 0.16  # [R]
 _ROD_GRAY = (0.45, 0.45, 0.47)
@@ -262,3 +425,69 @@ def relative_light(scene: Scene, normal: Array32) -> Array32:
     sun = scene.camera.sun
     light: Array32 = 0.62 + 0.16 * normal[:, 2] + 0.55 * np.maximum(normal @ sun, 0.0)
     return light / np.float32(0.78 + 0.55 * sun[2])
+
+
+_SIDES = (6, 48)  # least and most sides of a sphere's equator
+_SLANT = 0.9  # upward part below which an axis may be crossed with the vertical
+
+
+class Mesh(NamedTuple):
+    """V points and T triangles of every capsule of a scene."""
+
+    point: Array32  # positions [R], shape (V, 3)
+    triangle: NDArray[np.int32]  # its points, counterclockwise from outside, shape (T, 3)
+    point_capsule: Ints  # capsule of each point, shape (V,)
+    triangle_capsule: Ints  # capsule of each triangle, shape (T,)
+
+
+def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
+    """Mesh the capsules of a scene; an equator has more sides if it looks larger, or `sides`."""
+    depth = float(np.median(scene.camera.project(scene.start.astype(np.float64))[:, 2]))
+    points, triangles, order, counts, first = [], [], [], [], 0
+    for radius in np.unique(scene.radius):
+        which = np.flatnonzero(scene.radius == radius)
+        seen = float(radius) * scene.camera.pixels_per_slope / depth
+        even = int(np.clip(3.2 * seen**0.58, *_SIDES)) // 2 * 2
+        point, triangle = _unit_sphere(sides or even)
+        points.append(_stretch(scene.start[which], scene.end[which], radius * point))
+        firsts = first + np.arange(len(which)) * len(point)
+        triangles.append((firsts[:, None, None] + triangle).reshape(-1, 3))
+        order.append(which)
+        counts.append(np.tile([len(point), len(triangle)], (len(which), 1)))
+        first += len(which) * len(point)
+    capsule, count = np.concatenate(order), np.concatenate(counts)
+    return Mesh(
+        point=np.concatenate(points),
+        triangle=np.concatenate(triangles).astype(np.int32),
+        point_capsule=capsule.repeat(count[:, 0]),
+        triangle_capsule=capsule.repeat(count[:, 1]),
+    )
+
+
+def _unit_sphere(sides: int) -> tuple[Array32, NDArray[np.int32]]:
+    """Wrap a grid around the z axis; its rings are odd in number, so none is the equator."""
+    rings = sides // 2 | 1
+    polar, around = np.pi * np.arange(rings + 1) / rings, 2.0 * np.pi * np.arange(sides) / sides
+    circle = np.column_stack([np.cos(around), np.sin(around)])
+    flat = (np.sin(polar)[:, None, None] * circle).reshape(-1, 2)
+    point = np.column_stack([flat, -np.cos(polar).repeat(sides)]).astype(np.float32)
+    ring, side = np.indices((rings, sides)).reshape(2, -1)
+    a = ring * sides + side
+    b = ring * sides + (side + 1) % sides
+    lower, upper = np.column_stack([a, b, b + sides]), np.column_stack([a, b + sides, a + sides])
+    # the triangles that end in a pole have one point less
+    return point, np.concatenate([lower[ring > 0], upper[ring < rings - 1]]).astype(np.int32)
+
+
+def _stretch(start: Array32, end: Array32, ball: Array32) -> Array32:
+    """Put the lower half of a ball around each start and the upper around the end, (n * V, 3)."""
+    span = (end - start).astype(np.float64)
+    span[:, 2] += 1e-9  # a sphere has no axis: take z
+    axis = span / np.linalg.norm(span, axis=1, keepdims=True)
+    helper = np.where(np.abs(axis[:, 2:]) < _SLANT, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(helper, axis)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    frames = np.stack([side, np.cross(axis, side), axis], axis=1).astype(np.float32)
+    base = np.where(ball[:, 2:] > 0.0, end[:, None], start[:, None])
+    point: Array32 = base + ball @ frames
+    return point.reshape(-1, 3)

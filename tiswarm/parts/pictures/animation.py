@@ -15,12 +15,12 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Advance, Progress, ignore
+from tiswarm.parts.pictures.pictures import Rendered, Scale, add_legend
+from tiswarm.parts.pictures.raycast import draw_growth
+from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.records.io import write_bytes
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
-from tiswarm.report.render.pictures import Rendered, Scale, add_legend
-from tiswarm.report.render.raycast import draw_growth
-from tiswarm.report.render.scene import TRUE_SIZE, build_scene
 from tiswarm.report.run_data import RunData
 from tiswarm.report.swarm_view import DrawnRobots, read_case_view
 

@@ -4,10 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene, capsule_normals, mesh_capsules
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
-from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.scene import TRUE_SIZE, build_scene, capsule_normals
 from tiswarm.report.swarm_view import DrawnRobots, SwarmView
 
 _SIDES = 10  # of a dock sphere's equator: a compromise of roundness and file size

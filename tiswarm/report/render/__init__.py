@@ -1,1 +1,0 @@
-"""Offscreen pictures of structures, by whichever renderer the machine can run."""
