@@ -36,7 +36,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, machine
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow

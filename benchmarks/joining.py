@@ -22,8 +22,8 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.evaluation.tables import MOST_WITHIN
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import JointParams
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import SensingLogBuilder, log_entries
 from tiswarm.records.sensing_format import line_text, parse_header, parse_robot

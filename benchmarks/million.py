@@ -24,8 +24,8 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.machine import machine
 from tiswarm.evaluation.metrics import rmse, robot_errors
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import module_of
+from tiswarm.localization.methods import module_of
+from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.study.provenance import peak_memory_mb

@@ -24,13 +24,13 @@ from benchmarks.swarm_step.machine import describe
 from benchmarks.swarm_step.scenes import ROBOT, StepParams, make
 from tiswarm.compute import backend
 from tiswarm.engine.relax import PreparedSwarm
-from tiswarm.localization.params import (
+from tiswarm.localization.methods import module_of
+from tiswarm.localization.settings import (
     JointParams,
     LocalizationParams,
     Together,
     VirtualForceParams,
 )
-from tiswarm.localization.registry import module_of
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figure_style import PAGE_WIDTH, STYLE, marker_style, new_figure, png
 from tiswarm.sensing import SensingParams, observe

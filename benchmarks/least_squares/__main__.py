@@ -26,7 +26,7 @@ from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse
 from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import Cost
-from tiswarm.localization.params import LeastSquaresParams
+from tiswarm.localization.settings import LeastSquaresParams
 from tiswarm.parts.peers.hop_by_hop import place
 from tiswarm.records.sensing_log import SensingLog
 

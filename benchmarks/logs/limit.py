@@ -9,7 +9,7 @@ from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
 

@@ -19,8 +19,8 @@ from tiswarm.base.progress import Progress
 from tiswarm.base.version import __version__
 from tiswarm.compute import backend
 from tiswarm.evaluation import metrics
-from tiswarm.localization.params import VirtualForceParams
-from tiswarm.localization.registry import localize_many
+from tiswarm.localization.methods import localize_many
+from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records.io import write_bytes
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Variant, variants

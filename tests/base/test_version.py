@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from tiswarm.base import version
-from tiswarm.localization import registry
+from tiswarm.localization import methods
 from tiswarm.study import provenance
 from tiswarm.study.provenance import all_code, case_code, module_code, structure_code
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
-METHODS = tuple(registry.METHODS)
+METHODS = tuple(methods.METHODS)
 trial = partial(pytest.param, marks=pytest.mark.trial)
 
 
@@ -78,9 +78,9 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
         ("sensing/observation.py", {*METHODS, "all"}),
         trial("study/runner.py", {*METHODS, "all"}),
         ("scenario/validation.py", {*METHODS, "all"}),
-        trial("localization/registry.py", {*METHODS, "all"}),
+        trial("localization/methods.py", {*METHODS, "all"}),
         (
-            "localization/joint/chains.py",
+            "localization/mixture/ends.py",
             {"joint", "least-squares", "online", "all"},
         ),
         ("parts/peers/trilateration.py", {"hop-by-hop", "least-squares", "all"}),

@@ -15,8 +15,8 @@ from benchmarks.logs.grade import ALIKE, Bound, Grade, error, grade, summary
 from benchmarks.logs.limit import limit
 from benchmarks.logs.make import made
 from tests.benchmarks.commands import call
-from tiswarm.localization.params import HopByHopParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import HopByHopParams
 from tiswarm.records.positions import read_positions_of, write_estimate
 from tiswarm.records.sensing_file import write_sensing_log
 

@@ -11,8 +11,8 @@ from tests.benchmarks.commands import call
 from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.localization import registry
-from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization import methods
+from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
 
@@ -116,7 +116,7 @@ def test_a_fit_analyzes_no_rigidity(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise AssertionError
 
-    monkeypatch.setattr(registry, "observability", fail)
+    monkeypatch.setattr(methods, "observability", fail)
     small = load_scenario(PAPER, ["robots=6", "sweep={}", "conditions={a: {}}"])
 
     fit = tune(

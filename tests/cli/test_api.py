@@ -147,7 +147,7 @@ def test_a_log_is_localized_without_the_simulator(run):
         [sys.executable, "-c", code, log], capture_output=True, text=True, check=True
     )
 
-    assert "tiswarm.localization.registry" in done.stdout
+    assert "tiswarm.localization.methods" in done.stdout
     assert not re.search(r"tiswarm\.(world|sensing|study|report)", done.stdout)
 
 

@@ -13,8 +13,8 @@ import pytest
 from tiswarm.app import console
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import by_share
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import JointParams
 from tiswarm.scenario.expansion import find_mistakes
 from tiswarm.scenario.yaml_source import read_yaml
 from tiswarm.sensing import SensingParams, observe

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tiswarm.cli import main
-from tiswarm.localization import registry
+from tiswarm.localization import methods
 from tiswarm.measurements.observability import observability
 from tiswarm.records.estimate import Convergence, Estimate, Solution
 from tiswarm.records.sensing_file import write_sensing_log
@@ -40,7 +40,7 @@ def localize(towers, tmp_path, monkeypatch, capsys):
 
     def run(convergence, *options):
         estimate = replace(found, convergence=convergence)
-        monkeypatch.setattr(registry, "localize", lambda *_, **__: estimate)
+        monkeypatch.setattr(methods, "localize", lambda *_, **__: estimate)
         monkeypatch.chdir(tmp_path)
         monkeypatch.setattr("sys.argv", ["tiswarm", "localize", "log.jsonl", *options])
         with pytest.raises(SystemExit) as end:

@@ -21,8 +21,8 @@ from tiswarm.compute import backend
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.kernels import note_places
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import JointParams, VirtualForceParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 

@@ -19,7 +19,7 @@ from tiswarm.localization import registry
 from tiswarm.localization.chains import annealer
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import JointParams, VirtualForceParams
+from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.records.positions import write_estimate
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe

@@ -8,8 +8,8 @@ import pytest
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.tables import by_join, outlier_scores, score, score_files, totals
-from tiswarm.localization.params import VirtualForceParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Convergence
 from tiswarm.records.positions import Truth, write_positions

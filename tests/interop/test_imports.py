@@ -12,8 +12,8 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.interop.assumptions import Assumptions
 from tiswarm.interop.imports import import_poses, write_imports
 from tiswarm.interop.poses import read_dock_offsets
-from tiswarm.localization.params import LeastSquaresParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import LeastSquaresParams
 from tiswarm.records.positions import read_positions
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingNoise

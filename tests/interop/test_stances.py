@@ -15,8 +15,8 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.metrics import rmse
 from tiswarm.interop.assumptions import Assumptions
 from tiswarm.interop.imports import import_poses, write_imports
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.sensing import SensingParams, observe
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from tiswarm.localization.chains.annealer import cooled, end_sigma, thermostat
 from tiswarm.localization.chains.kernels import MEMORY
-from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.settings import JointParams
 
 DEFAULTS = JointParams()
 COLDEST, WARMEST = ANNEALING.coldest, ANNEALING.warmest

@@ -11,7 +11,7 @@ from tiswarm.localization.chains.arrays import MASS, TAKEN, VELOCITY, WEIGHT
 from tiswarm.localization.chains.card_kernels import RUN, STEPS_A_LAUNCH
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.subtrees import find_subtrees
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.sensing import SensingParams, observe
 
 PARAMS = JointParams(chains=46, steps=40, hold_steps=20, robust=False, end_sigma=0.1)

@@ -12,15 +12,11 @@ from tests.structures import Rule, structure
 from tiswarm.localization.chains.annealer import Annealer, anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.joint import method
-from tiswarm.localization.joint.chains import (
-    between_chains,
-    deviation,
-    failed,
-    squares,
-)
-from tiswarm.localization.joint.settings import CONVERGENCE
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.mixture.ends import failed, squares
+from tiswarm.localization.mixture.mixture import between_chains, deviation
+from tiswarm.localization.mixture.settings import CONVERGENCE
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.contacts import reach
 
 SHORT = JointParams(chains=4, steps=1500, hold_steps=200)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from tests.localization.test_online import LOCAL, lines_of
 from tests.structures import NOISY, with_directions, with_fixes
 from tiswarm.base.errors import InputError
-from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
-from tiswarm.localization.registry import centered, localize_many
+from tiswarm.localization.methods import centered, localize_many
+from tiswarm.localization.settings import BackPropagation, DistributedParams, VirtualForceParams
 from tiswarm.parts.between.channel import (
     ACKNOWLEDGMENT,
     ADDRESS,

@@ -9,13 +9,13 @@ import pytest
 from tests.localization.test_online import QUICK, fed, lines_of
 from tests.structures import NOISY
 from tiswarm.localization.cost.neighborhood import Configuration
-from tiswarm.localization.params import (
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.settings import (
     HopByHopParams,
     JointParams,
     LeastSquaresParams,
     VirtualForceParams,
 )
-from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.advice import advise
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import SensingLogBuilder

@@ -7,15 +7,11 @@ import pytest
 
 from tests import foreign
 from tests.structures import with_fixes, with_ranges
-from tiswarm.localization.assessment import assess
 from tiswarm.localization.chains.annealer import start_sigma
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import (
-    HopByHopParams,
-    JointParams,
-    LeastSquaresParams,
-)
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.mixture.verdict import assess
+from tiswarm.localization.settings import HopByHopParams, JointParams, LeastSquaresParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests import foreign
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.settings import JointParams
 
 pytestmark = pytest.mark.unchecked
 

@@ -12,8 +12,8 @@ from tests import foreign
 from tests.strategies import rotations, unit_vectors
 from tests.structures import with_directions
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.joint.frames import Frame, align, free_frame
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.mixture.frames import Frame, align, free_frame
+from tiswarm.localization.settings import JointParams
 from tiswarm.sensing import SensingParams, observe
 
 ROBOTS = 8

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from tests.structures import Rule, structure, with_heights
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import JointParams, VirtualForceParams
-from tiswarm.localization.registry import localize_many
+from tiswarm.localization.methods import localize_many
+from tiswarm.localization.settings import JointParams, VirtualForceParams
 
 QUICK = JointParams(chains=3, steps=800, hold_steps=100)
 TANGENT = 1.1547

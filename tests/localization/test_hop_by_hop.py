@@ -20,8 +20,8 @@ from tests.structures import (
     with_ranges,
 )
 from tiswarm.compute.math import dock_offsets
-from tiswarm.localization.params import HopByHopParams
-from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.settings import HopByHopParams
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

@@ -10,7 +10,7 @@ import pytest
 import tiswarm
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
-from tiswarm.localization.params import BackPropagation, LeastSquaresParams, VirtualForceParams
+from tiswarm.localization.settings import BackPropagation, LeastSquaresParams, VirtualForceParams
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 

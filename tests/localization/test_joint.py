@@ -19,9 +19,9 @@ from tiswarm.localization.chains.arrays import (
     YAW,
 )
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.chains.subtrees import find_subtrees, weights
-from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 

@@ -14,10 +14,9 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.chains import initialization
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cue_params import CUES
-from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.settings import CUES, JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

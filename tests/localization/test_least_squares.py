@@ -10,8 +10,8 @@ from tests.localization.test_hop_by_hop import fixed, ranging
 from tests.localization.test_problem import true_yaw
 from tests.structures import NOISY, silent
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import HopByHopParams, JointParams, LeastSquaresParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import HopByHopParams, JointParams, LeastSquaresParams
 from tiswarm.sensing import SensingParams, observe
 
 APART = LeastSquaresParams(non_overlap=False)

@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 from tests import foreign
 from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.joint.chains import Annealed, deviation
-from tiswarm.localization.joint.ends import aligned, ranked
-from tiswarm.localization.joint.mixture import minimum, mix
-from tiswarm.localization.joint.settings import MIXTURE, SD_CALIBRATION
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.mixture.ends import aligned, ranked
+from tiswarm.localization.mixture.mixture import deviation, minimum, mix
+from tiswarm.localization.mixture.settings import MIXTURE, SD_CALIBRATION
+from tiswarm.localization.settings import JointParams
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import ClimbParams, TowerParams

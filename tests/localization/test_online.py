@@ -14,8 +14,8 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost, State
 from tiswarm.localization.cost.neighborhood import Configuration
-from tiswarm.localization.params import HopByHopParams, OnlineParams
-from tiswarm.localization.registry import centered, localize
+from tiswarm.localization.methods import centered, localize
+from tiswarm.localization.settings import HopByHopParams, OnlineParams
 from tiswarm.parts.online.annealing import annealed_estimate, reannealed
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import log_entries

@@ -11,9 +11,9 @@ from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.joint import method, outliers
-from tiswarm.localization.joint.settings import OutlierRobotSettings
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.mixture.settings import OutlierRobotSettings
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.verdicts import describe_outliers

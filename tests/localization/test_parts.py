@@ -13,9 +13,9 @@ from tests.structures import Rule, structure, with_heights
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.arrays import MASS, MOVES
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.joint.planes import Planes
-from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 
 SHORT = JointParams(chains=2, steps=40, hold_steps=20, start_sigma=0.3, end_sigma=0.3)

@@ -8,14 +8,14 @@ import pytest
 import tiswarm
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.params import (
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import (
     BackPropagation,
     JointParams,
     LeastSquaresParams,
     Together,
     VirtualForceParams,
 )
-from tiswarm.localization.registry import localize
 from tiswarm.measurements.cues import in_plane
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests import foreign
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import observability
 from tiswarm.sensing import SensingParams, observe

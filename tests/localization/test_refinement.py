@@ -25,7 +25,7 @@ from tiswarm.localization.cost import cost as refinement
 from tiswarm.localization.cost.cost import SETTLED, Cost, State
 from tiswarm.localization.cost.linear import NOMINAL
 from tiswarm.localization.cost.settings import OVERLAP_SD
-from tiswarm.localization.params import LARGE, JointParams
+from tiswarm.localization.settings import LARGE, JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER, connections_of, with_orientations
 from tiswarm.records.sensing_log import SensingNoise

@@ -8,7 +8,7 @@ import pytest
 from tests import oracle_algorithm_1
 from tests.oracle_algorithm_1 import Gains
 from tests.runs import REPOSITORY
-from tiswarm.localization.registry import localize_many
+from tiswarm.localization.methods import localize_many
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow

@@ -8,9 +8,15 @@ import re
 
 import pytest
 
-from tiswarm.localization.joint import settings
+from tiswarm.localization.chains import settings as of_chains
+from tiswarm.localization.mixture import settings as of_mixture
 
-CLASSES = [kind for kind in vars(settings).values() if inspect.isclass(kind)]
+CLASSES = [
+    kind
+    for module in (of_chains, of_mixture)
+    for kind in vars(module).values()
+    if inspect.isclass(kind)
+]
 
 
 @pytest.mark.parametrize("kind", CLASSES)

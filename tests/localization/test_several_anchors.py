@@ -9,7 +9,8 @@ import pytest
 from tests import foreign
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.params import (
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.settings import (
     BackPropagation,
     DistributedParams,
     HopByHopParams,
@@ -19,7 +20,6 @@ from tiswarm.localization.params import (
     Together,
     VirtualForceParams,
 )
-from tiswarm.localization.registry import localize, localize_many
 from tiswarm.localization.virtual_force.method import Localizer
 from tiswarm.measurements.advice import advise, advise_together
 from tiswarm.measurements.cues import cue_names

@@ -10,8 +10,8 @@ from tests.oracle import swarm_step
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
-from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
-from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.settings import BackPropagation, Together, VirtualForceParams
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import load_scenario

@@ -7,9 +7,8 @@ import pydantic
 import pytest
 
 from tiswarm.evaluation.tables import outlier_scores
-from tiswarm.localization.cue_params import CUES
-from tiswarm.localization.params import HopByHopParams, JointParams
-from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.settings import CUES, HopByHopParams, JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.sensing import SensingParams, observe
 

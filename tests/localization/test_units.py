@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
-from tiswarm.localization.params import (
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import (
     BackPropagation,
     HopByHopParams,
     JointParams,
@@ -17,7 +18,6 @@ from tiswarm.localization.params import (
     Together,
     VirtualForceParams,
 )
-from tiswarm.localization.registry import localize
 from tiswarm.measurements.consistency import contradictions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

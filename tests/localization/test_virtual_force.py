@@ -16,8 +16,8 @@ from tiswarm.compute import backend
 from tiswarm.compute.lang import Ints1, Ints2, Reals2, Reals3, ti
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
-from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
-from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.settings import BackPropagation, Together, VirtualForceParams
 from tiswarm.localization.virtual_force import method
 from tiswarm.localization.virtual_force.kernels import (
     LogArrays,

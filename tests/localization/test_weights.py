@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.localization.joint.chains import deviation
-from tiswarm.localization.joint.ends import _weights
-from tiswarm.localization.joint.settings import ANNEALING, MIXTURE, SD_CALIBRATION
+from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.mixture.ends import _weights
+from tiswarm.localization.mixture.mixture import deviation
+from tiswarm.localization.mixture.settings import MIXTURE, SD_CALIBRATION
 
 
 def _weighed(cost, heat):

@@ -7,7 +7,7 @@ import pytest
 
 from tests.structures import silent
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.contacts import contact_count, disconnected, earlier_contact_count
 from tiswarm.measurements.cues import measure
 

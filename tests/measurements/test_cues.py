@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from tiswarm.localization.params import JointParams, LeastSquaresParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import JointParams, LeastSquaresParams
 from tiswarm.measurements import cues
 from tiswarm.measurements.model import Coordinates
 from tiswarm.measurements.observability import observability

@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.measurements.test_orientations import connected
 from tiswarm.evaluation.metrics import rmse
-from tiswarm.localization.params import (
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import (
     HopByHopParams,
     JointParams,
     LeastSquaresParams,
     VirtualForceParams,
 )
-from tiswarm.localization.registry import localize
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations

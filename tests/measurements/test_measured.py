@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tiswarm.evaluation.tables import outlier_scores, score
-from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements import cues
 from tiswarm.measurements.cues import CUES, Measured, cue_names, measure
 from tiswarm.measurements.odometry import Odometry

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.strategies import rotations
 from tests.structures import with_connections, with_directions
-from tiswarm.localization.params import JointParams, LeastSquaresParams, VirtualForceParams
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import JointParams, LeastSquaresParams, VirtualForceParams
 from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.odometry import Odometry, connections_of, with_orientations
 from tiswarm.records.sensing_log import SensingLog, SensingNoise

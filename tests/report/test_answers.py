@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiswarm.localization.cue_params import all_cues
+from tiswarm.localization.settings import all_cues
 from tiswarm.report.answers import ANSWERS, Results, answer
 from tiswarm.report.comparison import FEWEST, conclusion, two_digits
 from tiswarm.report.headline import headline, result_of

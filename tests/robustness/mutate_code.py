@@ -46,7 +46,7 @@ ROOMS = {
 
 NOT_NUMERICAL = {
     "__init__.py", "backend.py", "kernel_cache.py", "lang.py", "machine.py", "paper.py",
-    "params.py", "registry.py", "settings.py",
+    "methods.py", "params.py", "settings.py",
 }  # fmt: skip
 """Files that start something, or hold choices."""
 

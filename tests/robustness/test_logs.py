@@ -23,7 +23,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.interop.exports import FORMATS, export_view
-from tiswarm.localization.registry import localize
+from tiswarm.localization.methods import localize
 from tiswarm.parts.suites.systems import STATIONS
 from tiswarm.records.mcap_file import SENSING, encode_messages
 from tiswarm.records.positions import read_estimate, write_estimate

@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
-from tiswarm.localization.params import JointParams, VirtualForceParams
+from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.records.run_folder import MAX_VARIANT_NAME
 from tiswarm.scenario import model
 from tiswarm.scenario.expansion import find_mistakes, variants

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tiswarm.base.errors import InputError
 from tiswarm.cli import main
-from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.scenario.expansion import find_mistakes, load_scenario, variants
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams

@@ -10,7 +10,7 @@ from tests.runs import REPOSITORY
 from tests.world.test_beliefs import same
 from tiswarm import study
 from tiswarm.base.progress import Progress
-from tiswarm.localization.registry import joining, localize
+from tiswarm.localization.methods import joining, localize
 from tiswarm.parts import navigation
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.sensing import observe
@@ -108,7 +108,7 @@ def test_methods_that_place_robots_as_they_join_build_what_whole_logs_do(monkeyp
         )[0]  # fmt: skip
 
     one_by_one = built()
-    monkeypatch.setattr(navigation.registry, "joining", lambda _: None)
+    monkeypatch.setattr(navigation.methods, "joining", lambda _: None)
     anew = built()
 
     assert all(same(a, b) for a, b in zip(one_by_one.walks, anew.walks, strict=True))

@@ -27,7 +27,7 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
-    from tiswarm.localization.params import LocalizationParams
+    from tiswarm.localization.settings import LocalizationParams
     from tiswarm.report.swarm_view import SwarmView
 
 Truth = Reals | File | None
@@ -61,17 +61,17 @@ class Log(SensingLog):
     ) -> "Localized":
         """Estimate the robots' positions; `tiswarm.localize` explains the arguments."""
         from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
-        from tiswarm.localization import registry  # noqa: PLC0415 - slow to import
+        from tiswarm.localization import methods  # noqa: PLC0415 - slow to import
 
         params = method_params(method, cues, overrides, settings)
         progress = ConsoleProgress(quiet=quiet)
-        titles = [registry.title(params)]
-        running = registry.start_device(titles, arch, threads=threads, precision=precision)
+        titles = [methods.title(params)]
+        running = methods.start_device(titles, arch, threads=threads, precision=precision)
         if arch != "cpu":
-            progress.info(registry.where(titles, running))
+            progress.info(methods.where(titles, running))
         name = "compile, localize" if backend.current().is_cold else "localize"
         with progress.task(name, self.robot_count) as advance:
-            found = self.with_estimate(registry.localize(self, params, on_progress=advance))
+            found = self.with_estimate(methods.localize(self, params, on_progress=advance))
         if solution is not None:
             found = found.with_solution(solution)
         if doubt := found.findings.doubt:

@@ -34,8 +34,7 @@ from tiswarm.base.plugins import (
     registered,
 )
 from tiswarm.base.progress import ignore
-from tiswarm.localization.cue_params import all_cues
-from tiswarm.localization.params import LocalizationParams
+from tiswarm.localization.settings import LocalizationParams, all_cues
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import FARTHEST, SensingLog
 
@@ -195,7 +194,7 @@ def _fault(log: SensingLog, found: object, position: NDArray[Any]) -> str:
 
 def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:
     """Make an estimate of positions [log unit], with verdicts by their measurements."""
-    from tiswarm.localization.assessment import assess, rms  # noqa: PLC0415 - slow to import
+    from tiswarm.localization.mixture.verdict import assess, rms  # noqa: PLC0415 - slow to import
     from tiswarm.measurements.contacts import disconnected  # noqa: PLC0415 - slow to import
     from tiswarm.measurements.cues import measure  # noqa: PLC0415 - slow to import
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.localization import registry
+from tiswarm.localization import methods
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.sensing_file import SensingLogBuilder, log_entries
 from tiswarm.records.sensing_format import STANCE_LISTS, parse_header, parse_robot
@@ -84,9 +84,9 @@ def believe_by(settings: Scenario) -> Believe:
         return docks
 
     def centers(parts: Sequence[_Part]) -> dict[tuple[int, int], Reals]:
-        if not (joins := registry.joining(params)):
+        if not (joins := methods.joining(params)):
             logs = [part.log() for part in parts]
-            estimates = registry.localize_many(logs, [params] * len(logs))
+            estimates = methods.localize_many(logs, [params] * len(logs))
             return {part.key: e.position for part, e in zip(parts, estimates, strict=True)}
         for part in parts:
             if part.key not in swarms:

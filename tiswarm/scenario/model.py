@@ -24,7 +24,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.params import LocalizationParams
+from tiswarm.localization.settings import LocalizationParams
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario.questions import Question
 from tiswarm.scenario.validation import (

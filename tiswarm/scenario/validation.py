@@ -15,9 +15,8 @@ from pydantic_core import ErrorDetails, InitErrorDetails
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.plugins import load_plugins, watch
-from tiswarm.localization.cue_params import CUES
-from tiswarm.localization.params import LocalizationParams
 from tiswarm.localization.plugins import all_params
+from tiswarm.localization.settings import CUES, LocalizationParams
 from tiswarm.records.messages import UNKNOWN_KEY, Part, did_you_mean, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
 

@@ -6,7 +6,7 @@ robots.
 
 from typing import NamedTuple
 
-from tiswarm.localization import params as methods
+from tiswarm.localization import settings as methods
 from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import variants
 from tiswarm.scenario.model import Scenario

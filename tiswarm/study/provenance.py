@@ -21,12 +21,12 @@ from tiswarm.base.plugins import registered
 from tiswarm.base.version import __version__, code_digest
 from tiswarm.compute import machine, numerics
 from tiswarm.compute.backend import Backend
-from tiswarm.localization import registry
+from tiswarm.localization import methods
 from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 
-_METHODS = registry.METHODS
+_METHODS = methods.METHODS
 _COMPOSES = "tiswarm.study.runner"
 """Module that composes a case of all that computes it."""
 
@@ -41,15 +41,15 @@ def case_code(method: str, suite: str = "") -> str:
     own = [registered("method").get(method), registered("sensor").get(suite)]
     if method not in _METHODS and own[0] is None:
         return ""
-    code = module_code(_METHODS.get(method, registry.OWN))
+    code = module_code(_METHODS.get(method, methods.OWN))
     return "+".join([code, *(found.plugin.digest for found in own if found)])
 
 
 @cache
 def module_code(module: str) -> str:
     """Return the digest of the code that computes cases of the methods in a module."""
-    others = {registry.OWN, *_METHODS.values()} - {module}
-    return code_digest([_COMPOSES, module], {registry.__name__: others})
+    others = {methods.OWN, *_METHODS.values()} - {module}
+    return code_digest([_COMPOSES, module], {methods.__name__: others})
 
 
 @cache

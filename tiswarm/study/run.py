@@ -8,7 +8,7 @@ from pathlib import Path
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyArch, Arch
 from tiswarm.base.progress import Progress
-from tiswarm.localization import registry
+from tiswarm.localization import methods
 from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import load_scenario
@@ -59,7 +59,7 @@ def run(
         scenario: What to compute.
         parent: Folder that holds the run's folder.
         progress: Receives progress reports.
-        arch: Device of methods that are `registry.PARALLEL`; other stages run on the processor.
+        arch: Device of methods that are `methods.PARALLEL`; other stages run on the processor.
         threads: CPU threads; all if None.
         execution: Where cases are computed, and which.
         overwrite: Whether to replace files of a folder that no run made.
@@ -138,17 +138,17 @@ def _start_device(
     On a cluster, only its workers can start it.
     """
     points = {case.variant.label: case.settings for case in whole.cases}.values()
-    titles = {registry.title(settings.localization) for settings in points}
+    titles = {methods.title(settings.localization) for settings in points}
     if execution.scheduler is not None:
         if arch == "auto":
             raise InputError("auto cannot see the workers; name their device", argument="arch")
         for settings in points:
-            registry.require_use(titles, arch, settings.precision)
+            methods.require_use(titles, arch, settings.precision)
         return arch
     for precision in sorted({settings.precision for settings in points}):
-        running = registry.start_device(titles, arch, threads=threads, precision=precision)
+        running = methods.start_device(titles, arch, threads=threads, precision=precision)
     if arch != "cpu":
-        progress.info(registry.where(titles, running))
+        progress.info(methods.where(titles, running))
     return running.arch
 
 

@@ -17,9 +17,8 @@ from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation.evaluate import evaluate
-from tiswarm.localization import registry
-from tiswarm.localization.params import JointParams, LocalizationParams
-from tiswarm.localization.registry import localize_many
+from tiswarm.localization import methods
+from tiswarm.localization.settings import JointParams, LocalizationParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
@@ -135,11 +134,11 @@ class _CaseRunner:
             is_own = settings.sensing.suite in registered("sensor")
             sensing = SensingParams() if is_own else settings.sensing
             method = repr(settings.localization)
-            running = registry.start_for(settings.localization)
+            running = methods.start_for(settings.localization)
             if self._sample is not None and _compiled.get(method) != running:
                 with suppress(Exception):
                     log = observe(self._sample, sensing)
-                    localize_many([log], [_shortened(settings.localization)])
+                    methods.localize_many([log], [_shortened(settings.localization)])
                 _compiled[method] = running
 
     def _choose_device(self, precision: AnyPrecision) -> None:
@@ -206,15 +205,17 @@ class _CaseRunner:
         """Localize a batch of cases, which share method and precision."""
         self._warm_up_methods(cases)
         with self._stage("localize", cases) as advance:
-            methods = [case.settings.localization for case in cases]
-            estimates = localize_many(logs, methods, with_observability=True, on_progress=advance)
-        running = registry.start_for(methods[0])
+            chosen = [case.settings.localization for case in cases]
+            estimates = methods.localize_many(
+                logs, chosen, with_observability=True, on_progress=advance
+            )
+        running = methods.start_for(chosen[0])
         farthest = [
             np.abs(estimate.position - log.anchor_position).max() / log.dock_radius
             for estimate, log in zip(estimates, logs, strict=True)
         ]
         error = running.force_error(max(farthest))
-        stage = f"localize by {registry.title(methods[0])}"
+        stage = f"localize by {methods.title(chosen[0])}"
         self.used.add(Used(stage, running, error, numerics.here()))
         return estimates
 
@@ -224,7 +225,7 @@ class _CaseRunner:
         """Evaluate and store one case."""
         found = evaluate(history, log, estimate, case.settings.localization.cues)
         record = _record(case, "done", history.ended, found.scores)
-        running = registry.start_for(case.settings.localization)
+        running = methods.start_for(case.settings.localization)
         on = f"{running}, numerics {numerics.here().key}"
         record = replace(record, measurements=found.measurements, computed_on=on)
         if estimate.convergence is not None:
@@ -252,14 +253,14 @@ def _batches(cases: Sequence[Case], logs: Mapping[str, SensingLog]) -> Iterable[
     """Gather cases that are localized side by side, and so share the cost of it."""
     batches: dict[tuple[Hashable, ...], list[Case]] = {}
     for case in sorted(cases, key=_method):
-        key = registry.batch_key(logs[case.name], case.settings.localization)
+        key = methods.batch_key(logs[case.name], case.settings.localization)
         batches.setdefault((*_method(case), key), []).append(case)
     return batches.values()
 
 
 def _method(case: Case) -> tuple[str, AnyPrecision]:
     """Return method, schedule and precision, which cases of a batch share."""
-    return registry.title(case.settings.localization), case.settings.precision
+    return methods.title(case.settings.localization), case.settings.precision
 
 
 def _record(

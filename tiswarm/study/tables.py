@@ -24,8 +24,8 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.metrics import least_and_most, mean_std_ci95, paired_difference
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
-from tiswarm.localization import registry
-from tiswarm.localization.params import LocalizationParams, VirtualForceParams
+from tiswarm.localization import methods
+from tiswarm.localization.settings import LocalizationParams, VirtualForceParams
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
@@ -112,7 +112,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
 
 def _title(method: LocalizationParams) -> str:
     """Name a method, with what else makes it another one."""
-    return " ".join([registry.title(method), *filter(None, [getattr(method, "scheme", None)])])
+    return " ".join([methods.title(method), *filter(None, [getattr(method, "scheme", None)])])
 
 
 def _edges(terrain: Terrain) -> dict[str, float]:

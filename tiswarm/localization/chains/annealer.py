@@ -16,6 +16,7 @@ from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
+from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.arrays import (
     AGE,
     IS_THIN,
@@ -36,10 +37,9 @@ from tiswarm.localization.chains.card_kernels import sum_rows, take_steps_on_car
 from tiswarm.localization.chains.initialization import initial_guess, reinitialize_lost
 from tiswarm.localization.chains.kernels import MEMORY, SKIN, THIN_SKIN, note_places, take_steps
 from tiswarm.localization.chains.problem import Problem
+from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.chains.subtrees import find_subtrees
-from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 

@@ -23,7 +23,7 @@ from tiswarm.compute.lang import DeviceArray, Ints2, Reals1, Reals2, Reals3
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.subtrees import Forest, weights
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.model import KNOWN
 
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.chains.problem import Problem
-from tiswarm.localization.joint.settings import ANNEALING
+from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 

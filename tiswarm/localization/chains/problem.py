@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.planes import Planes, measured_planes
-from tiswarm.localization.joint.settings import OUTLIER_ROBOTS
+from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
+from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.consistency import ALLOWED_SD, are_known, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
 from tiswarm.measurements.cues import Measured, Precision

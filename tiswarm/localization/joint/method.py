@@ -7,17 +7,16 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.progress import ignore
-from tiswarm.localization.assessment import rms
+from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.annealer import anneal
 from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import Problem, pose_problem
-from tiswarm.localization.cue_params import ChiSquareParams
-from tiswarm.localization.joint.chains import Annealed, failed
-from tiswarm.localization.joint.ends import further_starts
-from tiswarm.localization.joint.mixture import mix
-from tiswarm.localization.joint.outliers import disregard, explains, warned
-from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.mixture.ends import failed, further_starts
+from tiswarm.localization.mixture.mixture import mix
+from tiswarm.localization.mixture.outliers import disregard, explains, warned
+from tiswarm.localization.mixture.verdict import rms
+from tiswarm.localization.settings import ChiSquareParams, JointParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog

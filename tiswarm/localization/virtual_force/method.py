@@ -25,8 +25,8 @@ from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_kernels import CellList
-from tiswarm.localization.assessment import assess
-from tiswarm.localization.params import BackPropagation, LocalizationParams, VirtualForceParams
+from tiswarm.localization.mixture.verdict import assess
+from tiswarm.localization.settings import BackPropagation, LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force.kernels import (
     ALL_DOCKS,
     DOCKS_OF_NEIGHBORS,

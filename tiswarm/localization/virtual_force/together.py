@@ -22,8 +22,8 @@ from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.engine.relax import SMALL, PreparedSwarm
-from tiswarm.localization.assessment import assess
-from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization.mixture.verdict import assess
+from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import SPACING

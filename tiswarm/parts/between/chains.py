@@ -18,7 +18,7 @@ from tiswarm.localization.cost.kernels import (
     VARIANCE,
 )
 from tiswarm.localization.cost.neighborhood import Configuration, Neighborhood
-from tiswarm.localization.params import DistributedParams
+from tiswarm.localization.settings import DistributedParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.parts.between.chain_kernels import ChainDocks, ChainRows, anneal_near
 from tiswarm.parts.between.settings import CHAINS

@@ -22,7 +22,7 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
-from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
+from tiswarm.localization.settings import BackPropagation, DistributedParams, VirtualForceParams
 from tiswarm.localization.virtual_force import method as virtual_force
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.parts.between.channel import HEADER, Channel, Message

@@ -31,8 +31,8 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost.neighborhood import Block, Configuration, block_of
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
-from tiswarm.localization.params import DistributedParams, OnlineParams
-from tiswarm.localization.registry import centered
+from tiswarm.localization.methods import centered
+from tiswarm.localization.settings import DistributedParams, OnlineParams
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.parts.between.chains import annealed
 from tiswarm.parts.between.channel import Message

@@ -5,18 +5,17 @@ from dataclasses import fields
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
+from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.annealer import anneal
 from tiswarm.localization.chains.initialization import place_disconnected, set_apart
 from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
-from tiswarm.localization.cue_params import ChiSquareParams
-from tiswarm.localization.joint.chains import Annealed, failed
-from tiswarm.localization.joint.ends import ranked
 from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
-from tiswarm.localization.joint.settings import CONVERGENCE
-from tiswarm.localization.params import JointParams, OnlineParams
+from tiswarm.localization.mixture.ends import failed, ranked
+from tiswarm.localization.mixture.settings import CONVERGENCE
+from tiswarm.localization.settings import ChiSquareParams, JointParams, OnlineParams
 from tiswarm.measurements.contacts import untied_directions
 from tiswarm.parts.online.settings import TIMES
 from tiswarm.records.estimate import Estimate

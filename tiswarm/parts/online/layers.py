@@ -15,7 +15,7 @@ from tiswarm.localization.cost.neighborhood import (
     Shapes,
 )
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
-from tiswarm.localization.params import OnlineParams
+from tiswarm.localization.settings import OnlineParams
 from tiswarm.measurements.model import SPACING
 
 _AXES = 3

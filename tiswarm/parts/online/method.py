@@ -19,9 +19,9 @@ import numpy as np
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
-from tiswarm.localization.assessment import rms
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.params import OnlineParams
+from tiswarm.localization.mixture.verdict import rms
+from tiswarm.localization.settings import OnlineParams
 from tiswarm.parts.online.tracker import Change, Tracker
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode

@@ -16,11 +16,11 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
-from tiswarm.localization.assessment import Assessment, assess, rms
 from tiswarm.localization.chains.problem import chosen_rows, pose_problem
 from tiswarm.localization.cost.neighborhood import Block, Neighborhood, block_of
-from tiswarm.localization.params import LocalizationParams, OnlineParams
-from tiswarm.localization.registry import centered, uncentered
+from tiswarm.localization.methods import centered, uncentered
+from tiswarm.localization.mixture.verdict import Assessment, assess, rms
+from tiswarm.localization.settings import LocalizationParams, OnlineParams
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.parts.online.annealing import annealed_estimate, elsewhere, reannealed
 from tiswarm.parts.online.layers import LocalLayers

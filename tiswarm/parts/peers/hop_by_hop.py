@@ -28,8 +28,8 @@ from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
-from tiswarm.localization.assessment import assess, rms
-from tiswarm.localization.params import HopByHopParams
+from tiswarm.localization.mixture.verdict import assess, rms
+from tiswarm.localization.settings import HopByHopParams
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import SPACING, Measurements

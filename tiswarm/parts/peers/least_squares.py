@@ -12,12 +12,12 @@ import numpy as np
 from tiswarm.base.aliases import Reals
 from tiswarm.base.progress import ignore
 from tiswarm.compute.math import normal
+from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.initialization import set_apart
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.ends import further_starts, settled
 from tiswarm.localization.joint.method import mixed
-from tiswarm.localization.params import LeastSquaresParams
+from tiswarm.localization.mixture.ends import further_starts, settled
+from tiswarm.localization.settings import LeastSquaresParams
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING
 from tiswarm.parts.peers.hop_by_hop import place

@@ -4,7 +4,10 @@ Every end is moved to a minimum of the cost nearby. Ends at the same minimum are
 weight is exp(-cost / 2) for each of its chains, since chains end in wide basins more often. The
 estimate is the mean of this mixture; `sd` is its root mean square deviation: within solutions by
 the curvature of the cost, or by the chains where the cost leaves motions open, and between
-solutions by their weights. Lengths in R.
+solutions by their weights.
+
+A chain moves about its mean for three reasons: measurements are noisy, they leave directions open,
+and the temperature lets them be missed. Only the first two are errors, and make `sd`. Lengths in R.
 """
 
 from typing import NamedTuple
@@ -12,24 +15,22 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
-from tiswarm.localization.assessment import misfit_by_robot
+from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import Problem
+from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.cost.cost import SETTLED, Cost
-from tiswarm.localization.cue_params import ChiSquareParams
-from tiswarm.localization.joint.chains import Annealed, deviation
-from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further
-from tiswarm.localization.joint.settings import (
-    ANNEALING,
-    CONVERGENCE,
-    MIXTURE,
-    REFINEMENT,
-    SD_CALIBRATION,
-)
 from tiswarm.localization.joint.starts import images
+from tiswarm.localization.mixture.ends import Ends, aligned, ranked, with_further
+from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
+from tiswarm.localization.mixture.verdict import misfit_by_robot
+from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Solution
 from tiswarm.records.sensing_log import SensingLog
+
+_LEAST_CHAINS = 1.5
+"""Effective number of chains below which their spread says nothing."""
 
 
 class Minimum(NamedTuple):
@@ -405,3 +406,67 @@ def _agreed(rows: Measurements, annealed: Annealed, members: Bools) -> Bools:
     pair = rows.association(annealed.mean[members], annealed.mean_yaw[members])
     is_agreed: Bools = (pair == pair[0]).all(axis=0)
     return is_agreed
+
+
+def deviation(
+    problem: Problem,
+    mean: Reals,
+    within: Reals,
+    weight: Reals,
+    sigma: float,
+) -> Reals:
+    """Compute the standard deviation of the weighted mean of chains [R], shape (N,).
+
+    Args:
+        problem: Measurements of the structure.
+        mean: Mean position of each chain [R], shape (chains, N, 3).
+        within: Within-chain variance [R^2], shape (chains, N).
+        weight: Weights of the chains, which add up to 1, shape (chains,).
+        sigma: Square root of the temperature at which the chains ended [R].
+    """
+    fit = SD_CALIBRATION
+    between = between_chains(mean, weight)
+    # Displacements that a robot shares with all others: few chains show them, so they weigh more.
+    between += fit.shared * between_chains(_others(mean), weight)
+    square = weight @ within + between
+    noise = _noise_share(problem.variance)
+    thermal = fit.thermal_variance * (1.0 - noise) * sigma**2
+    # Where little more is found than the temperature alone causes, it counts for little.
+    square *= square / np.maximum(square + thermal, np.finfo(np.float64).tiny)
+    power = fit.shared_noise_power * noise
+    related = np.sqrt(square) ** (1.0 - power) * (fit.shared_noise_at * sigma) ** power
+    sharp = (fit.sharp * (sigma / ANNEALING.warmest) ** fit.sharp_power) ** (1.0 - noise)
+    lacking = 1.0 + fit.underdetermined * problem.underdetermination
+    sd: Reals = related * sharp * lacking
+    sd[0] = 0.0  # the position of the anchor is known
+    return sd
+
+
+def between_chains(mean: Reals, weight: Reals) -> Reals:
+    """Compute the mean square error of the mean of chains that are draws like the truth, (N,).
+
+    The mean of n draws is off by (n + 1) / n of their variance; the draws around it show
+    (n - 1) / n of that. n is their effective number, 1 / sum of squared weights. Of less than two,
+    all chains together show how much they differ.
+    """
+    chains = 1.0 / (weight**2).sum()
+    if chains < _LEAST_CHAINS:
+        weight = np.full(len(mean), 1.0 / len(mean))
+        chains = float(len(mean))
+    position = np.tensordot(weight, mean, 1)
+    square: Reals = weight @ ((mean - position) ** 2).sum(axis=2)
+    return square * ((chains + 1.0) / (chains - 1.0) if chains > 1.0 else 1.0)
+
+
+def _others(mean: Reals) -> Reals:
+    """Mean position of all robots but the anchor and the robot itself, shape (chains, N, 3)."""
+    robots = mean.shape[1]
+    total: Reals = mean[:, 1:].sum(axis=1, keepdims=True)
+    return (total - mean) / max(robots - 2, 1)
+
+
+def _noise_share(variance: Reals) -> float:
+    """Share of the contacts' variance that is noise, not temperature; 1 without contacts."""
+    if not len(variance):
+        return 1.0
+    return float(np.mean(variance / (variance + ANNEALING.warmest**2)))

@@ -15,9 +15,8 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import SETTLED, Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.cue_params import CUES, ChiSquareParams
-from tiswarm.localization.joint.settings import CONVERGENCE, MIXTURE
-from tiswarm.localization.params import LARGE
+from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
+from tiswarm.localization.settings import CUES, LARGE, ChiSquareParams
 from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence

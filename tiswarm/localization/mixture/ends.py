@@ -1,18 +1,23 @@
-"""Minima of the cost that chains lead to: ranked, weighed, sorted into solutions. Lengths in R."""
+"""Minima of the cost that chains lead to: ranked, weighed, sorted into solutions.
+
+A chain failed if it put a robot farther away than its contacts reach, or if its kinetic temperature
+ran away. Lengths in R.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.problem import Problem
+from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.cue_params import ChiSquareParams
-from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.frames import HELD, Frame, align, free_frame
-from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
 from tiswarm.localization.joint.starts import scaled_distances
+from tiswarm.localization.mixture.frames import HELD, Frame, align, free_frame
+from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
+from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
@@ -41,6 +46,33 @@ class Ends:
 
     frame: Frame = HELD
     """Rigid motions of the anchor's part that nothing resists, by which ends are aligned."""
+
+
+def failed(problem: Problem, annealed: Annealed) -> Bools:
+    """Find chains that no noise of the measurements explains, shape (chains,)."""
+    missed = squares(problem, annealed)[:, : len(problem.variance)]
+    # A wrong contact bounds no distance; most chains tear it.
+    torn = (missed > CONVERGENCE.outlier_sd**2).mean(axis=0) >= CONVERGENCE.most_chains
+    torn = problem.any_of_link(torn)[problem.link]
+    # Nothing measures how far a part without the anchor is away: count from its own first robot.
+    first = np.unique(problem.part, return_index=True)[1][problem.part]
+    distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
+    beyond = (distance > problem.reach(annealed.sigma, ~torn)).any(axis=1)
+    is_failed: Bools = beyond | (annealed.temperature > CONVERGENCE.runaway)
+    return is_failed
+
+
+def squares(problem: Problem, annealed: Annealed) -> Reals:
+    """Compute the squared residuals of each chain at its end, in variances.
+
+    The variance is that of the measurement and of the temperature together.
+
+    Returns:
+        Squares, shape (chains, E).
+    """
+    residual = problem.rows.residual(annealed.last, annealed.last_yaw)
+    square: Reals = residual**2 / (problem.rows.variance() + annealed.sigma**2)
+    return square
 
 
 def ranked(

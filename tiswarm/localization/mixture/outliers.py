@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import Cost, State
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.cue_params import ChiSquareParams
-from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.settings import OUTLIER_ROBOTS
+from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
+from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted

@@ -13,7 +13,7 @@ from tiswarm.base.parts import load
 from tiswarm.base.progress import Advance, by_share, ignore
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
-from tiswarm.localization.params import LocalizationParams, VirtualForceParams
+from tiswarm.localization.settings import LocalizationParams, VirtualForceParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import Estimate
