@@ -21,7 +21,7 @@ from typing import Any
 import yaml
 
 import tiswarm
-from tiswarm.scenario.shipped import shipped_scenarios
+from tiswarm.scenario.yaml_source import shipped_scenarios
 
 ROBOTS = 12
 """Robots of a structure at small size; enough for walks, loads and recruits."""

@@ -317,7 +317,7 @@ def score(
     found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
     scores = score_files(as_path(truth, "truth"), found)
     if figure is not None:
-        from tiswarm.report.score_figure import write_score  # noqa: PLC0415 - slow to import
+        from tiswarm.report.error_figures import write_score  # noqa: PLC0415 - slow to import
 
         write_score(
             figure, scores.true, scores.estimated, scores.errors, scores.unit, overwrite=overwrite

@@ -24,8 +24,7 @@ from benchmarks.reactivebuild.laws import count_verdicts, curves_of, law_points,
 from benchmarks.reactivebuild.structures import read_structures
 from tiswarm.base.errors import TiswarmError
 from tiswarm.records.messages import counted
-from tiswarm.report.page import Page
-from tiswarm.report.page_pictures import show_pictures
+from tiswarm.report.page import Page, show_pictures
 from tiswarm.report.page_tables import PageTable
 
 SCENARIO = Path("scenarios/reactivebuild-laws.yaml")

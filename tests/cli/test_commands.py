@@ -295,7 +295,7 @@ def test_help_begins_with_what_people_do_most(monkeypatch, capsys):
 
 def test_commands_reach_the_rooms_through_the_api():
     """What a command does can be called from Python, too. Schemas and lists only print texts."""
-    texts = {"records.sensing_format", "scenario.model", "scenario.shipped"}
+    texts = {"records.sensing_format", "scenario.model", "scenario.yaml_source"}
     imported = set()
     for file in (REPOSITORY / "tiswarm" / "cli").glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):

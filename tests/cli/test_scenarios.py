@@ -7,7 +7,7 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.scenario.shipped import describe_scenarios, find_scenario, shipped_scenarios
+from tiswarm.scenario.yaml_source import describe_scenarios, find_scenario, shipped_scenarios
 
 FILES = [*(REPOSITORY / "scenarios").glob("*.yaml")]
 

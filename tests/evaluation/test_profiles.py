@@ -6,11 +6,11 @@ import pytest
 
 from tests.structures import exact_estimate
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.evaluation.metrics import relative_errors
-from tiswarm.evaluation.profiles import (
+from tiswarm.evaluation.metrics import (
     BINS,
     by_hops_apart,
     error_profile,
+    relative_errors,
     relative_profile,
 )
 from tiswarm.evaluation.tables import by_robot, score

@@ -11,11 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.localization.settings import all_cues
-from tiswarm.report.answers import ANSWERS, Results, answer
-from tiswarm.report.comparison import FEWEST, conclusion, two_digits
-from tiswarm.report.headline import headline, result_of
+from tiswarm.report.answers import (
+    ANSWERS,
+    FEWEST,
+    Results,
+    answer,
+    conclusion,
+    headline,
+    result_of,
+    two_digits,
+)
 from tiswarm.report.run_data import CUE_WORDS, measured_words
-from tiswarm.scenario.questions import AnyQuestion
+from tiswarm.scenario.model import AnyQuestion
 
 NONE = pd.DataFrame()
 CUES = ("contacts", "contacts, height", "contacts, height, walk_contacts, non_overlap")

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import require_alike
-from tiswarm.report.building_figure import building_painters
 from tiswarm.report.run_data import RunData
+from tiswarm.report.table_figures import building_painters
 
 
 @pytest.fixture

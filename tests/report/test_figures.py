@@ -23,9 +23,8 @@ from tiswarm.report.curve_figures import (
 from tiswarm.report.error_figures import draw_convergence, draw_errors
 from tiswarm.report.figure_style import png
 from tiswarm.report.figures import draw_figures
-from tiswarm.report.grade_figure import grade_painters
 from tiswarm.report.run_data import load_run
-from tiswarm.report.table_figures import draw_accuracy
+from tiswarm.report.table_figures import draw_accuracy, grade_painters
 
 COLUMNS = "case,status,condition,series,point,kind"
 

@@ -5,7 +5,7 @@ import pytest
 
 from tiswarm.parts.pictures.scene import lay_ground
 from tiswarm.records.terrain import Terrain
-from tiswarm.report.ground import ground_pieces
+from tiswarm.report.swarm_view import ground_pieces
 
 PLANE, SLAB, GAP = Terrain(), Terrain(left_edge=0.0), Terrain(left_edge=0.0, right_edge=20.0)
 DOCKS = np.array([[-9.0, -4.0, 1.0], [-2.0, 5.0, 1.0], [8.0, 0.0, 1.0], [24.0, 1.0, 1.0]])

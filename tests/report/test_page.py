@@ -14,21 +14,19 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.parts.pictures.pictures import build_pictures
 from tiswarm.records.run_folder import Manifest, Origin
-from tiswarm.report import space
-from tiswarm.report.captions import caption_of
-from tiswarm.report.figures import draw_figures
-from tiswarm.report.headline import result_of
-from tiswarm.report.page import write_page
-from tiswarm.report.page_pictures import show_pictures
+from tiswarm.report import swarm_view
+from tiswarm.report.answers import result_of
+from tiswarm.report.figures import caption_of, draw_figures
+from tiswarm.report.page import show_pictures, write_page
 from tiswarm.report.page_tables import (
     case_table,
     headline_table,
+    notes_of,
     result_tables,
+    warnings_of,
 )
-from tiswarm.report.remarks import notes_of, warnings_of
 from tiswarm.report.run_data import load_run
-from tiswarm.report.space import build_view, first_series
-from tiswarm.report.swarm_view import read_case_view
+from tiswarm.report.swarm_view import build_view, first_series, read_case_view
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,disconnected"
 SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: tower}\n"
@@ -178,7 +176,7 @@ def test_the_view_opens_on_the_best_beside_algorithm_1(methods, first, tmp_path)
 
 def test_of_many_robots_the_first_to_join_are_shown(run_folder, monkeypatch):
     """The page stays small, and a note states the limit."""
-    monkeypatch.setattr(space, "MOST_ROBOTS", 5)
+    monkeypatch.setattr(swarm_view, "MOST_ROBOTS", 5)
 
     view = build_view(load_run(run_folder))
 

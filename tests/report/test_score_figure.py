@@ -6,7 +6,7 @@ import pytest
 from tiswarm import api
 from tiswarm.base.errors import InputError
 from tiswarm.records.positions import write_positions
-from tiswarm.report.score_figure import draw_score
+from tiswarm.report.error_figures import draw_score
 
 
 @pytest.fixture

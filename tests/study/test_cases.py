@@ -10,7 +10,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.cases import plan
-from tiswarm.study.jobs import Job, batch
+from tiswarm.study.runner import Job, batch
 from tiswarm.study.store import RunFolder
 
 

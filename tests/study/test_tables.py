@@ -10,7 +10,7 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.records.frames import write_frame
-from tiswarm.report.headline import headline
+from tiswarm.report.answers import headline
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import compare, tables

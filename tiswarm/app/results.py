@@ -219,7 +219,7 @@ class Run:
 
     def __str__(self) -> str:
         """Write a line for each row of the table and the answer, or how many cases parts lack."""
-        from tiswarm.report.headline import headline  # noqa: PLC0415 - slow to import
+        from tiswarm.report.answers import headline  # noqa: PLC0415 - slow to import
 
         if self.missing:
             return f"this part is done; other parts still lack {counted(self.missing, 'case')}"

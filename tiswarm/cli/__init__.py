@@ -51,7 +51,7 @@ def scenarios(
     ] = None,
 ) -> None:
     """List the scenarios that come with tiswarm, or print one."""
-    from tiswarm.scenario.shipped import describe_scenarios, shipped_scenarios
+    from tiswarm.scenario.yaml_source import describe_scenarios, shipped_scenarios
 
     if name is None:
         typer.echo("\n".join(describe_scenarios()))

@@ -1,7 +1,8 @@
 """Tables of a case: scores of its estimate, errors by robot and iteration, growth by join."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,9 @@ from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
+from tiswarm.evaluation.metrics import by_hops_apart
 from tiswarm.measurements import contacts
+from tiswarm.measurements.cues import Measured
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
@@ -357,3 +360,40 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
 def _mean(values: NDArray[np.generic]) -> float:
     """Return the mean; NaN without values."""
     return float(values.mean()) if values.size else float("nan")
+
+
+class Evaluation(NamedTuple):
+    """An estimate against the truth: scores and tables, each by name."""
+
+    truth: Truth
+    scores: Mapping[str, float | int]
+    measurements: str
+    """Cues that the method used and the log has."""
+
+    tables: Mapping[str, pd.DataFrame]
+
+
+def evaluate(
+    history: History, log: SensingLog, estimate: Estimate, cues: Collection[str]
+) -> Evaluation:
+    """Compare the estimate of a log, localized by these cues, with the structure it is of."""
+    truth = Truth(
+        robot_id=log.robot_id,
+        position=history.position,
+        orientation_wxyz=history.orientation_wxyz,
+    )
+    measured = Measured(log)
+    rows = measured.rows(cues)
+    scores = score(truth, log, estimate, history.robot, rows=rows)
+    scores |= outlier_scores(history, estimate, rows=rows) | totals(history)
+    return Evaluation(
+        truth=truth,
+        scores=scores,
+        measurements=", ".join(measured.used(cues)),
+        tables={
+            "robots": by_robot(truth, log, estimate, history.sensed),
+            "convergence": by_iteration(truth, estimate),
+            "growth": by_join(history),
+            "relative": by_hops_apart(truth, log, estimate),
+        },
+    )

@@ -22,7 +22,7 @@ from tiswarm.records.messages import counted
 from tiswarm.report.page import Page, render
 from tiswarm.report.page_tables import PageTable, case_table
 from tiswarm.report.run_data import RunData
-from tiswarm.report.space import build_view
+from tiswarm.report.swarm_view import build_view
 from tiswarm.study.store import CaseRecord
 from tiswarm.study.tables import summary
 

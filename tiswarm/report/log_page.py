@@ -13,11 +13,17 @@ from tiswarm.measurements.verdicts import IMAGES_APART, distrust, headline, verd
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.report.page import Page
-from tiswarm.report.page_pictures import Shown
+from tiswarm.report.page import Page, Shown
 from tiswarm.report.page_tables import MOST_ROWS, PageTable
-from tiswarm.report.space import MOST_ROBOTS, SD, Coloring, View, space_data, view_data
-from tiswarm.report.swarm_view import SwarmView
+from tiswarm.report.swarm_view import (
+    MOST_ROBOTS,
+    SD,
+    Coloring,
+    SwarmView,
+    View,
+    space_data,
+    view_data,
+)
 
 
 def gather_log_page(

@@ -18,7 +18,7 @@ from tiswarm.report.figure_style import (
     TRUE_BLUE,
     new_figure,
 )
-from tiswarm.report.page_pictures import Shown, show_drawing
+from tiswarm.report.page import Shown, show_drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.report import figure_style
-from tiswarm.report.comparison import FEWEST
+from tiswarm.report.answers import FEWEST
 from tiswarm.report.figure_style import (
     PAGE_WIDTH,
     Painter,

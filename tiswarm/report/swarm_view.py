@@ -1,8 +1,13 @@
-"""What pictures, pages and exports show: the robots of a case, or of a log and its estimate."""
+"""What pictures, pages and exports show: the robots of a case, or of a log and its estimate.
 
-from collections.abc import Callable
-from dataclasses import dataclass
+That includes the part of the ground around them, and the data of a page's 3D view.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,15 +15,15 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import with_orientations
-from tiswarm.records.estimate import Estimate
+from tiswarm.records.estimate import MOST_WITHIN, Estimate
 from tiswarm.records.frames import EstimateTrace, read_frame, read_trace, thinned
 from tiswarm.records.io import MAX_LOG_BYTES, at_line, numbered_lines, run_file
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import parse_header
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.terrain import Terrain
+from tiswarm.records.terrain import EDGE_RADIUS, NO_EDGE, Terrain
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
-from tiswarm.report.run_data import StoredCase
+from tiswarm.report.run_data import RunData, StoredCase
 
 POSE = ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"]
 _ESTIMATED_POSE = [
@@ -187,3 +192,263 @@ def view_log(
         read_log=lambda: log,
         read_trace=lambda: trace,
     )
+
+
+_STANDING = 0.1  # gap to the ground below which a dock stands on it [R]
+_AROUND = 3.0  # ground shown beside the docks [R]
+_BEHIND = 7.0  # ground shown behind an edge where no dock stands [R]
+_ARC = 8  # faces of a rounded edge
+
+
+class Slab(NamedTuple):
+    """A piece of a slab: flat from x = `rear` to x = `edge`, and rounded beyond the edge [R]."""
+
+    rear: float
+    edge: float
+    low_y: float
+    high_y: float
+    top: float  # height of its flat top; it is 2 `EDGE_RADIUS` thick
+
+    @property
+    def outward(self) -> float:
+        """1 if the edge is at the right of the piece, -1 if it is at the left."""
+        return 1.0 if self.edge > self.rear else -1.0
+
+
+def standing_docks(terrain: Terrain, dock: Reals) -> Reals:
+    """Choose the docks, shape (n, 3), that stand on flat ground."""
+    beyond = (dock[:, 0] > terrain.left_edge) & (dock[:, 0] < terrain.right_edge)
+    height = dock[:, 2] - 1.0 - terrain.ground_z
+    standing: Reals = dock[(np.abs(height) < _STANDING) & ~beyond]
+    return standing
+
+
+def shown_slabs(terrain: Terrain, dock: Reals) -> list[Slab]:
+    """Cut a piece off each slab that reaches around the docks, shape (n, 3); none off a plane."""
+    if terrain.is_plane:
+        return []
+    standing = standing_docks(terrain, dock)[:, 0]
+    low_y, high_y = dock[:, 1].min() - _AROUND, dock[:, 1].max() + _AROUND
+    slabs = []
+    for edge, outward in ((terrain.left_edge, 1.0), (terrain.right_edge, -1.0)):
+        if edge < NO_EDGE:
+            behind = float(np.max(outward * (edge - standing), initial=_BEHIND - _AROUND))
+            rear = edge - outward * (behind + _AROUND)
+            slabs.append(Slab(rear, edge, float(low_y), float(high_y), terrain.ground_z))
+    return slabs
+
+
+def ground_pieces(terrain: Terrain, dock: Reals) -> list[Reals]:
+    """Cover each piece of ground around docks, shape (n, 3), with faces of four corners [R].
+
+    Returns:
+        Corners, counterclockwise as seen from above the ground, each of shape (faces, 4, 3). A
+        plane has one face if a dock stands on it, and no piece otherwise.
+    """
+    slabs = shown_slabs(terrain, dock)
+    if slabs:
+        return [_faces(slab) for slab in slabs]
+    standing = standing_docks(terrain, dock)[:, :2]
+    if not len(standing):
+        return []
+    (left, front), (right, back) = standing.min(axis=0) - _AROUND, standing.max(axis=0) + _AROUND
+    z = terrain.ground_z
+    return [np.array([[[left, front, z], [right, front, z], [right, back, z], [left, back, z]]])]
+
+
+def _faces(slab: Slab) -> Reals:
+    """Cover a piece of a slab with faces; it is open at its rear."""
+    angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, _ARC + 1)
+    x = np.array([slab.rear, *(slab.edge + slab.outward * EDGE_RADIUS * np.cos(angle)), slab.rear])
+    z = slab.top - EDGE_RADIUS + EDGE_RADIUS * np.array([1.0, *np.sin(angle), -1.0])
+    front, back = (np.column_stack([x, np.full(len(x), y), z]) for y in (slab.low_y, slab.high_y))
+    outline = np.stack([front[:-1], front[1:], back[1:], back[:-1]], axis=1)
+    half = len(x) // 2  # a side is cut into faces from the top to the underside
+    sides = [
+        np.stack([below[:half], below[1 : half + 1], above[1 : half + 1], above[:half]], axis=1)
+        for below, above in ((front[::-1], front), (back, back[::-1]))
+    ]
+    faces: Reals = np.concatenate([outline, *sides])
+    return faces if slab.outward > 0.0 else faces[:, ::-1]
+
+
+_MOST_CASES = 12  # in the view
+MOST_ROBOTS = 100_000
+"""Robots in the view, in all cases together."""
+
+ALGORITHM_1 = ("virtual-force", "distributed algorithm-1")
+"""Methods, as `summary.csv` names them, that are the paper's Algorithm 1."""
+
+SD = "sd"
+"""Label of the coloring by standard deviation, which is also the size of the spheres."""
+
+_DIGITS = 4  # decimals of positions
+_TRACE_DIGITS = 2  # decimals of positions in motion
+_MOST_PLACES = 100_000  # positions in motion, in all cases together
+
+
+class View(NamedTuple):
+    """The cases of the 3D view."""
+
+    data: dict[str, Any]  # as `space_data` returns it; `compared` if it starts with two cases
+    title: str
+    choice: str  # what the menu offers
+    note: str
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether a case has true poses."""
+        return any(case["true"] for case in self.data["cases"])
+
+    @property
+    def has_sd(self) -> bool:
+        """Whether a case has standard deviations, which spheres show."""
+        return any(color["label"] == SD for case in self.data["cases"] for color in case["colors"])
+
+
+class Coloring(NamedTuple):
+    """A quantity that colors the estimate; the view adds hops and the join index."""
+
+    label: str
+    unit: str  # may be empty
+    value: Reals  # NaN where unknown, shape (N,)
+
+
+def build_view(run: RunData) -> View | None:
+    """Take the first case of each series, within the limits; None if no case is done.
+
+    The view opens on the first two.
+    """
+    shown: list[dict[str, Any]] = []
+    notes = []
+    first = first_series(run)
+    series = [*first, *(name for name in run.series if name not in first)]
+    for case in [run.series[name][0] for name in series][:_MOST_CASES]:
+        seed = case.name.partition("-")[0]
+        view = replace(read_case_view(case), name=f"{case.series or case.name}, seed {seed}")
+        values = [("error", "R", view.error), (SD, "R", view.sd)]
+        values.append(("sensed force", "dock weights", view.force))
+        data = view_data(view, [Coloring(*value) for value in values])
+        if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
+            break
+        if data["robot"]:
+            places = sum(_places(each) for each in [*shown, data])
+            shown.append(data if places <= _MOST_PLACES else {**data, "trace": None})
+        if len(view.robot) > MOST_ROBOTS:
+            notes = [f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots."]
+    if not shown:
+        return None
+    if len(shown) < (done := sum(case.done for case in run.cases)):
+        notes.insert(0, f"The view contains {len(shown)} of {done} cases.")
+    return View(
+        data=space_data(view.dock_offset_body, shown) | {"compared": True},
+        title="True and estimated positions",
+        choice="Case",
+        note=" ".join(notes),
+    )
+
+
+def first_series(run: RunData) -> list[str]:
+    """Choose the series of the greatest interest: the least mean RMSE, and Algorithm 1.
+
+    Both are of the first point of the sweep that Algorithm 1 localizes; of the first point where
+    it localizes none, and then the other series is that with the next least RMSE.
+    """
+    if "rmse_R" not in run.summary:
+        return []
+    error = run.summary.groupby("series", sort=False)["rmse_R"].mean()
+    known = {name: cases[0] for name, cases in run.series.items() if math.isfinite(error[name])}
+    rivals = [name for name, case in known.items() if case.method in ALGORITHM_1]
+    start = known[next(iter([*rivals, *known]))].point if known else ""
+    alike = sorted((name for name in known if known[name].point == start), key=lambda n: error[n])
+    others = [name for name in rivals if name in alike[1:]] or alike[1:]
+    return [*alike[:1], *others[:1]]
+
+
+def _places(data: dict[str, Any]) -> int:
+    """Count the positions in motion of a case."""
+    return len(data["robot"]) * len(data["trace"]["iteration"]) if data["trace"] else 0
+
+
+def space_data(
+    offset: Reals, cases: Sequence[dict[str, Any]], *, radius: float = 1.0, unit: str = "R"
+) -> dict[str, Any]:
+    """Gather the data of the 3D view.
+
+    Args:
+        offset: Vectors from center to dock, body frame [R], shape (docks, 3).
+        cases: Cases as `view_data` returns them.
+        radius: R in the unit of the labels.
+        unit: Unit of the labels along the axes.
+    """
+    return {
+        "offsets": _rounded(offset),
+        "cases": cases,
+        "radius": radius,
+        "unit": unit,
+        "score": "RMSE" if any(case["true"] for case in cases) else "",
+        "sphere": MOST_WITHIN,  # radius of a sphere [sd]
+    }
+
+
+def view_data(view: SwarmView, colorings: Sequence[Coloring] = ()) -> dict[str, Any]:
+    """List what the 3D view needs of the robots that have an estimate, the first ones if too many.
+
+    Without a true pose, the lists of true centers and turns are empty.
+    """
+    known = np.flatnonzero(np.isfinite(view.estimated_pose).all(axis=1))[:MOST_ROBOTS]
+    estimated, true = view.estimated_pose[known], view.pose[known]
+    if not np.isfinite(true).all():
+        true = true[:0]
+    return {
+        "name": view.name,
+        "robot": view.robot[known].tolist(),
+        "true": _rounded(true[:, :3]),
+        "turn": _rounded(true[:, 3:]),
+        "estimate": _rounded(estimated[:, :3]),
+        "sensed": _rounded(estimated[:, 3:]),
+        "colors": [
+            {"label": label, "unit": unit, "value": [_value(v) for v in value[known].tolist()]}
+            for label, unit, value in colorings
+            if np.isfinite(value[known]).any()
+        ],
+        "contacts": _contacts(view, known),
+        "ground": _ground(view, true if len(true) else estimated),
+        "trace": _trace(view, known),
+    }
+
+
+def _rounded(values: Reals) -> list[Any]:
+    rounded: list[Any] = values.round(_DIGITS).tolist()
+    return rounded
+
+
+def _value(value: float) -> float | None:
+    return None if math.isnan(value) else float(f"{value:.4g}")
+
+
+def _contacts(view: SwarmView, known: Ints) -> list[list[int]]:
+    """List contacts of known robots: their places in the list, and a dock of each."""
+    place = np.full(len(view.robot), -1)
+    place[known] = np.arange(len(known))
+    contacts = view.log.contacts.copy()
+    contacts[:, [0, 2]] = place[contacts[:, [0, 2]]]
+    found: list[list[int]] = contacts[(contacts >= 0).all(axis=1)].tolist()
+    return found
+
+
+def _trace(view: SwarmView, known: Ints) -> dict[str, list[Any]] | None:
+    """List the centers of known robots at some iterations; None where none are stored."""
+    trace = view.read_trace()
+    if trace is None:
+        return None
+    center = trace.center[:, known].round(_TRACE_DIGITS).tolist()
+    return {"iteration": trace.iteration.tolist(), "center": center}
+
+
+def _ground(view: SwarmView, pose: Reals) -> list[Any]:
+    """List the pieces of ground around robots, each a list of faces with four corners [R]."""
+    if view.terrain is None or not len(pose):
+        return []
+    dock = pose[:, None, :3] + dock_offsets(pose[:, 3:], view.dock_offset_body)
+    return [_rounded(faces) for faces in ground_pieces(view.terrain, dock.reshape(-1, 3))]

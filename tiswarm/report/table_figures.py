@@ -1,8 +1,12 @@
-"""Draws the figures with a row for each of a table: accuracy, shapes and the comparison of runs."""
+"""Draws the figures of `table.csv` and `summary.csv`, and the comparison of runs.
 
+They have a row or a marker for each condition: accuracy, shapes, grades and what robots build.
+"""
+
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -12,9 +16,10 @@ from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
-from tiswarm.report.comparison import FEWEST
+from tiswarm.report.answers import FEWEST
 from tiswarm.report.figure_style import (
     PAGE_WIDTH,
+    PALETTE,
     Painter,
     add_legend,
     entries_of,
@@ -22,13 +27,16 @@ from tiswarm.report.figure_style import (
     label_rows,
     marker_style,
     new_panels,
+    set_log,
+    set_title,
     shortened,
 )
-from tiswarm.report.run_data import RunData, swept_words
+from tiswarm.report.run_data import RunData, stated_conditions, swept_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
 
 _MEASURES = {
     "rmse_R": ("RMSE [R]", "paper_rmse_radii"),
@@ -202,3 +210,180 @@ def _finish_rows(panels: "list[Axes]", names: Sequence[str], labels: Sequence[st
         axes.set_axisbelow(True)
     label_rows(panels[0], names)
     panels[0].set_ylim(len(names) - 0.5, -0.5)
+
+
+_GRADED = re.compile(r"(.+?)[-_ ](\d+(?:\.\d+)?)")
+_FEWEST_GRADES = 3
+_UNITS = {"_deg": "deg", "_noise": "R"}
+"""Units by the ends of keys."""
+
+_ERROR, _HALF = "rmse_R_mean", "rmse_R_ci95"
+
+
+def grade_painters(run: RunData) -> dict[str, Painter]:
+    """List the figure of graded conditions by file name, if a run has some.
+
+    Rounds of back-propagation have a figure of their own.
+    """
+    if not (run.folder / "table.csv").is_file():
+        return {}
+    table = run.table("table.csv", ["condition"], [], after="cases")
+    has_rounds = table.get("round_every", pd.Series(dtype=float)).notna().any()
+    return {} if has_rounds or not _families(table) else {"grades": draw_grades}
+
+
+def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
+    """Draw RMSE against the number at the end of the names of conditions that else agree.
+
+    Conditions whose names begin alike share a panel, in which each point of the sweep has a line.
+    A dashed line in its color is the first condition without such a number.
+    """
+    table = run.table("table.csv", ["condition"], ["cases", _ERROR, _HALF], after="cases")
+    table = table[table[_ERROR].notna()]
+    families = _families(table)
+    swept = swept_words(table).drop(columns="condition")
+    words = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
+    table["point"] = [", ".join(f"{key}={value}" for key, value in row) for row in words]
+    points = list(dict.fromkeys(table["point"]))
+    shown = points[: len(PALETTE)]
+    graded = {name for grades in families.values() for name in grades.values()}
+    plain = next((name for name in table["condition"] if name not in graded), "")
+    stated = stated_conditions(run.folder)
+    columns = min(2 if len(families) in {2, 4} else 3, len(families))
+    height = 0.6 + 2.1 * -(-len(families) // columns)
+    figure, panels = new_panels(PAGE_WIDTH, height, len(families), columns, share="y", most=most)
+    for axes, (family, grades) in zip(panels, families.items(), strict=True):
+        for place, point in enumerate(shown):
+            rows = table[table["point"] == point].set_index("condition")
+            look = {"label": shortened(point) or "mean", **marker_style(place)}
+            _draw_line(axes, rows, grades, look)
+            if plain in rows.index:
+                axes.axhline(float(rows.loc[plain, _ERROR]), **_dashed(look))
+        set_title(axes, family)
+        axes.set_xlabel(_meaning([stated.get(name, {}) for name in grades.values()]))
+        axes.set_xticks([*grades], [f"{grade:g}" for grade in grades])
+        axes.minorticks_off()
+    means = table.loc[table["condition"].isin(graded | {plain}), _ERROR].to_numpy(float)
+    fit_axis(panels[0], "y", means, nonpositive="clip")
+    figure.supylabel("RMSE [R]", fontsize=8.0)
+    level = f"; dashed: {plain}" if plain else ""
+    number = counted(int(table["cases"].max()), "structure")
+    add_legend(figure, entries_of(panels[:1]), f"mean and 95 % CI, {number}{level}")
+    more = figure_style.left_out(len(points) - len(shown), "table.csv")
+    figure_style.add_note(figure, more, run.note)
+    return figure
+
+
+def _families(table: pd.DataFrame) -> dict[str, dict[float, str]]:
+    """Gather conditions by the beginning of their names: the names by grade, ascending."""
+    families: dict[str, dict[float, str]] = {}
+    for name in dict.fromkeys(table["condition"]):
+        if found := _GRADED.fullmatch(name):
+            families.setdefault(found[1], {})[float(found[2])] = name
+    return {
+        family: dict(sorted(grades.items()))
+        for family, grades in families.items()
+        if len(grades) >= _FEWEST_GRADES
+    }
+
+
+def _meaning(conditions: list[dict[str, Any]]) -> str:
+    """Name the settings in which conditions differ, with the unit that their names state."""
+    keys = [
+        key
+        for key, value in conditions[0].items()
+        if any(other.get(key) != value for other in conditions)
+    ]
+    words = " = ".join(key.split(".")[-1].removesuffix("_deg").replace("_", " ") for key in keys)
+    units = [unit for end, unit in _UNITS.items() if any(key.endswith(end) for key in keys)]
+    return f"{words} [{units[0]}]" if units else words
+
+
+def _draw_line(
+    axes: "Axes", rows: pd.DataFrame, grades: dict[float, str], look: dict[str, Any]
+) -> None:
+    """Draw the means of graded conditions with their intervals, on a logarithmic axis."""
+    part = rows.reindex([*grades.values()])
+    half = part[_HALF].fillna(0.0)
+    at = np.array([*grades])
+    axes.errorbar(at, part[_ERROR], yerr=half, markersize=3.0, elinewidth=0.6, **look)
+    if at.min() > 0.0:
+        set_log(axes, "x")
+
+
+def _dashed(look: dict[str, Any]) -> dict[str, Any]:
+    return {"color": look["color"], "linestyle": "--", "linewidth": 0.8}
+
+
+_BY = "structure.navigate_by"
+_PANELS = {
+    "height_R": ("tower", "Tower height [R]"),
+    "reach_R": ("cantilever", "Cantilever reach [R]"),
+    "crossed": ("bridge", "Bridges closed [1]"),
+    "flips_as_planned": ("", "Flips as planned [1]"),
+}
+"""By column of `summary.csv`: the kind of structure that a panel shows, all if empty; its axis."""
+
+_NORMAL_95 = 1.96
+
+
+def building_painters(run: RunData) -> dict[str, Painter]:
+    """List the figure by file name, if some robots of a run navigate by estimates."""
+    planned = run.summary.get("flips_as_planned")
+    return {"building": draw_building} if planned is not None and planned.notna().any() else {}
+
+
+def draw_building(run: RunData, most: float = np.inf) -> "Figure":
+    """Draw how high, far and often robots build, with a row for what they navigate by.
+
+    A marker is the mean of a kind of structure with its 95 % confidence interval.
+    """
+    done = run.summary[run.summary["status"] == "done"]
+    rows = done.assign(structure=_structures(done), by=_navigation(done))
+    rows = rows.drop_duplicates(["by", "structure", "seed"])  # conditions may share structures
+    names, kinds = list(dict.fromkeys(rows["by"])), list(dict.fromkeys(rows["structure"]))
+    shown = {name: panel for name, panel in _PANELS.items() if _of_kind(rows, panel[0])[name].any()}
+    height = 0.9 + len(names) * (0.16 + 0.07 * len(kinds))
+    figure, panels = new_panels(PAGE_WIDTH, height, len(shown), len(shown), share="y", most=most)
+    for axes, (column, (kind, label)) in zip(panels, shown.items(), strict=True):
+        _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
+        axes.set_xlabel(label)
+        axes.set_xlim(left=0.0)
+    label_rows(panels[0], names)
+    panels[0].invert_yaxis()
+    structures = counted(int(rows.groupby(["by", "structure"]).size().max()), "structure")
+    title = f"mean and 95 % CI, {structures}"
+    add_legend(figure, entries_of(panels), title, loc="outside upper right")
+    figure_style.add_note(figure, run.note)
+    return figure
+
+
+def _navigation(done: pd.DataFrame) -> "pd.Series[str]":
+    """Name what the robots of each case go by: the truth, or the estimates of a condition."""
+    by = done.get(_BY, pd.Series("estimate", done.index))
+    return done["condition"].where(by != "truth", "the truth")
+
+
+def _structures(done: pd.DataFrame) -> "pd.Series[str]":
+    """Name the structure of each case: its kind, and of a bridge its span."""
+    span = done.get("right_edge_R", pd.Series(np.nan, done.index))
+    words = [f", {x:g} R" if np.isfinite(x) else "" for x in span]
+    return done["kind"] + pd.Series(words, done.index)
+
+
+def _of_kind(rows: pd.DataFrame, kind: str) -> pd.DataFrame:
+    return rows[rows["kind"] == kind] if kind else rows
+
+
+def _draw_panel(
+    axes: "Axes", rows: pd.DataFrame, column: str, names: list[str], kinds: list[str]
+) -> None:
+    """Draw the mean of a column for each name, a marker for each kind of structure."""
+    for index, kind in enumerate(kinds):
+        mine = rows[rows["structure"] == kind]
+        found = mine.groupby("by")[column].agg(["mean", "std", "count"]).reindex(names)
+        place = np.arange(len(names)) + 0.16 * (index - 0.5 * (len(kinds) - 1))
+        half = _NORMAL_95 * found["std"].fillna(0.0) / np.sqrt(found["count"])
+        if found["mean"].notna().any():
+            look = {**marker_style(index), "linestyle": "", "markersize": 3.5}
+            axes.errorbar(found["mean"], place, xerr=half, label=kind, **look)

@@ -19,7 +19,6 @@ from tiswarm.base.plugins import load_plugins, watch
 from tiswarm.records.messages import Part, counted, dotted
 from tiswarm.records.run_folder import LABEL, variant_name
 from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
-from tiswarm.scenario.shipped import find_scenario
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     DISCRIMINATORS,
@@ -31,7 +30,7 @@ from tiswarm.scenario.validation import (
     parse_setting,
     set_key,
 )
-from tiswarm.scenario.yaml_source import NOWHERE, YamlSource, read_yaml
+from tiswarm.scenario.yaml_source import NOWHERE, YamlSource, find_scenario, read_yaml
 
 _MAX_VARIANTS = 10_000
 

@@ -1,4 +1,4 @@
-"""The scenario: its keys, its text and its hash.
+"""The scenario: its keys, its question, its text and its hash.
 
 Each section is defined in the room that uses it.
 """
@@ -26,7 +26,6 @@ from tiswarm.base.params import STRICT
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.settings import LocalizationParams
 from tiswarm.records.run_folder import LABEL
-from tiswarm.scenario.questions import Question
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     Mistake,
@@ -38,6 +37,23 @@ from tiswarm.scenario.validation import (
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams, anchor_fault
+
+AnyQuestion = Literal["least-error", "reached", "traffic", "cues", "scaling"]
+"""Names of questions; `tiswarm.report.answers` has a function for each that answers it."""
+
+Question = Annotated[
+    AnyQuestion,
+    Field(
+        description="What the last line of `run` and the first line of the page answer. "
+        "`least-error`: mean RMSE of conditions with equal measurements. `reached`: heights, "
+        "reaches and depths of structures, and bridges closed. `traffic`: RMSE of methods whose "
+        "robots send at most 1 kB each. `cues`: RMSE as cues are left out. `scaling`: exponents of "
+        "RMSE and CPU time against the number of robots. A question that the results cannot answer "
+        "counts as `least-error`."
+    ),
+]
+"""A question as a key of a scenario."""
+
 
 _SWEEP_SECTIONS = ("robots", "precision", "robot", "structure", "sensing", "localization")
 _SLUG = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,98}[A-Za-z0-9_-])?")

@@ -1,10 +1,11 @@
-"""YAML text to plain data, with the place of each value.
+"""YAML files: the scenarios that come with the package, and text to plain data with each place.
 
 Scalars follow the core schema of YAML 1.2: `1e-3` is a number; `no`, `on` and `12:30` are text;
 `010` is ten. Beyond that schema, `1e3` is the whole number 1000. Anchors, aliases, tags and very
 large files are refused.
 """
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -197,3 +198,41 @@ def _place(key: yaml.Node, value: yaml.Node) -> Place:
 
 def _mistake(problem: str, mark: yaml.Mark, at: tuple[Part, ...] = ()) -> InputError:
     return InputError(problem, line=mark.line + 1, column=mark.column + 1, key=dotted(at))
+
+
+_FOLDER = Path(__file__).parent / "files"
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """List the files of the scenarios by name, sorted."""
+    return {path.stem: path for path in sorted(_FOLDER.glob("*.yaml"), key=lambda path: path.stem)}
+
+
+def find_scenario(path: Path) -> Path:
+    """Return the path of a file or, if there is none, that of the shipped scenario of this name.
+
+    Raises:
+        InputError: a name without folder and suffix is neither a file nor a shipped scenario, or
+            both.
+    """
+    if str(path) != path.stem:
+        return path
+    # Unlike those of Path, functions of os.path do not raise for names that are too long.
+    found, is_file = shipped_scenarios().get(str(path)), os.path.isfile(path)  # noqa: PTH113
+    if found and is_file:
+        problem = f"both a file here and a scenario of tiswarm's; name {path.absolute()} or {found}"
+        raise InputError(problem, path=path)
+    if found:
+        return found
+    if os.path.exists(path):  # noqa: PTH110
+        return path
+    problem = "neither a file nor a scenario of tiswarm's; tiswarm scenarios lists these"
+    raise InputError(problem, path=path)
+
+
+def describe_scenarios() -> list[str]:
+    """List names and descriptions, in lines."""
+    found = shipped_scenarios()
+    width = max(map(len, found), default=0)
+    texts = {name: yaml.safe_load(path.read_text())["description"] for name, path in found.items()}
+    return [f"{name:<{width}}  {text}" for name, text in texts.items()]

@@ -4,10 +4,10 @@ No other room holds the truth and an estimate together.
 """
 
 from tiswarm.study.cases import plan
-from tiswarm.study.comparison import COMPARISON, compare
 from tiswarm.study.executors import Execution
 from tiswarm.study.forecast import forecast
 from tiswarm.study.run import open_folder, run, tabulate
+from tiswarm.study.tables import COMPARISON, compare
 
 __all__ = [
     "COMPARISON", "Execution", "compare", "forecast", "open_folder", "plan", "run", "tabulate",

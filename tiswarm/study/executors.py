@@ -26,8 +26,7 @@ from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend, kernel_cache
-from tiswarm.study.jobs import Job
-from tiswarm.study.runner import Outcome, run_job
+from tiswarm.study.runner import Job, Outcome, run_job
 
 CONNECT_S = 3  # time that a scheduler has to accept a connection, and again to answer
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job

@@ -12,7 +12,7 @@ from tiswarm.scenario.expansion import variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.cases import structure_kind
 from tiswarm.study.executors import Execution
-from tiswarm.study.jobs import ROBOTS_AT_ONCE
+from tiswarm.study.runner import ROBOTS_AT_ONCE
 
 _START_S = 4.0  # start of a process and its kernels
 _CLIMB_S = 1e-3  # growth of a robot without mechanics

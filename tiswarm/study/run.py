@@ -1,12 +1,25 @@
-"""Runs a scenario: plan, cases, jobs, outcomes, tables; continues where an earlier run ended."""
+"""Runs a scenario: plan, cases, jobs, outcomes, tables; continues where an earlier run ended.
 
+Any executor computes the jobs; their progress is shown.
+"""
+
+import shlex
+from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import (
+    CasesFailedError,
+    EnvironmentTroubleError,
+    InputError,
+    OutOfMemoryError,
+    TiswarmError,
+)
 from tiswarm.base.params import AnyArch, Arch
+from tiswarm.base.plugins import PluginError
 from tiswarm.base.progress import Progress
 from tiswarm.localization import methods
 from tiswarm.records.io import run_file
@@ -14,10 +27,8 @@ from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.cases import Group, Plan, plan
-from tiswarm.study.executors import Execution, open_executor
-from tiswarm.study.jobs import batch
-from tiswarm.study.outcomes import compute
-from tiswarm.study.runner import Outcome
+from tiswarm.study.executors import Execution, Executor, open_executor, reason
+from tiswarm.study.runner import Job, Outcome, batch, failure
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.study.tables import write_tables
 
@@ -180,3 +191,78 @@ def tabulate(path: Path, progress: Progress) -> None:
         many = counted(lost, "case")
         progress.info(f"without {many}, missing or damaged; run the scenario again to restore")
     write_tables(path, whole, stored, folder.read_costs(whole.cases))
+
+
+_BEAT_S = 1.0
+"""Longest time between two looks at the jobs, so that progress lines come while none ends."""
+
+
+def compute(
+    jobs: Sequence[Job], executor: Executor, progress: Progress, *, fail_fast: bool = False
+) -> list[Outcome]:
+    """Compute jobs; one that fails is split until the failing case is alone.
+
+    `progress` receives a task whose steps are cases, with the number of those that failed.
+
+    Raises:
+        CasesFailedError: a case failed, and `fail_fast` stops at failures.
+        EnvironmentTroubleError: workers run other code.
+    """
+    waiting = deque(jobs)
+    running: dict[Future[Outcome], Job] = {}
+    found: list[Outcome] = []
+    failed = 0
+    # A user can watch the cases from now on, wherever they are computed.
+    progress.info(f"to watch: tiswarm view --live {shlex.quote(str(jobs[0].folder.path))}")
+    total = sum(len(job.cases) for job in jobs)
+    with progress.task("cases", total, lambda: f"{failed} failed" if failed else "") as advance:
+        while waiting or running:
+            while waiting and len(running) < executor.width:
+                job = waiting.popleft()
+                running[executor.submit(job)] = job
+            for future in wait(running, _BEAT_S, FIRST_COMPLETED).done:
+                job = running.pop(future)
+                outcome = _outcome(future, job)
+                if outcome is None:
+                    waiting.extendleft(reversed(job.halves))
+                    continue
+                failures = _report(outcome.records, progress)
+                if failures and fail_fast:
+                    first = failures[0]
+                    msg = f"stopped, for a case failed: {first.case}: {first.reason}"
+                    raise CasesFailedError(msg)
+                found.append(outcome)
+                failed += len(failures)
+                advance(len(outcome.records))
+            advance(0.0)
+    return found
+
+
+def _outcome(future: "Future[Outcome]", job: Job) -> Outcome | None:
+    """Return the outcome of a job; None if it is to be split."""
+    error = future.exception()
+    if error is None:
+        return future.result()
+    of_one = OutOfMemoryError | PluginError
+    concerns_all = isinstance(error, TiswarmError) and not isinstance(error, of_one)
+    if concerns_all or not isinstance(error, Exception):
+        raise error
+    if len(job.cases) > 1:
+        return None
+    traceback = error.details if isinstance(error, PluginError) else ""
+    record = job.folder.store_failure(failure(job.cases[0], reason(error)), traceback)
+    return Outcome(records=[record], used=())
+
+
+def _report(records: Sequence[CaseRecord], progress: Progress) -> list[CaseRecord]:
+    """Report cases that failed and structures that ended early; return those that failed."""
+    if not all(record.is_current for record in records):
+        msg = "workers run other code; install the same tiswarm on all machines"
+        raise EnvironmentTroubleError(msg)
+    failed = [record for record in records if not record.is_done]
+    for record in failed:
+        progress.info(f"case {record.case} failed: {record.reason}")
+    ended = {record.seed: record.reason for record in records if record.is_done and record.reason}
+    for seed, why in ended.items():
+        progress.info(f"seed {seed}: growth ended: {why}")
+    return failed

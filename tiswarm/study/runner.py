@@ -1,8 +1,8 @@
-"""Runs a batch of cases: grow, sense, localize, evaluate, store."""
+"""Computes jobs, each a batch of cases: grow, sense, localize, evaluate, store."""
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from types import MappingProxyType
 from typing import Literal, NamedTuple
@@ -10,26 +10,89 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from tiswarm.base.memory import naming_shortage
-from tiswarm.base.params import AnyPrecision
+from tiswarm.base.params import AnyPrecision, Arch
 from tiswarm.base.parts import load
 from tiswarm.base.plugins import registered
 from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Backend
-from tiswarm.evaluation.evaluate import evaluate
+from tiswarm.evaluation.tables import evaluate
 from tiswarm.localization import methods
 from tiswarm.localization.settings import JointParams, LocalizationParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
 from tiswarm.sensing.params import SensingParams
-from tiswarm.study.cases import Case
-from tiswarm.study.jobs import Job
+from tiswarm.study.cases import Case, Group
 from tiswarm.study.provenance import Costs, Used, case_code
-from tiswarm.study.store import CaseRecord
+from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.validity import find_fault
+
+ROBOTS_AT_ONCE = 10_000
+"""A job has about this many robots at most, and is stored before the next."""
+
+_JOBS_EACH = 4
+"""Jobs for each process, so that all processes end at about the same time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """Structures of one kind with their cases, and where to compute and store them."""
+
+    structures: Sequence[Group]
+    folder: RunFolder
+    arch: Arch
+    threads: int | None  # CPU threads; all if None
+
+    @property
+    def cases(self) -> list[Case]:
+        """All cases, those of a structure side by side."""
+        return [case for group in self.structures for case in group]
+
+    @property
+    def halves(self) -> "list[Job]":
+        """The job in two parts, split between structures if it has several."""
+        if middle := len(self.structures) // 2:
+            parts = [self.structures[:middle], self.structures[middle:]]
+        else:
+            [group] = self.structures
+            parts = [[group[: len(group) // 2]], [group[len(group) // 2 :]]]
+        return [replace(self, structures=part) for part in parts]
+
+
+def batch(
+    structures: Sequence[Group],
+    folder: RunFolder,
+    *,
+    arch: Arch,
+    threads: int | None,
+    width: int = 1,
+    alone: bool = False,
+) -> list[Job]:
+    """Make jobs of structures: large ones, but enough to keep `width` processes busy.
+
+    All cases of a structure are in the same job, so each structure is grown once. Each has a job of
+    its own if they are to be `alone`.
+    """
+    robots_at_once = ROBOTS_AT_ONCE
+    if width > 1:
+        robots = sum(group[0].settings.robots for group in structures)
+        robots_at_once = min(ROBOTS_AT_ONCE, robots // (_JOBS_EACH * width) + 1)
+    jobs = []
+    for _, alike in groupby(structures, key=lambda group: group[0].structure_key[:-1]):
+        gathered: list[Group] = []
+        robots = 0
+        for group in alike:
+            gathered.append(group)
+            robots += group[0].settings.robots
+            if alone or robots >= robots_at_once:
+                jobs.append(gathered)
+                gathered, robots = [], 0
+        jobs += [gathered] if gathered else []
+    return [Job(structures=job, folder=folder, arch=arch, threads=threads) for job in jobs]
+
 
 KEPT_FROM_S = 10.0
 """Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""

@@ -1,4 +1,4 @@
-"""Tables of a run; `scaling.csv` and `comparison.csv` have modules of their own.
+"""Tables of a run, and of the comparison of several.
 
 | file | one row for each |
 |---|---|
@@ -6,35 +6,48 @@
 | `table.csv` | condition and point, with the paper's numbers |
 | `paired.csv` | measure and pair of conditions, on the same structures |
 | `profiles.csv` | condition and range of robots that are alike |
+| `scaling.csv` | condition, measure and number of robots |
 | `suites.csv` | condition and point, with the price of the sensors |
+| `comparison.csv` | row of `table.csv` of each run |
 """
 
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.evaluation.metrics import least_and_most, mean_std_ci95, paired_difference
+from tiswarm.evaluation.metrics import (
+    error_profile,
+    least_and_most,
+    mean_std_ci95,
+    paired_difference,
+    power_law_exponent,
+    relative_profile,
+)
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
-from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization import methods
 from tiswarm.localization.settings import LocalizationParams, VirtualForceParams
+from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame, write_frame
+from tiswarm.records.io import damaged, make_folder
+from tiswarm.records.messages import shown
+from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.params import SUITE_OF
-from tiswarm.study.cases import Plan
+from tiswarm.study.cases import Group, Plan
 from tiswarm.study.provenance import Cost
-from tiswarm.study.scaling import scaling
-from tiswarm.study.store import CaseRecord
+from tiswarm.study.store import CaseRecord, RunFolder
 
 _ACCURACY = (
     "rmse_R", "rmse_rho", "rmse_yaw_aligned_R", "rmse_rigid_aligned_R", "rmse_per_contact_R",
@@ -345,3 +358,127 @@ def _grouped(
     for record in records:
         groups.setdefault(key(record), []).append(record)
     return list(groups.values())
+
+
+_SCALED = ("rmse_R", "procrustes_disparity")
+
+
+def scaling(
+    structures: Sequence[Group],
+    records: Mapping[str, CaseRecord],
+    costs: Mapping[str, Mapping[str, Cost]],
+) -> pd.DataFrame:
+    """Tabulate accuracy, times and memory of each stage against N, with exponents p of N^p.
+
+    `exponent` is fitted to all sizes; `slope` is p between a size and the one before, where
+    constant costs matter less. The growth of a structure counts once for any number of its
+    conditions. Memory is that of the whole batch that a structure was computed in.
+
+    Args:
+        structures: Cases by the structure that they share, small ones first.
+        records: Records of stored cases by name.
+        costs: Costs of these cases by name and stage.
+    """
+    rows = []
+    for group in structures:
+        done = [case for case in group if case.name in records and records[case.name].is_done]
+        grown = _together([costs[case.name].get("grow", {}) for case in done])
+        for case in done:
+            record = records[case.name]
+            point = {key: value for key, value in record.point.items() if key != "robots"}
+            measured = {name: record.scores[name] for name in _SCALED}
+            for stage, cost in {**costs[case.name], "grow": grown}.items():
+                measured |= {f"{stage.replace(' ', '_')}_{unit}": n for unit, n in cost.items()}
+            row = {"series": replace(record, point=point).series, "robots": case.settings.robots}
+            rows += [row | {"measure": name, "mean": value} for name, value in measured.items()]
+    table = pd.DataFrame(rows, columns=["series", "measure", "robots", "mean"])
+    alike = table.groupby(["series", "measure", "robots"], sort=False, as_index=False)
+    points = alike.agg({"mean": "mean"}).sort_values("robots", kind="stable")
+    parts = [_with_powers(part) for _, part in points.groupby(["series", "measure"], sort=False)]
+    return pd.concat(parts) if parts else _with_powers(points)
+
+
+def _together(costs: Sequence[Cost]) -> Cost:
+    """Return the cost that cases share."""
+    known = [cost for cost in costs if cost]
+    peak = max((cost["peak_memory_MB"] for cost in known), default=math.nan)
+    times = {unit: sum(cost[unit] for cost in known) for unit in ("wall_s", "cpu_s")}
+    return {**times, "peak_memory_MB": peak} if known else {}
+
+
+def _with_powers(points: pd.DataFrame) -> pd.DataFrame:
+    """Add the columns `exponent` and `slope` to the means of one measure, by ascending N."""
+    robots, mean = points["robots"].to_numpy(float), points["mean"].to_numpy(float)
+    known = np.log(np.where(mean > 0.0, mean, math.nan))
+    slope = np.diff(known, prepend=math.nan) / np.diff(np.log(robots), prepend=math.nan)
+    return points.assign(exponent=power_law_exponent(robots, mean), slope=slope)
+
+
+_COMPARED = ["run", "series", "against_run", "against_series", "measure"]
+
+
+COMPARISON = ("comparison.csv", "paired.csv", "comparison.png")
+"""Files of a comparison."""
+
+
+def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> None:
+    """Write `comparison.csv`, all rows of the runs' `table.csv`, and `paired.csv`, differences.
+
+    Differences are on the structures that two runs share: those with the same true positions to
+    the last bit; names of scenarios do not matter.
+
+    Raises:
+        InputError: fewer than two different runs are given, a folder has no `table.csv`, or a table
+            would replace a file that no tiswarm command wrote.
+        EnvironmentTroubleError: `out` cannot be made.
+    """
+    if len({run.resolve() for run in runs}) < max(2, len(runs)):
+        raise InputError("give two or more different run folders", key="RUN")
+    names = [run.resolve().name for run in runs]
+    if len(set(names)) < len(names):
+        names = [str(run) for run in runs]
+    tables = [_read_table(run).assign(run=name) for run, name in zip(runs, names, strict=True)]
+    swept = [list(table.columns[1 : table.columns.get_loc("cases")]) for table in tables]
+    first = ["run", "condition", *dict.fromkeys(itertools.chain.from_iterable(swept))]
+    both = pd.concat(tables, ignore_index=True)
+    series = {
+        (name, label): accuracy
+        for run, name in zip(runs, names, strict=True)
+        for label, accuracy in _by_series(RunFolder(run)).items()
+    }
+    rows = []
+    for (one, before), (other, after) in itertools.combinations(series.items(), 2):
+        if one[0] != other[0] and not before.index.intersection(after.index).empty:
+            pair = dict(zip(_COMPARED, (*other, *one), strict=False))
+            rows += differences(pair, before, after)
+    make_folder(out)
+    opened = partial(outputs.opened, overwrite=overwrite)
+    columns = [*first, *both.columns.difference(first, sort=False)]
+    write_frame(both[columns], out / "comparison.csv", opened=opened)
+    pairs = pd.DataFrame(rows, columns=None if rows else _COMPARED)
+    write_frame(pairs, out / "paired.csv", opened=opened)
+
+
+def _read_table(run: Path) -> pd.DataFrame:
+    path = run / "table.csv"
+    if not path.exists():
+        msg = "has no table.csv; give a folder that `tiswarm run` made"
+        raise InputError(msg, path=run)
+    measures = ["rmse_R_mean", "rmse_R_ci95", "procrustes_disparity_mean"]
+    table = read_frame(
+        path, ["condition"], ["cases"], gaps=measures, notes=TABLE_NOTES, numbers_after="cases"
+    )
+    for text in map(str, [*table.columns, *table.to_numpy().ravel()]):
+        if not text.isprintable():  # a terminal would obey it
+            raise damaged(path, f"{shown(text)} is not printable")
+    return table
+
+
+def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
+    """Return the accuracy of each series of a run, by the digest of each structure's truth."""
+    series: dict[str, dict[str, CaseRecord]] = {}
+    for path in sorted(folder.cases.glob("[!.]*")):
+        record = folder.read_case(path.name)
+        if record is not None and record.is_done:
+            series.setdefault(record.series, {})[record.files["truth.csv"]] = record
+    return {name: accuracy_by_key(records) for name, records in series.items()}

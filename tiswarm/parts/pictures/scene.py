@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
-from tiswarm.report.ground import Slab, shown_slabs, standing_docks
-from tiswarm.report.swarm_view import DrawnRobots, Look
+from tiswarm.report.swarm_view import DrawnRobots, Look, Slab, shown_slabs, standing_docks
 
 Array32 = NDArray[np.float32]
 
