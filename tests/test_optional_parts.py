@@ -34,9 +34,7 @@ ASKED = {
     "tiswarm.parts.online": "localize sensing.jsonl --method online",
     "tiswarm.localization.virtual_force.together": "localize sensing.jsonl --method virtual-force "
     "--set schedule=together",
-    "tiswarm.measurements.advice": "advise sensing.jsonl known.csv",
-    "tiswarm.measurements.placement": "explain sensing.jsonl 1 known.csv",
-    "tiswarm.report.placement_figure": "explain sensing.jsonl 1 known.csv",
+    "tiswarm.parts.advice": "advise sensing.jsonl known.csv",
     "tiswarm.parts.pictures": "render sensing.jsonl known.csv",
     "tiswarm.parts.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",

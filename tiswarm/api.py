@@ -19,8 +19,7 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from tiswarm.app.console import ConsoleProgress
-from tiswarm.app.explanation import Explanation
-from tiswarm.app.inspection import AdviceTable, Inspection, inspect
+from tiswarm.app.inspection import Inspection, inspect
 from tiswarm.app.logs import Localized, Log, method_params, open_log
 from tiswarm.app.results import (
     Comparison,
@@ -46,7 +45,8 @@ from tiswarm.records.sensing_log import SensingLog
 if TYPE_CHECKING:
     from tiswarm.evaluation.tables import Scores
     from tiswarm.interop.imports import Imported
-    from tiswarm.measurements.advice import Kind
+    from tiswarm.parts.advice.explanation import Explanation
+    from tiswarm.parts.advice.further import AdviceTable, Kind
     from tiswarm.scenario.model import Scenario
     from tiswarm.study.forecast import Forecast
 
@@ -360,7 +360,7 @@ def advise(
     budget: int | None = None,
     kinds: "Sequence[Kind]" = (),
     quiet: bool = True,
-) -> AdviceTable:
+) -> "AdviceTable":
     """List which further contact, height or known position would constrain most robots.
 
     Where the estimate has robots that are mirrored, the list says what excludes one of the images.
@@ -391,7 +391,7 @@ def explain(
     out: File | None = None,
     overwrite: bool = False,
     quiet: bool = True,
-) -> Explanation:
+) -> "Explanation":
     """Say how the measurements of one robot narrow the places it may have, one after the other.
 
     Robots that joined earlier stay where they were estimated. The order is that of the paper: a

@@ -8,9 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.app.inspection import AdviceTable, advice_rows, inspect, rows_together
+from tiswarm.app.inspection import inspect
 from tiswarm.base.errors import InputError
-from tiswarm.measurements import advice
+from tiswarm.parts.advice import further as advice
+from tiswarm.parts.advice.further import AdviceTable, tabulate
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 
@@ -106,10 +107,10 @@ def test_advice_names_robots_and_docks(towers, monkeypatch):
     log = replace(log, robot_id=log.robot_id + 100)
 
     estimate = SimpleNamespace(position=center, mirrored=None)
-    rows = advice_rows(log, ["contacts", "ground"], estimate)
+    rows = tabulate(log, ["contacts", "ground"], estimate)
     lines = str(rows).splitlines()
     monkeypatch.setattr(advice, "MOST_ROBOTS", 0)
-    large = advice_rows(log, ["contacts", "ground"], estimate)
+    large = tabulate(log, ["contacts", "ground"], estimate)
 
     assert lines[0].split("  ")[0] == "rank"
     assert len(lines) == len(rows) + 1
@@ -128,7 +129,7 @@ def test_a_set_of_measurements_says_what_it_gains(towers):
     log, center = observe(towers[1], SensingParams()), towers[1].position
     estimate = SimpleNamespace(position=center, mirrored=None)
 
-    table = rows_together(log, ["contacts", "ground"], estimate, 3, ["height"])
+    table = tabulate(log, ["contacts", "ground"], estimate, 3, ["height"]).together
 
     first, last = table[0]["expected RMSE [R]"], table[-1]["with it and those above [R]"]
     assert str(table).splitlines()[0] == f"together, 3 heights: expected RMSE {first} -> {last} R"
@@ -158,6 +159,4 @@ def test_a_set_that_cannot_be_chosen_is_refused(
     monkeypatch.setattr(advice, "MOST_ROBOTS", robots)
 
     with pytest.raises(InputError, match=re.escape(problem)):
-        rows_together(
-            log, ["contacts"], SimpleNamespace(position=center, mirrored=None), budget, kinds
-        )
+        tabulate(log, ["contacts"], SimpleNamespace(position=center, mirrored=None), budget, kinds)

@@ -5,8 +5,8 @@ import pytest
 
 import tiswarm as library
 from tests.measurements.test_orientations import connected
-from tiswarm.app.explanation import explain
 from tiswarm.base.errors import InputError
+from tiswarm.parts.advice.explanation import explain
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe

@@ -16,7 +16,7 @@ from tiswarm.localization.settings import (
     LeastSquaresParams,
     VirtualForceParams,
 )
-from tiswarm.measurements.advice import advise
+from tiswarm.parts.advice.further import advise
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import parse_header, parse_line

@@ -21,8 +21,8 @@ from tiswarm.localization.settings import (
     VirtualForceParams,
 )
 from tiswarm.localization.virtual_force.method import Localizer
-from tiswarm.measurements.advice import advise, advise_together
 from tiswarm.measurements.cues import cue_names
+from tiswarm.parts.advice.further import advise, advise_together
 from tiswarm.parts.navigation import _parts
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import KNOWN_SD

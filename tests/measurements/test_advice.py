@@ -8,13 +8,14 @@ import pytest
 
 from tests.structures import Rule, structure
 from tiswarm.compute.math import dock_offsets
-from tiswarm.measurements import advice, rigidity
-from tiswarm.measurements.advice import advise, advise_together
+from tiswarm.measurements import rigidity
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import Coordinates, Distances, Measurements
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.measurements.rigidity import FloppyMotions, further_rows, weld
+from tiswarm.parts.advice import further as advice
+from tiswarm.parts.advice.further import advise, advise_together
 from tiswarm.records.sensing_log import canonical_contacts
 from tiswarm.sensing import SensingParams, observe
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests import oracle
 from tiswarm.base.errors import InputError
-from tiswarm.measurements.placement import narrow
+from tiswarm.parts.advice.placement import narrow
 from tiswarm.sensing import SensingParams, observe
 
 

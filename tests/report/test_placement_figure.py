@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tiswarm.base.errors import InputError
-from tiswarm.report.placement_figure import (
+from tiswarm.parts.advice.explanation import (
     Panel,
     Placement,
     draw_placement,

@@ -1,12 +1,11 @@
 """Mistakes in scenarios and logs, what a log leaves unknown, and estimates in words."""
 
 import math
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
 from tiswarm.measurements.units import COLUMNS, Slip, slips
 from tiswarm.measurements.verdicts import (
-    IMAGES_APART,
     MOST_SHOWN,
     cautions,
     describe_outliers,
@@ -30,15 +28,13 @@ from tiswarm.measurements.verdicts import (
     solution_name,
     verdict,
 )
-from tiswarm.records.estimate import Estimate, Observability, Solution
+from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from tiswarm.measurements.advice import Advice, Kind
+    from tiswarm.parts.advice.further import AdviceTable, Kind
 
 _MARGIN = 20
 """Robots in a row that a spawn position may be beyond all others."""
@@ -63,44 +59,6 @@ class Inspection(NamedTuple):
     def __str__(self) -> str:
         """Give the summary, or the mistakes, in lines."""
         return self.summary or "\n".join(map(str, self.mistakes))
-
-
-class AdviceTable(tuple[Mapping[str, str], ...]):  # noqa: SLOT001 - it has attributes
-    """Further measurements that would help, the best first, as rows of cells by heading."""
-
-    together: "AdviceTable | None" = None
-    """The set of measurements that helps most together; None where none was asked for."""
-
-    title: str = ""
-    """What the table is, in a line above it; nothing if empty."""
-
-    def __str__(self) -> str:
-        """Give the title, the aligned columns, and the set of measurements, in lines."""
-        parts = [self.title, self._table(), "" if self.together is None else f"\n{self.together}"]
-        return "\n".join(filter(None, parts))
-
-    def _table(self) -> str:
-        if not self:
-            nothing = "no further contact, height or position would help"
-            return f"{nothing}, or there are too many robots or loops"
-        columns = [[heading, *(row[heading] for row in self)] for heading in self[0]]
-        widths = [max(map(len, column)) for column in columns]
-        lines = zip(*columns, strict=True)
-        return "\n".join("  ".join(map(str.ljust, cells, widths)).rstrip() for cells in lines)
-
-    def to_frame(self) -> "pd.DataFrame":
-        """Make a data frame with numbers where cells have numbers."""
-        import pandas as pd  # noqa: PLC0415 - slow to import
-
-        rows = pd.DataFrame(self)
-        for name in rows.columns.drop(
-            ["further measurement", "robots determined"], errors="ignore"
-        ):
-            rows[name] = pd.to_numeric(rows[name])
-        return rows
-
-    def _repr_html_(self) -> str:
-        return str(self.to_frame().to_html(index=False))
 
 
 _LACKING = (
@@ -145,11 +103,11 @@ class Findings:
         return [*unknowns(self.log, self.path, by_cue(self.log)), _LACKING]
 
     @cached_property
-    def advice(self) -> AdviceTable:
+    def advice(self) -> "AdviceTable":
         """Further measurements that would constrain robots most."""
-        return advice_rows(self.log, self._cues or cue_names(), self.estimate)
+        return self.advise()
 
-    def advise(self, budget: int | None = None, kinds: "Sequence[Kind]" = ()) -> AdviceTable:
+    def advise(self, budget: int | None = None, kinds: "Sequence[Kind]" = ()) -> "AdviceTable":
         """Return the advice, with the set of `budget` measurements that helps most together.
 
         Args:
@@ -159,12 +117,10 @@ class Findings:
         Raises:
             InputError: the budget is not positive, a kind is unknown, or there are too many robots.
         """
-        if budget is None:
-            return self.advice
-        cues = self._cues or cue_names()
-        together = rows_together(self.log, cues, self.estimate, budget, kinds)
-        found = AdviceTable(self.advice)
-        found.together = together
+        tabulate = load("tiswarm.parts.advice.further:tabulate", "advice")
+        found: AdviceTable = tabulate(
+            self.log, self._cues or cue_names(), self.estimate, budget, kinds
+        )
         return found
 
     @property
@@ -227,87 +183,6 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
         yield f"{path}:{line}: contacts: {problem}"
     if (more := len(impossible) - MOST_SHOWN) > 0:
         yield f"{path}: contacts: {counted(more, 'more such contradiction')}"
-
-
-def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> AdviceTable:
-    """Tabulate which further measurements would constrain robots most: cells by heading.
-
-    Where robots are mirrored, the two likeliest solutions of the estimate count; a table that was
-    read from a file has none. No row if nothing helps, or if there are too many robots or loops.
-    """
-    found = _advice("advise")(log, cues, estimate.position, _images(estimate))
-    return AdviceTable(_advice_rows(log, found or [], "with it"))
-
-
-def rows_together(
-    log: SensingLog, cues: Collection[str], estimate: Estimate, budget: int, kinds: "Sequence[Kind]"
-) -> AdviceTable:
-    """Tabulate the further measurements that would help most together.
-
-    Raises:
-        InputError: the budget is not positive, a kind is unknown, or there are too many robots.
-    """
-    if budget < 1:
-        raise InputError(f"{budget} should be at least 1; correct it", argument="budget")
-    known = get_args(_advice("Kind"))
-    if unknown := [kind for kind in kinds if kind not in known]:
-        raise InputError(f"{unknown[0]!r} should be one of {', '.join(known)}", argument="kinds")
-    images = _images(estimate)
-    together = _advice("advise_together")
-    found = together(log, cues, estimate.position, images, budget=budget, kinds=kinds)
-    if found is None:
-        problem = (
-            f"is for up to {_advice('MOST_ROBOTS'):,} robots without too many loops; leave it out"
-        )
-        raise InputError(problem, argument="budget")
-    table = AdviceTable(_advice_rows(log, found, "with it and those above"))
-    if found:
-        number = Counter(one.kind for one in found)
-        what = " and ".join(counted(count, kind) for kind, count in number.items())
-        error = f"{found[0].rmse_before:.3g} -> {found[-1].rmse_after:.3g} {log.length_unit}"
-        table.title = f"together, {what}: expected RMSE {error}"
-    return table
-
-
-def _images(estimate: Estimate) -> Sequence[Solution]:
-    """Return the solutions between which robots are mirrored; none if none are."""
-    is_mirrored = estimate.mirrored is not None and estimate.mirrored.any()
-    return estimate.solutions if is_mirrored else ()
-
-
-def _advice(name: str) -> Any:  # noqa: ANN401 - of many types
-    """Load a name of the optional part that ranks further measurements."""
-    return load(f"tiswarm.measurements.advice:{name}", "advice")
-
-
-def _advice_rows(log: SensingLog, advice: "Sequence[Advice]", after: str) -> list[dict[str, str]]:
-    """Write advice as cells by heading; `after` is the heading of the error that it leaves."""
-    name, unit = log.robot_id.tolist(), log.length_unit
-    rows = []
-    for rank, found in enumerate(advice, start=1):
-        what = f"{found.kind} of robot {name[found.robot]}"
-        if found.kind == "anchor":
-            what = f"robot {name[found.robot]} as an anchor"
-        elif found.kind == "range":
-            what = f"{what} to robot {name[found.contact[1]]}"
-        elif found.contact:
-            own, other, dock = found.contact
-            what = f"{what}'s dock {own} with robot {name[other]}'s dock {dock}"
-        gains = {
-            IMAGES_APART: found.images_apart_sd,
-            f"expected RMSE [{unit}]": found.rmse_before,
-            f"{after} [{unit}]": found.rmse_after,
-        }
-        rows.append(
-            {
-                "rank": str(rank),
-                "further measurement": what,
-                "floppy modes removed": str(found.floppy_modes),
-                "robots determined": named(log, found.determined, most=3),
-            }
-            | {key: f"{value:.3g}" for key, value in gains.items() if not math.isnan(value)}
-        )
-    return rows
 
 
 def _left_open(log: SensingLog, known: Observability) -> str:

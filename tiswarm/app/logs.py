@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
-from tiswarm.app.explanation import Explanation, explain, show_one
-from tiswarm.app.inspection import AdviceTable, Findings
+from tiswarm.app.inspection import Findings
 from tiswarm.app.results import Figures, File, Overrides, PageFile, as_path, as_texts, plain
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
@@ -28,6 +27,8 @@ from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
     from tiswarm.localization.settings import LocalizationParams
+    from tiswarm.parts.advice.explanation import Explanation
+    from tiswarm.parts.advice.further import AdviceTable
     from tiswarm.report.swarm_view import SwarmView
 
 Truth = Reals | File | None
@@ -166,13 +167,15 @@ class Localized(Estimate):
         return Findings(self.log, self.log.path, self, chosen=self.chosen)
 
     @property
-    def advice(self) -> AdviceTable:
+    def advice(self) -> "AdviceTable":
         """Further measurements that would constrain most robots."""
         return self.findings.advice
 
-    def explain(self, robot: int) -> Explanation:
+    def explain(self, robot: int) -> "Explanation":
         """Say how the measurements of one robot, by its name, narrow the places it may have."""
-        return explain(self.log, self, robot)
+        explain = load("tiswarm.parts.advice.explanation:explain", "explain")
+        found: Explanation = explain(self.log, self, robot)
+        return found
 
     def __str__(self) -> str:
         """Say in lines what the log leaves unknown, and whether to trust the estimate."""
@@ -216,6 +219,7 @@ class Localized(Estimate):
         page = as_path(out, "out")
         outputs.check({"out": page}, self._inputs(truth), overwrite=overwrite)
         findings = self.findings
+        show_one = load("tiswarm.parts.advice.explanation:show_one", "explain")
         draw_log(
             page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,

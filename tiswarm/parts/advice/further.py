@@ -5,23 +5,31 @@ leaves, `expected_error` computes. Several together are chosen one by one, each 
 before it leave. Lengths in R.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+import math
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy.sparse import csc_array, vstack
 from scipy.spatial.distance import cdist
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.errors import InputError
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.expected_error import Images, Posterior
 from tiswarm.measurements.model import SPACING, Coordinates, Distances, Measurements
 from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
 from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
-from tiswarm.records.estimate import Solution
+from tiswarm.measurements.verdicts import IMAGES_APART, named
+from tiswarm.records.estimate import Estimate, Solution
+from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_ROBOTS = 1000
 """Expected errors of larger swarms are not computed: time grows as the cube of their size."""
@@ -391,3 +399,128 @@ def _rank(jacobian: csc_array, motions: Reals, size: int) -> Ints:
     change = (jacobian @ moved).reshape(-1, size, probes)
     rank: Ints = (np.linalg.svd(change, compute_uv=False) > _SEEN * probes**0.5).sum(axis=1)
     return rank
+
+
+class AdviceTable(tuple[Mapping[str, str], ...]):  # noqa: SLOT001 - it has attributes
+    """Further measurements that would help, the best first, as rows of cells by heading."""
+
+    together: "AdviceTable | None" = None
+    """The set of measurements that helps most together; None where none was asked for."""
+
+    title: str = ""
+    """What the table is, in a line above it; nothing if empty."""
+
+    def __str__(self) -> str:
+        """Give the title, the aligned columns, and the set of measurements, in lines."""
+        parts = [self.title, self._table(), "" if self.together is None else f"\n{self.together}"]
+        return "\n".join(filter(None, parts))
+
+    def _table(self) -> str:
+        if not self:
+            nothing = "no further contact, height or position would help"
+            return f"{nothing}, or there are too many robots or loops"
+        columns = [[heading, *(row[heading] for row in self)] for heading in self[0]]
+        widths = [max(map(len, column)) for column in columns]
+        lines = zip(*columns, strict=True)
+        return "\n".join("  ".join(map(str.ljust, cells, widths)).rstrip() for cells in lines)
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Make a data frame with numbers where cells have numbers."""
+        import pandas as pd  # noqa: PLC0415 - slow to import
+
+        rows = pd.DataFrame(self)
+        for name in rows.columns.drop(
+            ["further measurement", "robots determined"], errors="ignore"
+        ):
+            rows[name] = pd.to_numeric(rows[name])
+        return rows
+
+    def _repr_html_(self) -> str:
+        return str(self.to_frame().to_html(index=False))
+
+
+def tabulate(
+    log: SensingLog,
+    cues: Collection[str],
+    estimate: Estimate,
+    budget: int | None = None,
+    kinds: Sequence[Kind] = (),
+) -> AdviceTable:
+    """Tabulate which further measurements would constrain robots most: cells by heading.
+
+    Where robots are mirrored, the two likeliest solutions of the estimate count; a table that was
+    read from a file has none. No row if nothing helps, or if there are too many robots or loops.
+
+    Args:
+        log: What was sensed.
+        cues: Cues that the estimate used.
+        estimate: Estimate of its robots.
+        budget: Largest number of measurements in the set that helps most together; no set if None.
+        kinds: Kinds of measurements in the set; all but anchor if there are none.
+
+    Raises:
+        InputError: the budget is not positive, a kind is unknown, or there are too many robots.
+    """
+    together = None if budget is None else _together(log, cues, estimate, budget, kinds)
+    found = advise(log, cues, estimate.position, _images(estimate))
+    table = AdviceTable(_advice_rows(log, found or [], "with it"))
+    table.together = together
+    return table
+
+
+def _together(
+    log: SensingLog, cues: Collection[str], estimate: Estimate, budget: int, kinds: Sequence[Kind]
+) -> AdviceTable:
+    if budget < 1:
+        raise InputError(f"{budget} should be at least 1; correct it", argument="budget")
+    known = get_args(Kind)
+    if unknown := [kind for kind in kinds if kind not in known]:
+        raise InputError(f"{unknown[0]!r} should be one of {', '.join(known)}", argument="kinds")
+    images = _images(estimate)
+    found = advise_together(log, cues, estimate.position, images, budget=budget, kinds=kinds)
+    if found is None:
+        problem = f"is for up to {MOST_ROBOTS:,} robots without too many loops; leave it out"
+        raise InputError(problem, argument="budget")
+    table = AdviceTable(_advice_rows(log, found, "with it and those above"))
+    if found:
+        number = Counter(one.kind for one in found)
+        what = " and ".join(counted(count, kind) for kind, count in number.items())
+        error = f"{found[0].rmse_before:.3g} -> {found[-1].rmse_after:.3g} {log.length_unit}"
+        table.title = f"together, {what}: expected RMSE {error}"
+    return table
+
+
+def _images(estimate: Estimate) -> Sequence[Solution]:
+    """Return the solutions between which robots are mirrored; none if none are."""
+    is_mirrored = estimate.mirrored is not None and estimate.mirrored.any()
+    return estimate.solutions if is_mirrored else ()
+
+
+def _advice_rows(log: SensingLog, advice: Sequence[Advice], after: str) -> list[dict[str, str]]:
+    """Write advice as cells by heading; `after` is the heading of the error that it leaves."""
+    name, unit = log.robot_id.tolist(), log.length_unit
+    rows = []
+    for rank, found in enumerate(advice, start=1):
+        what = f"{found.kind} of robot {name[found.robot]}"
+        if found.kind == "anchor":
+            what = f"robot {name[found.robot]} as an anchor"
+        elif found.kind == "range":
+            what = f"{what} to robot {name[found.contact[1]]}"
+        elif found.contact:
+            own, other, dock = found.contact
+            what = f"{what}'s dock {own} with robot {name[other]}'s dock {dock}"
+        gains = {
+            IMAGES_APART: found.images_apart_sd,
+            f"expected RMSE [{unit}]": found.rmse_before,
+            f"{after} [{unit}]": found.rmse_after,
+        }
+        rows.append(
+            {
+                "rank": str(rank),
+                "further measurement": what,
+                "floppy modes removed": str(found.floppy_modes),
+                "robots determined": named(log, found.determined, most=3),
+            }
+            | {key: f"{value:.3g}" for key, value in gains.items() if not math.isnan(value)}
+        )
+    return rows
