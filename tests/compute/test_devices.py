@@ -15,7 +15,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.compute import backend
 from tiswarm.engine import kernels
 from tiswarm.engine.relax import PreparedSwarm
-from tiswarm.localization import registry
+from tiswarm.localization import methods
 from tiswarm.localization.chains import annealer
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
@@ -131,7 +131,7 @@ import numpy as np, sys
 from tests.devices import ARCH
 from tiswarm.compute import backend
 from tiswarm.localization.params import Together, VirtualForceParams
-from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.methods import localize, localize_many
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -201,7 +201,7 @@ def test_a_device_that_no_stage_uses_is_refused(towers, tmp_path, method):
         tiswarm.localize(log, method, arch="metal")
     with pytest.raises(InputError, match=r"precision: f32 has no use"):
         tiswarm.localize(log, method, precision="f32")
-    assert registry.start_device([method], "auto").arch == "cpu"
+    assert methods.start_device([method], "auto").arch == "cpu"
 
     with pytest.raises(InputError, match="vulkan has no use"):
         tiswarm.run(TOWER, {"robots": 4}, out=tmp_path, arch="vulkan", quiet=True)
@@ -218,9 +218,9 @@ def test_stages_change_the_device_and_back():
 
     assert str(backend.processor()) == "cpu in f64"
     assert str(backend.device()) == "cpu in f32"
-    assert registry.start_for(VirtualForceParams()).precision == "f64"
-    assert registry.start_for(VirtualForceParams(schedule="together")).precision == "f32"
-    assert registry.start_for(JointParams()).precision == "f32"
+    assert methods.start_for(VirtualForceParams()).precision == "f64"
+    assert methods.start_for(VirtualForceParams(schedule="together")).precision == "f32"
+    assert methods.start_for(JointParams()).precision == "f32"
     assert backend.current().threads == 1
 
 

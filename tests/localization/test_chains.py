@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.structures import Rule, structure
+from tiswarm.localization import joint
 from tiswarm.localization.chains.annealer import Annealer, anneal
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.joint import method
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.ends import failed, squares
 from tiswarm.localization.mixture.mixture import between_chains, deviation
@@ -105,11 +105,11 @@ def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypa
         asked.append(halvings)
         return [torn if halvings < 2 else sound]
 
-    monkeypatch.setattr(method, "anneal", annealed_again)
+    monkeypatch.setattr(joint, "anneal", annealed_again)
 
     estimate = localize(log, SHORT)
 
-    monkeypatch.setattr(method, "anneal", lambda *_args, **_: [sound])
+    monkeypatch.setattr(joint, "anneal", lambda *_args, **_: [sound])
     assert failed(known, torn).tolist() == [False, True, True, False]
     assert not failed(known, sound).any()
     assert asked == [0, 1, 2]
@@ -127,7 +127,7 @@ def test_chains_that_fail_again_and_again_do_not_count(monkeypatch):
 
     verdicts = []
     for chains in (one, every):
-        monkeypatch.setattr(method, "anneal", lambda *_args, found=chains, **_: [found])
+        monkeypatch.setattr(joint, "anneal", lambda *_args, found=chains, **_: [found])
         verdicts.append(localize(log, SHORT).convergence)
 
     assert [found.converged for found in verdicts] == [True, False]

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.localization import joint
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.joint import method, outliers
 from tiswarm.localization.methods import localize
+from tiswarm.localization.mixture import outliers
 from tiswarm.localization.mixture.settings import OutlierRobotSettings
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.consistency import stuck_robots
@@ -193,7 +194,7 @@ def test_robots_whose_sensors_are_stuck_are_named(log, stuck):
 
 def test_stuck_sensors_are_named_where_nobody_looks_for_outliers(stuck, monkeypatch):
     """A structure that is too large to be refined still warns."""
-    monkeypatch.setattr(method, "disregard", lambda *_: None)
+    monkeypatch.setattr(joint, "disregard", lambda *_: None)
 
     found = localize(stuck, JointParams())
 

@@ -14,7 +14,7 @@ from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.arrays import MASS, MOVES
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.joint.planes import Planes
+from tiswarm.localization.cost.planes import Planes
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 

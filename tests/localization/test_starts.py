@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from tests import foreign
 from tests.structures import with_ranges
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.joint import starts
-from tiswarm.localization.joint.starts import images, scaled_distances
+from tiswarm.localization.mixture import starts
 from tiswarm.localization.mixture.ends import further_starts
+from tiswarm.localization.mixture.starts import images, scaled_distances
 from tiswarm.localization.settings import LARGE, JointParams
 from tiswarm.sensing import SensingParams, observe
 

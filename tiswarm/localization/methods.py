@@ -20,7 +20,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 METHODS = {
-    "joint": "tiswarm.localization.joint.method",
+    "joint": "tiswarm.localization.joint",
     "virtual-force": "tiswarm.localization.virtual_force.method",
     "least-squares": "tiswarm.parts.peers.least_squares",
     "hop-by-hop": "tiswarm.parts.peers.hop_by_hop",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.joint.planes import Planes, measured_planes
+from tiswarm.localization.cost.planes import Planes, measured_planes
 from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.consistency import ALLOWED_SD, are_known, inconsistent_places

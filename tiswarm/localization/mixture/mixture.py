@@ -20,9 +20,9 @@ from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.cost.cost import SETTLED, Cost
-from tiswarm.localization.joint.starts import images
 from tiswarm.localization.mixture.ends import Ends, aligned, ranked, with_further
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
+from tiswarm.localization.mixture.starts import images
 from tiswarm.localization.mixture.verdict import misfit_by_robot
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import Measurements

@@ -12,7 +12,7 @@ from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
-from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
+from tiswarm.localization.joint import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.mixture.ends import failed, ranked
 from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.settings import ChiSquareParams, JointParams, OnlineParams

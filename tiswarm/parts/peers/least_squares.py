@@ -15,7 +15,7 @@ from tiswarm.compute.math import normal
 from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.initialization import set_apart
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.joint.method import mixed
+from tiswarm.localization.joint import mixed
 from tiswarm.localization.mixture.ends import further_starts, settled
 from tiswarm.localization.settings import LeastSquaresParams
 from tiswarm.measurements.cues import Precision, measure

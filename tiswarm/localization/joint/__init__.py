@@ -1,1 +1,0 @@
-"""All robots at once: equations from a log, annealed by several chains, summed up."""
