@@ -6,7 +6,7 @@ import pytest
 
 from tests.report.conftest import require_alike
 from tiswarm.report.run_data import RunData
-from tiswarm.report.table_figures import building_painters
+from tiswarm.report.table_figures import painters
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def run(tmp_path):
 
 def test_rows_are_the_truth_and_each_condition(run):
     """Means are over the structures of a row; those that conditions share count once."""
-    figure = building_painters(run)["building"](run)
+    figure = painters(run)["building"](run)
 
     drawn = {axes.get_xlabel(): axes for axes in figure.axes}
     assert [*drawn] == ["Tower height [R]", "Bridges closed [1]", "Flips as planned [1]"]
@@ -62,9 +62,9 @@ def test_runs_by_the_truth_have_no_such_figure(run):
     """It would have nothing to show."""
     by_truth = run.summary[run.summary["structure.navigate_by"] == "truth"]
 
-    assert building_painters(RunData(run.folder, by_truth)) == {}
+    assert painters(RunData(run.folder, by_truth)) == {}
 
 
 def test_it_is_the_same_in_a_narrow_page(run):
     """Another width changes neither limits nor series."""
-    require_alike(building_painters(run)["building"], run)
+    require_alike(painters(run)["building"], run)

@@ -11,20 +11,19 @@ from tests.report.conftest import is_blank, require_alike, write_case, write_sum
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records import outputs
-from tiswarm.report import error_figures, figure_style, figures, table_figures
+from tiswarm.report import curve_figures, error_figures, figure_style, figures, table_figures
 from tiswarm.report.curve_figures import (
     PROFILED,
     SCALING_PANELS,
     compares_rounds,
     draw_rounds,
     draw_scaling,
-    profile_painters,
 )
 from tiswarm.report.error_figures import draw_convergence, draw_errors
 from tiswarm.report.figure_style import png
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.run_data import load_run
-from tiswarm.report.table_figures import draw_accuracy, grade_painters
+from tiswarm.report.table_figures import draw_accuracy
 
 COLUMNS = "case,status,condition,series,point,kind"
 
@@ -369,7 +368,7 @@ def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
         run_folder / "profiles.csv", header if points else header.replace("swept,", ""), rows
     )
 
-    painters = profile_painters(load_run(run_folder))
+    painters = curve_figures.painters(load_run(run_folder))
     drawn = next(iter(painters.values()))(load_run(run_folder))
 
     assert set(painters) == names
@@ -388,7 +387,7 @@ def test_profile_points_of_few_robots_are_open_and_apart(run_folder):
     header = "condition,by,low,high,count,mean_error_R,rmse_R,p10_R,p90_R"
     write_table(run_folder / "profiles.csv", header, rows)
 
-    figure = profile_painters(load_run(run_folder))["profiles"](load_run(run_folder))
+    figure = curve_figures.painters(load_run(run_folder))["profiles"](load_run(run_folder))
 
     joined, few = figure.axes[0].lines
     np.testing.assert_allclose(joined.get_xydata(), [[1.0, 2.0], [2.0, 1.5]])
@@ -406,7 +405,7 @@ def test_profiles_show_how_errors_of_like_robots_differ(run_folder):
     ]
     write_table(run_folder / "profiles.csv", "condition,by,low,high,count,rmse_R,p10_R,p90_R", rows)
 
-    figure = profile_painters(load_run(run_folder))["profiles"](load_run(run_folder))
+    figure = curve_figures.painters(load_run(run_folder))["profiles"](load_run(run_folder))
 
     (band,) = figure.axes[0].collections
     (corners,) = [path.vertices for path in band.get_paths()]
@@ -436,7 +435,7 @@ def test_profiles_of_more_series_than_colors_are_small_multiples(
     header = "condition,swept,by,low,high,count,mean_error_R,rmse_R,p10_R,p90_R"
     write_table(run_folder / "profiles.csv", header, rows)
 
-    painters = profile_painters(load_run(run_folder))
+    painters = curve_figures.painters(load_run(run_folder))
     figure = next(iter(painters.values()))(load_run(run_folder))
 
     shown = [axes for axes in figure.axes if axes.axison]
@@ -466,7 +465,7 @@ def test_grades_of_a_sensor_are_a_curve(run_folder):
         + "".join(f"  range-{g}: {{sensing.range_reach: 8, sensing.range: {g}}}\n" for g in grades)
     )
 
-    draw = grade_painters(load_run(run_folder))["grades"]
+    draw = table_figures.painters(load_run(run_folder))["grades"]
     figure = draw(load_run(run_folder))
 
     first, second = (axes for axes in figure.axes if axes.axison)
@@ -485,7 +484,7 @@ def test_two_numbered_conditions_are_no_grades(run_folder):
     rows = [[name, 4, 1.0, 0.1] for name in ("algorithm-1", "algorithm-2", "joint")]
     write_table(run_folder / "table.csv", f"condition,cases,{measures}", rows)
 
-    assert grade_painters(load_run(run_folder)) == {}
+    assert "grades" not in table_figures.painters(load_run(run_folder))
 
 
 def test_shapes_are_compared_in_accuracy_and_structure(tmp_path):

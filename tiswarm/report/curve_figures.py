@@ -52,14 +52,27 @@ SCALING_PANELS = {
 }
 
 
-def scaling_painters(run: RunData) -> dict[str, Painter]:
-    """List the figure of sizes by file name, if a run has several."""
-    return {"scaling": draw_scaling} if run.sweeps_robots else {}
+CAPTIONS = {
+    "back-propagation": "RMSE against the steps that a robot takes, in the mean over all robots: a "
+    "dot for each interval between two rounds, stated in joins, and a line for rounds that move "
+    "equally many robots. Horizontal lines are conditions without rounds. Bars and bands are 95 % "
+    "CI.",
+    "profiles": "RMSE of robots that are alike: by join index (order of joining), true height, "
+    "hops (contacts on the shortest way to an anchor) and number of contacts. Bands cover the "
+    "errors of 80 % of these robots. Numbers above count "
+    "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
+    "between two robots. Of many series, each has a small panel with RMSE by hops alone.",
+    "scaling": "Accuracy and cost against the number of robots N, on logarithmic axes. The legends "
+    "state the power of N that fits all sizes, and the last two.",
+}
+"""What the figures show, by file name."""
 
 
-def round_painters(run: RunData) -> dict[str, Painter]:
-    """List the figure of rounds of back-propagation by file name, if a run compares some."""
-    return {"back-propagation": draw_rounds} if compares_rounds(run) else {}
+def painters(run: RunData) -> dict[str, Painter]:
+    """List the figures that a run has, by file name."""
+    sizes: dict[str, Painter] = {"scaling": draw_scaling} if run.sweeps_robots else {}
+    rounds: dict[str, Painter] = {"back-propagation": draw_rounds} if compares_rounds(run) else {}
+    return {**sizes, **rounds, **_profile_painters(run)}
 
 
 def compares_rounds(run: RunData) -> bool:
@@ -139,7 +152,7 @@ def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: 
     )  # fmt: skip
 
 
-def profile_painters(run: RunData) -> dict[str, Painter]:
+def _profile_painters(run: RunData) -> dict[str, Painter]:
     """List the profile figures of a run by file name: one for each of a few sweep points.
 
     All series share a figure if there are many points, or no sweep.

@@ -56,7 +56,22 @@ _GROWS = {
 """By kind of structure, the column of `robots.csv` along which it grows, and the axis label."""
 
 
-def error_painters(run: RunData) -> dict[str, Painter]:
+CAPTIONS = {
+    "convergence": "RMSE against iteration of the method: mean over the structures, with a band of "
+    "one standard deviation where there are few lines. Of many, the first, best and worst have a "
+    "color. A flat end shows that more iterations would "
+    "not help. Iterations of different methods do not cost the same.",
+    "error-against-height": "Error of each robot against its true height, a panel for each "
+    "condition. A dot is a robot; its color is its join index, the order in which robots joined. "
+    "Dots on the lower edge of a logarithmic axis have this error or less.",
+    "error-along-growth": "Error of each robot against its place along the structure, a panel for "
+    "each kind of structure or condition. A dot is a robot; its color is its join index, the order "
+    "in which robots joined. Dots on the lower edge of a logarithmic axis have this error or less.",
+}
+"""What the figures show, by file name."""
+
+
+def painters(run: RunData) -> dict[str, Painter]:
     """List the figures of errors that a run has, by file name."""
     if _first_by_kind(run.series):
         return {"convergence": draw_convergence, "error-along-growth": _draw_error_along_growth}

@@ -59,7 +59,29 @@ _SHAPE_PANELS = {
 }
 
 
-def table_painters(run: RunData) -> dict[str, Painter]:
+CAPTIONS = {
+    "accuracy": "Errors of each condition: mean RMSE and mean Procrustes disparity over the "
+    "structures. Bars are 95 % CI; of few structures, each has a small dot. Hollow markers, where "
+    "there are any, are published numbers. Farther left is better.",
+    "building": "What robots build that navigate by the truth, or by what each condition estimates "
+    "as they join. A flip is as planned if the robot then touches the one that it meant to reach. "
+    "Bars are 95 % CI.",
+    "grades": "RMSE by grade: conditions whose names end in a number share a panel, and each point "
+    "of the sweep has a line. The dashed line is the first condition without a grade. Bars are "
+    "95 % CI.",
+    "shape": "Accuracy and structure by the robots: mean RMSE, floppy modes (motions that change "
+    "no measurement in use), contacts with earlier robots, and height of the structure. Bars are "
+    "95 % CI; gray stands for all conditions.",
+}
+"""What the figures show, by file name."""
+
+
+def painters(run: RunData) -> dict[str, Painter]:
+    """List the figures that a run has, by file name."""
+    return {**_table_painters(run), **_grade_painters(run), **_building_painters(run)}
+
+
+def _table_painters(run: RunData) -> dict[str, Painter]:
     """List the figures of `table.csv` that a run has, by file name."""
     if not (run.folder / "table.csv").is_file():
         return {}
@@ -220,7 +242,7 @@ _UNITS = {"_deg": "deg", "_noise": "R"}
 _ERROR, _HALF = "rmse_R_mean", "rmse_R_ci95"
 
 
-def grade_painters(run: RunData) -> dict[str, Painter]:
+def _grade_painters(run: RunData) -> dict[str, Painter]:
     """List the figure of graded conditions by file name, if a run has some.
 
     Rounds of back-propagation have a figure of their own.
@@ -327,7 +349,7 @@ _PANELS = {
 _NORMAL_95 = 1.96
 
 
-def building_painters(run: RunData) -> dict[str, Painter]:
+def _building_painters(run: RunData) -> dict[str, Painter]:
     """List the figure by file name, if some robots of a run navigate by estimates."""
     planned = run.summary.get("flips_as_planned")
     return {"building": draw_building} if planned is not None and planned.notna().any() else {}

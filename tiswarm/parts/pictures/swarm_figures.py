@@ -1,7 +1,4 @@
-"""Draws the figure of robots that localize themselves: what they send, and how much they err.
-
-Conditions lie close to each other, so each marker has a number, which the legend explains.
-"""
+"""Draws figures of robots that localize themselves: what they send, and errors as they join."""
 
 from typing import TYPE_CHECKING
 
@@ -15,17 +12,19 @@ from tiswarm.report.figure_style import (
     Painter,
     add_legend,
     entries_of,
+    fit_axis,
     label_left,
     line_style,
     marker_style,
     new_panels,
     set_title,
 )
-from tiswarm.report.run_data import RunData
+from tiswarm.report.run_data import RunData, StoredCase
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
 
 _SENT, _ERROR = "sent_B", "rmse_R"
 _TICKS = {"x": (1.0, 3.0), "y": (1.0, 2.0, 5.0)}
@@ -38,14 +37,34 @@ _LABEL = 6.0
 """Size of a number [pt]."""
 
 
-def traffic_painters(run: RunData) -> dict[str, Painter]:
+CAPTIONS = {
+    "joining": "RMSE of the robots that joined last, as many as a quarter of the smallest "
+    "structure, against the number of robots by then. Lines are conditions; methods that place "
+    "robots as they join have a second, dashed line for the same robots once all have joined.",
+    "traffic": "RMSE against the bytes that a robot sends in the mean, those that it passes on for "
+    "others included, both logarithmic: a marker for each condition whose robots localize "
+    "themselves. Lines are conditions that have the log of all robots in one place. Bars and bands "
+    "are 95 % CI. Farther left and lower is better.",
+}
+"""What the figures show, by file name."""
+
+
+def painters(run: RunData) -> dict[str, Painter]:
+    """List the figures that a run has, by file name."""
+    return {**_joining_painters(run), **_traffic_painters(run)}
+
+
+def _traffic_painters(run: RunData) -> dict[str, Painter]:
     """List the figure by file name, if robots of some case sent each other anything."""
     sent = run.summary.get(_SENT)
     return {"traffic": draw_traffic} if sent is not None and sent.notna().any() else {}
 
 
 def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
-    """Draw RMSE against the bytes that a robot sends, a panel for each kind and size."""
+    """Draw RMSE against the bytes that a robot sends, a panel for each kind and size.
+
+    Conditions lie close to each other, so each marker has a number, which the legend explains.
+    """
     done = run.summary[run.summary["status"] == "done"]
     groups = [*done.groupby(["kind", "robots"], sort=False)]
     names = list(dict.fromkeys(done["condition"]))
@@ -162,3 +181,65 @@ def _set_scale(axes: "Axes") -> None:
 def _short(value: float) -> str:
     """Write a number of an axis, thousands as k."""
     return f"{value / 1000.0:g}k" if value >= 1000.0 else f"{value:g}"  # noqa: PLR2004 - a thousand
+
+
+_SCORE, _COLUMN = "rmse_at_join_R", "error_at_join_R"
+_SHARE = 4
+"""The robots that joined last are one in so many of the smallest structure."""
+
+
+def _joining_painters(run: RunData) -> dict[str, Painter]:
+    """List the figure by file name, if a run has structures of several sizes, and such errors."""
+    sizes = {case.robots for cases in run.series.values() for case in cases}
+    return {"joining": draw_joining} if len(sizes) > 1 and _at_join(run) else {}
+
+
+def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
+    """Draw the RMSE of the last robots against the number of robots by then.
+
+    Each kind of structure has a panel, with a line for each condition. Of a method that places
+    robots as they join, it is the error then; a dashed line is that once all robots have joined.
+    """
+    done = [case for cases in run.series.values() for case in cases]
+    kinds = list(dict.fromkeys(case.kind for case in done))
+    names = list(dict.fromkeys(case.condition for case in done))
+    sizes = sorted({case.robots for case in done})
+    online, last = _at_join(run), max(sizes[0] // _SHARE, 1)
+    figure, panels = new_panels(PAGE_WIDTH, 3.2, len(kinds), len(kinds), share="y", most=most)
+    drawn = []
+    for axes, kind in zip(panels, kinds, strict=True):
+        for place, name in enumerate(names):
+            mine = [case for case in done if (case.kind, case.condition) == (kind, name)]
+            joins = any(case.name in online for case in mine)
+            column = _COLUMN if joins else "error_R"
+            line = [_rms(mine, size, size, column, last) for size in sizes]
+            label = f"{name}, as they join" if joins else name
+            axes.plot(sizes, line, marker="o", markersize=3.0, label=label, **line_style(place))
+            drawn += line
+            if joins:
+                later = [_rms(mine, sizes[-1], size, "error_R", last) for size in sizes]
+                look = line_style(place) | {"linestyle": "--"}
+                axes.plot(sizes, later, marker="o", markersize=3.0, label=f"{name}, later", **look)
+                drawn += later
+        axes.set(xlabel="Robots by then", title=kind, xticks=sizes)
+    label_left(panels, f"RMSE of the last {last} robots [R]")
+    fit_axis(panels[0], "y", np.array(drawn))
+    add_legend(figure, entries_of(panels[:1]))
+    figure_style.add_note(figure, run.note)
+    return figure
+
+
+def _at_join(run: RunData) -> set[str]:
+    """Name the cases that have errors of robots as they joined."""
+    if _SCORE not in run.summary:
+        return set()
+    return set(run.summary.loc[run.summary[_SCORE].notna(), "case"])
+
+
+def _rms(cases: list[StoredCase], size: int, until: int, column: str, last: int) -> float:
+    """Compute the RMSE of some robots before one, in all structures of a size [R]."""
+    tables: list[Reals] = [
+        case.columns("robots.csv", [column]) for case in cases if case.robots == size
+    ]
+    error = np.concatenate([np.empty((0, 1)), *(table[until - last : until] for table in tables)])
+    return float(np.sqrt((error**2).mean())) if error.size else float("nan")

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import require_alike
-from tiswarm.report.joining_figure import joining_painters
+from tiswarm.parts.pictures.swarm_figures import painters
 from tiswarm.report.run_data import RunData
 
 SIZES = (4, 8)
@@ -42,7 +42,7 @@ def run(tmp_path):
 
 def test_lines_are_errors_at_joining_and_later(run):
     """Only a method that places robots as they join has a second, dashed line."""
-    figure = joining_painters(run)["joining"](run)
+    figure = painters(run)["joining"](run)
 
     [axes] = figure.axes
     drawn = {line.get_label(): line.get_ydata().tolist() for line in axes.lines}
@@ -58,10 +58,10 @@ def test_runs_without_joins_or_sizes_have_no_such_figure(run):
     one_size = run.summary[run.summary["robots"] == SIZES[0]]
     offline = run.summary[run.summary["condition"] == "joint"]
 
-    assert joining_painters(RunData(run.folder, one_size)) == {}
-    assert joining_painters(RunData(run.folder, offline)) == {}
+    assert painters(RunData(run.folder, one_size)) == {}
+    assert painters(RunData(run.folder, offline)) == {}
 
 
 def test_it_is_the_same_in_a_narrow_page(run):
     """Another width changes neither limits nor series."""
-    require_alike(joining_painters(run)["joining"], run)
+    require_alike(painters(run)["joining"], run)

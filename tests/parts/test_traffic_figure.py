@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import require_alike
+from tiswarm.parts.pictures.swarm_figures import label_offsets, painters
 from tiswarm.report.run_data import RunData
-from tiswarm.report.traffic_figure import label_offsets, traffic_painters
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def run(tmp_path):
 
 def test_means_are_drawn_on_logarithmic_axes(run):
     """Who has all logs in one place sends nothing, and is a line."""
-    [axes] = traffic_painters(run)["traffic"](run).axes
+    [axes] = painters(run)["traffic"](run).axes
 
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     [bars] = axes.containers
@@ -61,10 +61,10 @@ def test_runs_in_which_nobody_sends_have_no_such_figure(run):
     """It would have nothing to show."""
     silent = run.summary.assign(sent_B=np.nan)
 
-    assert traffic_painters(RunData(run.folder, silent)) == {}
-    assert traffic_painters(RunData(run.folder, silent.drop(columns="sent_B"))) == {}
+    assert painters(RunData(run.folder, silent)) == {}
+    assert painters(RunData(run.folder, silent.drop(columns="sent_B"))) == {}
 
 
 def test_it_is_the_same_in_a_narrow_page(run):
     """Another width changes neither limits nor series."""
-    require_alike(traffic_painters(run)["traffic"], run)
+    require_alike(painters(run)["traffic"], run)
