@@ -24,7 +24,7 @@ ROOMS_OF_TRIALS = ROOMS_WITH_KERNELS | {"localization"}
 """Rooms whose kernels check bounds: those of localization in trials alone, which need half as long
 without."""
 ROOMS_WITHOUT_KERNELS = {
-    "base", "evaluation", "interop", "measurements", "records", "scenario", "sensing",
+    "base", "evaluation", "formats", "measurements", "records", "scenario", "sensing",
 }  # fmt: skip
 """Rooms whose tests compute little or nothing."""
 

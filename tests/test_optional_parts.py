@@ -28,7 +28,7 @@ assert tiswarm.read_log(log).localize(chains=1, steps=10, hold_steps=5).position
 
 ASKED = {
     "tiswarm.parts.live": "view runs --live",
-    "tiswarm.interop": "export sensing.jsonl known.csv",
+    "tiswarm.parts.formats": "export sensing.jsonl known.csv",
     "tiswarm.parts.between": "localize sensing.jsonl --method distributed",
     "tiswarm.parts.peers": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.parts.online": "localize sensing.jsonl --method online",

@@ -45,11 +45,11 @@ if TYPE_CHECKING:
         track,
         view,
     )
+    from tiswarm.app.exports import export_format
     from tiswarm.app.results import Run, open_run
     from tiswarm.base.errors import EnvironmentTroubleError, InputError
     from tiswarm.base.robot import RobotGeometry
     from tiswarm.engine.relax import RelaxResult, relax
-    from tiswarm.interop.exports import export_format
     from tiswarm.localization.plugins import method
     from tiswarm.localization.virtual_force.method import Localizer
     from tiswarm.parts.online.tracker import Tracker
@@ -92,7 +92,7 @@ _HOME = {
     "RobotGeometry": "tiswarm.base.robot",
     "Run": "tiswarm.app.results",
     "Tracker": "tiswarm.parts.online.tracker",
-    "export_format": "tiswarm.interop.exports",
+    "export_format": "tiswarm.app.exports",
     "method": "tiswarm.localization.plugins",
     "open_run": "tiswarm.app.results",
     "relax": "tiswarm.engine.relax",

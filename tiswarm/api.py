@@ -37,6 +37,7 @@ from tiswarm.app.showing import view as view  # noqa: PLC0414
 from tiswarm.app.tracking import track as track  # noqa: PLC0414
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyMovie, AnyPrecision
+from tiswarm.base.parts import load
 from tiswarm.base.plugins import load_plugins
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
@@ -44,9 +45,9 @@ from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
     from tiswarm.evaluation.tables import Scores
-    from tiswarm.interop.imports import Imported
     from tiswarm.parts.advice.explanation import Explanation
     from tiswarm.parts.advice.further import AdviceTable, Kind
+    from tiswarm.parts.formats.imports import Imported
     from tiswarm.scenario.model import Scenario
     from tiswarm.study.forecast import Forecast
 
@@ -256,7 +257,7 @@ def import_poses(
         docks: Table `dock,x,y,z` of the docks in the body frame, in place of `dock_offset_body`.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
         overwrite: Whether to replace files that no tiswarm command wrote.
-        assumed: Fields of `tiswarm.interop.assumptions.Assumptions`, such as `dock_radius`.
+        assumed: Fields of `tiswarm.parts.formats.poses.Assumptions`, such as `dock_radius`.
 
     Returns:
         Log, positions and notes of each structure by its name in the column `run`, or by "".
@@ -266,19 +267,12 @@ def import_poses(
         InputError: the table is malformed, there is no such field, or an output would replace
             another file.
     """
-    from tiswarm.interop import imports  # noqa: PLC0415 - slow to import
-    from tiswarm.interop.assumptions import Assumptions  # noqa: PLC0415 - slow to import
-    from tiswarm.interop.poses import read_dock_offsets  # noqa: PLC0415 - slow to import
-
-    for name in assumed:
-        choose(name, [field.name for field in fields(Assumptions)], "assumed")
-    if docks is not None:
-        assumed["dock_offset_body"] = read_dock_offsets(as_path(docks, "docks"))
-    path, stated = as_path(poses, "poses"), Assumptions(**assumed)
-    found = imports.import_poses(path, stated)
-    if out is not None:
-        inputs = [*(path.iterdir() if path.is_dir() else [path]), stated.contacts, docks]
-        imports.write_imports(found, as_path(out, "out"), inputs, overwrite=overwrite)
+    convert = load("tiswarm.parts.formats.imports:convert", "import")
+    found: dict[str, Imported] = convert(
+        as_path(poses, "poses"), assumed,
+        docks=None if docks is None else as_path(docks, "docks"),
+        out=None if out is None else as_path(out, "out"), overwrite=overwrite,
+    )  # fmt: skip
     for run, imported in found.items():
         for warning in imported.warnings:
             warn(f"run {run}: {warning}" if run else warning)

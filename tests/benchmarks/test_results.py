@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks import results
 from tests.runs import REPOSITORY
-from tiswarm.interop.imports import GAINS
+from tiswarm.parts.formats.imports import GAINS
 
 KIND = "AMD EPYC family 26 model 2"
 """Kind of processor that docs/accuracy.md names."""

@@ -9,8 +9,8 @@ import pytest
 import trimesh
 
 from tests.runs import REPOSITORY
+from tiswarm.app.exports import export_view
 from tiswarm.base.progress import Progress
-from tiswarm.interop.exports import export_view
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.figure_style import JOIN_COLORS, rgb
 from tiswarm.report.run_data import load_run

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.mcap_file import SENSING, encode_messages
+from tiswarm.parts.formats.mcap import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import NEW_LISTS, line_schema
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts

@@ -14,9 +14,9 @@ from PIL import Image
 
 from tests.report.conftest import write_table
 from tiswarm import study
+from tiswarm.app.exports import export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
-from tiswarm.interop.exports import export_view
 from tiswarm.parts.pictures import animation, pictures
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page

@@ -12,11 +12,11 @@ import trimesh
 
 from tests.browser import probe
 from tiswarm.app.drawing import draw_log, render_log
+from tiswarm.app.exports import export_view
 from tiswarm.app.inspection import Findings
 from tiswarm.app.logs import Log
 from tiswarm.base.progress import Progress
 from tiswarm.cli import main
-from tiswarm.interop.exports import export_view
 from tiswarm.measurements.observability import observability
 from tiswarm.parts.pictures import pictures
 from tiswarm.parts.pictures.pictures import build_pictures

@@ -17,15 +17,15 @@ from tests.structures import (
     with_heights,
     with_ranges,
 )
+from tiswarm.app.exports import FORMATS, export_view
 from tiswarm.app.inspection import inspect
 from tiswarm.app.logs import Log
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.interop.exports import FORMATS, export_view
 from tiswarm.localization.methods import localize
+from tiswarm.parts.formats.mcap import SENSING, encode_messages
 from tiswarm.parts.suites.systems import STATIONS
-from tiswarm.records.mcap_file import SENSING, encode_messages
 from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log

@@ -277,7 +277,8 @@ class Localized(Estimate):
         Returns:
             The folder with the files.
         """
-        export_view = load("tiswarm.interop.exports:export_view", f"format {form}")
+        from tiswarm.app.exports import export_view  # noqa: PLC0415 - slow to import
+
         folder = as_path(out, "out")
         export_view(
             self._shown(truth), form, folder, ConsoleProgress(quiet=quiet),

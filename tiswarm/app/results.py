@@ -14,7 +14,6 @@ import numpy as np
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyMovie
-from tiswarm.base.parts import load
 from tiswarm.records.messages import counted, did_you_mean
 
 if TYPE_CHECKING:
@@ -200,7 +199,7 @@ class Run:
         Returns:
             The folder with the files.
         """
-        export_view = load("tiswarm.interop.exports:export_view", f"format {form}")
+        from tiswarm.app.exports import export_view  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 

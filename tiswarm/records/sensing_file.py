@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints
 from tiswarm.base.errors import InputError
+from tiswarm.base.parts import load
 from tiswarm.records.io import Opener, at_line, decode, raw_lines, replacing
-from tiswarm.records.mcap_file import sensing_lines
 from tiswarm.records.messages import shown
 from tiswarm.records.sensing_format import (
     CONTACT_LISTS,
@@ -461,7 +461,10 @@ def log_lines(path: Path, source: BinaryIO | None = None) -> Iterator[tuple[int,
         InputError: the file cannot be read, or a line is too long.
     """
     if source is None and path.suffix == ".mcap":
-        return sensing_lines(path)
+        lines: Iterator[tuple[int, bytes]] = load(
+            "tiswarm.parts.formats.mcap:sensing_lines", path.name
+        )(path)
+        return lines
     return raw_lines(path, source=source)
 
 

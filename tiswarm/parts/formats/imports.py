@@ -2,31 +2,40 @@
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
 
+from tiswarm.app.results import choose
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.docking import (
+from tiswarm.measurements.odometry import ASSUMED
+from tiswarm.parts.formats.docks import (
+    few_contacts,
     find_contacts,
     in_likely_order,
+    off_the_ground,
     refuse_crowds,
     with_docks,
     with_limits,
 )
-from tiswarm.interop.glitches import without_glitches
-from tiswarm.interop.hints import few_contacts, off_the_ground
-from tiswarm.interop.mocap import read_mocap
-from tiswarm.interop.pose_table import PoseTable, read_table
-from tiswarm.interop.poses import UPWARD, Poses, poses_by_run, some
-from tiswarm.interop.stances import Rests, find_rests, stances_of
-from tiswarm.interop.trajectories import read_gsd, read_tum
-from tiswarm.measurements.odometry import ASSUMED
+from tiswarm.parts.formats.mocap import read_mocap
+from tiswarm.parts.formats.motion import Rests, find_rests, stances_of, without_glitches
+from tiswarm.parts.formats.poses import (
+    UPWARD,
+    Assumptions,
+    Poses,
+    PoseTable,
+    poses_by_run,
+    read_dock_offsets,
+    read_table,
+    some,
+)
+from tiswarm.parts.formats.trajectories import read_gsd, read_tum
 from tiswarm.records import outputs
 from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
@@ -54,6 +63,38 @@ class Imported(NamedTuple):
     position: Reals  # true centers in join order, shape (N, 3)
     notes: list[str]  # contacts, gaps and what was assumed, in lines
     warnings: list[str]  # why contacts or final poses are probably wrong, in lines
+
+
+def convert(
+    path: Path,
+    assumed: Mapping[str, Any],
+    *,
+    docks: Path | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> dict[str, Imported]:
+    """Import poses, and write what became of them if `out` is given.
+
+    Args:
+        path: File or folder of poses.
+        assumed: Fields of `Assumptions`.
+        docks: Table of the docks in the body frame, in place of `dock_offset_body`.
+        out: Folder to write to; nothing is written if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
+
+    Raises:
+        InputError: a table is malformed, there is no such field, or an output would replace
+            another file.
+    """
+    for name in assumed:
+        choose(name, [field.name for field in fields(Assumptions)], "assumed")
+    body = {} if docks is None else {"dock_offset_body": read_dock_offsets(docks)}
+    stated = Assumptions(**{**assumed, **body})
+    found = import_poses(path, stated)
+    if out is not None:
+        inputs = [*(path.iterdir() if path.is_dir() else [path]), stated.contacts, docks]
+        write_imports(found, out, inputs, overwrite=overwrite)
+    return found
 
 
 def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.interop.test_stances import BODY, assert_same_stances, sampled
+from tests.formats.test_stances import BODY, assert_same_stances, sampled
 from tiswarm.base.errors import InputError
-from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.imports import import_poses
+from tiswarm.parts.formats.imports import import_poses
+from tiswarm.parts.formats.poses import Assumptions
 from tiswarm.sensing import SensingParams, observe
 
 UPWARD = Rotation.from_euler("x", -90.0, degrees=True)

@@ -13,10 +13,10 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.metrics import rmse
-from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.imports import import_poses, write_imports
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import JointParams
+from tiswarm.parts.formats.imports import import_poses, write_imports
+from tiswarm.parts.formats.poses import Assumptions
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.sensing import SensingParams, observe
 

@@ -8,13 +8,13 @@ import gsd.hoomd
 import numpy as np
 import pytest
 
-from tests.interop.test_stances import BODY, assert_same_stances, rows_of, sampled
+from tests.formats.test_stances import BODY, assert_same_stances, rows_of, sampled
 from tests.structures import exact_estimate
+from tiswarm.app.exports import export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
-from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.exports import export_view
-from tiswarm.interop.imports import import_poses
+from tiswarm.parts.formats.imports import import_poses
+from tiswarm.parts.formats.poses import Assumptions
 from tiswarm.report.swarm_view import view_log
 from tiswarm.sensing import SensingParams, observe
 

@@ -27,14 +27,14 @@ class OwnFormat(NamedTuple):
 
 
 FORMATS: dict[str, str] = {
-    "csv": "tiswarm.interop.pose_tables:encode_csv",
+    "csv": "tiswarm.parts.formats.exports:encode_csv",
     "gltf": "tiswarm.parts.pictures.solids:encode_gltf",
-    "gsd": "tiswarm.interop.particles:encode_gsd",
-    "mcap": "tiswarm.interop.pose_tables:encode_mcap",
-    "parquet": "tiswarm.interop.pose_tables:encode_parquet",
+    "gsd": "tiswarm.parts.formats.exports:encode_gsd",
+    "mcap": "tiswarm.parts.formats.exports:encode_mcap",
+    "parquet": "tiswarm.parts.formats.exports:encode_parquet",
     "ply": "tiswarm.parts.pictures.solids:encode_ply",
-    "pyfg": "tiswarm.interop.factor_graph:encode_pyfg",
-    "tum": "tiswarm.interop.pose_tables:encode_tum",
+    "pyfg": "tiswarm.parts.formats.exports:encode_pyfg",
+    "tum": "tiswarm.parts.formats.exports:encode_tum",
 }
 """By name of a format, a function of a view that returns bytes by name of file."""
 

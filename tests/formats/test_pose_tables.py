@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.imports import import_poses
+from tiswarm.parts.formats.imports import import_poses
+from tiswarm.parts.formats.poses import Assumptions
 from tiswarm.records.sensing_file import log_entries
 
 BODY = RobotGeometry().dock_offset_body

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.interop.pose_table import LONGEST_NUMBER, QUATERNION, PoseTable, refuse_far
-from tiswarm.interop.trajectories import LONGEST_TEXT
+from tiswarm.parts.formats.poses import LONGEST_NUMBER, QUATERNION, PoseTable, refuse_far
+from tiswarm.parts.formats.trajectories import LONGEST_TEXT
 from tiswarm.records.io import LARGEST, numbered_lines
 from tiswarm.records.messages import counted
 

@@ -15,8 +15,8 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.interop.particles import gsd_library
-from tiswarm.interop.pose_table import (
+from tiswarm.parts.formats.exports import gsd_library
+from tiswarm.parts.formats.poses import (
     LONGEST_NUMBER,
     QUATERNION,
     PoseTable,

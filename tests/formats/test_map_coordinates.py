@@ -12,8 +12,8 @@ import trimesh
 from mcap.reader import make_reader
 
 from tests.structures import Rule, exact_estimate, structure
+from tiswarm.app.exports import FORMATS, export_view
 from tiswarm.base.progress import Progress
-from tiswarm.interop.exports import FORMATS, export_view
 from tiswarm.report.swarm_view import view_log
 
 RADIUS = 0.0329

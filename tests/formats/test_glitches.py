@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.interop.test_stances import bring_in, rows_of, sampled
-from tiswarm.interop.stances import _step_of_noise
+from tests.formats.test_stances import bring_in, rows_of, sampled
+from tiswarm.parts.formats.motion import _step_of_noise
 from tiswarm.records.sensing_file import log_entries
 
 

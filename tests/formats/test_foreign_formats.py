@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from tests.robustness.mutations import Random, damaged
 from tests.structures import exact_estimate
+from tiswarm.app.exports import FORMATS, export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.interop.exports import FORMATS, export_view
-from tiswarm.records.mcap_file import encode_messages
+from tiswarm.parts.formats.mcap import encode_messages
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.swarm_view import view_log
 from tiswarm.sensing.observation import observe

@@ -1,1 +1,0 @@
-"""From other programs and to them: poses in, structures and estimates out."""

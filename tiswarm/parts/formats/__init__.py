@@ -1,0 +1,1 @@
+"""Optional: poses and trajectories of other programs in, structures and estimates out."""

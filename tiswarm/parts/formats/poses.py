@@ -1,0 +1,654 @@
+"""Poses of robots, of any simulator or motion-capture system, and tables of docks and contacts.
+
+Columns are read by their meaning: names, units, times. What a table does not state, an import has
+to assume.
+"""
+
+import math
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError
+from tiswarm.compute.math import dock_offsets
+from tiswarm.records.io import CsvFile
+from tiswarm.records.messages import counted
+from tiswarm.records.sensing_file import FAR_FROM_UNIT
+from tiswarm.records.sensing_log import FARTHEST
+
+TOLERANCE = 0.02
+"""Largest gap and overlap of a contact unless stated otherwise [dock radii]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assumptions:
+    """Facts that a table of poses does not state; lengths in its own unit."""
+
+    dock_radius: float = 1.0
+    dock_offset_body: Reals | None = None
+    """Center to dock in the body frame, shape (D, 3); None for the three docks in a plane at which
+    most docks touch. A table of spheres needs none."""
+
+    gap: float | None = None
+    """Largest gap of two docks in contact; if None, 2 % of the dock radius, or more where errors
+    of the poses make docks overlap by more."""
+
+    overlap: float | None = None
+    """Largest overlap of two docks in contact; as for `gap` if None."""
+
+    contacts: Path | None = None
+    """Table `robot,dock,other,other_dock` of all contacts; found from the gaps if None."""
+
+    anchors: tuple[int, ...] = ()
+    """Names of robots at known positions, the anchor first; the first robot to join, or of the
+    file, if there are none."""
+
+    up: str = "z"
+    """Axis of the poses that is up: x, y, z, -x, -y or -z; it becomes z."""
+
+    conjugate: bool = False
+    """Whether quaternions turn the world frame to the body's, instead of body to world."""
+
+    ground_z: float | None = None
+    """Height of flat ground; None where there is none."""
+
+    heights: bool = False
+    """Whether the robots know the heights of their centers."""
+
+    drop_disconnected: bool = False
+    """Whether to drop the robots that contacts do not connect to an anchor."""
+
+    drop_incomplete: bool = False
+    """Whether to drop rows that lack a number, instead of refusing them."""
+
+    glitch_frames: int = 10
+    """Most poses in a row that are left out as one error of tracking; 0 keeps all."""
+
+    tilt_deg: float | None = None
+    """Standard deviation of orientations about horizontal axes [deg]; stated if not None."""
+
+    yaw_deg: float | None = None
+    """Standard deviation of orientations about the vertical [deg]; stated if not None."""
+
+    length_unit: str = "unit"
+    """Unit of lengths where the columns do not name it."""
+
+    @property
+    def largest_gap(self) -> float:
+        """Largest gap of two docks in contact."""
+        return TOLERANCE * self.dock_radius if self.gap is None else self.gap
+
+    @property
+    def largest_overlap(self) -> float:
+        """Largest overlap of two docks in contact."""
+        return TOLERANCE * self.dock_radius if self.overlap is None else self.overlap
+
+    @property
+    def spacing(self) -> Reals:
+        """Least and greatest distance of the centers of two docks in contact, shape (2,)."""
+        return 2.0 * self.dock_radius + np.array([-self.largest_overlap, self.largest_gap])
+
+    @property
+    def level(self) -> Reals:
+        """Least and greatest height of the center of a dock on the ground; NaN without, (2,)."""
+        ground = math.nan if self.ground_z is None else self.ground_z
+        return ground + self.dock_radius + np.array([-self.largest_overlap, self.largest_gap])
+
+
+QUATERNION = ["qw", "qx", "qy", "qz"]
+_AXES = [*"xyz"]
+_ROBOT_NAME = "robot_name"
+LONGEST_NUMBER = 18
+"""Digits of a number that an integer of 64 bits holds."""
+
+_WHOLE = ("robot", "sphere", "join")
+_NAMES = {
+    "robot": ("robot", "robot_id", "id", _ROBOT_NAME),
+    "time": ("time", "t", "stamp", "timestamp", "frame", "step"),
+}
+"""Names of a column, the first that a table has is read; others have their meaning as name."""
+
+_LENGTHS = (
+    *("m", "cm", "mm", "dm", "um", "µm", "nm", "km", "in", "ft", "yd", "R"),
+    *("meters", "centimeters", "millimeters", "inches", "feet"),
+)
+"""Units of length that a column may name, in capitals or not. Other words after an axis name other
+quantities, such as velocities and standard deviations."""
+
+_NO_UNIT = "unit"
+"""Unit of tables that name none, as exports write it."""
+
+_TIMES = ("s", "sec", "seconds", "ms", "us", "µs", "ns", "min", "steps", "frames")
+"""Units of time that a column may name."""
+
+_UNIT = re.compile(
+    r"(?P<name>\w+?)(?:_(?P<suffix>[A-Za-z]+)|\s*[\[(]\s*(?P<brackets>[^\])]*?)\s*[\])])"
+)
+"""A name with its unit: `x_mm`, `x [mm]`, `x (mm)`."""
+
+
+_MESSAGE = re.compile(r"(?:.*[./])?(?:position|(?P<turn>orientation))[./](?P<axis>[wxyz])")
+"""A name as tables of ROS messages have it: `pose.position.x`, `pose.orientation.w`."""
+
+
+class PoseTable(NamedTuple):
+    """Poses, or spheres, of all robots in the order of their file."""
+
+    rows: pd.DataFrame
+    """Columns `robot`, `x`, `y`, `z`, then `qw`, `qx`, `qy`, `qz` or `sphere`; `join` and `time`
+    where the file has them; `line`, and `run` with the name of the structure."""
+
+    length_unit: str
+    """Unit of lengths as the columns name it; empty where they do not."""
+
+    quaternion_order: Sequence[str]
+    """Columns of the quaternion in the order of the file; none of spheres."""
+
+    notes: Sequence[str] = ()
+    """What was left out, in lines."""
+
+    dock_offset_body: Reals | None = None
+    """Center to dock in the body frame, shape (D, 3); None where the file has no docks."""
+
+
+def read_table(
+    path: Path, *, dock_radius: float, drop_incomplete: bool, length_unit: str = _NO_UNIT
+) -> PoseTable:
+    """Read a table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order of columns.
+
+    Times count only where a robot, or sphere, has several rows: other tables are free to have a
+    column of that name.
+
+    Args:
+        path: The table.
+        dock_radius: Radius of a dock sphere.
+        drop_incomplete: Whether to leave out rows that lack a number, instead of refusing them.
+        length_unit: A unit of length that columns may name beside the usual ones.
+
+    Raises:
+        InputError: the table is malformed, or lacks a column.
+    """
+    text = CsvFile(path)
+    columns, unit = _columns(text.columns, path, length_unit)
+    notes = _without_incomplete(text, columns.values(), drop=drop_incomplete)
+    time = _find(text.columns, "time")
+    single = [name for name in ("run",) if name in text.columns] + [
+        columns[name] for name in ("robot", "sphere") if name in columns
+    ]
+    cells = zip(*(text.words(name).tolist() for name in single), strict=True)
+    if time and len({*cells}) < len(text.rows):
+        notes += _without_incomplete(text, [time], drop=drop_incomplete)
+        columns["time"] = time
+    numbers = {
+        name: text.integers(column) if name in _WHOLE else text.numbers(column)
+        for name, column in columns.items()
+        if column.lower() != _ROBOT_NAME
+    }
+    if columns["robot"].lower() == _ROBOT_NAME:
+        numbers["robot"] = _numbers_in(text, columns["robot"])
+    rows = pd.DataFrame(numbers | {"line": [*text.rows], "run": _runs(text)})
+    refuse_far(rows, path, dock_radius, columns)
+    turned = sorted(
+        QUATERNION, key=lambda name: text.columns.index(columns.get(name, columns["x"]))
+    )
+    return PoseTable(rows, unit, () if "sphere" in columns else turned, notes)
+
+
+def refuse_far(
+    rows: pd.DataFrame, path: Path, dock_radius: float, columns: Mapping[str, str] | None = None
+) -> None:
+    """Raise InputError where a coordinate is too large for a log, or is not a number.
+
+    Args:
+        rows: Rows of a table of poses.
+        path: Their file.
+        dock_radius: Radius of a dock sphere.
+        columns: Names of the columns in the file; x, y and z if None.
+    """
+    for axis in _AXES:
+        far = np.flatnonzero(~(np.abs(rows[axis].to_numpy()) <= FARTHEST * dock_radius))
+        if len(far):
+            value, line = rows[axis].iloc[far[0]], int(rows["line"].iloc[far[0]])
+            problem = f"{value:g} is too far out; move the origin to the robots"
+            key = axis if columns is None else columns[axis]
+            raise InputError(problem, path=path, line=line, key=key)
+
+
+def _columns(header: Sequence[str], path: Path, length_unit: str) -> tuple[dict[str, str], str]:
+    """Find the column of each quantity, and the unit of lengths."""
+    found = {
+        name: column for name in ("robot", "sphere", "join") if (column := _find(header, name))
+    }
+    for name in QUATERNION if "sphere" not in found else ():
+        if column := _find(header, name):
+            found[name] = column
+    wanted = ["sphere"] if "sphere" in found else QUATERNION
+    lengths, unit = _positions(header, path, length_unit)
+    needed = {name: found.get(name) or lengths.get(name) for name in ("robot", *_AXES, *wanted)}
+    if lacking := [name for name, column in needed.items() if not column]:
+        problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z but "
+        problem += f"{','.join(header)[:200] or 'none'}; rename or add {','.join(lacking)}"
+        raise InputError(problem, path=path, line=1)
+    columns = {name: found[name] for name in ("robot", *wanted, "join") if name in found} | lengths
+    for column in columns.values():
+        if header.count(column) > 1:
+            problem = f"there are {header.count(column)} columns of this name; rename all but one"
+            raise InputError(problem, path=path, line=1, key=column)
+    return columns, unit
+
+
+def _positions(header: Sequence[str], path: Path, length_unit: str) -> tuple[dict[str, str], str]:
+    """Find the columns of x, y and z, all in one unit, and that unit; axes may lack a column.
+
+    Raises:
+        InputError: there are two sets of such columns, or axes have different units.
+    """
+    known = {unit.lower() for unit in ("", *_LENGTHS, _NO_UNIT, length_unit)}
+    found: dict[str, dict[str, list[str]]] = {axis: {} for axis in _AXES}
+    unknown: dict[str, str] = {}
+    for column in header:
+        axis, unit = _split(column)
+        if axis in found and unit.lower() in known:
+            found[axis].setdefault(unit.lower(), []).append(column)
+        elif axis in found:
+            unknown.setdefault(unit, column)
+    sets = [{*units} for units in found.values()]
+    complete = [unit for unit in found["x"] if unit in set.intersection(*sets)]
+    several = [",".join(units[unit][0] for units in found.values()) for unit in complete]
+    if len(complete) == 1:
+        columns = ([*chain(*units.values())] for units in found.values())
+        several = next((names for names in columns if len(names) > 1), [])
+    if len(several) > 1:
+        problem = f"positions are in {' and in '.join(several)}; keep one, or rename the others"
+        raise InputError(problem, path=path, line=1)
+    if not complete and all(sets):
+        units = ", ".join(f"{axis} in {next(iter(found[axis])) or 'none'}" for axis in found)
+        problem = f"the axes have different units: {units}; convert them to one"
+        raise InputError(problem, path=path, line=1)
+    if unknown and not any(sets):
+        unit, column = next(iter(unknown.items()))
+        problem = f"{unit[:40]!r} is no known unit of length; rename it to one of "
+        problem += f"{', '.join(_LENGTHS)}, or give --length-unit {unit[:40]}"
+        raise InputError(problem, path=path, line=1, key=column)
+    lengths = {axis: next(iter(units.values()))[0] for axis, units in found.items() if units}
+    if complete:
+        lengths = {axis: units[complete[0]][0] for axis, units in found.items()}
+    return lengths, _split(lengths.get("x", ""))[1]
+
+
+def _split(column: str) -> tuple[str, str]:
+    """Split a column's name into its meaning in lower case, and its unit."""
+    if found := _MESSAGE.fullmatch(column):
+        return f"{'q' if found['turn'] else ''}{found['axis']}", ""
+    found = _UNIT.fullmatch(column)
+    if found is None:
+        return column.lower(), ""
+    return found["name"].lower(), found["suffix"] or found["brackets"] or ""
+
+
+def _find(header: Sequence[str], meaning: str) -> str:
+    """Find the column of a quantity by its names, of a time with a unit or not; else return ""."""
+    for name in _NAMES.get(meaning, (meaning,)):
+        for column in header:
+            if column.lower() == name or (name in QUATERNION and _split(column) == (name, "")):
+                return column
+            if meaning == "time" and _split(column)[0] == name and _split(column)[1] in _TIMES:
+                return column
+    return ""
+
+
+def _without_incomplete(text: CsvFile, columns: Iterable[str], *, drop: bool) -> list[str]:
+    """Drop rows that lack a number and say so in a line, or refuse them all at once."""
+    lines = text.incomplete(columns)
+    note = report_incomplete(text.path, lines, drop=drop)
+    if lines:
+        text.drop(lines)
+    return note
+
+
+def _numbers_in(text: CsvFile, column: str) -> Ints:
+    """Read the only number in the name of each robot, such as 7 in `bot_7`, shape (rows,)."""
+    names: list[str] = text.words(column).tolist()
+    named: dict[int, str] = {}
+    for row, name in enumerate(names):
+        found = re.findall(r"\d+", name)
+        problem = ""
+        if len(found) != 1 or len(found[0]) > LONGEST_NUMBER:
+            problem = f"{name[:40]!r} has no number, or several; write it like bot_7"
+        elif named.setdefault(int(found[0]), name) != name:
+            problem = f"{name[:40]!r} has the number of another robot; give each its own"
+        if problem:
+            raise InputError(problem, path=text.path, line=text.line(row), key=column)
+    number = {name: robot for robot, name in named.items()}
+    return np.array([number[name] for name in names], np.int64)
+
+
+def report_incomplete(path: Path, lines: Sequence[int], *, drop: bool, name: str = "") -> list[str]:
+    """Say in a line that rows without a number are dropped, or refuse them all at once.
+
+    Args:
+        path: Their file.
+        lines: Lines of the rows; there may be none.
+        drop: Whether they are dropped.
+        name: Name of the file if it is one of several.
+    """
+    if not lines:
+        return []
+    rows, where = counted(len(lines), "incomplete row"), f"line {line_ranges(lines)}"
+    if drop:
+        return [f"{rows}{f' of {name}' * bool(name)} dropped: {where}"]
+    problem = f"{rows}, empty or NaN: {where}; complete them, or drop them with --drop-incomplete"
+    raise InputError(problem, path=path, line=lines[0])
+
+
+def line_ranges(lines: Collection[int]) -> str:
+    """Write ascending numbers of lines, those in a row as a range.
+
+    >>> line_ranges([2, 3, 4, 7, 9, 10])
+    '2-4, 7, 9-10'
+    """
+    number = np.fromiter(lines, int)
+    parts = np.split(number, np.flatnonzero(np.diff(number) > 1) + 1)
+    return ", ".join(f"{p[0]}" if len(p) == 1 else f"{p[0]}-{p[-1]}" for p in parts)
+
+
+def _runs(text: CsvFile) -> list[str]:
+    """Read the structure of each row; its name becomes that of a folder."""
+    if "run" not in text.columns:
+        return [""] * len(text.rows)
+    names: list[str] = text.words("run").tolist()
+    for row, name in enumerate(names):
+        if not re.fullmatch(r"(?!\.)[A-Za-z0-9._-]{1,80}", name):
+            problem = f"{name[:40]!r} cannot be a folder; use letters, digits, dots, - and _"
+            raise InputError(problem, path=text.path, line=text.line(row), key="run")
+    return names
+
+
+_OTHER_ORDER: dict[tuple[str, ...], int] = {
+    ("qw", "qx", "qy", "qz"): 1,
+    ("qx", "qy", "qz", "qw"): -1,
+}
+"""Places by which wxyz turn around where numbers in such columns have the other order."""
+
+
+UPWARD = {
+    "y": (0.5, "x"),
+    "x": (-0.5, "y"),
+    "-z": (1.0, "x"),
+    "-y": (-0.5, "x"),
+    "-x": (0.5, "y"),
+}
+"""By the axis that is up, the turn that makes it z: half turns, and the axis of the turn."""
+
+
+_MOST_NAMED = 5
+"""Robots that a note names."""
+
+
+def some(names: Sequence[object]) -> str:
+    """List the first names, and count the others."""
+    more = f" and {len(names) - _MOST_NAMED} more" * (len(names) > _MOST_NAMED)
+    return ", ".join(map(str, names[:_MOST_NAMED])) + more
+
+
+class Samples(NamedTuple):
+    """S poses over time, by robot and then by time."""
+
+    robot: Ints  # row of the robot in `Poses`, (S,)
+    time: Reals  # on one clock for all robots, (S,)
+    position: Reals  # (S, 3)
+    orientation_wxyz: Reals  # (S, 4)
+
+    def docks(self, dock_offset_body: Reals) -> Reals:
+        """Locate docks at offsets (D, 3) from the center, shape (S, D, 3)."""
+        return self.position[:, None] + dock_offsets(self.orientation_wxyz, dock_offset_body)
+
+
+class Poses(NamedTuple):
+    """N robots in the order of their file, in its unit of length."""
+
+    robot_id: Ints  # (N,)
+    position: Reals  # centers, the last ones of poses over time, (N, 3)
+    orientation_wxyz: Reals  # body to world, (N, 4)
+    dock_offset_body: Reals  # (D, 3); no rows where the file has poses, not spheres
+    join: Ints | None  # rank of each robot in join order, (N,); None where the file has none
+    length_unit: str  # as the columns name it; empty where they do not
+    samples: Samples | None = None  # all poses; None where each robot has one
+    other_order: int = 0  # turns wxyz into the other order of the same numbers; 0 if there is none
+    docks_are_spheres: bool = False  # whether the file has the docks, not orientations
+
+    @property
+    def docks(self) -> Reals:
+        """Centers of the docks, shape (N, D, 3)."""
+        return self.position[:, None] + dock_offsets(self.orientation_wxyz, self.dock_offset_body)
+
+    def reordered(self) -> "Poses":
+        """Read the numbers of each quaternion in the other order."""
+        return self._mapped(lambda wxyz: np.roll(wxyz, self.other_order, axis=1))
+
+    def conjugate(self) -> "Poses":
+        """Read quaternions as turns from world to body."""
+        return self._mapped(lambda wxyz: wxyz * [1.0, -1.0, -1.0, -1.0])
+
+    def turned(self, turn: Rotation) -> "Poses":
+        """Turn the frame of each body."""
+        return self._mapped(lambda wxyz: _wxyz(_rotation(wxyz) * turn))
+
+    def upright(self, up: str) -> "Poses":
+        """Turn the world so that an axis, a key of `UPWARD`, becomes z."""
+        half_turns, axis = UPWARD[up]
+        turn = Rotation.from_euler(axis, 180.0 * half_turns, degrees=True)
+        return self._mapped(lambda wxyz: _wxyz(turn * _rotation(wxyz)), turn.apply)
+
+    def nearest(self, most: int) -> "Poses":
+        """Return the robots that are nearest to the first one, without samples."""
+        off = np.linalg.norm(self.position - self.position[0], axis=1)
+        near = np.sort(off.argsort(kind="stable")[:most])
+        return self._replace(
+            robot_id=self.robot_id[near],
+            position=self.position[near],
+            orientation_wxyz=self.orientation_wxyz[near],
+            samples=None,
+        )
+
+    def _mapped(
+        self,
+        orientation: Callable[[Reals], Reals],
+        position: Callable[[Reals], Reals] | None = None,
+    ) -> "Poses":
+        """Map all orientations, and positions."""
+        place = position or (lambda there: there)
+        samples = self.samples and self.samples._replace(
+            orientation_wxyz=orientation(self.samples.orientation_wxyz),
+            position=place(self.samples.position),
+        )
+        return self._replace(
+            orientation_wxyz=orientation(self.orientation_wxyz),
+            position=place(self.position),
+            samples=samples,
+        )
+
+
+def poses_by_run(table: PoseTable, path: Path, *, shape_error: float) -> dict[str, Poses]:
+    """Gather the rows of each robot, structure by structure.
+
+    A robot of spheres has its center at their mean; the first robot of a structure defines the body
+    frame. One sphere is a dock at the center.
+
+    Args:
+        table: Poses or spheres.
+        path: Their file.
+        shape_error: Largest distance of a sphere from its place in the first robot's shape.
+
+    Returns:
+        Poses of each structure by its name, or by "" without a column `run`.
+
+    Raises:
+        InputError: a robot has several rows of a time, or none of a sphere, or a quaternion of
+            another length than 1.
+    """
+    return {
+        str(run): _poses(rows, table, path, shape_error)
+        for run, rows in table.rows.groupby("run", sort=False)
+    }
+
+
+def read_dock_offsets(path: Path) -> Reals:
+    """Read a table `dock,x,y,z` of a robot's docks in the body frame, shape (D, 3).
+
+    Lengths are in the unit of the poses; docks are numbered from 0.
+
+    Raises:
+        InputError: the table is malformed.
+    """
+    table = CsvFile(path)
+    if {*table.columns} != {"dock", *"xyz"}:
+        problem = "the columns are not dock,x,y,z, in the unit of the poses; rename them"
+        raise InputError(problem, path=path, line=1)
+    number = table.integers("dock")
+    offset = np.column_stack([table.numbers(axis) for axis in "xyz"])
+    if sorted(number) != list(range(len(number))):
+        problem = f"docks {sorted(number.tolist())} are not numbered 0, 1, ...; renumber them"
+        raise InputError(problem, path=path, line=2, key="dock")
+    ordered: Reals = offset[number.argsort()]
+    return ordered
+
+
+def read_contacts(path: Path, poses: Poses) -> Ints:
+    """Read a table `robot,dock,other,other_dock` of docks in contact.
+
+    Returns:
+        Rows of (robot, its dock, later robot, its dock), robots counted from 0, shape (n, 4).
+
+    Raises:
+        InputError: the table is malformed, or a robot or dock does not exist.
+    """
+    table, columns = CsvFile(path), ["robot", "dock", "other", "other_dock"]
+    if {*table.columns} != {*columns}:
+        problem = f"the columns are not {','.join(columns)}; rename them"
+        raise InputError(problem, path=path, line=1)
+    rows = np.column_stack([table.integers(name) for name in columns])
+    docks = len(poses.dock_offset_body)
+    number = {name: row for row, name in enumerate(poses.robot_id.tolist())}
+    for row, (robot, dock, other, other_dock) in enumerate(rows.tolist()):
+        problem = ""
+        if unknown := [name for name in (robot, other) if name not in number]:
+            problem = f"there is no robot {unknown[0]} in the poses; correct it"
+        elif robot == other:
+            problem = f"robot {robot} cannot touch itself; name another robot"
+        elif not (0 <= dock < docks and 0 <= other_dock < docks):
+            problem = f"docks count from 0 to {docks - 1}; correct dock or other_dock"
+        if problem:
+            raise InputError(problem, path=path, line=table.line(row))
+        rows[row, [0, 2]] = number[robot], number[other]
+    swapped = rows[:, 0] > rows[:, 2]
+    rows[swapped] = rows[swapped][:, [2, 3, 0, 1]]
+    return np.unique(rows, axis=0)
+
+
+def _rotation(wxyz: Reals) -> Rotation:
+    return Rotation.from_quat(wxyz, scalar_first=True)
+
+
+def _wxyz(turn: Rotation) -> Reals:
+    return turn.as_quat(scalar_first=True)
+
+
+def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float) -> Poses:
+    by = ["robot", "time"] if "time" in rows else ["robot"]
+    rows = _by_robot(rows, by, path)
+    pose = rows.drop_duplicates(by)
+    place = rows[[*"xyz"]].to_numpy(float).reshape(len(pose), -1, 3)
+    position = place.mean(axis=1)
+    if "sphere" in rows:
+        dock_offset_body = place[0] - position[0]
+        orientation = _align(place - position[:, None], pose, path, shape_error)
+    else:
+        dock_offset_body = np.empty((0, 3))
+        if table.dock_offset_body is not None:
+            dock_offset_body = table.dock_offset_body
+        orientation = _unit_quaternions(pose, path)
+    robot, names = pd.factorize(pose["robot"])
+    last = np.flatnonzero(~pose["robot"].duplicated(keep="last"))
+    over_time = len(last) < len(pose)
+    return Poses(
+        robot_id=np.asarray(names, np.int64),
+        position=position[last],
+        orientation_wxyz=orientation[last],
+        dock_offset_body=dock_offset_body,
+        join=pose["join"].to_numpy(np.int64)[last] if "join" in pose else None,
+        length_unit=table.length_unit,
+        samples=Samples(robot, pose["time"].to_numpy(float), position, orientation)
+        if over_time
+        else None,
+        other_order=_OTHER_ORDER.get(tuple(table.quaternion_order), 0),
+        docks_are_spheres="sphere" in rows,
+    )
+
+
+def _by_robot(table: pd.DataFrame, by: list[str], path: Path) -> pd.DataFrame:
+    """Gather the rows of each robot, sorted by time and sphere; all have the same spheres."""
+    spheres = "sphere" in table
+    repeated = table[table.duplicated([*by, "sphere"] if spheres else by)]
+    if len(repeated):
+        first = repeated.iloc[0]
+        what = f"sphere {first['sphere']} of robot" if spheres else "robot"
+        when = f" at time {first['time']:g}" if "time" in by else ""
+        remedy = "keep one" if when else "keep one, or give the time of each in a column time"
+        problem = f"{what} {repeated['robot'].iloc[0]} has a row already{when}; {remedy}"
+        file = Path(first.get("file", path))  # one of a folder
+        raise InputError(problem, path=file, line=int(first["line"]))
+    if not spheres and "time" not in by:
+        return table
+    robot, _ = pd.factorize(table["robot"])
+    minor = ["sphere"] * spheres + ["time"] * ("time" in by)
+    table = table.iloc[np.lexsort((*(table[name].to_numpy() for name in minor), robot))]
+    wanted: list[int] = []
+    for _, rows in table.groupby(by, sort=False) if spheres else ():
+        found = rows["sphere"].tolist()
+        wanted = wanted or found
+        if found != wanted:
+            what = f"robot {rows['robot'].iloc[0]} has spheres {found}, the first robot {wanted}"
+            problem = f"{what}; complete it"
+            raise InputError(problem, path=path, line=int(rows["line"].min()), key="sphere")
+    return table
+
+
+def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
+    """Scale quaternions to length 1; refuse those whose length is far from it."""
+    quaternion = table[QUATERNION].to_numpy()
+    length = np.linalg.norm(quaternion, axis=1)
+    far = np.flatnonzero(~(np.abs(length - 1.0) <= FAR_FROM_UNIT))
+    if len(far):
+        problem = f"the quaternion has length {length[far[0]]:.6g}; scale it to 1"
+        raise InputError(problem, path=path, line=int(table["line"].iloc[far[0]]), key="qw")
+    unit: Reals = quaternion / length[:, None]
+    return unit
+
+
+def _align(offset: Reals, first: pd.DataFrame, path: Path, shape_error: float) -> Reals:
+    """Rotate the first robot's shape onto each robot, whose spheres are at `offset`, (N, D, 3).
+
+    This is the best rotation (Kabsch 1976), and any of these where spheres are in one line.
+    """
+    left, _, right = np.linalg.svd(np.einsum("nda,db->nab", offset, offset[0]))
+    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
+    rotation = left @ right
+    off = np.linalg.norm(offset[0] @ rotation.swapaxes(1, 2) - offset, axis=2).max(axis=1)
+    if not (off <= shape_error).all():
+        worst = int(np.argmax(~(off <= shape_error)))
+        problem = (
+            f"the spheres of robot {first['robot'].iloc[worst]} are up to {off[worst]:.3g} off the "
+            "first robot's shape; give rigid robots of one shape, or a larger --gap"
+        )
+        raise InputError(problem, path=path, line=int(first["line"].iloc[worst]))
+    wxyz: Reals = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    return wxyz
