@@ -13,12 +13,14 @@ from tests.records.test_sensing_file import ANCHOR, HEADER, JOINER, content, wri
 from tiswarm.base.errors import InputError
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import (
-    CONTACT_LISTS,
     line_schema,
     parse_header,
     parse_line,
     parse_robot,
 )
+from tiswarm.records.sensing_log import LISTS
+
+OF_DOCKS = [name for name, key in LISTS.items() if key.is_of_docks]
 
 HEADER = {**HEADER, "version": 3}
 THIRD = {
@@ -81,7 +83,7 @@ def histories(draw):
         held = [
             (name, *item[:3])
             for name in present
-            for key in CONTACT_LISTS
+            for key in OF_DOCKS
             for item in robot_of[name][key]
             if item[1] not in gone
         ]
@@ -102,7 +104,7 @@ def histories(draw):
             line = robot_of[name]
             robot_of[name] = line | {
                 key: [item for item in line[key] if item[:3] != [own, other, its]]
-                for key in CONTACT_LISTS
+                for key in OF_DOCKS
             }
             ends = (name, [own, other, its]) if draw(st.booleans()) else (other, [its, name, own])
             lines.append({"event": "release", "robot": ends[0], "contacts": [ends[1]]})

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.parts.formats.mcap import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
-from tiswarm.records.sensing_format import NEW_LISTS, line_schema
-from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
+from tiswarm.records.sensing_format import line_schema
+from tiswarm.records.sensing_log import LISTS, SensingLog, SensingNoise, Stances, canonical_contacts
+
+NEW_LISTS = [name for name, key in LISTS.items() if key.version == 2]
 
 number = st.floats(-4.0, 4.0, allow_subnormal=False)  # within 1e10 of the smallest dock radii
 place = st.tuples(number, number, number)

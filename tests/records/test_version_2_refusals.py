@@ -7,9 +7,10 @@ import pytest
 from tests.records.test_sensing_refusals import ANCHOR, HEADER, JOINER, STANCE
 from tiswarm.base.errors import InputError
 from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_format import NEW_LISTS, REPEATABLE
+from tiswarm.records.sensing_log import LISTS
 
 NAN = float("nan")
+NEW_LISTS = [name for name, key in LISTS.items() if key.version == 2]
 
 LINKS = [
     # what directions and connections have in common: own dock, other robot and its dock
@@ -147,7 +148,7 @@ RIGHT = {
 REPEATED = [
     (name, RIGHT[name], None, f"repeats {name}[0]; list it once")
     for name in NEW_LISTS
-    if name not in REPEATABLE
+    if not LISTS[name].repeats
 ]
 CASES = [
     (name, in_stance, *case)

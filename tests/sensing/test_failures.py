@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.records.test_sensing_file import content
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
-from tiswarm.records.sensing_format import STANCE_LISTS
+from tiswarm.records.sensing_log import LISTS
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.sensing.failures import failing
 from tiswarm.world.growth import grow
@@ -42,7 +42,7 @@ def lines(log):
         numbers = [log.orientation_wxyz[j], log.flip_height[j], log.spawn_position[j]]
         walked = [log.stances.orientation_wxyz[begin:end], log.stances.pivot_dock[begin:end]]
         lists = {}
-        for key in STANCE_LISTS:
+        for key in LISTS:
             final, earlier = getattr(log, key), getattr(log.stances, key)
             own = final[:, 2] if key == "contacts" else final[:, 0]
             at = (earlier[:, 0] >= begin) & (earlier[:, 0] < end)

@@ -8,7 +8,7 @@ import pytest
 
 from tiswarm.parts.suites.systems import CEILING, STATIONS, SUITES
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
-from tiswarm.records.sensing_format import NEW_LISTS, STANCE_LISTS
+from tiswarm.records.sensing_log import LISTS
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.sensing import SensingParams, observe
 
@@ -24,6 +24,7 @@ SENSED = {
     "swarmbang": {"fixes"},
 }
 
+NEW_LISTS = [name for name, key in LISTS.items() if key.version == 2]
 KINDS = ("measured by its authors", "second-hand", "inferred")
 
 
@@ -35,7 +36,7 @@ def test_a_log_has_what_its_suite_senses(towers, name):
     alone = observe(towers[0], SensingParams(suite=name))
     touching = observe(towers[0], SensingParams(suite=name, touch=True))
 
-    assert {key for key in STANCE_LISTS if len(getattr(alone, key))} == SENSED[name]
+    assert {key for key in LISTS if len(getattr(alone, key))} == SENSED[name]
     is_ours = name == "fireant-v3"
     assert (alone.stances is not None, alone.ground_z is not None) == (is_ours, is_ours)
     assert np.isnan(alone.flip_height).all() != is_ours

@@ -4,9 +4,6 @@ from collections.abc import Collection, Hashable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.parts import load
@@ -17,7 +14,7 @@ from tiswarm.localization.settings import LocalizationParams, VirtualForceParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import SensingLog, moved
 
 METHODS = {
     "joint": "tiswarm.localization.joint",
@@ -178,24 +175,7 @@ def localize_many(
 
 def centered(log: SensingLog) -> SensingLog:
     """Put the anchor at the origin: far from it, numbers lose the digits that robots differ by."""
-    anchor = log.anchor_position
-    stances = log.stances
-    return replace(
-        log,
-        anchor_position=np.zeros(3),
-        ground_z=None if log.ground_z is None else log.ground_z - float(anchor[2]),
-        flip_height=log.flip_height - anchor[2],
-        spawn_position=log.spawn_position - anchor,
-        fixes=_moved_fixes(log.fixes, -anchor),
-        stances=stances and replace(stances, fixes=_moved_fixes(stances.fixes, -anchor)),
-    )
-
-
-def _moved_fixes(fixes: Reals, by: Reals) -> Reals:
-    """Move the planes of fixes by a vector, shape (3,)."""
-    moved = fixes.copy()
-    moved[:, 4] += fixes[:, 1:4] @ by
-    return moved
+    return moved(log, -log.anchor_position)
 
 
 def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:

@@ -25,8 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets, normal
-from tiswarm.records.sensing_format import STANCE_LISTS
-from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
+from tiswarm.records.sensing_log import LISTS, SensingLog, SensingNoise, Stances
 
 ASSUMED = SensingNoise(tilt_deg=1.0, yaw_deg=2.0)
 """Noise of a log that states none."""
@@ -169,14 +168,14 @@ def _chained(log: SensingLog, is_missing: Bools) -> tuple[Reals, Bools]:
 def _without(log: SensingLog, is_lost: Bools) -> SensingLog:
     """Leave out what docks of some robots, shape (N,), sensed or were sensed at, and vectors."""
     final, earlier = {}, {}
-    for key, kinds in STANCE_LISTS.items():
-        if any("dock" in kind for kind in kinds) or key == "displacements":
-            ends = [0, 2] if "robot" in kinds[1:] else [0]
-            rows = getattr(log, key)
-            final[key] = rows[~is_lost[rows[:, ends].astype(np.int64)].any(axis=1)]
+    for name, key in LISTS.items():
+        if key.is_of_body:
+            ends = [0, 2] if key.is_of_docks else [0]
+            rows = getattr(log, name)
+            final[name] = rows[~is_lost[rows[:, ends].astype(np.int64)].any(axis=1)]
             if log.stances is not None and len(ends) > 1:
-                rows = getattr(log.stances, key)
-                earlier[key] = rows[~is_lost[rows[:, 2].astype(np.int64)]]
+                rows = getattr(log.stances, name)
+                earlier[name] = rows[~is_lost[rows[:, 2].astype(np.int64)]]
     return replace(log, **final, stances=log.stances and replace(log.stances, **earlier))
 
 

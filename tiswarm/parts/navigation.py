@@ -16,8 +16,8 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.localization import methods
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.sensing_file import SensingLogBuilder, log_entries
-from tiswarm.records.sensing_format import STANCE_LISTS, parse_header, parse_robot
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_format import parse_header, parse_robot
+from tiswarm.records.sensing_log import LISTS, SensingLog
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
 from tiswarm.world.growth import Believe
@@ -120,11 +120,10 @@ def _about(line: _Line, robots: set[int]) -> _Line:
 
 def _kept(line: _Line, robots: set[int]) -> Iterator[tuple[str, Any]]:
     for key, value in line.items():
-        kinds = STANCE_LISTS.get(key, ())
+        place = LISTS[key].robot if key in LISTS else None
         if key == "stances" and value:
             yield key, [_about(stance, robots) for stance in value]
-        elif value and "robot" in kinds:
-            place = kinds.index("robot")
+        elif value and place is not None:
             yield key, [item for item in value if item[place] in robots]
         else:
             yield key, value

@@ -14,7 +14,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
-from itertools import chain, zip_longest
+from itertools import chain, groupby, zip_longest
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -27,15 +28,9 @@ from tiswarm.base.parts import load
 from tiswarm.records.io import Opener, at_line, decode, raw_lines, replacing
 from tiswarm.records.messages import shown
 from tiswarm.records.sensing_format import (
-    CONTACT_LISTS,
     EVENT_VERSION,
     FORMAT,
     MOST_CONTACTS,
-    NEW_LISTS,
-    NEW_NOISE,
-    REPEATABLE,
-    ROBOT_NUMBERS,
-    STANCE_LISTS,
     HeaderLine,
     RobotLine,
     SensingLine,
@@ -43,13 +38,26 @@ from tiswarm.records.sensing_format import (
     parse_header,
     parse_line,
 )
-from tiswarm.records.sensing_log import SensingLog, Stances, canonical_contacts
+from tiswarm.records.sensing_log import (
+    LISTS,
+    NUMBERS,
+    Column,
+    Key,
+    SensingLog,
+    Stances,
+    canonical_contacts,
+)
 
 FAR_FROM_UNIT = 1e-3
 """Deviation of a unit vector's or quaternion's length from 1 above which it is refused."""
 
 _CLOSE_TO_UNIT = 1e-9
 """Deviation below which neither is scaled to 1, so that our own ones keep their bits."""
+
+_UNIT = {"normal": "direction", "direction": "direction", "quaternion": "quaternion"}
+"""Columns that are unit vectors, in words; a normal stays as it is."""
+
+_OF_DOCKS = [name for name, key in LISTS.items() if key.is_of_docks]
 
 Contact = tuple[int | None, int, int | None]
 """Own dock, name of the other robot, its dock; None for an unknown dock."""
@@ -59,7 +67,7 @@ class SensedStance(NamedTuple):
     """One checked stance, with indices in place of the names of other robots."""
 
     orientation_wxyz: list[float]
-    lists: dict[str, list[tuple[Any, ...]]]  # sorted items of each list in `STANCE_LISTS`
+    lists: dict[str, list[tuple[Any, ...]]]  # sorted items of each key in `LISTS`
 
 
 class SensingLogBuilder:
@@ -82,7 +90,7 @@ class SensingLogBuilder:
         self._touching = array("B")  # final contacts of every dock, robot after robot
         self._final = _StanceColumns()
         self._earlier = _StanceColumns()
-        self._numbers = {key: array("d") for key in ROBOT_NUMBERS}
+        self._numbers = {name: array("d") for name in NUMBERS}
         self._pivot_dock = array("i")
         self._stance_start = array("q", [0])
         self._has_stances = array("b")
@@ -155,8 +163,8 @@ class SensingLogBuilder:
         final = self._final.arrays(entry)
         final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
         numbers: dict[str, Any] = {
-            key: np.array(self._numbers[key]).reshape(-1, *np.shape(missing))[entry]
-            for key, missing in ROBOT_NUMBERS.items()
+            name: _of_entries(self._numbers[name], len(key.columns))[entry]
+            for name, key in NUMBERS.items()
         }
         line, count = np.array(self._line)[entry], np.diff(start)[entry]
         first = np.concatenate([[0], np.cumsum(count)])
@@ -197,9 +205,10 @@ class SensingLogBuilder:
     def _enter(self, line: RobotLine, number: int) -> SensedStance:
         """Append the entry of a robot of this number, and return its final stance."""
         stances = line.stances or []
-        for key in ROBOT_NUMBERS:
-            length, anchor = getattr(line, key), self.header.anchor_position
-            self.header.refuse_far(key, length, anchor if np.ndim(length) else anchor[2])
+        for name, key in NUMBERS.items():
+            anchor = self.header.anchor_position
+            start = anchor[2] if key.columns == ("height",) else anchor
+            self.header.refuse_far(name, getattr(line, name), start)
         who = (line.robot, number)
         final = self._checked(line, "", who)
         earlier = [self._checked(each, f"stances[{n}].", who) for n, each in enumerate(stances)]
@@ -207,9 +216,10 @@ class SensingLogBuilder:
         self._final.append(final)
         for stance in earlier:
             self._earlier.append(stance)
-        for key, missing in ROBOT_NUMBERS.items():
-            length = getattr(line, key)
-            self._numbers[key].extend(np.ravel(missing if length is None else length))
+        for name, key in NUMBERS.items():
+            number = getattr(line, name)
+            missing = [math.nan] * len(key.columns)
+            self._numbers[name].extend(missing if number is None else np.ravel(number))
         self._pivot_dock.extend(entry.pivot_dock for entry in stances)
         self._stance_start.append(len(self._pivot_dock))
         self._has_stances.append(line.stances is not None)
@@ -231,13 +241,12 @@ class SensingLogBuilder:
             "dock": self._check_dock,
             "dock or null": lambda dock, key: -1 if dock is None else self._check_dock(dock, key),
             "robot": partial(self._robot_index, *who),
-            "number": lambda number, _: number,
             "source": self._source_index,
         }
         lists: dict[str, list[tuple[Any, ...]]] = {}
-        for name, kinds in STANCE_LISTS.items():
-            if name in NEW_LISTS:
-                self.header.refuse_new(f"{prefix}{name}", getattr(entry, name))
+        for name, key in LISTS.items():
+            if key.version > 1:
+                self.header.refuse_new(f"{prefix}{name}", getattr(entry, name), key.version)
             items: list[tuple[Any, ...]] = []
             if not getattr(entry, name):  # as most are
                 lists[name] = items
@@ -246,30 +255,45 @@ class SensingLogBuilder:
             for place, numbers in enumerate(getattr(entry, name)):
                 here = f"{prefix}{name}[{place}]"
                 # A source may be left out at the end.
-                pairs = zip_longest(kinds, [numbers] if len(kinds) == 1 else numbers)
-                item = tuple(check[kind](number, here) for kind, number in pairs)
-                items.append(self._checked_item(name, item, here))
+                pairs = zip_longest(key.columns, [numbers] if len(key.columns) == 1 else numbers)
+                item = tuple(
+                    check[column](number, here) if column in check else number
+                    for column, number in pairs
+                )
+                items.append(item if key.is_whole else self._checked_reals(key, item, here))
+                if "dock or null" in key.columns and -1 not in item:
+                    problem = "both docks are known; list the contact in contacts"
+                    raise InputError(problem, key=here)
                 before = first.setdefault(items[-1], place)
-                if before != place and name not in REPEATABLE:
+                if before != place and not key.repeats:
                     problem = f"repeats {prefix}{name}[{before}]; list it once"
                     raise InputError(problem, key=here)
             lists[name] = sorted(items)
         return SensedStance(orientation, lists)
 
-    def _checked_item(self, name: str, item: tuple[Any, ...], key: str) -> tuple[Any, ...]:
-        """Check the numbers of an item of one list beside each other; scale unit vectors."""
-        if name == "fixes":
-            self._check_fix(item, key)
-        elif name == "ranges":
-            self._check_range(item, key)
-        elif name == "displacements":
-            self._check_displacement(item, key)
-        elif name in {"directions", "connections"}:
-            what = "direction" if name == "directions" else "quaternion"
-            return (*item[:3], *_unit(item[3:], what, key))
-        elif name == "touches" and -1 not in {item[0], item[2]}:
-            raise InputError("both docks are known; list the contact in contacts", key=key)
-        return item
+    def _checked_reals(self, key: Key, item: tuple[Any, ...], where: str) -> tuple[Any, ...]:
+        """Check the real numbers of an item beside each other; scale unit vectors."""
+        found: list[Any] = []
+        for column, group in groupby(zip(key.columns, item, strict=True), itemgetter(0)):
+            part = [number for _, number in group]
+            if column in _UNIT:
+                unit = _unit(part, _UNIT[column], where)
+                part = part if column == "normal" else unit
+            elif column == "value":
+                self.header.refuse_far(where, part[0], np.dot(found, self.header.anchor_position))
+            elif column == "distance":
+                self.header.refuse_far(where, part[0], 0.0)
+                if not part[0] > 0.0:
+                    problem = f"the distance {part[0]:g} should be positive; correct it"
+                    raise InputError(problem, key=where)
+            elif column == "vector":
+                self.header.refuse_far(where, part, 0.0)
+                if not any(part):
+                    raise InputError("the vector has length 0; correct it", key=where)
+            elif column == "sd":
+                self.header.refuse_sd(where, part[0])
+            found += part
+        return tuple(found)
 
     def _orientation(self, entry: RobotLine | StanceEntry, key: str, number: int) -> list[float]:
         """Check a stance's orientation; NaN for a robot without a compass."""
@@ -283,26 +307,6 @@ class SensingLogBuilder:
             problem = "null leaves the stances without an end; give an orientation or no stances"
             raise InputError(problem, key=key)
         return [math.nan] * 4
-
-    def _check_fix(self, fix: tuple[float, ...], key: str) -> None:
-        *direction, value, sd, _ = fix
-        _unit(direction, "direction", key)
-        self.header.refuse_far(key, value, np.dot(direction, self.header.anchor_position))
-        self.header.refuse_sd(key, sd)
-
-    def _check_range(self, measured: tuple[float, ...], key: str) -> None:
-        _, distance, sd, _ = measured
-        self.header.refuse_far(key, distance, 0.0)
-        if not distance > 0.0:
-            raise InputError(f"the distance {distance:g} should be positive; correct it", key=key)
-        self.header.refuse_sd(key, sd)
-
-    def _check_displacement(self, measured: tuple[float, ...], key: str) -> None:
-        _, *vector, sd = measured
-        self.header.refuse_far(key, vector, 0.0)
-        if not any(vector):
-            raise InputError("the vector has length 0; correct it", key=key)
-        self.header.refuse_sd(key, sd)
 
     def _ends(self, robot: int, dock: int, other: int, its: int) -> list[int]:
         """Return where `_touching` has the two docks of a contact."""
@@ -358,9 +362,7 @@ class _StanceColumns:
 
     def __init__(self) -> None:
         self._orientation = array("d")
-        self._lists = {
-            key: array("d" if "number" in kinds else "i") for key, kinds in STANCE_LISTS.items()
-        }
+        self._lists = {name: array("i" if key.is_whole else "d") for name, key in LISTS.items()}
 
     def append(self, stance: SensedStance) -> None:
         row = len(self._orientation) // 4
@@ -376,11 +378,11 @@ class _StanceColumns:
 
     def holds(self, contact: tuple[int, int, int, int]) -> bool:
         """Whether a stance has a contact of these docks: (stance, own dock, robot, its dock)."""
-        return any(self._is_of(contact, key).any() for key in CONTACT_LISTS)
+        return any(self._is_of(contact, key).any() for key in _OF_DOCKS)
 
     def drop(self, contact: tuple[int, int, int, int]) -> bool:
         """Drop the items of a contact; return whether one of `contacts` was among them."""
-        found = {key: self._is_of(contact, key) for key in CONTACT_LISTS}
+        found = {key: self._is_of(contact, key) for key in _OF_DOCKS}
         for key, is_item in found.items():
             if is_item.any():
                 kept = array(self._lists[key].typecode)
@@ -393,7 +395,7 @@ class _StanceColumns:
         number = np.full(len(self._orientation) // 4, -1)
         number[chosen] = np.arange(len(chosen))
         lists = {}
-        for key in STANCE_LISTS:
+        for key in LISTS:
             table = self._table(key)
             table[:, 0] = number[table[:, 0].astype(np.int64)]
             table = table[table[:, 0] >= 0]
@@ -402,12 +404,18 @@ class _StanceColumns:
 
     def _table(self, key: str) -> Any:  # noqa: ANN401 - of integers or floats
         """Return the items of a list of all stances, shape (n, 1 + numbers of an item)."""
-        return np.array(self._lists[key]).reshape(-1, 1 + len(STANCE_LISTS[key]))
+        return _of_entries(self._lists[key], 1 + len(LISTS[key].columns))
 
     def _is_of(self, contact: tuple[int, int, int, int], key: str) -> Bools:
         """Find the items of a contact in a list, shape (n,)."""
         is_item: Bools = (self._table(key)[:, :4] == contact).all(axis=1)
         return is_item
+
+
+def _of_entries(numbers: "array[Any]", count: int) -> Any:  # noqa: ANN401 - of integers or floats
+    """Return a row for each entry, shape (n, count), or (n,) where it has one number."""
+    rows = np.array(numbers)
+    return rows if count == 1 else rows.reshape(-1, count)
 
 
 def _unit(parts: Sequence[float], what: str, key: str) -> list[float]:
@@ -512,20 +520,20 @@ def _header_entries(log: SensingLog) -> dict[str, object]:
 
 def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
     stances = log.stances
-    arrays = {key: getattr(log, key) for key in STANCE_LISTS}
+    arrays = {key: getattr(log, key) for key in LISTS}
     arrays["contacts"] = canonical_contacts(log.contacts)[:, [2, 3, 0, 1]]
-    unused = {key for key in NEW_LISTS if not _is_used(key, log)}
+    unused = {name for name, key in LISTS.items() if key.version > 1 and not _is_used(name, log)}
     absent = unused | ({"ground_docks"} if log.ground_z is None else set())
     arrays = {key: rows for key, rows in arrays.items() if key not in absent}
     final = _lists(arrays, log.robot_count, log)
     if stances is not None:
-        arrays = {key: getattr(stances, key) for key in STANCE_LISTS if key not in unused}
+        arrays = {key: getattr(stances, key) for key in LISTS if key not in unused}
         earlier = _lists(arrays, len(stances.pivot_dock), log)
     for i, name in enumerate(log.robot_id.tolist()):
         wxyz = log.orientation_wxyz[i]
         orientation = None if np.isnan(wxyz).all() else wxyz.tolist()
         entries: dict[str, object] = {"robot": name, "orientation_wxyz": orientation, **next(final)}
-        for key in ROBOT_NUMBERS:
+        for key in NUMBERS:
             number = getattr(log, key)[i]
             if not np.isnan(number).all():
                 entries[key] = number.tolist()
@@ -545,10 +553,13 @@ def _version(log: SensingLog) -> int:
     """Return the first version that has all keys and events of a log."""
     if len(log.gone):
         return EVENT_VERSION
-    states_new = any(getattr(log.noise, key, None) is not None for key in NEW_NOISE)
     has_null = bool(np.isnan(log.orientation_wxyz).any())
-    is_new = states_new or has_null or bool(log.source_name)
-    return 2 if is_new or any(_is_used(key, log) for key in NEW_LISTS) else 1
+    found = [2 if has_null or log.source_name else 1]
+    for name, key in LISTS.items():
+        is_stated = getattr(log.noise, key.noise, None) is not None if key.noise else False
+        if is_stated or _is_used(name, log):
+            found.append(key.version)
+    return max(found)
 
 
 def _is_used(key: str, log: SensingLog) -> bool:
@@ -562,9 +573,9 @@ def _lists(
     """Yield the lists of each stance, from arrays whose first column names the stance, in order."""
     start, items = {}, {}
     for key, rows in arrays.items():
-        pairs = zip(STANCE_LISTS[key], rows.T[1:], strict=True)
+        pairs = zip(LISTS[key].columns, rows.T[1:], strict=True)
         columns = [_column(kind, number, log) for kind, number in pairs]
-        if "number" in STANCE_LISTS[key]:  # whole numbers may stand among them
+        if not LISTS[key].is_whole:  # whole numbers may stand among them
             columns = [column.astype(object) for column in columns]
         items[key] = columns[0] if len(columns) == 1 else np.column_stack(columns)
         start[key] = np.searchsorted(rows[:, 0], np.arange(count + 1))
@@ -576,22 +587,19 @@ def _lists(
 def _rows(key: str, items: NDArray[Any]) -> list[Any]:
     """List the rows of one stance; where a source is null, it is left out."""
     rows: list[Any] = items.tolist()
-    if STANCE_LISTS[key][-1] != "source":
+    if LISTS[key].columns[-1] != "source":
         return rows
     return [row[:-1] if row[-1] is None else row for row in rows]
 
 
-def _column(kind: str, number: NDArray[Any], log: SensingLog) -> NDArray[Any]:
+def _column(kind: Column, number: NDArray[Any], log: SensingLog) -> NDArray[Any]:
     """Write a column as the file has it: names of robots and sources, null for unknown docks."""
-    if kind == "number":
-        return number
-    index = number.astype(np.int64)
     if kind == "robot":
-        return log.robot_id[index]
-    if kind == "source":
-        return np.array([*log.source_name, None], object)[index]  # -1, for none, is the last
+        return log.robot_id[number.astype(np.int64)]
+    if kind == "source":  # -1, for none, is the last
+        return np.array([*log.source_name, None], object)[number.astype(np.int64)]
     if kind == "dock or null":
-        column = index.astype(object)
-        column[index < 0] = None
+        column = number.astype(object)
+        column[number < 0] = None
         return column
-    return index
+    return number.astype(np.int64) if kind == "dock" else number

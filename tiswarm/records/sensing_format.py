@@ -1,14 +1,12 @@
 """The keys of the interchange file `sensing.jsonl`, and checks of one line at a time.
 
 A header comes first, then one robot a line, the anchor first. Each line is a JSON object, and an
-optional key may be left out or null. A new optional key takes three declarations: its type in
-`RobotLine` or `StanceEntry`, its entry in `ROBOT_NUMBERS` or `STANCE_LISTS`, and its array in
-`SensingLog` or `Stances`. Reader and writer loop over the entries. An event says
+optional key may be left out or null. Keys of robots and stances are those of the table `KEYS` in
+`sensing_log.py`: models, reader and writer loop over it. An event says
 what changed later, about robots on earlier lines. The log is that of the swarm after all events.
 """
 
 import json
-import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import fields
@@ -24,6 +22,7 @@ from pydantic import (
     GetPydanticSchema,
     TypeAdapter,
     ValidationError,
+    create_model,
     model_validator,
 )
 from pydantic_core import CoreSchema, core_schema
@@ -31,7 +30,7 @@ from pydantic_core import CoreSchema, core_schema
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.records.messages import did_you_mean, dotted, explain, shown
-from tiswarm.records.sensing_log import FARTHEST, SensingNoise
+from tiswarm.records.sensing_log import FARTHEST, KEYS, LISTS, NUMBERS, Key, SensingNoise
 
 FORMAT = "tiswarm-sensing"
 VERSIONS = (1, 2, 3)
@@ -66,39 +65,62 @@ def _source_name(name: str) -> str:
     raise ValueError(f"the name {shown(name)} {problem}; correct it")
 
 
-def _sourced(*kinds: type) -> GetPydanticSchema:
-    """Type a row of so many numbers, after which the name of a source, or null, may stand."""
+def _item(key: Key) -> Any:  # noqa: ANN401 - a type
+    """Return the type of an item in a file; where a source may stand, the name is left out or null.
 
-    def schema(_: Any, handler: GetCoreSchemaHandler) -> CoreSchema:  # noqa: ANN401 - any type
-        items = [handler.generate_schema(kind) for kind in (*kinds, str | None)]
-        return core_schema.tuple_schema(
-            items, variadic_item_index=len(kinds), max_length=len(items), strict=False
-        )
+    JSON has no tuples: lists count as such, numbers in them stay strict.
+    """
+    python = [_PYTHON.get(column, float) for column in key.columns]
+    count = len(python)
+    if "source" in key.columns:
 
-    return GetPydanticSchema(schema)
+        def schema(_: Any, handler: GetCoreSchemaHandler) -> CoreSchema:  # noqa: ANN401 - any type
+            items = [handler.generate_schema(kind) for kind in python]
+            return core_schema.tuple_schema(
+                items, variadic_item_index=count - 1, max_length=count, strict=False
+            )
 
+        return Annotated[tuple[Any, ...], GetPydanticSchema(schema)]
+    if len({*python}) > 1:
+        return Annotated[tuple[tuple(python)], Field(strict=False)]  # type: ignore[misc]
+    one: Any = python[0]
+    if count == 1:
+        return one
+    return Annotated[list[one], Field(min_length=count, max_length=count)]
+
+
+def _value(name: str) -> Any:  # noqa: ANN401 - a type
+    """Return the type of the value of a key."""
+    item: Any = _item(KEYS[name])
+    return item if name in NUMBERS else Annotated[list[item], Field(fail_fast=True)]
+
+
+def _with(keys: Mapping[str, Key], base: type[BaseModel]) -> Any:  # noqa: ANN401 - a class
+    """Add keys to a model; all but contacts may be left out or null."""
+    found: dict[str, Any] = {}
+    for name, key in keys.items():
+        text = key.meaning if base is _RobotFields else None
+        if name == _STATED:
+            found[name] = _value(name), Field(... if base is _RobotFields else [], description=text)
+        else:
+            found[name] = _value(name) | None, Field(None, description=text)
+    return create_model(base.__name__, __base__=base, **found)
+
+
+_PYTHON: dict[str, Any] = {
+    "dock": int, "dock or null": int | None, "robot": int, "source": str | None,
+}  # fmt: skip
+"""Types of numbers that are not real."""
+
+_STATED = "contacts"
+"""List that each robot states; a stance may leave it out."""
 
 _Radius = Annotated[float, Field(ge=1e-9, le=1e9)]
 _Unit = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME), AfterValidator(_column_part)]
 _SourceName = Annotated[str, AfterValidator(_source_name)]
 _Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
-_Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
-_Contacts = Annotated[list[_Contact], Field(fail_fast=True)]
-_Docks = Annotated[list[int], Field(fail_fast=True)]
-_AS_LIST = Field(strict=False)  # JSON has no tuples; numbers in them stay strict
-_Fix = Annotated[tuple[Any, ...], _sourced(*[float] * 5)]
-_Fixes = Annotated[list[_Fix], Field(fail_fast=True)]
-_Range = Annotated[tuple[Any, ...], _sourced(int, float, float)]
-_Ranges = Annotated[list[_Range], Field(fail_fast=True)]
-_Direction = Annotated[tuple[int, int, int, float, float, float], _AS_LIST]
-_Directions = Annotated[list[_Direction], Field(fail_fast=True)]
-_Connection = Annotated[tuple[int, int, int, float, float, float, float], _AS_LIST]
-_Connections = Annotated[list[_Connection], Field(fail_fast=True)]
-_Displacement = Annotated[tuple[int, float, float, float, float], _AS_LIST]
-_Displacements = Annotated[list[_Displacement], Field(fail_fast=True)]
-_Touch = Annotated[tuple[int | None, int, int | None], _AS_LIST]
-Touches = Annotated[list[_Touch], Field(fail_fast=True)]
+_Touch: Any = _item(KEYS["touches"])
 Name = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 
 
@@ -144,8 +166,10 @@ class HeaderLine(BaseModel):
     @model_validator(mode="after")
     def _refuse_new_keys(self) -> "HeaderLine":
         self.refuse_new("sources", self.sources)
-        for key in NEW_NOISE if self.noise else ():
-            self.refuse_new(f"noise.{key}", getattr(self.noise, key))
+        for key in KEYS.values() if self.noise else ():
+            if key.noise:
+                stated = getattr(self.noise, key.noise)
+                self.refuse_new(f"noise.{key.noise}", stated, key.version)
         return self
 
     @model_validator(mode="after")
@@ -163,10 +187,12 @@ class HeaderLine(BaseModel):
         self.refuse_far("noise.spawn", self.noise.spawn if self.noise else None, 0.0)
         return self
 
-    def refuse_new(self, key: str, value: object) -> None:
-        """Raise InputError where a key of version 2 has a value in a file of version 1."""
-        if self.version == 1 and value is not None:
-            problem = "version 1 has no such key; give version 2 in the header"
+    def refuse_new(self, key: str, value: object, version: int = 2) -> None:
+        """Raise InputError where a key of a later version has a value."""
+        if self.version < version and value is not None:
+            problem = (
+                f"version {self.version} has no such key; give version {version} in the header"
+            )
             raise InputError(problem, key=key)
 
     def refuse_far(
@@ -194,28 +220,15 @@ class HeaderLine(BaseModel):
         return {"source_name": tuple(sources), "source_sd": shared}
 
 
-class StanceEntry(BaseModel):
-    """One stance before the final one."""
-
+class _StanceFields(BaseModel):
     model_config = STRICT
 
     orientation_wxyz: _Quaternion
     pivot_dock: int
     """Dock that stays in place while the robot flips out of the stance."""
 
-    contacts: _Contacts = []
-    ground_docks: _Docks | None = None
-    fixes: _Fixes | None = None
-    ranges: _Ranges | None = None
-    directions: _Directions | None = None
-    connections: _Connections | None = None
-    touches: Touches | None = None
-    displacements: _Displacements | None = None
 
-
-class RobotLine(BaseModel):
-    """One robot: its final stance, and the stances before."""
-
+class _RobotFields(BaseModel):
     model_config = STRICT
 
     robot: Name
@@ -225,45 +238,13 @@ class RobotLine(BaseModel):
     """Sensed orientation, a unit quaternion from body to world; null, in version 2, for a robot
     without a compass, whose orientation follows from connections."""
 
-    contacts: _Contacts
-    """Rows of [own dock, other robot, other dock]; the other robot is on an earlier line."""
 
-    ground_docks: _Docks | None = None
-    """Docks on flat ground."""
+class StanceEntry(_with(LISTS, _StanceFields), _StanceFields):  # type: ignore[misc]
+    """One stance before the final one."""
 
-    fixes: _Fixes | None = None
-    """Measured coordinates of the center, rows of [x, y, z, value, sd] or [x, y, z, value, sd,
-    source]: along the unit vector (x, y, z) the center is at the value [length unit]. The sd is
-    without the error that measurements of the source share. Version 2."""
 
-    ranges: _Ranges | None = None
-    """Measured distances of centers, rows of [other robot, distance, sd] or [other robot, distance,
-    sd, source] [length unit]; the other robot is on an earlier line. Version 2."""
-
-    directions: _Directions | None = None
-    """Measured directions of contacts, rows of [own dock, other robot, other dock, x, y, z]: the
-    unit vector in the own body frame from the center of the own dock to that of the other, whose
-    robot is on an earlier line. Version 2."""
-
-    connections: _Connections | None = None
-    """Measured orientations of robots in contact, rows of [own dock, other robot, other dock, w, x,
-    y, z]: a unit quaternion from the body of the other robot, which is on an earlier line, to the
-    own body. Version 2."""
-
-    touches: Touches | None = None
-    """Contacts of unknown docks, rows of [own dock or null, other robot, other dock or null], at
-    least one of them null; the other robot is on an earlier line. Version 2."""
-
-    displacements: _Displacements | None = None
-    """Measured vectors between centers, rows of [other robot, x, y, z, sd] [length unit]: from the
-    own center to that of the other robot, which is on an earlier line, in the own body frame. The
-    sd holds along each axis, beside the noise of the own orientation. Version 2."""
-
-    flip_height: float | None = None
-    """Height of the center that the flips imply [length unit]."""
-
-    spawn_position: _Vector | None = None
-    """Center at the first stance [length unit]."""
+class RobotLine(_with(KEYS, _RobotFields), _RobotFields):  # type: ignore[misc]
+    """One robot: its final stance, and the stances before."""
 
     stances: Annotated[list[StanceEntry], Field(fail_fast=True)] | None = None
     """Stances before the final one, in time order."""
@@ -271,40 +252,6 @@ class RobotLine(BaseModel):
     event: Literal["replace"] | None = None
     """Replace: this is the line of a robot that has one, and that has sensed more since. Version
     3."""
-
-
-STANCE_LISTS = {
-    "contacts": ("dock", "robot", "dock"),
-    "ground_docks": ("dock",),
-    "fixes": (*("number",) * 5, "source"),
-    "ranges": ("robot", "number", "number", "source"),
-    "directions": ("dock", "robot", "dock", *("number",) * 3),
-    "connections": ("dock", "robot", "dock", *("number",) * 4),
-    "touches": ("dock or null", "robot", "dock or null"),
-    "displacements": ("robot", *("number",) * 4),
-}
-"""Lists of every stance, in the order in which they are written, and the numbers in an item.
-
-The log has an array for each list: a row for each item, after a column that names the stance. A
-dock that is null is -1 there, as is a source that is left out or null; others are indices."""
-
-REPEATABLE = ("fixes", "ranges", "displacements")
-"""Lists whose items may be equal: a device may measure twice, and get the same number."""
-
-NEW_LISTS = ("fixes", "ranges", "directions", "connections", "touches", "displacements")
-"""Lists that version 1 does not have."""
-
-CONTACT_LISTS = ("contacts", "directions", "connections", "touches")
-"""Lists whose items start with docks that touch: own dock, other robot, other dock."""
-
-NEW_NOISE = ("direction_deg", "connection_deg")
-"""Keys of the noise that version 1 does not have."""
-
-ROBOT_NUMBERS: dict[str, float | list[float]] = {
-    "flip_height": math.nan,
-    "spawn_position": [math.nan] * 3,
-}
-"""Optional numbers of a robot, with the value that stands in the log where a line has none."""
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -426,7 +373,7 @@ class ReleaseLine(BaseModel):
     robot: Name
     """Name of a robot on an earlier line."""
 
-    contacts: Annotated[Touches, Field(min_length=1)]
+    contacts: Annotated[list[_Touch], Field(min_length=1, fail_fast=True)]
     """Rows of [own dock, other robot, other dock], null for a dock that is unknown. The line of one
     of the two robots has each."""
 

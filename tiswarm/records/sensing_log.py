@@ -1,8 +1,10 @@
 """The sensing log: what a swarm sensed while it grew, and all that a localizer reads."""
 
 import math
-from dataclasses import dataclass, field
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from inspect import cleandoc
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
@@ -68,8 +70,152 @@ class SensingNoise:
     """Standard deviation of the orientation of a robot in contact, about each axis [deg]."""
 
 
+Column = Literal[
+    "dock", "dock or null", "robot", "source", "normal", "value", "distance", "vector", "direction",
+    "quaternion", "sd", "height", "coordinate",
+]  # fmt: skip
+"""What a number of an item is. Checks, units and moves of the anchor follow from it."""
+
+_WHOLE = ("dock", "dock or null", "robot")
+_OF_BODY = ("dock", "dock or null", "vector")
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a robot's line, in files and in logs; those of a list hold for each stance."""
+
+    columns: tuple[Column, ...]
+    """Numbers of an item. A robot is on an earlier line; a source may be left out."""
+
+    meaning: str
+    """Description in the JSON Schema."""
+
+    version: int = 1
+    """First version of the format that has the key."""
+
+    repeats: bool = False
+    """Whether items may be equal: a device may measure twice, and get the same number."""
+
+    noise: str = ""
+    """Key of the header's noise that states the standard deviation."""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all numbers are whole."""
+        return all(column in _WHOLE for column in self.columns)
+
+    @property
+    def robot(self) -> int | None:
+        """Column of the other robot; None where an item names none."""
+        return self.columns.index("robot") if "robot" in self.columns else None
+
+    @property
+    def is_of_docks(self) -> bool:
+        """Whether an item starts with docks that touch: own dock, other robot, other dock."""
+        return self.columns[1:2] == ("robot",)
+
+    @property
+    def is_of_body(self) -> bool:
+        """Whether an item means nothing without the orientation of its robot."""
+        return any(column in _OF_BODY for column in self.columns)
+
+    def rows(self, items: Sequence[Sequence[float]] = ()) -> NDArray[Any]:
+        """Make rows of a log from items after the number of a stance, shape (n, 1 + columns)."""
+        kind = np.int32 if self.is_whole else np.float64
+        return np.array(items, kind).reshape(-1, 1 + len(self.columns))
+
+    def numbers(self, values: Sequence[float | Sequence[float] | None]) -> Reals:
+        """Gather numbers of robots, NaN for None, shape (n,), or (n, columns) of several."""
+        count = len(self.columns)
+        missing = math.nan if count == 1 else [math.nan] * count
+        return np.array([missing if value is None else value for value in values], np.float64)
+
+
+def _listed(*columns: Any, meaning: str, **settings: Any) -> Any:  # noqa: ANN401 - a field
+    """Declare an array of a log with its key."""
+    key = Key(columns, cleandoc(meaning), **settings)
+    return field(default_factory=key.rows, metadata={"key": key})
+
+
+def _of_robot(*columns: Any, meaning: str) -> dict[str, Key]:  # noqa: ANN401 - of Column
+    """Describe optional numbers of a robot."""
+    return {"key": Key(columns, meaning)}
+
+
 @dataclass(frozen=True, kw_only=True)
-class Stances:
+class Sensed:
+    """What was sensed at stances: an array for each key, a row for each item.
+
+    Rows start with the robot in `SensingLog`, which has the final stances, and with the stance in
+    `Stances`. Robots, docks and sources are numbers; a dock or source that is not known is -1.
+    """
+
+    contacts: NDArray[np.int32] = _listed("dock", "robot", "dock", meaning="""
+    Rows of [own dock, other robot, other dock]; the other robot is on an earlier line.
+    """)  # fmt: skip
+    """Sensed contacts, rows of (stance, own dock, other robot, other dock), shape (C, 4)."""
+
+    ground_docks: NDArray[np.int32] = _listed("dock", meaning="Docks on flat ground.")
+    """Docks on flat ground, rows of (robot or stance, dock), shape (G, 2)."""
+
+    fixes: Reals = _listed(
+        *["normal"] * 3, "value", "sd", "source", version=2, repeats=True, meaning="""
+    Measured coordinates of the center, rows of [x, y, z, value, sd] or [x, y, z, value, sd,
+    source]: along the unit vector (x, y, z) the center is at the value [length unit]. The sd is
+    without the error that measurements of the source share. Version 2.
+    """)  # fmt: skip
+    """Measured coordinates of centers, rows of (robot or stance, direction (3), value, standard
+    deviation, source), shape (F, 7). The source is a row of `source_name`, or -1 for none; the
+    standard deviation is without the error that its measurements share."""
+
+    ranges: Reals = _listed(
+        "robot", "distance", "sd", "source", version=2, repeats=True, meaning="""
+    Measured distances of centers, rows of [other robot, distance, sd] or [other robot, distance,
+    sd, source] [length unit]; the other robot is on an earlier line. Version 2.
+    """)  # fmt: skip
+    """Measured distances from the center to the final center of an earlier robot, rows of (robot
+    or stance, other robot, distance, standard deviation, source), shape (D, 5). Source and standard
+    deviation are as in `fixes`."""
+
+    directions: Reals = _listed(
+        "dock", "robot", "dock", *["direction"] * 3, version=2, noise="direction_deg", meaning="""
+    Measured directions of contacts, rows of [own dock, other robot, other dock, x, y, z]: the
+    unit vector in the own body frame from the center of the own dock to that of the other, whose
+    robot is on an earlier line. Version 2.
+    """)  # fmt: skip
+    """Measured directions of contacts, rows of (robot or stance, dock, earlier robot, its dock,
+    unit vector from dock to dock in the robot's body frame (3)), shape (U, 7)."""
+
+    connections: Reals = _listed(
+        "dock", "robot", "dock", *["quaternion"] * 4, version=2, noise="connection_deg", meaning="""
+    Measured orientations of robots in contact, rows of [own dock, other robot, other dock, w, x,
+    y, z]: a unit quaternion from the body of the other robot, which is on an earlier line, to the
+    own body. Version 2.
+    """)  # fmt: skip
+    """Measured relative orientations, rows of (robot or stance, dock, earlier robot, its dock, unit
+    quaternion from the earlier robot's body to the robot's (4)), shape (Q, 8)."""
+
+    touches: NDArray[np.int32] = _listed(
+        "dock or null", "robot", "dock or null", version=2, meaning="""
+    Contacts of unknown docks, rows of [own dock or null, other robot, other dock or null], at
+    least one of them null; the other robot is on an earlier line. Version 2.
+    """)  # fmt: skip
+    """Contacts of unknown docks, rows of (robot or stance, dock or -1, earlier robot, its dock or
+    -1), shape (H, 4)."""
+
+    displacements: Reals = _listed(
+        "robot", *["vector"] * 3, "sd", version=2, repeats=True, meaning="""
+    Measured vectors between centers, rows of [other robot, x, y, z, sd] [length unit]: from the
+    own center to that of the other robot, which is on an earlier line, in the own body frame. The
+    sd holds along each axis, beside the noise of the own orientation. Version 2.
+    """)  # fmt: skip
+    """Measured vectors from the center to the final center of an earlier robot, rows of (robot or
+    stance, other robot, vector in the robot's body frame (3), standard deviation along each axis),
+    shape (V, 6). The standard deviation is without the noise of the robot's orientation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stances(Sensed):
     """The M stances of all robots before their final ones, by robot and then by time.
 
     The stances of robot i are rows `start[i]` to `start[i + 1]`.
@@ -84,39 +230,14 @@ class Stances:
     pivot_dock: NDArray[np.int32]
     """Dock that stays put while the robot flips out of the stance, shape (M,)."""
 
-    contacts: NDArray[np.int32]
-    """Sensed contacts, rows of (stance, own dock, other robot, other dock), shape (K, 4)."""
-
-    ground_docks: NDArray[np.int32]
-    """Docks on flat ground, rows of (stance, own dock), shape (G, 2)."""
-
-    fixes: Reals = field(default_factory=lambda: np.empty((0, 7)))
-    """Fixes as in `SensingLog`, rows that start with the stance, shape (F, 7)."""
-
-    ranges: Reals = field(default_factory=lambda: np.empty((0, 5)))
-    """Ranges as in `SensingLog`, rows that start with the stance, shape (D, 5)."""
-
-    directions: Reals = field(default_factory=lambda: np.empty((0, 7)))
-    """Directions as in `SensingLog`, rows that start with the stance, shape (U, 7)."""
-
-    connections: Reals = field(default_factory=lambda: np.empty((0, 8)))
-    """Connections as in `SensingLog`, rows that start with the stance, shape (Q, 8)."""
-
-    touches: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 4), np.int32))
-    """Touches as in `SensingLog`, rows that start with the stance, shape (H, 4)."""
-
-    displacements: Reals = field(default_factory=lambda: np.empty((0, 6)))
-    """Displacements as in `SensingLog`, rows that start with the stance, shape (V, 6)."""
-
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class SensingLog:
+class SensingLog(Sensed):
     """Everything a swarm of N robots sensed.
 
     Robots are numbered 0 to N - 1 in join order; robot 0 is the anchor. The log holds no true
     position except the anchor's. Rows of lists, here and in `stances`, are sorted, so two logs with
-    equal content have equal arrays. They are unique but for fixes, ranges and displacements, which
-    a device may repeat.
+    equal content have equal arrays. They are unique, but where their key repeats.
     """
 
     robot_id: Ints
@@ -149,40 +270,16 @@ class SensingLog:
     ground_z: float | None = None
     """Height of the flat ground; None without flat ground."""
 
-    ground_docks: NDArray[np.int32]
-    """Docks on flat ground at the final stance, rows of (robot, dock), shape (G, 2)."""
-
-    fixes: Reals = field(default_factory=lambda: np.empty((0, 7)))
-    """Measured coordinates of centers at the final stance, rows of (robot, direction (3), value,
-    standard deviation, source), shape (F, 7). The source is a row of `source_name`, or -1 for none;
-    the standard deviation is without the error that its measurements share."""
-
-    ranges: Reals = field(default_factory=lambda: np.empty((0, 5)))
-    """Measured distances from the final center to that of an earlier robot, rows of (robot, other
-    robot, distance, standard deviation, source), shape (D, 5). Source and standard deviation are as
-    in `fixes`."""
-
-    directions: Reals = field(default_factory=lambda: np.empty((0, 7)))
-    """Measured directions of contacts at the final stance, rows of (robot, dock, earlier robot,
-    its dock, unit vector from dock to dock in the robot's body frame (3)), shape (U, 7)."""
-
-    connections: Reals = field(default_factory=lambda: np.empty((0, 8)))
-    """Measured relative orientations at the final stance, rows of (robot, dock, earlier robot, its
-    dock, unit quaternion from the earlier robot's body to the robot's (4)), shape (Q, 8)."""
-
-    touches: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 4), np.int32))
-    """Contacts of unknown docks at the final stance, rows of (robot, dock or -1, earlier robot, its
-    dock or -1), shape (H, 4). A dock that is not known is -1."""
-
-    displacements: Reals = field(default_factory=lambda: np.empty((0, 6)))
-    """Measured vectors from the final center to that of an earlier robot, rows of (robot, other
-    robot, vector in the robot's body frame (3), standard deviation along each axis), shape (V, 6).
-    The standard deviation is without the noise of the robot's orientation."""
-
-    flip_height: Reals
+    flip_height: Reals = field(
+        metadata=_of_robot(
+            "height", meaning="Height of the center that the flips imply [length unit]."
+        )
+    )
     """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""
 
-    spawn_position: Reals
+    spawn_position: Reals = field(
+        metadata=_of_robot(*["coordinate"] * 3, meaning="Center at the first stance [length unit].")
+    )
     """Sensed center at the first stance; NaN where missing, shape (N, 3)."""
 
     stances: Stances | None = None
@@ -273,6 +370,49 @@ class SensingLog:
     def yaw_bias(self) -> float:
         """Standard deviation of the robots' biases of yaw [rad]; 0 where the log states none."""
         return math.radians((self.noise and self.noise.yaw_bias_deg) or 0.0)
+
+
+LISTS: dict[str, Key] = {each.name: each.metadata["key"] for each in fields(Sensed)}
+"""Keys of every stance, in the order in which they are written."""
+
+NUMBERS: dict[str, Key] = {
+    each.name: each.metadata["key"]
+    for each in fields(SensingLog)
+    if "key" in each.metadata and each.name not in LISTS
+}
+"""Keys of a robot with optional numbers, NaN in the log where a line has none."""
+
+KEYS = LISTS | NUMBERS
+"""The table of keys. To add one, declare its field in `Sensed` or `SensingLog`: readers, writers,
+checks, schema and builder follow."""
+
+
+def moved(log: SensingLog, by: Reals) -> SensingLog:
+    """Move all positions of a log by a vector, shape (3,)."""
+
+    def numbers(part: Sensed, keys: Mapping[str, Key]) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, key in keys.items():
+            rows = getattr(part, name)
+            if "value" in key.columns:
+                start = 1 + key.columns.index("normal")
+                found[name] = rows.copy()
+                value = 1 + key.columns.index("value")
+                found[name][:, value] += rows[:, start : start + len(by)] @ by
+            elif "height" in key.columns:
+                found[name] = rows + by[2]
+            elif "coordinate" in key.columns:
+                found[name] = rows + by
+        return found
+
+    stances = log.stances
+    return replace(
+        log,
+        anchor_position=log.anchor_position + by,
+        ground_z=None if log.ground_z is None else log.ground_z + float(by[2]),
+        stances=stances and replace(stances, **numbers(stances, LISTS)),
+        **numbers(log, KEYS),
+    )
 
 
 def canonical_contacts(contacts: NDArray[np.int32]) -> NDArray[np.int32]:

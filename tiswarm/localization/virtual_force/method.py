@@ -14,6 +14,7 @@ schedule `together` all robots step at once; the module `together` does that.
 """
 
 from collections.abc import Callable, Hashable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ from tiswarm.records.sensing_format import (
     parse_header,
     parse_robot,
 )
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import LISTS, NUMBERS, SensingLog, moved
 
 _WORLD_UP = np.array([[0.0, 0.0, 1.0]])
 _TOGETHER = "tiswarm.localization.virtual_force.together"
@@ -217,8 +218,8 @@ class Localizer:
     @property
     def positions(self) -> Reals:
         """Estimated centers in the log's unit, in join order, shape (n, 3)."""
-        moved: Reals = self._robots.position[: self._count] * self._unit + self._anchor
-        return moved
+        center: Reals = self._robots.position[: self._count] * self._unit + self._anchor
+        return center
 
     def join(self, robot: Line) -> Reals:
         """Place the next robot; the first one is the anchor.
@@ -256,25 +257,24 @@ class Localizer:
 
     def _alone(self, line: RobotLine, stance: SensedStance) -> SensingLog:
         """Make a log of one robot, without contacts, relative to the anchor."""
-        level, up = self._head.ground_z, self._anchor[2]
-        height = np.nan if line.flip_height is None else line.flip_height - up
-        docks = [(0, *dock) for dock in stance.lists["ground_docks"]]
-        fixes = np.array([(0, *fix) for fix in stance.lists["fixes"]], np.float64).reshape(-1, 7)
-        fixes[:, 4] -= fixes[:, 1:4] @ self._anchor
-        return SensingLog(
+        sensed: dict[str, Any] = {
+            name: key.rows([(0, *item) for item in stance.lists[name]])
+            for name, key in LISTS.items()
+            if key.robot is None
+        }
+        sensed |= {name: key.numbers([getattr(line, name)]) for name, key in NUMBERS.items()}
+        alone = SensingLog(
             robot_id=np.zeros(1, np.int64),
             dock_radius=self._unit,
             dock_offset_body=np.array(self._head.dock_offsets),
-            anchor_position=np.zeros(3),
+            anchor_position=np.array(self._head.anchor_position),
             orientation_wxyz=np.array([stance.orientation_wxyz]),
             contacts=np.empty((0, 4), np.int32),
-            ground_z=None if level is None else level - up,
-            ground_docks=np.array(docks, np.int32).reshape(-1, 2),
-            fixes=fixes,
-            flip_height=np.array([height]),
-            spawn_position=np.full((1, 3), np.nan),
+            ground_z=self._head.ground_z,
+            **sensed,
             **self._head.source_arrays(),
         )
+        return moved(alone, -self._anchor)
 
     @backend.exclusive()
     def _place(self, contact: NDArray[np.int32]) -> None:

@@ -56,13 +56,13 @@ from tiswarm.parts.online.layers import LocalLayers
 from tiswarm.parts.online.lines import mentioned, standing
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import (
-    STANCE_LISTS,
     HeaderLine,
     RobotLine,
     StanceEntry,
     line_text,
     parse_header,
 )
+from tiswarm.records.sensing_log import LISTS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +95,7 @@ OF_ROW = 40
 """Operations for the residual of a row and its derivatives [1]."""
 OF_PAIR = 10
 """Operations to find whether two robots are near [1]."""
-_LEVEL = (1.0, 0.0, 0.0, 0.0)
+_LEVEL = [1.0, 0.0, 0.0, 0.0]
 
 _SIZE = 2
 """Bytes of a number or a length between lines."""
@@ -304,9 +304,9 @@ def _about(line: RobotLine, robots: AbstractSet[int]) -> RobotLine:
 
     def cleared(entry: _Entry) -> _Entry:
         kept = {
-            key: [item for item in items if item[kinds.index("robot")] in robots]
-            for key, kinds in STANCE_LISTS.items()
-            if "robot" in kinds and (items := getattr(entry, key))
+            name: [item for item in items if item[key.robot] in robots]
+            for name, key in LISTS.items()
+            if key.robot is not None and (items := getattr(entry, name))
         }
         return entry.model_copy(update=kept)
 
@@ -321,7 +321,7 @@ def _held(line: RobotLine, center: Reals, unit: float) -> RobotLine:
     return line.model_copy(update={"fixes": [*(line.fixes or []), *fixes]})
 
 
-_ANCHOR = RobotLine(robot=0, orientation_wxyz=list(_LEVEL), contacts=[])
+_ANCHOR = RobotLine.model_validate({"robot": 0, "orientation_wxyz": _LEVEL, "contacts": []})
 """An anchor that nothing is known about but its place."""
 
 

@@ -22,7 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Reals
-from tiswarm.records.sensing_format import STANCE_LISTS, RobotLine, StanceEntry
+from tiswarm.records.sensing_format import RobotLine, StanceEntry
+from tiswarm.records.sensing_log import LISTS
 
 NUMBER = 12
 """Bits of a robot's number."""
@@ -277,7 +278,7 @@ def read_line(content: bytes, docks: int, bits: int | None) -> RobotLine:
 
 def _others(line: RobotLine) -> dict[str, object]:
     """Gather what a line says beside orientations, contacts and the ground."""
-    names = [key for key in STANCE_LISTS if key not in _PLAIN]
+    names = [key for key in LISTS if key not in _PLAIN]
 
     def lists(entry: RobotLine | StanceEntry) -> dict[str, object]:
         return {key: getattr(entry, key) for key in names if getattr(entry, key)}

@@ -1,33 +1,36 @@
 """Lines of robots as a tracker takes them: what it refuses, and what it leaves out."""
 
+from typing import Any
+
 from tiswarm.base.errors import InputError
-from tiswarm.records.sensing_format import STANCE_LISTS, HeaderLine, RobotLine
+from tiswarm.records.sensing_format import HeaderLine, RobotLine
+from tiswarm.records.sensing_log import LISTS
 
 
 def standing(line: RobotLine) -> RobotLine:
     """Leave of a robot that it stands, and whether it is planar."""
-    return RobotLine.model_construct(
-        robot=line.robot, orientation_wxyz=line.orientation_wxyz, contacts=[], fixes=line.fixes
-    )
+    stays: dict[str, Any] = {"contacts": []}
+    stays |= {key: getattr(line, key) for key in ("robot", "orientation_wxyz", "fixes")}
+    return RobotLine.model_construct(**stays)
 
 
 def mentioned(line: RobotLine) -> set[int]:
     """List the robots that any stance of a robot names."""
     return {
-        item[kinds.index("robot")]
+        item[key.robot]
         for entry in (line, *(line.stances or []))
-        for key, kinds in STANCE_LISTS.items()
-        if "robot" in kinds
-        for item in getattr(entry, key) or []
+        for name, key in LISTS.items()
+        if key.robot is not None
+        for item in getattr(entry, name) or []
     }
 
 
 def released(line: RobotLine, contact: tuple[int | None, int, int | None]) -> RobotLine:
     """Drop the items of the final stance that begin with these docks in contact."""
     kept = {
-        key: [item for item in items if tuple(item[:3]) != contact]
-        for key, kinds in STANCE_LISTS.items()
-        if kinds[1:2] == ("robot",) and (items := getattr(line, key))
+        name: [item for item in items if tuple(item[:3]) != contact]
+        for name, key in LISTS.items()
+        if key.is_of_docks and (items := getattr(line, name))
     }
     return line.model_copy(update=kept)
 
