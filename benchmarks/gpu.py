@@ -34,7 +34,7 @@ from tiswarm.app import doctor
 from tiswarm.base.params import ARCHS
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, machine
-from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_log import SensingLog
@@ -198,7 +198,7 @@ def time_joint(arch: str, robots: int) -> dict[str, Any]:
     places = []
     for name in ("cpu", arch):
         backend.start(name)
-        annealer = Annealer(logs, [params] * len(logs), problems)
+        annealer = annealer_of(logs, [params] * len(logs), problems)
         annealer.advance(FIRST_STEPS)
         places.append(annealer.by_robot(annealer.swarm.position))
         begin = time.perf_counter()

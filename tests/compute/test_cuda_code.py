@@ -18,7 +18,7 @@ from tests.devices import require, run_child
 from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute import backend
-from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.kernels import note_places
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
@@ -80,7 +80,7 @@ def compile_all(precision: str, log_file: str) -> None:
     with pytest.raises(EnvironmentTroubleError, match=r"4000.* GB of memory and 8\.0 GB of cuda"):
         backend.current().require_memory(4e12, 9)
     params = JointParams(chains=2, steps=20, hold_steps=10, solve_yaw=True)
-    annealer = Annealer([log], [params], [pose_problem(log, params)])
+    annealer = annealer_of([log], [params], [pose_problem(log, params)])
     note_places(annealer.swarm.position, annealer.blocks.listed)
     with pytest.raises(EnvironmentTroubleError, match="its driver is faulty"):
         annealer.advance(5)

@@ -17,7 +17,7 @@ from tiswarm.engine import kernels
 from tiswarm.engine.relax import PreparedSwarm
 from tiswarm.localization import methods
 from tiswarm.localization.chains import annealer
-from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.records.positions import write_estimate
@@ -93,7 +93,7 @@ def _annealed(logs, by_block):
     """Take five steps of two chains, blocks as for `Annealer`; return the places."""
     params = [JointParams(chains=2, steps=20, hold_steps=10)] * len(logs)
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
-    annealer = Annealer(logs, params, problems, by_block=by_block)
+    annealer = annealer_of(logs, params, problems, by_block=by_block)
     annealer.advance(5)
     return annealer.by_robot(annealer.swarm.position)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tiswarm.base.errors import EnvironmentTroubleError
@@ -127,3 +128,35 @@ def test_replaced_output_stays_silent():
     done = subprocess.run([sys.executable, "-c", replaced], capture_output=True, check=True)
 
     assert (done.stdout, done.stderr) == (b"", b"")
+
+
+class _Plane(lang.Columns):
+    POINT = 3
+    PRECISION = 1
+
+
+class _NamedPlane(_Plane):
+    NUMBER = 1
+
+
+def test_columns_have_one_place_and_one_width():
+    """A table is packed as it was declared, whatever the order of arguments."""
+    point, precision = np.arange(6.0).reshape(2, 3), np.array([7.0, 8.0])
+
+    table = _NamedPlane.pack(NUMBER=precision, PRECISION=precision, POINT=point)
+
+    assert (_NamedPlane.POINT, _NamedPlane.PRECISION, _NamedPlane.NUMBER) == (0, 3, 4)
+    assert (_Plane.TOTAL, _NamedPlane.TOTAL) == (4, 5)
+    np.testing.assert_array_equal(table[:, _NamedPlane.PRECISION], precision)
+    np.testing.assert_array_equal(table[:, :3], point)
+
+
+@pytest.mark.parametrize(
+    "columns", [{"PRECISION": 1}, {"POINT": 2}, {"POINT": 3, "NUMBER": 1}], ids=str
+)
+def test_a_table_without_its_columns_is_refused(columns):
+    """A column is missing, has another width, or is of another table."""
+    arrays = {name: np.ones((4, width)) for name, width in columns.items()}
+
+    with pytest.raises(ValueError, match="columns of _Plane"):
+        _Plane.pack(**arrays)

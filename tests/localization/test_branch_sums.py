@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from tiswarm.compute import backend
-from tiswarm.localization.chains.annealer import Annealer
-from tiswarm.localization.chains.arrays import MASS, TAKEN, VELOCITY, WEIGHT
+from tiswarm.localization.chains.annealer import annealer_of
+from tiswarm.localization.chains.arrays import BlockProgress, BodyMotion, SubtreeMotion
 from tiswarm.localization.chains.card_kernels import RUN, STEPS_A_LAUNCH
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.subtrees import find_subtrees
 from tiswarm.localization.settings import JointParams
 from tiswarm.sensing import SensingParams, observe
 
@@ -42,7 +41,7 @@ def as_card(monkeypatch):
 
 def annealer(logs):
     """Make the annealer of some logs."""
-    return Annealer(logs, [PARAMS] * len(logs), [pose_problem(log, PARAMS) for log in logs])
+    return annealer_of(logs, [PARAMS] * len(logs), [pose_problem(log, PARAMS) for log in logs])
 
 
 def test_cards_take_the_steps_of_processors(logs, as_card):
@@ -59,7 +58,7 @@ def test_cards_take_the_steps_of_processors(logs, as_card):
 
         place, other = (a.swarm.position.to_numpy() for a in (here, there))
         np.testing.assert_allclose(other, place, rtol=0, atol=1e-9)
-    assert there.blocks.progress[0, TAKEN] == 9
+    assert there.blocks.progress[0, BlockProgress.TAKEN] == 9
 
 
 @pytest.mark.parametrize("scale", [1.0, 3000.0])
@@ -72,13 +71,13 @@ def test_sums_on_branches_are_as_precise_as_stated(logs, as_card, scale):
     sums.advance(1)
 
     of_robots = sums.by_robot(sums.swarm.motion)
-    force, mass = of_robots[..., :MASS], of_robots[..., MASS]
-    motion = sums.trees.motion.to_numpy().reshape(PARAMS.chains, -1, WEIGHT + 1)
-    pull = motion[..., :VELOCITY]
+    force, mass = of_robots[..., : BodyMotion.MASS], of_robots[..., BodyMotion.MASS]
+    motion = sums.trees.motion.to_numpy().reshape(PARAMS.chains, -1, SubtreeMotion.WEIGHT + 1)
+    pull = motion[..., : BodyMotion.VELOCITY]
     assert (np.abs(force).max() > 1e3) == (scale > 1.0)
     subtree = 0
-    for log, problem, first in zip(logs, sums.problems, sums.start[:-1], strict=True):
-        tree = find_subtrees(problem.pair, problem.roots, log.robot_count)
+    for view, first in zip(sums.views, sums.start[:-1], strict=True):
+        tree = view.forest
         member = np.eye(len(tree.parent))
         for k in range(len(tree.parent) - 1, 0, -1):
             member[tree.parent[k]] += member[k]
@@ -90,7 +89,7 @@ def test_sums_on_branches_are_as_precise_as_stated(logs, as_card, scale):
         rounding = 1e-15 * np.einsum("tn,cnk->ctk", member, np.abs(force[:, robots]))
         bound = 2.0**-36 * member.sum(axis=1)[:, None] + rounding
         assert (np.abs(found[..., :3] - every) <= bound).all()
-        weight = motion[:, subtree : subtree + len(tree.parent), WEIGHT]
+        weight = motion[:, subtree : subtree + len(tree.parent), SubtreeMotion.WEIGHT]
         masses = np.add.reduceat(mass[:, robots], tree.first[:-1], axis=1)
         np.testing.assert_allclose(found[..., 3], weight * masses, rtol=1e-10)
         subtree += len(tree.parent)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.structures import Rule, structure
 from tiswarm.localization import joint
-from tiswarm.localization.chains.annealer import Annealer, anneal
+from tiswarm.localization.chains.annealer import anneal, annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.ends import failed, squares
@@ -33,7 +33,7 @@ def test_no_chain_gains_energy(kind):
     """
     log, _ = structure(Rule(kind=kind, offset=1.1547, untied=0.3), 60, 0)
     params = JointParams()
-    annealer = Annealer([log], [params], [pose_problem(log, params)])
+    annealer = annealer_of([log], [params], [pose_problem(log, params)])
     heat = []
 
     for step in (200, 300, 500, 800, 1200, 1800, 2500, 3000):
@@ -56,7 +56,7 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
     rows = known.rows
     short = dataclasses.replace(rows, arm=0.1 * rows.arm, other_arm=0.1 * rows.other_arm)
     again = dataclasses.replace(known, rows=short)  # nowhere can all of these hold
-    annealer = Annealer([log], [params], [again])
+    annealer = annealer_of([log], [params], [again])
     annealer.advance(1500)
     heat = []
 
@@ -197,7 +197,7 @@ def test_parts_that_nothing_ties_are_kept_out_of_each_others_way():
         found = localize(log, dataclasses.replace(SHORT, seed=seed))
         known = pose_problem(log, SHORT)
         bound = known.reach() + 5.0
-        annealer = Annealer([log], [SHORT], [known])
+        annealer = annealer_of([log], [SHORT], [known])
         start = annealer.by_robot(annealer.swarm.position)[0]
         first = np.unique(known.part, return_index=True)[1]
         apart = np.linalg.norm(start[first][:, None] - start[first], axis=2)

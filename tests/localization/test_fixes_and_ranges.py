@@ -7,8 +7,8 @@ import pytest
 
 from tests import foreign
 from tests.structures import with_fixes, with_ranges
-from tiswarm.localization.chains.annealer import start_sigma
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.views import start_sigma
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.verdict import assess
 from tiswarm.localization.settings import HopByHopParams, JointParams, LeastSquaresParams

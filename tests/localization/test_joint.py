@@ -8,16 +8,8 @@ import pytest
 from tests import oracle
 from tests.structures import NOISY, silent, with_directions, with_fixes, with_ranges
 from tiswarm.localization.chains import initialization
-from tiswarm.localization.chains.annealer import Annealer, anneal
-from tiswarm.localization.chains.arrays import (
-    AGE,
-    IS_THIN,
-    MASS,
-    TORQUE,
-    VELOCITY,
-    WEIGHT,
-    YAW,
-)
+from tiswarm.localization.chains.annealer import anneal, annealer_of
+from tiswarm.localization.chains.arrays import BlockProgress, BodyMotion, Heading, SubtreeMotion
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.chains.subtrees import find_subtrees, weights
@@ -61,19 +53,19 @@ def test_forces_match_the_energies_written_out_slowly(towers, docks, noise, robu
         log = with_directions(log, towers[0], sd_deg=5.0, robots=range(0, 30, 2))
     params = dataclasses.replace(SHORT, robust=robust, start_sigma=0.3, end_sigma=0.3)
     known = pose_problem(log, params)
-    annealer = Annealer([log], [params], [known])
+    annealer = annealer_of([log], [params], [known])
     annealer.advance(steps)
     before, heading = (
         annealer.by_robot(annealer.swarm.position),
         annealer.by_robot(annealer.swarm.heading),
     )
-    yaw = heading[:, :, YAW]
+    yaw = heading[:, :, Heading.YAW]
     size = 2.0 * min(1.0, (steps + 1) / (ANNEALING.growing * SHORT.steps))
 
     annealer.advance(steps + 1)
 
-    forces = annealer.by_robot(annealer.swarm.motion)[..., :MASS]
-    torques = annealer.by_robot(annealer.swarm.heading)[:, :, TORQUE]
+    forces = annealer.by_robot(annealer.swarm.motion)[..., : BodyMotion.MASS]
+    torques = annealer.by_robot(annealer.swarm.heading)[:, :, Heading.TORQUE]
     is_biased = noise.yaw_bias_deg > 0.0
     assert (np.abs(yaw).max() > 0.05) == is_biased
     for k in range(SHORT.chains):
@@ -135,14 +127,16 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed
     log = dataclasses.replace(log, fixes=np.array(fixes).reshape(-1, 7))
     params = dataclasses.replace(SHORT, walk_contacts=False)
     known = pose_problem(log, params)
-    annealer = Annealer([log], [params], [known])
+    annealer = annealer_of([log], [params], [known])
     tree = find_subtrees(known.pair, known.roots, log.robot_count)
     count = len(tree.parent)
     annealer.advance(4)
     before = annealer.by_robot(annealer.swarm.position)
     _, mass, speed = _split(annealer.by_robot(annealer.swarm.motion))
     slow = speed * np.sqrt(mass)
-    _, weight, speed = _split(annealer.trees.motion.to_numpy().reshape(-1, count, WEIGHT + 1))
+    _, weight, speed = _split(
+        annealer.trees.motion.to_numpy().reshape(-1, count, SubtreeMotion.WEIGHT + 1)
+    )
     heavy_before = speed * np.sqrt(weight)
 
     annealer.advance(5)
@@ -150,7 +144,9 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed
     # Robots and branches that become heavier keep their kinetic energy.
     force, mass, speed = _split(annealer.by_robot(annealer.swarm.motion))
     expected = 0.5 * (slow / np.sqrt(mass) + force / mass + speed)
-    pulls, weight, heavy = _split(annealer.trees.motion.to_numpy().reshape(-1, count, WEIGHT + 1))
+    pulls, weight, heavy = _split(
+        annealer.trees.motion.to_numpy().reshape(-1, count, SubtreeMotion.WEIGHT + 1)
+    )
     for k in range(1, count):
         robots = _members(tree, k)
         own = tree.order[tree.first[k] : tree.first[k + 1]]
@@ -169,7 +165,11 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed
 
 def _split(motion):
     """Split a table of motions into forces, masses and velocities."""
-    return motion[..., :MASS], motion[..., MASS:VELOCITY], motion[..., VELOCITY : VELOCITY + 3]
+    return (
+        motion[..., : BodyMotion.MASS],
+        motion[..., BodyMotion.MASS : BodyMotion.VELOCITY],
+        motion[..., BodyMotion.VELOCITY : BodyMotion.VELOCITY + 3],
+    )
 
 
 def test_a_pair_stands_as_far_apart_as_its_likelihood_says():
@@ -251,7 +251,7 @@ def test_steps_are_the_same_however_threads_share_them(towers):
     short = dataclasses.replace(SHORT, steps=60, hold_steps=20)
     params = [dataclasses.replace(short, end_sigma=end) for end in (None, 0.1, 0.2)]
     known = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
-    swarms = [Annealer(logs, params, known, by_block=by_block) for by_block in (True, False)]
+    swarms = [annealer_of(logs, params, known, by_block=by_block) for by_block in (True, False)]
     rows = swarms[0].neighbors
     rows.make_room(0)  # what does not fit is given room on the way
 
@@ -268,14 +268,14 @@ def test_steps_are_the_same_however_threads_share_them(towers):
 def test_rows_serve_as_if_made_anew_for_each_step(log):
     """Thin ones while all is hot, thick ones for many steps later: no overlap is missed."""
     known = [pose_problem(log, SHORT)]
-    kept, anew = (Annealer([log], [SHORT], known) for _ in range(2))
+    kept, anew = (annealer_of([log], [SHORT], known) for _ in range(2))
     skins, ages = set(), []
 
     for step in range(1, SHORT.steps + 1):
         kept.advance(step)
         progress = kept.blocks.progress.to_numpy()
-        skins |= set(progress[:, IS_THIN].tolist())
-        ages.append(progress[:, AGE].max())
+        skins |= set(progress[:, BlockProgress.IS_THIN].tolist())
+        ages.append(progress[:, BlockProgress.AGE].max())
         anew.forget_rows()
         anew.advance(step)
 

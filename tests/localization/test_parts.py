@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from tests import oracle
 from tests.structures import Rule, structure, with_heights
-from tiswarm.localization.chains.annealer import Annealer
-from tiswarm.localization.chains.arrays import MASS, MOVES
+from tiswarm.localization.chains.annealer import annealer_of
+from tiswarm.localization.chains.arrays import BodyMotion, SubtreeLabel
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.cost.planes import Planes
@@ -54,7 +54,7 @@ def test_a_plane_that_alone_holds_its_part_pulls_however_far_the_part_is(swarm):
     """The robust loss would let go of it, and then nothing would bring the part back."""
     log, _ = swarm
     known = pose_problem(log, SHORT)
-    annealer = Annealer([log], [SHORT], [known])
+    annealer = annealer_of([log], [SHORT], [known])
     away = annealer.by_robot(annealer.swarm.position)
     away += 40.0 * known.part[:, None]
     annealer.memory.refill(annealer.swarm.position, away[:, annealer.order].reshape(-1, 3))
@@ -62,7 +62,7 @@ def test_a_plane_that_alone_holds_its_part_pulls_however_far_the_part_is(swarm):
     annealer.advance(1)
 
     assert known.part.max() > 1
-    forces = annealer.by_robot(annealer.swarm.motion)[..., :MASS]
+    forces = annealer.by_robot(annealer.swarm.motion)[..., : BodyMotion.MASS]
     size = 2.0 / (ANNEALING.growing * SHORT.steps)
     for k in range(SHORT.chains):
         slow, _ = oracle.joint_force(
@@ -79,13 +79,15 @@ def test_branches_move_unless_a_robot_of_theirs_is_measured(swarm):
     some = dataclasses.replace(log, fixes=np.vstack([log.fixes, at_leaf]))
     known = pose_problem(some, SHORT)
 
-    annealer = Annealer([some], [SHORT], [known])
+    annealer = annealer_of([some], [SHORT], [known])
 
     table = annealer.trees.table.to_numpy()
     first = set(np.unique(known.part, return_index=True)[1].tolist())
     assert set(known.roots.tolist()) == first
     branches = [set(annealer.order[a:b].tolist()) for a, b in table[:, [0, 2]]]
-    for robots, free in zip(branches, table[:, MOVES : MOVES + 3].tolist(), strict=True):
+    for robots, free in zip(
+        branches, table[:, SubtreeLabel.MOVES : SubtreeLabel.MOVES + 3].tolist(), strict=True
+    ):
         assert free == [0 not in robots, not {0, leaf} & robots, robots <= first - {0}]
     for part in range(1, known.part.max() + 1):
         assert set(np.flatnonzero(known.part == part).tolist()) in branches

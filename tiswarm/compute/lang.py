@@ -30,7 +30,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tiswarm.base.errors import EnvironmentTroubleError
 
@@ -158,8 +161,48 @@ A loop over few, long pieces of work runs on one thread unless each piece stands
 that many iterations: `for piece, idle in ti.ndrange(pieces, GRAIN): if idle == 0:`.
 """
 
+
+class Columns:
+    """Columns of a table that a kernel takes, in order; a subclass names each with its width.
+
+    In the subclass, a name stands for the first of its columns, and `TOTAL` for their number. A
+    subclass of a subclass appends columns.
+
+    >>> class Plane(Columns):
+    ...     POINT = 3
+    ...     PRECISION = 1
+    >>> Plane.POINT, Plane.PRECISION, Plane.TOTAL
+    (0, 3, 4)
+    """
+
+    TOTAL: ClassVar[int] = 0
+    _widths: ClassVar[dict[str, int]] = {}
+
+    def __init_subclass__(cls) -> None:
+        """Turn widths into places."""
+        own = {name: width for name, width in vars(cls).items() if name.isupper()}
+        cls._widths = cls._widths | own
+        for name, width in own.items():
+            setattr(cls, name, cls.TOTAL)
+            cls.TOTAL += width
+
+    @classmethod
+    def pack(cls, **columns: NDArray[Any]) -> NDArray[Any]:
+        """Pack columns into a table, shape (rows, widths of those given); the last may be left out.
+
+        Raises:
+            ValueError: a column is missing, or has another width than was declared.
+        """
+        names = [*cls._widths][: len(columns)]
+        parts = [np.atleast_2d(columns[name].T).T for name in names if name in columns]
+        widths = [cls._widths[name] for name in names]
+        if [part.shape[1] for part in parts] != widths:
+            raise ValueError(f"columns of {cls.__name__}: {[*columns]}; give {names} of {widths}")
+        return np.column_stack(parts)
+
+
 __all__ = [
-    "F64", "GRAIN", "I32", "LIBRARY", "DeviceArray", "Float", "Ints1", "Ints2", "Ints3", "Ints4",
-    "Longs2", "Reals1", "Reals2", "Reals3", "Ref", "Static", "Vec3", "Vec4", "holds_integers",
-    "kernel_struct", "ti",
+    "F64", "GRAIN", "I32", "LIBRARY", "Columns", "DeviceArray", "Float", "Ints1", "Ints2", "Ints3",
+    "Ints4", "Longs2", "Reals1", "Reals2", "Reals3", "Ref", "Static", "Vec3", "Vec4",
+    "holds_integers", "kernel_struct", "ti",
 ]  # fmt: skip

@@ -14,19 +14,14 @@ from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
-from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
 from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.arrays import (
-    AGE,
-    IS_THIN,
-    MASS,
-    SQUARE,
     STALE,
-    TAKEN,
-    TOTAL,
-    VELOCITY,
-    YAW,
+    BlockProgress,
+    BodyMotion,
+    Heading,
+    Moments,
     block_arrays,
     measured_arrays,
     subtree_arrays,
@@ -34,11 +29,10 @@ from tiswarm.localization.chains.arrays import (
     traits_of,
 )
 from tiswarm.localization.chains.card_kernels import sum_rows, take_steps_on_card
-from tiswarm.localization.chains.initialization import initial_guess, reinitialize_lost
 from tiswarm.localization.chains.kernels import MEMORY, SKIN, THIN_SKIN, note_places, take_steps
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.chains.subtrees import find_subtrees
+from tiswarm.localization.chains.views import ChainView, view_of
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
@@ -56,9 +50,34 @@ def anneal(
     start: Sequence[Reals] | None = None,
     on_progress: Callable[[float], None] = ignore,
 ) -> list[Annealed]:
-    """Anneal structures side by side, in steps halved so often; arguments as for `Annealer`."""
-    annealer = Annealer(logs, params, problems, inertia_factor=4.0**halvings, start=start)
+    """Anneal structures side by side, in steps halved so often; arguments as for `annealer_of`."""
+    annealer = annealer_of(logs, params, problems, inertia_factor=4.0**halvings, start=start)
     return annealer.run(on_progress)
+
+
+def annealer_of(
+    logs: Sequence[SensingLog],
+    params: Sequence[JointParams],
+    problems: Sequence[Problem],
+    *,
+    start: Sequence[Reals] | None = None,
+    by_block: bool | None = None,
+    inertia_factor: float = 1.0,
+) -> "Annealer":
+    """Put the chains of whole logs where they begin.
+
+    Args:
+        logs: One log a structure, all of one batch key with their settings.
+        params: Settings for each.
+        problems: Measurements of each.
+        start: Where the chains of each structure begin, as for `view_of`.
+        by_block: As for `Annealer`.
+        inertia_factor: The same.
+    """
+    begin: Sequence[Reals | None] = start or [None] * len(logs)
+    views = [view_of(*each) for each in zip(logs, params, problems, begin, strict=True)]
+    seed, hold = params[0].seed, params[0].hold_steps
+    return Annealer(views, seed=seed, hold=hold, by_block=by_block, inertia_factor=inertia_factor)
 
 
 class Annealer:
@@ -66,64 +85,43 @@ class Annealer:
 
     def __init__(
         self,
-        logs: Sequence[SensingLog],
-        params: Sequence[JointParams],
-        problems: Sequence[Problem],
+        views: Sequence[ChainView],
         *,
+        seed: int,
+        hold: int,
         by_block: bool | None = None,
         inertia_factor: float = 1.0,
-        start: Sequence[Reals] | None = None,
     ) -> None:
         """Put every chain where it begins.
 
         Args:
-            logs: One log a structure, all of one batch key with their settings.
-            params: Settings for each.
-            problems: Measurements of each.
+            views: Robots and measurements of each structure, all with as many chains and steps.
+            seed: Seed of the random numbers.
+            hold: Steps at the end that are averaged.
             by_block: Whether one thread takes all steps of a structure in one chain; else all
                 threads take each step together. By what is quicker if None; no bit depends on it.
             inertia_factor: Factor of every mass; 4 halves the steps.
-            start: Where the chains of each structure begin, at `start_sigma` of its settings [R],
-                shape (chains, N, 3); at initial guesses if None.
         """
         running = backend.current()
         self.memory = memory = Allocator(running, on_host=False)
         self.on_card = running.on_card
-        self.shared = params[0]
-        self.problems = problems
-        self.robust = [p.robust for p in params]
-        self.inertia_factor = inertia_factor
-        self.size = [log.robot_count for log in logs]
+        self.views, self.seed = views, seed
+        self.size = [len(v.moves) for v in views]
         self.start = np.cumsum([0, *self.size])
-        self.chains = self.shared.chains_for(self.size[0])
-        self.steps = self.shared.steps_for(self.size[0])
+        self.chains = len(views[0].begin)
+        self.sigma = np.array([v.sigma for v in views])
+        self.hold, self.steps = hold, self.sigma.shape[1] - hold
         self.by_block = self._is_quicker_by_block(running) if by_block is None else by_block
-        self.traits = traits_of(problems, by_block=self.by_block)
-        self.sigma = np.array(
-            [
-                cooled(
-                    start_sigma(problem, p) if start is None else p.start_sigma,
-                    end_sigma(problem, p),
-                    self.steps,
-                    self.shared.hold_steps,
-                )
-                for problem, p in zip(problems, params, strict=True)
-            ]
-        )
+        self.traits = traits_of(views, by_block=self.by_block)
         self.target = thermostat(self.sigma)
         # Robots of a subtree stand in a row in memory.
-        trees = [find_subtrees(p.pair, p.roots, len(p.part)) for p in problems]
         offsets = self.start[:-1]
-        self.order = np.concatenate([a + t.order for t, a in zip(trees, offsets, strict=True)])
-        guess = start or [
-            initial_guess(log, problem, self.shared.seed, self.chains)
-            for log, problem in zip(logs, problems, strict=True)
-        ]
-        position = np.concatenate(guess, axis=1)[:, self.order].reshape(-1, 3)
+        self.order = np.concatenate(
+            [a + v.forest.order for v, a in zip(views, offsets, strict=True)]
+        )
+        position = np.concatenate([v.begin for v in views], axis=1)[:, self.order].reshape(-1, 3)
         running.require_memory(len(position) * _BYTES, len(self.order))
-        arm = np.concatenate(
-            [dock_offsets(g.orientation_wxyz, g.dock_offset_body / g.dock_radius) for g in logs]
-        )[self.order]
+        arm = np.concatenate([v.arm for v in views])[self.order]
         self.docks = arm.shape[1]
         self.near = 2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING
         first_of_block = np.cumsum([0, *self.size * self.chains])
@@ -137,13 +135,11 @@ class Annealer:
             start=first_of_block if self.by_block else None,
         )
         self.schedule = memory.upload(np.vstack([self.sigma, grown(self.steps, self.sigma)]))
-        self.measured = measured_arrays(
-            memory, problems, params, self.order, trees=trees, lightest=inertia_factor
-        )
-        self.trees = subtree_arrays(memory, problems, trees, self.chains)
+        self.measured = measured_arrays(memory, views, self.order, inertia_factor)
+        self.trees = subtree_arrays(memory, views, self.chains)
         self.sums = memory.longs(sum_rows(len(position)) if self.on_card else 1, 4)
         self.swarm = swarm_arrays(memory, arm, position, inertia_factor)
-        self.blocks = block_arrays(memory, first_of_block, trees, self.chains)
+        self.blocks = block_arrays(memory, first_of_block, views, self.chains)
 
     def _is_quicker_by_block(self, running: Backend) -> bool:
         """Whether the busiest thread has fewer copies to move; launches count as copies."""
@@ -153,28 +149,35 @@ class Annealer:
         shared = ANNEALING.launch + GRAIN * -(-copies // (GRAIN * running.threads))
         return copies / blocks * -(-blocks // running.threads) <= shared
 
-    def run(self, on_progress: Callable[[float], None] = ignore) -> list[Annealed]:
-        """Take all steps, and report the share of them that is done."""
-        holding = self.shared.hold_steps
-        frames = np.linspace(0, self.steps + holding, ANNEALING.frames).astype(np.int64)
-        frames = np.union1d(frames, self.steps)
+    def run(
+        self, on_progress: Callable[[float], None] = ignore, *, frames: int = ANNEALING.frames
+    ) -> list[Annealed]:
+        """Take all steps, and report the share of them that is done.
+
+        Args:
+            on_progress: Called with that share after each frame.
+            frames: Frames of the trace, at least 2; one more at the end of cooling.
+        """
+        holding = self.hold
+        at = np.linspace(0, self.steps + holding, frames).astype(np.int64)
+        at = np.union1d(at, self.steps)
         trace, yaw_trace, heat = [], [], []
-        for frame in frames.tolist():
+        for frame in at.tolist():
             self.advance(frame)
             on_progress(frame / (self.steps + holding))
             if ANNEALING.reinitialize_from * self.steps <= frame < self.steps:
-                self.reinitialize()
+                self.relocate()
             trace.append(self.by_robot(self.swarm.position)[0])
-            yaw_trace.append(self.by_robot(self.swarm.heading)[0, :, YAW])
+            yaw_trace.append(self.by_robot(self.swarm.heading)[0, :, Heading.YAW])
             if frame > ANNEALING.growing * self.steps:
                 heat.append(self.temperatures(frame - 1))
         last = self.by_robot(self.swarm.position)
-        moves = last.shape[1] > len(self.size)  # anchors do not
+        moves = any(v.moves.any() for v in self.views)
         # Drivers of some cards report success and compute nothing.
         if not np.isfinite(last).all() or (moves and np.array_equal(trace[0], trace[-1])):
             raise backend.faulty_driver()
         total = self.by_robot(self.swarm.total)
-        mean, square = total[..., :SQUARE] / holding, total[..., SQUARE] / holding
+        mean, square = total[..., : Moments.SQUARE] / holding, total[..., Moments.SQUARE] / holding
         # The difference of two sums may round to less than 0.
         within = np.maximum(square - (mean**2).sum(axis=2), 0.0)
         heading = self.by_robot(self.swarm.heading)
@@ -182,13 +185,13 @@ class Annealer:
         return [
             Annealed(
                 mean=mean[:, a:b],
-                mean_yaw=heading[:, a:b, TOTAL] / holding,
-                last_yaw=heading[:, a:b, YAW],
+                mean_yaw=heading[:, a:b, Heading.SUM] / holding,
+                last_yaw=heading[:, a:b, Heading.YAW],
                 sigma=float(self.sigma[n, -1]),
                 temperature=temperature[:, n],
                 within=within[:, a:b],
                 last=last[:, a:b],
-                iteration=frames,
+                iteration=at,
                 trace=np.array([frame[a:b] for frame in trace]),
                 yaw_trace=np.array([frame[a:b] for frame in yaw_trace]),
             )
@@ -202,7 +205,7 @@ class Annealer:
             if not self.by_block and taken == before:
                 raise backend.faulty_driver()
             before = taken
-            if not self.by_block and self.blocks.progress[0, AGE] == STALE:
+            if not self.by_block and self.blocks.progress[0, BlockProgress.AGE] == STALE:
                 self._build_rows()
             self._take_steps(until)
             # A kernel counts entries that found no room and takes no step with them.
@@ -213,21 +216,27 @@ class Annealer:
     def _taken(self) -> int:
         """Return how many steps the slowest block has taken."""
         progress = self.blocks.progress
-        return int(progress.to_numpy()[:, TAKEN].min() if self.by_block else progress[0, TAKEN])
+        return int(
+            progress.to_numpy()[:, BlockProgress.TAKEN].min()
+            if self.by_block
+            else progress[0, BlockProgress.TAKEN]
+        )
 
     def _build_rows(self) -> None:
         """Build the Verlet rows of the whole swarm."""
         listed, progress = self.blocks.listed, self.blocks.progress
         note_places(self.swarm.position, listed)
-        self.neighbors.cutoff = self.near + (THIN_SKIN if progress[0, IS_THIN] else SKIN)
+        self.neighbors.cutoff = self.near + (
+            THIN_SKIN if progress[0, BlockProgress.IS_THIN] else SKIN
+        )
         self.neighbors.build(listed, 0)
-        progress[0, AGE] = 0
+        progress[0, BlockProgress.AGE] = 0
 
     def _take_steps(self, until: int) -> None:
         """Take steps, at most until so many have been taken."""
         rows, robots, contacts, plane = self.neighbors, *self.measured
         known = (
-            self.docks, self.traits, self.near, self.shared.seed, until, self.steps, self.schedule,
+            self.docks, self.traits, self.near, self.seed, until, self.steps, self.schedule,
             *robots, *contacts, plane, *self.trees,
         )  # fmt: skip
         if self.on_card:
@@ -243,7 +252,7 @@ class Annealer:
     def forget_rows(self) -> None:
         """Let the rows of every block be built anew."""
         progress = self.blocks.progress.to_numpy()
-        progress[:, AGE] = STALE
+        progress[:, BlockProgress.AGE] = STALE
         self.memory.refill(self.blocks.progress, progress)
 
     def temperatures(self, step: int) -> Reals:
@@ -255,21 +264,23 @@ class Annealer:
         Returns:
             Temperatures, shape (chains, S); 1 where nobody moves.
         """
-        moving = np.concatenate([np.arange(size) > 0 for size in self.size])
+        moving = np.concatenate([v.moves for v in self.views])
         motion = self.by_robot(self.swarm.motion)
-        energy = motion[..., MASS] * (motion[..., VELOCITY : VELOCITY + 3] ** 2).sum(axis=2)
+        energy = motion[..., BodyMotion.MASS] * (
+            motion[..., BodyMotion.VELOCITY : BodyMotion.VELOCITY + 3] ** 2
+        ).sum(axis=2)
         total = np.add.reduceat(energy * moving, self.start[:-1], axis=1)
-        freedom = 3.0 * (np.array(self.size) - 1.0) * self.target[:, step]
+        count = np.add.reduceat(moving, self.start[:-1], dtype=np.float64)
+        freedom = 3.0 * count * self.target[:, step]
         return np.where(freedom > 0.0, total / np.where(freedom > 0.0, freedom, 1.0), 1.0)
 
-    def reinitialize(self) -> None:
-        """Initialize robots anew that lost most of their contacts, where the loss is robust."""
+    def relocate(self) -> None:
+        """Place robots anew that chains have lost, in views that have a rule for it."""
         position, heading = self.by_robot(self.swarm.position), self.by_robot(self.swarm.heading)
         moved = 0
-        bounds = pairwise(self.start)
-        for problem, is_robust, (a, b) in zip(self.problems, self.robust, bounds, strict=True):
-            if is_robust:
-                moved += reinitialize_lost(problem, position[:, a:b], heading[:, a:b, YAW])
+        for view, (a, b) in zip(self.views, pairwise(self.start), strict=True):
+            if view.relocate is not None:
+                moved += view.relocate(position[:, a:b], heading[:, a:b, Heading.YAW])
         if moved:
             self.memory.refill(self.swarm.position, position[:, self.order].reshape(-1, 3))
             self.forget_rows()
@@ -278,37 +289,6 @@ class Annealer:
         """Read an array of every copy as logs number robots, shape (chains, N, ...)."""
         value: Reals = array.to_numpy().astype(np.float64)
         return value.reshape(self.chains, -1, *value.shape[1:])[:, np.argsort(self.order)]
-
-
-def start_sigma(problem: Problem, params: JointParams) -> float:
-    """Choose the square root of the temperature at which annealing of one structure begins [R].
-
-    Ranges are longer than contacts. Where they alone tie robots to each other, the first guess is
-    often folded, and colder chains remain so.
-    """
-    is_contact = problem.rows.is_contact
-    by_ranges = len(is_contact) > 0 and not is_contact.any()
-    return max(params.start_sigma, ANNEALING.ranged * by_ranges)
-
-
-def end_sigma(problem: Problem, params: JointParams) -> float:
-    """Choose the square root of the end temperature of one structure [R].
-
-    The colder the end, the better it separates solutions that miss measurements by little. But
-    colder chains sample less of what nothing measures, and noise leaves nothing to be separated.
-    """
-    if params.end_sigma is not None:
-        return params.end_sigma
-    coldest, warmest = ANNEALING.coldest, ANNEALING.warmest
-    noise = float(np.sqrt(np.median(problem.variance))) if len(problem.variance) else warmest
-    lacking = problem.underdetermination / ANNEALING.underdetermined
-    return min(max(coldest + (warmest - coldest) * lacking, noise), warmest)
-
-
-def cooled(begin: float, end: float, steps: int, holding: int) -> Reals:
-    """Cool by the same factor at every step, then hold; sigma of each, shape (steps + holding,)."""
-    falling = begin * (end / begin) ** (np.arange(steps) / steps)
-    return np.concatenate([falling, np.full(holding, end)])
 
 
 def grown(steps: int, sigma: Reals) -> Reals:

@@ -4,27 +4,22 @@ The swarm is C copies, one a chain, of N robots: those of all structures, end to
 structure in one chain are a block; there are B blocks. All structures together have T subtrees.
 Copy r of robot i in chain c is number c N + i. Lengths in R.
 
-A table has a name for each of its columns, or for the first of several that form a vector.
-
 Robots of a subtree stand in a row in memory. `order` is that order, of the robots of all structures
 end to end, shape (N,).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import Flag, auto
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.backend import Allocator
-from tiswarm.compute.lang import DeviceArray, Ints2, Reals1, Reals2, Reals3
-from tiswarm.localization.chains.problem import Problem
-from tiswarm.localization.chains.subtrees import Forest, weights
-from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.settings import JointParams
-from tiswarm.measurements.model import KNOWN
+from tiswarm.compute.lang import Columns, DeviceArray, Ints2, Reals1, Reals2, Reals3
+from tiswarm.localization.chains.subtrees import weights
+from tiswarm.localization.chains.views import ChainView, Links, PlaneRows
 
 
 class Traits(Flag):
@@ -91,31 +86,99 @@ class Step(NamedTuple):
     docks, as a part of their full size [1], shape (S + 1, steps)."""
 
 
+class RobotLabel(Columns):
+    """Columns of `Robots.label`."""
+
+    STRUCTURE = 1
+    """Structure that the robot is of."""
+
+    NUMBER = 1
+    """Join number within it."""
+
+    MOVES = 1
+    """Whether the robot moves; anchors do not."""
+
+    NON_OVERLAP = 1
+    """Whether docks that do not touch repel; those of a robot that has left never do."""
+
+    SUBTREE = 1
+    """Subtree that the robot belongs to."""
+
+    CONTACT = 1
+    """First entry of its contacts."""
+
+    CONTACT_END = 1
+    """The one after their last."""
+
+    PLANE = 1
+    """First of its planes."""
+
+    PLANE_END = 1
+    """The one after the last."""
+
+
+class RobotWeight(Columns):
+    """Columns of `Robots.weight`."""
+
+    ROBUST = 1
+    """One over the squared width of the robust loss of links, 0 for none [1]."""
+
+    YAW_PRECISION = 1
+    """Precision of the sensed yaw, 0 where robots do not turn [rad^-2]."""
+
+    LIGHTEST = 1
+    """Factor of every mass; 4 halves the steps [1]."""
+
+
 class Robots(NamedTuple):
     """Constants of each robot."""
 
     label: Ints2
-    """Shape (N, 8); columns:
-
-    STRUCTURE: Structure that the robot is of.
-    NUMBER: Join number within it; 0 is the anchor.
-    NON_OVERLAP: Whether docks that do not touch repel; those of a robot that has left never do.
-    SUBTREE: Subtree that the robot belongs to.
-    CONTACT, CONTACT_END: First entry of its contacts, and the one after their last.
-    PLANE, PLANE_END: First of its planes, and the one after their last.
-    """
+    """Columns of `RobotLabel`, shape (N, 9)."""
 
     weight: Reals2
-    """Shape (N, 3); columns:
-
-    ROBUST: One over the squared width of the robust loss of links, 0 for none [1].
-    YAW_PRECISION: Precision of the sensed yaw, 0 where robots do not turn [rad^-2].
-    LIGHTEST: Factor of every mass; 4 halves the steps [1].
-    """
+    """Columns of `RobotWeight`, shape (N, 3)."""
 
 
-STRUCTURE, NUMBER, NON_OVERLAP, SUBTREE, CONTACT, CONTACT_END, PLANE, PLANE_END = range(8)
-ROBUST, YAW_PRECISION, LIGHTEST = range(3)
+class LinkLabel(Columns):
+    """Columns of `Contacts.label`."""
+
+    PARTNER = 1
+    """Robot on the other side."""
+
+    IS_FINAL = 1
+    """Whether the robots touch at their final stances."""
+
+    IS_OWN = 1
+    """Whether the robot measured the offset, not its partner."""
+
+    TOUCH = 1
+    """Row of a touch in `candidates`, -1 of other entries."""
+
+
+class LinkValue(Columns):
+    """Columns of `Contacts.value`; the last two only where robots turn or there are offsets."""
+
+    ARMS = 3
+    """Arm of the robot's dock less that of the partner's, as sensed [R]."""
+
+    LENGTH = 1
+    """Measured distance of the docks [R]."""
+
+    VARIANCE = 1
+    """Its variance, or that along an offset [R^2]."""
+
+    ACROSS = 1
+    """The variance across an offset, 0 of other entries [R^2]."""
+
+    EXTENSION = 1
+    """Gain in log-likelihood for each R more between the two centers [R^-1]."""
+
+    LEVERS = 4
+    """Horizontal arms, which turn: the robot's x and y and the partner's [R]."""
+
+    VECTOR = 3
+    """The measured vector from the robot's dock to the partner's, as sensed [R]."""
 
 
 class Contacts(NamedTuple):
@@ -125,33 +188,36 @@ class Contacts(NamedTuple):
     """
 
     label: Ints2
-    """Shape (K, 4); columns:
-
-    PARTNER: Robot on the other side.
-    IS_FINAL: Whether the robots touch at their final stances.
-    IS_OWN: Whether the robot measured the offset, not its partner.
-    TOUCH: Row of a touch in `candidates`, -1 of other entries.
-    """
+    """Columns of `LinkLabel`, shape (K, 4)."""
 
     value: Reals2
-    """Shape (K, 14), or (K, 7) where nobody turns and there are no offsets; columns:
-
-    ARMS: Arm of the robot's dock less that of the partner's, as sensed [R], 3 columns.
-    LENGTH: Measured distance of the docks [R].
-    VARIANCE: Its variance, or that along an offset [R^2].
-    ACROSS: The variance across an offset, 0 of other entries [R^2].
-    EXTENSION: Gain in log-likelihood for each R more between the two centers [R^-1].
-    LEVERS: Horizontal arms, which turn: the robot's x and y and the partner's [R], 4 columns.
-    VECTOR: The measured vector from the robot's dock to the partner's, as sensed [R], 3 columns.
-    """
+    """Columns of `LinkValue`, shape (K, 14) or (K, 7)."""
 
     candidates: Reals3
     """Arms of the docks that may be those of each touch, as sensed: the robot's and the partner's
     [R], shape (H, docks, 6)."""
 
 
-PARTNER, IS_FINAL, IS_OWN, TOUCH = range(4)
-ARMS, LENGTH, VARIANCE, ACROSS, EXTENSION, LEVERS, VECTOR = 0, 3, 4, 5, 6, 7, 11
+class PlaneValue(Columns):
+    """Columns of `MeasuredColumns.plane`; see `PlaneRows`."""
+
+    POINT = 3
+    """A point of the plane [R]."""
+
+    DIRECTION = 3
+    """The unit vector perpendicular to it."""
+
+    WALK = 2
+    """The part of the point which turns with the robot [R]."""
+
+    PRECISION = 1
+    """Precision of the distance from the plane [R^-2]."""
+
+    CROWD = 1
+    """1 where other planes of the robot are perpendicular to it, 3 elsewhere."""
+
+    ROBUST = 1
+    """One over the squared width of the robust loss, 0 for none [1]."""
 
 
 class MeasuredColumns(NamedTuple):
@@ -164,46 +230,101 @@ class MeasuredColumns(NamedTuple):
     """Their contacts and ranges."""
 
     plane: Reals2
-    """Planes on which robots were measured to be, robot by robot, shape (P, 11); columns:
-
-    POINT: A point of the plane [R], 3 columns.
-    DIRECTION: The unit vector perpendicular to it, 3 columns.
-    WALK: The part of the point which turns with the robot, x and y to be subtracted [R], 2 columns.
-    PRECISION: Precision of the distance from the plane [R^-2].
-    CROWD: 1 where other planes of the robot are perpendicular to it, 3 elsewhere.
-    PLANE_ROBUST: One over the squared width of the robust loss, 0 for none [1].
-    """
+    """Planes on which robots were measured to be, robot by robot: columns of `PlaneValue`, shape
+    (P, 11)."""
 
 
-POINT, DIRECTION, WALK, PRECISION, CROWD, PLANE_ROBUST = 0, 3, 6, 8, 9, 10
+class SubtreeLabel(Columns):
+    """Columns of `Subtrees.table`."""
+
+    OWN = 1
+    """First own robot."""
+
+    OWN_END = 1
+    """The one after the last of these."""
+
+    END = 1
+    """The one after the last that moves with it."""
+
+    PARENT = 1
+    """Subtree that it grows out of."""
+
+    MOVES = 3
+    """Whether it moves along x, y and z."""
+
+    ORDINAL = 1
+    """Its number within the structure."""
+
+
+class BodyMotion(Columns):
+    """Columns of the motion of a robot, and the first ones of that of a subtree."""
+
+    FORCE = 3
+    """Force of this step."""
+
+    MASS = 1
+    """Mass."""
+
+    VELOCITY = 3
+    """Velocity."""
+
+
+class SubtreeMotion(BodyMotion):
+    """Columns of `Subtrees.motion`; the first ones are of all that moves with the subtree."""
+
+    SHIFT = 3
+    """Shift in this step, its ancestors' included [R]."""
+
+    OWN_SHIFT = 3
+    """The same without its ancestors', written on graphics cards [R]."""
+
+    WEIGHT = 1
+    """Mass, in masses of its own robots."""
 
 
 class Subtrees(NamedTuple):
     """Subtrees of the contact graph, which move as one."""
 
     table: Ints2
-    """Shape (T, 8); columns:
-
-    OWN: First own robot.
-    OWN_END: The one after the last of these.
-    END: The one after the last that moves with it.
-    PARENT: Subtree that it grows out of.
-    MOVES: Whether it moves along x, y and z, 3 columns.
-    ORDINAL: Its number within the structure.
-    """
+    """Columns of `SubtreeLabel`, shape (T, 8)."""
 
     motion: Reals2
-    """Of each copy, shape (C T, 14); columns:
-
-    FORCE, MASS, VELOCITY: As for robots, of all that moves with the subtree.
-    SHIFT: Shift in this step, its ancestors' included [R], 3 columns.
-    OWN_SHIFT: The same without its ancestors', written on graphics cards [R], 3 columns.
-    WEIGHT: Mass, in masses of its own robots.
-    """
+    """Columns of `SubtreeMotion` of each copy, shape (C T, 14)."""
 
 
-OWN, OWN_END, END, PARENT, MOVES, ORDINAL = 0, 1, 2, 3, 4, 7
-SHIFT, OWN_SHIFT, WEIGHT = 7, 10, 13
+class Heading(Columns):
+    """Columns of `Copies.heading`: how far robots are turned, and how they turn."""
+
+    COS = 1
+    """Cosine of the turn so far."""
+
+    SIN = 1
+    """Its sine."""
+
+    YAW = 1
+    """Its angle [rad]."""
+
+    SPIN = 1
+    """Velocity of the turn."""
+
+    TORQUE = 1
+    """Its force."""
+
+    INERTIA = 1
+    """Its mass."""
+
+    SUM = 1
+    """Sum of the angles that are averaged [rad]."""
+
+
+class Moments(Columns):
+    """Columns of `Copies.total`: sums over the steps that are averaged."""
+
+    POSITION = 3
+    """Positions [R]."""
+
+    SQUARE = 1
+    """Their squares, all axes together [R^2]."""
 
 
 class Copies(NamedTuple):
@@ -216,164 +337,144 @@ class Copies(NamedTuple):
     """Centers [R], shape (C N, 3)."""
 
     motion: Reals2
-    """Shape (C N, 7); columns:
-
-    FORCE: Force of this step, 3 columns.
-    MASS: Mass.
-    VELOCITY: Velocity, 3 columns.
-    """
+    """Columns of `BodyMotion`, shape (C N, 7)."""
 
     heading: Reals2
-    """How far robots are turned, and how they turn, shape (C N, 7); columns:
-
-    COS, SIN, YAW: Cosine, sine and angle of the turn so far [rad].
-    SPIN, TORQUE, INERTIA: Velocity, force and mass of the turn.
-    TOTAL: Sum of the angles that are averaged [rad].
-    """
+    """Columns of `Heading`, shape (C N, 7)."""
 
     total: Reals2
-    """Sums over the steps that are averaged, shape (C N, 4): positions [R], and, in the column
-    SQUARE, their squares [R^2]."""
+    """Columns of `Moments`, shape (C N, 4)."""
 
 
-FORCE, MASS, VELOCITY = 0, 3, 4
-COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
-SQUARE = 3
+class BlockProgress(Columns):
+    """Columns of `Blocks.progress`."""
+
+    TREE = 1
+    """First copy of a subtree."""
+
+    TREE_END = 1
+    """The one after the last."""
+
+    TAKEN = 1
+    """Steps taken so far."""
+
+    AGE = 1
+    """Steps that the rows have served, or `STALE`."""
+
+    IS_THIN = 1
+    """Whether the rows that are built next have the thin skin."""
+
+    HAS_STRAYED = 1
+    """Whether a robot is beyond half the skin in this step; on graphics cards, first block only."""
+
+    IS_FAST = 1
+    """Whether a robot is beyond a quarter of the thick skin; the same."""
 
 
 class Blocks(NamedTuple):
     """Progress of each block, and its Verlet rows."""
 
     progress: Ints2
-    """Shape (B, 7); columns:
-
-    TREE, TREE_END: First copy of a subtree, and the one after the last.
-    TAKEN: Steps taken so far.
-    AGE: Steps that the rows have served, or STALE.
-    IS_THIN: Whether the rows that are built next have the thin skin.
-    HAS_STRAYED, IS_FAST: Whether a robot is beyond half the skin in this step, and beyond a quarter
-        of the thick one; written on graphics cards, for the first block only.
-    """
+    """Columns of `BlockProgress`, shape (B, 7)."""
 
     listed: Reals1
     """Where robots were as rows were built, and last their block [R], rows of four."""
 
 
-TREE, TREE_END, TAKEN, AGE, IS_THIN, HAS_STRAYED, IS_FAST = range(7)
 STALE = -1
 """Age of rows that have to be built anew."""
 
 
-def traits_of(problems: Sequence[Problem], *, by_block: bool) -> Traits:
-    """Find what kernels are to be compiled for, in problems that are annealed side by side."""
+def traits_of(views: Sequence[ChainView], *, by_block: bool) -> Traits:
+    """Find what kernels are to be compiled for, in views that are annealed side by side."""
     traits = Traits.BY_BLOCK if by_block else Traits(0)
-    if any(p.yaw_precision for p in problems):
+    if any(v.yaw_precision for v in views):
         traits |= Traits.TURNING
-    if any(p.is_offset.any() for p in problems):
+    if any(v.links.is_offset.any() for v in views):
         traits |= Traits.OFFSETS
-    if any(p.is_touch.any() for p in problems):
+    if any(v.links.is_touch.any() for v in views):
         traits |= Traits.TOUCHES
-    if any(len(p.gone) for p in problems):
+    if any(v.repels.any() and not v.repels.all() for v in views):
         traits |= Traits.GONE
     return traits
 
 
 def measured_arrays(
-    memory: Allocator,
-    problems: Sequence[Problem],
-    params: Sequence[JointParams],
-    order: Ints,
-    *,
-    trees: Sequence[Forest],
-    lightest: float,
+    memory: Allocator, views: Sequence[ChainView], order: Ints, lightest: float
 ) -> MeasuredColumns:
     """Put all that is known of robots on the device.
 
     Args:
         memory: Where arrays are allocated.
-        problems: Measurements of each structure.
-        params: Settings for each.
+        views: Robots and measurements of each structure.
         order: Robots of all structures in the order of memory, shape (N,).
-        trees: Subtrees of each.
         lightest: Factor of every mass.
     """
-    size = [len(p.part) for p in problems]
-    number = np.concatenate([np.arange(robots) for robots in size])[order]
-    own = np.concatenate([np.diff(tree.first) for tree in trees])
-    pairs = zip(params, problems, strict=True)
-    repels = np.concatenate([p.non_overlap & ~e.is_gone for p, e in pairs])[order]
-    contact, contacts = _contact_arrays(memory, problems, params, order)
-    plane, planes = _plane_array(memory, problems, params, order)
-    label = {
-        STRUCTURE: np.repeat(np.arange(len(size)), size),
-        NUMBER: number,
-        NON_OVERLAP: repels.astype(np.int64),
-        SUBTREE: np.repeat(np.arange(len(own)), own),
-        CONTACT: contact[:-1],
-        CONTACT_END: contact[1:],
-        PLANE: plane[:-1],
-        PLANE_END: plane[1:],
-    }
-    weight = {
-        ROBUST: np.repeat([ROBUST_SD**-2 * p.robust for p in params], size),
-        YAW_PRECISION: np.repeat([p.yaw_precision for p in problems], size),
-        LIGHTEST: np.full(len(order), lightest),
-    }
-    robots = Robots(label=memory.upload(_packed(label)), weight=memory.upload(_packed(weight)))
-    return MeasuredColumns(robots=robots, contacts=contacts, plane=planes)
+    size = [len(v.moves) for v in views]
+    own = np.concatenate([np.diff(v.forest.first) for v in views])
+    contact, contacts = _contact_arrays(memory, views, order)
+    robot = _in_memory([v.planes.robot for v in views], size, order)
+    planes = PlaneRows(*map(np.concatenate, zip(*(v.planes for v in views), strict=True)))
+    table = PlaneValue.pack(
+        POINT=planes.point, DIRECTION=planes.direction, WALK=planes.walk,
+        PRECISION=planes.precision, CROWD=planes.crowd, ROBUST=planes.robust,
+    )[np.argsort(robot, kind="stable")]  # fmt: skip
+    plane = _row_starts(robot, len(order))
+    label = RobotLabel.pack(
+        STRUCTURE=np.repeat(np.arange(len(size)), size),
+        NUMBER=np.concatenate([np.arange(robots) for robots in size])[order],
+        MOVES=np.concatenate([v.moves for v in views])[order],
+        NON_OVERLAP=np.concatenate([v.repels for v in views])[order],
+        SUBTREE=np.repeat(np.arange(len(own)), own),
+        CONTACT=contact[:-1],
+        CONTACT_END=contact[1:],
+        PLANE=plane[:-1],
+        PLANE_END=plane[1:],
+    )
+    weight = RobotWeight.pack(
+        ROBUST=np.repeat([v.robust for v in views], size),
+        YAW_PRECISION=np.repeat([v.yaw_precision for v in views], size),
+        LIGHTEST=np.full(len(order), lightest),
+    )
+    robots = Robots(label=memory.upload(label), weight=memory.upload(weight))
+    return MeasuredColumns(robots=robots, contacts=contacts, plane=_upload(memory, table))
 
 
 def _contact_arrays(
-    memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
+    memory: Allocator, views: Sequence[ChainView], order: Ints
 ) -> tuple[Ints, Contacts]:
-    """Put the contacts of all structures on the device, each at both its robots.
+    """Put the links of all structures on the device, each at both its robots.
 
     Returns:
         First entry of each robot, shape (N + 1,), and the contacts.
     """
-    robot = _in_memory([e.robot for e in problems], problems, order)
-    other = _in_memory([e.other for e in problems], problems, order)
-    is_offset = np.concatenate([e.is_offset for e in problems])
-    extension = np.concatenate(
-        [p.extension_prior * e.is_final / e.fewest for e, p in zip(problems, params, strict=True)]
-    )
-    extension[is_offset] = 0.0  # their direction is measured
-    vector = np.concatenate([e.vector for e in problems])
-    shift = np.concatenate([e.shift for e in problems]) - vector
-    lever = np.concatenate([e.lever for e in problems])
-    lever[:, :2] -= vector[:, :2]
-    variance = np.concatenate([e.variance[e.link] for e in problems])
-    total = np.concatenate([e.by_link(e.variance) for e in problems])
-    is_touch = np.concatenate([e.is_touch for e in problems])
-    arms = np.concatenate([np.dstack([arm for arm, _ in e.rows.touch_arms]) for e in problems])
+    size = [len(v.moves) for v in views]
+    robot = _in_memory([v.links.robot for v in views], size, order)
+    other = _in_memory([v.links.other for v in views], size, order)
+    links = Links(*map(np.concatenate, zip(*(v.links for v in views), strict=True)))
     touch = np.full((2, len(robot)), -1)
-    touch[:, is_touch] = np.arange(2 * len(arms)).reshape(2, -1)
-    label = {
-        PARTNER: other,
-        IS_FINAL: np.concatenate([e.is_final & e.is_present for e in problems]).astype(np.int64),
-        IS_OWN: np.ones_like(robot),
-        TOUCH: touch[0],
-    }
+    touch[:, links.is_touch] = np.arange(2 * len(links.candidates)).reshape(2, -1)
+    own = np.ones_like(robot)
+    label = {"PARTNER": other, "IS_FINAL": links.is_final, "IS_OWN": own, "TOUCH": touch[0]}
     value = {
-        ARMS: shift,
-        LENGTH: np.concatenate([e.length for e in problems]),
-        VARIANCE: variance,
-        ACROSS: np.where(is_offset, 0.5 * (total - variance), 0.0),
-        EXTENSION: extension,
+        "ARMS": links.arms,
+        "LENGTH": links.length,
+        "VARIANCE": links.variance,
+        "ACROSS": links.across,
+        "EXTENSION": links.extension,
     }
-    back = {ARMS: -shift}
-    if is_offset.any() or any(p.yaw_precision for p in problems):
-        value |= {LEVERS: lever, VECTOR: vector}
-        back |= {LEVERS: lever[:, [2, 3, 0, 1]], VECTOR: -vector}
+    back = {"ARMS": -links.arms}
+    if links.is_offset.any() or any(v.yaw_precision for v in views):
+        value |= {"LEVERS": links.levers, "VECTOR": links.vector}
+        back |= {"LEVERS": links.levers[:, [2, 3, 0, 1]], "VECTOR": -links.vector}
     # The same contact as its other robot has it.
-    its_label = label | {PARTNER: robot, IS_OWN: np.zeros_like(robot), TOUCH: touch[1]}
+    its_label = label | {"PARTNER": robot, "IS_OWN": np.zeros_like(robot), "TOUCH": touch[1]}
     both = np.concatenate([robot, other])
     # Stable: each robot sums its contacts in the order of the log, in any company.
     by_robot = np.argsort(both, kind="stable")
-    labels, values = (
-        np.concatenate([_packed(one), _packed(two)])[by_robot]
-        for one, two in ((label, its_label), (value, value | back))
-    )
+    labels = np.concatenate([LinkLabel.pack(**each) for each in (label, its_label)])[by_robot]
+    values = np.concatenate([LinkValue.pack(**each) for each in (value, value | back)])[by_robot]
+    arms = links.candidates
     return _row_starts(both, len(order)), Contacts(
         label=_upload(memory, labels),
         value=_upload(memory, values, padding=1.0),
@@ -381,46 +482,15 @@ def _contact_arrays(
     )
 
 
-def _plane_array(
-    memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
-) -> tuple[Ints, DeviceArray]:
-    """Put the planes of all structures on the device, robot by robot.
-
-    Returns:
-        First plane of each robot, shape (N + 1,), and `MeasuredColumns.plane`.
-    """
-    robot = _in_memory([e.planes.robot for e in problems], problems, order)
-    table = np.concatenate([_planes_of(*each) for each in zip(problems, params, strict=True)])
-    plane = _upload(memory, table[np.argsort(robot, kind="stable")])
-    return _row_starts(robot, len(order)), plane
-
-
-def _planes_of(problem: Problem, params: JointParams) -> Reals:
-    """Gather the columns of `MeasuredColumns.plane` of one structure, shape (P, 11)."""
-    planes = problem.planes
-    gives_way = planes.is_redundant(problem.part) & (planes.precision * KNOWN < 1.0)
-    robust = ROBUST_SD**-2 * params.robust * gives_way
-    return _packed({
-        POINT: planes.point,
-        DIRECTION: planes.direction,
-        WALK: planes.walk,
-        PRECISION: planes.precision,
-        CROWD: planes.crowd(len(problem.part)),
-        PLANE_ROBUST: robust,
-    })  # fmt: skip
-
-
-def subtree_arrays(
-    memory: Allocator, problems: Sequence[Problem], trees: Sequence[Forest], chains: int
-) -> Subtrees:
+def subtree_arrays(memory: Allocator, views: Sequence[ChainView], chains: int) -> Subtrees:
     """Put the subtrees of all structures on the device, at rest.
 
     Args:
         memory: Where arrays are allocated.
-        problems: Measurements of each structure.
-        trees: Subtrees of each.
+        views: Robots and measurements of each structure.
         chains: Chains of each.
     """
+    trees = [v.forest for v in views]
     count = np.array([len(tree.parent) for tree in trees])
     own = np.concatenate([np.diff(tree.first) for tree in trees])
     end = np.cumsum(own)
@@ -432,28 +502,19 @@ def subtree_arrays(
     for subtree in range(len(own) - 1, -1, -1):
         last[parent[subtree]] = max(last[parent[subtree]], last[subtree])
     ordinal = np.concatenate([np.arange(n) for n in count])
-    held = [_held(problem)[tree.order] for problem, tree in zip(problems, trees, strict=True)]
-    before = np.pad(np.cumsum(np.concatenate(held), axis=0), ((1, 0), (0, 0)))
+    stops = np.concatenate([v.stops[v.forest.order] for v in views])
+    before = np.pad(np.cumsum(stops, axis=0), ((1, 0), (0, 0)))
     # Everyone together does not move.
     moves = (before[last] == before[end - own]) & (ordinal > 0)[:, None]
-    table = [end - own, end, last, parent, moves, ordinal]  # OWN to ORDINAL
-    motion = np.zeros((chains, len(own), WEIGHT + 1))
-    motion[:, :, WEIGHT] = np.concatenate([weights(tree) for tree in trees])
-    return Subtrees(
-        table=memory.upload(np.column_stack(table)),
-        motion=memory.upload(motion.reshape(-1, WEIGHT + 1)),
+    table = SubtreeLabel.pack(
+        OWN=end - own, OWN_END=end, END=last, PARENT=parent, MOVES=moves, ORDINAL=ordinal
     )
-
-
-def _held(problem: Problem) -> Bools:
-    """Find the axes along which coordinates of each robot stop its subtrees, shape (N, 3).
-
-    Many robots that were measured would hold a subtree more stiffly than its mass allows. What
-    holds a root is in the root's own mass: a part moves as one toward where its root was measured.
-    """
-    held = problem.planes.along(len(problem.part))
-    held[problem.roots] = False
-    return held
+    motion = np.zeros((chains, len(own), SubtreeMotion.TOTAL))
+    motion[:, :, SubtreeMotion.WEIGHT] = np.concatenate([weights(tree) for tree in trees])
+    return Subtrees(
+        table=memory.upload(table),
+        motion=memory.upload(motion.reshape(-1, SubtreeMotion.TOTAL)),
+    )
 
 
 def swarm_arrays(memory: Allocator, arm: Reals, position: Reals, lightest: float) -> Copies:
@@ -466,42 +527,36 @@ def swarm_arrays(memory: Allocator, arm: Reals, position: Reals, lightest: float
         lightest: Mass of each.
     """
     upload, copies = memory.upload, len(position)
-    motion, heading = np.zeros((copies, VELOCITY + 3)), np.zeros((copies, TOTAL + 1))
-    motion[:, MASS] = lightest
-    heading[:, COS] = 1.0
-    heading[:, INERTIA] = lightest
+    motion, heading = np.zeros((copies, BodyMotion.TOTAL)), np.zeros((copies, Heading.TOTAL))
+    motion[:, BodyMotion.MASS] = lightest
+    heading[:, Heading.COS] = 1.0
+    heading[:, Heading.INERTIA] = lightest
     return Copies(
         arm=upload(np.tile(arm, (copies // len(arm), 1, 1))),
         position=upload(position),
         motion=upload(motion),
         heading=upload(heading),
-        total=upload(np.zeros((copies, SQUARE + 1))),
+        total=upload(np.zeros((copies, Moments.TOTAL))),
     )
 
 
-def block_arrays(memory: Allocator, start: Ints, trees: Sequence[Forest], chains: int) -> Blocks:
+def block_arrays(memory: Allocator, start: Ints, views: Sequence[ChainView], chains: int) -> Blocks:
     """Put blocks that have taken no step on the device; `start` has the first copy of each."""
     blocks = len(start) - 1
-    first = np.cumsum([0, *np.tile([len(tree.parent) for tree in trees], chains)])
-    progress = np.zeros((blocks, IS_FAST + 1), np.int64)
-    progress[:, TREE], progress[:, TREE_END], progress[:, AGE] = first[:-1], first[1:], STALE
+    first = np.cumsum([0, *np.tile([len(v.forest.parent) for v in views], chains)])
+    none = np.zeros(blocks, np.int64)
+    progress = BlockProgress.pack(
+        TREE=first[:-1], TREE_END=first[1:], TAKEN=none, AGE=none + STALE, IS_THIN=none,
+        HAS_STRAYED=none, IS_FAST=none,
+    )  # fmt: skip
     listed = np.zeros((start[-1], 4))
     listed[:, 3] = np.repeat(np.arange(blocks), np.diff(start))
     return Blocks(progress=memory.upload(progress), listed=memory.upload(listed.ravel()))
 
 
-def _packed(columns: Mapping[int, NDArray[Any]]) -> NDArray[Any]:
-    """Pack columns into a table, each where its name says; all have a row for each item."""
-    parts = [np.atleast_2d(columns[first].T).T for first in sorted(columns)]
-    widths = [part.shape[1] for part in parts]
-    if sorted(columns) != [sum(widths[:k]) for k in range(len(widths))]:
-        raise ValueError(f"columns {sorted(columns)} have {widths} numbers")
-    return np.column_stack(parts)
-
-
-def _in_memory(robot: Sequence[Ints], problems: Sequence[Problem], order: Ints) -> Ints:
+def _in_memory(robot: Sequence[Ints], size: Sequence[int], order: Ints) -> Ints:
     """Number robots, given structure by structure, as they stand in memory."""
-    first = np.cumsum([0, *(len(p.part) for p in problems)])[:-1]
+    first = np.cumsum([0, *size])[:-1]
     number: Ints = np.argsort(order)[
         np.concatenate([own + a for own, a in zip(robot, first, strict=True)])
     ]

@@ -25,26 +25,17 @@ from tiswarm.compute.lang import (
 from tiswarm.compute.math_kernels import part_at
 from tiswarm.compute.neighbor_kernels import Rows
 from tiswarm.localization.chains.arrays import (
-    AGE,
-    END,
-    FORCE,
-    HAS_STRAYED,
-    IS_FAST,
-    MASS,
-    OWN,
-    OWN_END,
-    OWN_SHIFT,
-    PARENT,
-    SHIFT,
     STALE,
-    TAKEN,
-    WEIGHT,
+    BlockProgress,
     Blocks,
+    BodyMotion,
     Contacts,
     Copies,
     MeasuredColumns,
     Robots,
     Step,
+    SubtreeLabel,
+    SubtreeMotion,
     Subtrees,
     variant_of,
 )
@@ -77,8 +68,8 @@ def sum_rows(copies: int) -> int:
 def count_pull(r, sums: Ref, swarm: Ref):
     """Write the force on copy r of a robot and its mass, in parts of one, to be added up."""
     for c in ti.static(range(3)):
-        sums[r, c] = ti.cast(_PARTS * swarm.motion[r, FORCE + c], ti.i64)
-    sums[r, 3] = ti.cast(_PARTS * swarm.motion[r, MASS], ti.i64)
+        sums[r, c] = ti.cast(_PARTS * swarm.motion[r, BodyMotion.FORCE + c], ti.i64)
+    sums[r, 3] = ti.cast(_PARTS * swarm.motion[r, BodyMotion.MASS], ti.i64)
 
 
 @ti.func
@@ -126,10 +117,10 @@ def pull_branch(k, robots, sums: Ref, trees: Ref, swarm: Ref):
     """Write the force on all robots that move with copy k of a subtree, and its mass."""
     n = k % trees.table.shape[0]
     start = k // trees.table.shape[0] * robots
-    first = start + trees.table[n, OWN]
-    own = _sum_between(first, start + trees.table[n, OWN_END], sums, swarm)
-    every = _sum_between(first, start + trees.table[n, END], sums, swarm)
-    note_pull(k, every, trees.motion[k, WEIGHT] * own[3], trees)
+    first = start + trees.table[n, SubtreeLabel.OWN]
+    own = _sum_between(first, start + trees.table[n, SubtreeLabel.OWN_END], sums, swarm)
+    every = _sum_between(first, start + trees.table[n, SubtreeLabel.END], sums, swarm)
+    note_pull(k, every, trees.motion[k, SubtreeMotion.WEIGHT] * own[3], trees)
 
 
 @ti.func
@@ -138,12 +129,12 @@ def gather_shifts(k, trees: Ref):
     count = trees.table.shape[0]
     chain = k // count
     n = k % count
-    shift = part_at(trees.motion, k, OWN_SHIFT)
-    while trees.table[n, PARENT] != n:
-        n = trees.table[n, PARENT]
-        shift += part_at(trees.motion, chain * count + n, OWN_SHIFT)
+    shift = part_at(trees.motion, k, SubtreeMotion.OWN_SHIFT)
+    while trees.table[n, SubtreeLabel.PARENT] != n:
+        n = trees.table[n, SubtreeLabel.PARENT]
+        shift += part_at(trees.motion, chain * count + n, SubtreeMotion.OWN_SHIFT)
     for c in ti.static(range(3)):
-        trees.motion[k, SHIFT + c] = shift[c]
+        trees.motion[k, SubtreeMotion.SHIFT + c] = shift[c]
 
 
 @ti.kernel
@@ -177,9 +168,9 @@ def take_steps_on_card(
     blocks = ti.static(Blocks(progress_out, listed))
     grid = ti.Struct(own_bits=0, near=near, entry_stride=entry_stride)
     for _ in ti.static(range(STEPS_A_LAUNCH)):
-        t = progress_out[0, TAKEN]
+        t = progress_out[0, BlockProgress.TAKEN]
         step = ti.static(Step(t, seed, hold, schedule))
-        goes = progress_out[0, AGE] != STALE and t < until
+        goes = progress_out[0, BlockProgress.AGE] != STALE and t < until
         # Computed here, the bounds of loops need no launch before each loop.
         copies = ti.select(goes, row_count.shape[0], 0)
         subtrees = ti.select(goes, subtree_motion_out.shape[0], 0)
@@ -197,14 +188,14 @@ def take_steps_on_card(
             move_subtree(k, True, step, robots, trees)
         for k in range(subtrees):
             gather_shifts(k, trees)
-        progress_out[0, HAS_STRAYED] = 0
-        progress_out[0, IS_FAST] = 0
+        progress_out[0, BlockProgress.HAS_STRAYED] = 0
+        progress_out[0, BlockProgress.IS_FAST] = 0
         for r in range(copies):
             strayed = move_robot(r, variant, step, robots, trees, blocks, swarm)
             if is_beyond_rows(strayed, 0, blocks):
-                progress_out[0, HAS_STRAYED] = 1
+                progress_out[0, BlockProgress.HAS_STRAYED] = 1
             if is_fast(strayed):
-                progress_out[0, IS_FAST] = 1
+                progress_out[0, BlockProgress.IS_FAST] = 1
         if goes:
-            is_stale = progress_out[0, HAS_STRAYED] == 1
-            end_step(0, is_stale, progress_out[0, IS_FAST] == 1, blocks)
+            is_stale = progress_out[0, BlockProgress.HAS_STRAYED] == 1
+            end_step(0, is_stale, progress_out[0, BlockProgress.IS_FAST] == 1, blocks)

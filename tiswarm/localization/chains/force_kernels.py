@@ -18,41 +18,13 @@ center.
 from tiswarm.compute.lang import Ref, Static, ti
 from tiswarm.compute.math_kernels import part_at, vector_at, with_torque
 from tiswarm.localization.chains.arrays import (
-    ACROSS,
-    ARMS,
-    CONTACT,
-    CONTACT_END,
-    COS,
-    CROWD,
-    DIRECTION,
-    EXTENSION,
-    FORCE,
-    INERTIA,
-    IS_FINAL,
-    IS_OWN,
-    LENGTH,
-    LEVERS,
-    LIGHTEST,
-    MASS,
-    NON_OVERLAP,
-    PARTNER,
-    PLANE,
-    PLANE_END,
-    PLANE_ROBUST,
-    POINT,
-    PRECISION,
-    ROBUST,
-    SIN,
-    SPIN,
-    STRUCTURE,
-    TORQUE,
-    TOUCH,
-    VARIANCE,
-    VECTOR,
-    VELOCITY,
-    WALK,
-    YAW,
-    YAW_PRECISION,
+    BodyMotion,
+    Heading,
+    LinkLabel,
+    LinkValue,
+    PlaneValue,
+    RobotLabel,
+    RobotWeight,
 )
 from tiswarm.measurements.model import SPACING
 
@@ -78,7 +50,7 @@ def push_inside(square_length, slope):
 @ti.func
 def turned(x, y, heading: Ref, r):
     """Turn a horizontal arm as far as copy `r` of a robot has been turned."""
-    c, s = heading[r, COS], heading[r, SIN]
+    c, s = heading[r, Heading.COS], heading[r, Heading.SIN]
     return ti.Vector([c * x - s * y, s * x + c * y, 0.0])
 
 
@@ -108,11 +80,11 @@ def _pull_of_offset(
         contacts: Contacts.
         swarm: State of the copies.
     """
-    vector = part_at(contacts.value, slot, VECTOR)
+    vector = part_at(contacts.value, slot, LinkValue.VECTOR)
     lever = arm
     if ti.static(turning):
         owner = partner
-        if contacts.label[slot, IS_OWN] == 1:
+        if contacts.label[slot, LinkLabel.IS_OWN] == 1:
             owner, lever = r, arm - apart
         level = turned(vector[0], vector[1], swarm.heading, owner)
         vector[0], vector[1] = level[0], level[1]
@@ -121,8 +93,8 @@ def _pull_of_offset(
     along = residual.dot(vector) / vector.norm_sqr() * vector
     across = residual - along
     # stiffness along and across, sigma^2 / w_k
-    stiff = square / (square + contacts.value[slot, VARIANCE])
-    stiff_across = square / (square + contacts.value[slot, ACROSS])
+    stiff = square / (square + contacts.value[slot, LinkValue.VARIANCE])
+    stiff_across = square / (square + contacts.value[slot, LinkValue.ACROSS])
     # F = -sum_k (sigma^2 / w_k) e_k / (1 + sum_k e_k^2 / (c^2 w_k))
     torn = stiff * along.norm_sqr() + stiff_across * across.norm_sqr()
     whole = 1.0 / (1.0 + robust * torn / square)
@@ -150,7 +122,7 @@ def _nearest_docks(r, partner, slot, between, variant: Static, contacts: Ref, sw
     Returns:
         From the partner's dock to the robot's, and the horizontal arm of the robot's dock [R].
     """
-    row = contacts.label[slot, TOUCH]
+    row = contacts.label[slot, LinkLabel.TOUCH]
     nearest, arm = between, between
     least = 1.0 / TINY
     for k in range(variant.docks):
@@ -164,7 +136,7 @@ def _nearest_docks(r, partner, slot, between, variant: Static, contacts: Ref, sw
                 level = turned(its[0], its[1], swarm.heading, partner)
                 its[0], its[1] = level[0], level[1]
             apart = between + own - its
-            off = ti.abs(apart.norm() - contacts.value[slot, LENGTH])
+            off = ti.abs(apart.norm() - contacts.value[slot, LinkValue.LENGTH])
             if off < least:
                 least, nearest, arm = off, apart, own
     arm[2] = 0.0
@@ -185,17 +157,20 @@ def _docks_of(r, partner, slot, between, turns, variant: Static, contacts: Ref, 
         contacts: Contacts.
         swarm: State of the copies.
     """
-    apart = between + part_at(contacts.value, slot, ARMS)
+    apart = between + part_at(contacts.value, slot, LinkValue.ARMS)
     arm = 0.0 * between
     if ti.static(variant.turning) and turns:
-        x, y = contacts.value[slot, LEVERS], contacts.value[slot, LEVERS + 1]
-        its_x, its_y = contacts.value[slot, LEVERS + 2], contacts.value[slot, LEVERS + 3]
+        x, y = contacts.value[slot, LinkValue.LEVERS], contacts.value[slot, LinkValue.LEVERS + 1]
+        its_x, its_y = (
+            contacts.value[slot, LinkValue.LEVERS + 2],
+            contacts.value[slot, LinkValue.LEVERS + 3],
+        )
         arm = turned(x, y, swarm.heading, r)
         its = turned(its_x, its_y, swarm.heading, partner)
         apart[0] += arm[0] - its[0] - x + its_x
         apart[1] += arm[1] - its[1] - y + its_y
     if ti.static(variant.has_touches):
-        if contacts.label[slot, TOUCH] >= 0:
+        if contacts.label[slot, LinkLabel.TOUCH] >= 0:
             apart, arm = _nearest_docks(r, partner, slot, between, variant, contacts, swarm)
     return apart, arm
 
@@ -215,9 +190,9 @@ def _pull_of_distance(slot, length, square, robust, contacts: Ref):
         Stiffness; pull for a stiffness of 1, as a part of the offset of the docks; and the share of
         a force that acts although the distance gives way, w / (w + e^2 / c^2).
     """
-    measured = contacts.value[slot, LENGTH]
+    measured = contacts.value[slot, LinkValue.LENGTH]
     residual = length - measured
-    width = square + contacts.value[slot, VARIANCE]
+    width = square + contacts.value[slot, LinkValue.VARIANCE]
     # w + e^2 / c^2, with w = sigma^2 + v
     within = width + residual * residual * robust
     inverse = 1.0 / (within * length)  # one division for three
@@ -273,20 +248,23 @@ def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts
         swarm: State of the copies.
     """
     base = r - i
-    turns, robust = robots.weight[i, YAW_PRECISION] > 0.0, robots.weight[i, ROBUST]
+    turns, robust = (
+        robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0,
+        robots.weight[i, RobotWeight.ROBUST],
+    )
     here = vector_at(swarm.position, r)
     force = with_torque(0.0 * here, here)
     stiffness = 0.0 * here[0]
     inertia = stiffness
-    for slot in range(robots.label[i, CONTACT], robots.label[i, CONTACT_END]):
-        partner = base + contacts.label[slot, PARTNER]
+    for slot in range(robots.label[i, RobotLabel.CONTACT], robots.label[i, RobotLabel.CONTACT_END]):
+        partner = base + contacts.label[slot, LinkLabel.PARTNER]
         between = here - vector_at(swarm.position, partner)
         apart, arm = _docks_of(r, partner, slot, between, turns, variant, contacts, swarm)
         length = ti.max(apart.norm(), TINY)
         stiff, pull, trust = _pull_of_distance(slot, length, square, robust, contacts)
-        overlap = contacts.label[slot, IS_FINAL] * push_inside(length * length, slope)
+        overlap = contacts.label[slot, LinkLabel.IS_FINAL] * push_inside(length * length, slope)
         if ti.static(variant.has_offsets):
-            if contacts.value[slot, ACROSS] > 0.0:
+            if contacts.value[slot, LinkValue.ACROSS] > 0.0:
                 held, stiff, lag = _pull_of_offset(
                     r, partner, slot, apart, arm, variant.turning, square, robust, contacts, swarm
                 )
@@ -294,8 +272,8 @@ def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts
                 inertia += lag
                 pull = 0.0
         force -= with_torque((stiff * pull + overlap) * apart, arm)
-        if contacts.label[slot, IS_FINAL] == 1:
-            pushed = trust * square * contacts.value[slot, EXTENSION]
+        if contacts.label[slot, LinkLabel.IS_FINAL] == 1:
+            pushed = trust * square * contacts.value[slot, LinkValue.EXTENSION]
             swung, parted = _push_of_extension(between, apart, arm, length, pushed)
             force += swung
             force += parted
@@ -320,7 +298,7 @@ _WHOLE = 2.0**44
 @ti.func
 def sigma_of(i, step: Ref, robots: Ref):
     """Read the square root of the temperature of robot i in a step [R]."""
-    return step.schedule[robots.label[i, STRUCTURE], step.number]
+    return step.schedule[robots.label[i, RobotLabel.STRUCTURE], step.number]
 
 
 @ti.func
@@ -328,7 +306,7 @@ def _is_there(robot, variant: Static, robots: Ref):
     """Whether a robot's docks are in the way of others: not if it has left."""
     there = 1
     if ti.static(variant.has_gone):
-        there = robots.label[robot, NON_OVERLAP]
+        there = robots.label[robot, RobotLabel.NON_OVERLAP]
     return there == 1
 
 
@@ -378,25 +356,29 @@ def _mass_for(needed, before, factor):
 def _hold_of_planes(r, i, square, stiffness, inertia, variant: Static, measured: Ref, swarm: Ref):
     """Sum the forces and torques of the planes of copy r of robot i; add to stiffness and inertia.
 
-    With gap g, precision p, w = sigma^2 + 1 / p and c^2 = 1 / `PLANE_ROBUST`, each has the energy
-    of Cauchy's loss, sigma^2 c^2 / 2 log(1 + g^2 / (c^2 w)).
+    With gap g, precision p, w = sigma^2 + 1 / p and c^2 = 1 / `PlaneValue.ROBUST`, each has the
+    energy of Cauchy's loss, sigma^2 c^2 / 2 log(1 + g^2 / (c^2 w)).
     """
     here = vector_at(swarm.position, r)
     plane = ti.static(measured.plane)
     hold = with_torque(0.0 * here, here)
-    for p in range(measured.robots.label[i, PLANE], measured.robots.label[i, PLANE_END]):
+    for p in range(
+        measured.robots.label[i, RobotLabel.PLANE], measured.robots.label[i, RobotLabel.PLANE_END]
+    ):
         walked = 0.0 * here
         if ti.static(variant.turning):
-            walked = turned(plane[p, WALK], plane[p, WALK + 1], swarm.heading, r)
-        normal = part_at(plane, p, DIRECTION)
-        gap = normal.dot(part_at(plane, p, POINT) - walked - here)
+            walked = turned(
+                plane[p, PlaneValue.WALK], plane[p, PlaneValue.WALK + 1], swarm.heading, r
+            )
+        normal = part_at(plane, p, PlaneValue.DIRECTION)
+        gap = normal.dot(part_at(plane, p, PlaneValue.POINT) - walked - here)
         # stiffness k, sigma^2 p / (1 + sigma^2 p + p g^2 / c^2)
-        known = square * plane[p, PRECISION]
-        torn = plane[p, PRECISION] * gap * gap * plane[p, PLANE_ROBUST]
+        known = square * plane[p, PlaneValue.PRECISION]
+        torn = plane[p, PlaneValue.PRECISION] * gap * gap * plane[p, PlaneValue.ROBUST]
         stiff = known / (1.0 + known + torn)
         # force along the normal, k g n
         hold += with_torque(stiff * gap * normal, walked)
-        stiffness += stiff * plane[p, CROWD] / 3.0
+        stiffness += stiff * plane[p, PlaneValue.CROWD] / 3.0
         inertia += 0.5 * stiff * walked.norm_sqr()  # no less than it is
     return hold, stiffness, inertia
 
@@ -413,12 +395,12 @@ def pull_robot(r, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Re
     sigma = sigma_of(i, step, robots)
     square = sigma * sigma
     growth = step.schedule[step.schedule.shape[0] - 1, step.number]
-    width = robots.label[i, NON_OVERLAP] * SPACING * growth
+    width = robots.label[i, RobotLabel.NON_OVERLAP] * SPACING * growth
     slope = 0.5 / ti.max(width * width, TINY)
     pull, stiffness, inertia = pull_of_contacts(
         r, i, slope, square, variant, robots, measured.contacts, swarm
     )
-    if robots.label[i, NON_OVERLAP] == 1:
+    if robots.label[i, RobotLabel.NON_OVERLAP] == 1:
         push, hardness, lag = _push_of_overlaps(r, i, variant, slope, robots, grid, rows, swarm)
         pull += push
         stiffness += hardness
@@ -427,17 +409,19 @@ def pull_robot(r, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Re
         r, i, square, stiffness, inertia, variant, measured, swarm
     )
     for c in ti.static(range(3)):
-        motion[r, FORCE + c] = pull[c] + hold[c]
+        motion[r, BodyMotion.FORCE + c] = pull[c] + hold[c]
     # v <- v sqrt(m / m'), so that m v^2 is kept
-    before, lightest = motion[r, MASS], robots.weight[i, LIGHTEST]
-    motion[r, MASS] = _mass_for(stiffness / MOST_STIFFNESS, before, lightest)
-    slower = ti.sqrt(before / motion[r, MASS])
+    before, lightest = motion[r, BodyMotion.MASS], robots.weight[i, RobotWeight.LIGHTEST]
+    motion[r, BodyMotion.MASS] = _mass_for(stiffness / MOST_STIFFNESS, before, lightest)
+    slower = ti.sqrt(before / motion[r, BodyMotion.MASS])
     for c in ti.static(range(3)):
-        motion[r, VELOCITY + c] *= slower
-    if ti.static(variant.turning) and robots.weight[i, YAW_PRECISION] > 0.0:
-        stiff = square * robots.weight[i, YAW_PRECISION]
-        torque = pull[3] + hold[3] - stiff * heading[r, YAW]
-        heading[r, TORQUE] = torque
-        before = heading[r, INERTIA]
-        heading[r, INERTIA] = _mass_for((inertia + stiff) / _MOST_TURN_STIFFNESS, before, lightest)
-        heading[r, SPIN] *= ti.sqrt(before / heading[r, INERTIA])
+        motion[r, BodyMotion.VELOCITY + c] *= slower
+    if ti.static(variant.turning) and robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0:
+        stiff = square * robots.weight[i, RobotWeight.YAW_PRECISION]
+        torque = pull[3] + hold[3] - stiff * heading[r, Heading.YAW]
+        heading[r, Heading.TORQUE] = torque
+        before = heading[r, Heading.INERTIA]
+        heading[r, Heading.INERTIA] = _mass_for(
+            (inertia + stiff) / _MOST_TURN_STIFFNESS, before, lightest
+        )
+        heading[r, Heading.SPIN] *= ti.sqrt(before / heading[r, Heading.INERTIA])

@@ -30,40 +30,21 @@ from tiswarm.compute.neighbor_kernels import (
     list_structure,
 )
 from tiswarm.localization.chains.arrays import (
-    AGE,
-    COS,
-    FORCE,
-    INERTIA,
-    IS_THIN,
-    MASS,
-    MOVES,
-    NUMBER,
-    ORDINAL,
-    OWN,
-    OWN_END,
-    OWN_SHIFT,
-    PARENT,
-    SHIFT,
-    SIN,
-    SPIN,
-    SQUARE,
     STALE,
-    SUBTREE,
-    TAKEN,
-    TORQUE,
-    TOTAL,
-    TREE,
-    TREE_END,
-    VELOCITY,
-    WEIGHT,
-    YAW,
-    YAW_PRECISION,
+    BlockProgress,
     Blocks,
+    BodyMotion,
     Contacts,
     Copies,
+    Heading,
     MeasuredColumns,
+    Moments,
+    RobotLabel,
     Robots,
+    RobotWeight,
     Step,
+    SubtreeLabel,
+    SubtreeMotion,
     Subtrees,
     variant_of,
 )
@@ -104,17 +85,27 @@ def _turn_dock(turn, r, k, arm: Ref):
 def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     """Turn copy r of a robot, its docks with it."""
     count = robots.label.shape[0]
-    kick = kick_of(step.seed, r // count, -1 - robots.label[r % count, NUMBER], step.number)[0]
+    kick = kick_of(
+        step.seed, r // count, -1 - robots.label[r % count, RobotLabel.NUMBER], step.number
+    )[0]
     heading = ti.static(swarm.heading)
     sigma = sigma_of(r % count, step, robots)
-    turn = _moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], sigma, kick)
-    heading[r, YAW] += turn
-    heading[r, COS] = ti.cos(heading[r, YAW])
-    heading[r, SIN] = ti.sin(heading[r, YAW])
+    turn = _moved(
+        heading,
+        r,
+        Heading.SPIN,
+        heading[r, Heading.TORQUE],
+        heading[r, Heading.INERTIA],
+        sigma,
+        kick,
+    )
+    heading[r, Heading.YAW] += turn
+    heading[r, Heading.COS] = ti.cos(heading[r, Heading.YAW])
+    heading[r, Heading.SIN] = ti.sin(heading[r, Heading.YAW])
     for k in range(swarm.arm.shape[1]):
         _turn_dock(turn, r, k, swarm.arm)
     if step.number >= step.hold:
-        heading[r, TOTAL] += heading[r, YAW]
+        heading[r, Heading.SUM] += heading[r, Heading.YAW]
 
 
 @ti.func
@@ -125,35 +116,37 @@ def pull_subtree(k, robots, trees: Ref, swarm: Ref):
     """
     n = k % trees.table.shape[0]
     start = k // trees.table.shape[0] * robots
-    pull = 0.0 * part_at(swarm.motion, start, FORCE)
+    pull = 0.0 * part_at(swarm.motion, start, BodyMotion.FORCE)
     mass = 0.0 * pull[0]
-    for r in range(start + trees.table[n, OWN], start + trees.table[n, OWN_END]):
-        pull += part_at(swarm.motion, r, FORCE)
-        mass += trees.motion[k, WEIGHT] * swarm.motion[r, MASS]
+    for r in range(
+        start + trees.table[n, SubtreeLabel.OWN], start + trees.table[n, SubtreeLabel.OWN_END]
+    ):
+        pull += part_at(swarm.motion, r, BodyMotion.FORCE)
+        mass += trees.motion[k, SubtreeMotion.WEIGHT] * swarm.motion[r, BodyMotion.MASS]
     note_pull(k, pull, mass, trees)
 
 
 @ti.func
 def note_pull(k, pull, mass, trees: Ref):
     """Write the force on copy k of a subtree, and its mass; velocities shrink as this grows."""
-    lighter = ti.sqrt(trees.motion[k, MASS] / mass)
-    trees.motion[k, MASS] = mass
+    lighter = ti.sqrt(trees.motion[k, BodyMotion.MASS] / mass)
+    trees.motion[k, BodyMotion.MASS] = mass
     for c in ti.static(range(3)):
-        trees.motion[k, FORCE + c] = pull[c]
-        trees.motion[k, VELOCITY + c] *= lighter
+        trees.motion[k, BodyMotion.FORCE + c] = pull[c]
+        trees.motion[k, BodyMotion.VELOCITY + c] *= lighter
 
 
 @ti.func
 def gather_pulls(b, blocks: Ref, trees: Ref):
     """Add to the force on each subtree of block b those on all that grow out of it."""
     count = trees.table.shape[0]
-    first, last = blocks.progress[b, TREE], blocks.progress[b, TREE_END]
+    first, last = blocks.progress[b, BlockProgress.TREE], blocks.progress[b, BlockProgress.TREE_END]
     chain = first // count
     for back in range(1, last - first):
         k = last - back
-        parent = chain * count + trees.table[k - chain * count, PARENT]
+        parent = chain * count + trees.table[k - chain * count, SubtreeLabel.PARENT]
         for c in ti.static(range(3)):
-            trees.motion[parent, FORCE + c] += trees.motion[k, FORCE + c]
+            trees.motion[parent, BodyMotion.FORCE + c] += trees.motion[k, BodyMotion.FORCE + c]
 
 
 @ti.func
@@ -169,26 +162,34 @@ def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
     """
     count = trees.table.shape[0]
     n = k % count
-    kick = kick_of(step.seed, k // count, _SUBTREE_KICKS + trees.table[n, ORDINAL], step.number)
-    motion, shift = ti.static(trees.motion, OWN_SHIFT if on_card else SHIFT)
-    sigma = sigma_of(trees.table[n, OWN], step, robots)
+    kick = kick_of(
+        step.seed, k // count, _SUBTREE_KICKS + trees.table[n, SubtreeLabel.ORDINAL], step.number
+    )
+    motion, shift = ti.static(
+        trees.motion, SubtreeMotion.OWN_SHIFT if on_card else SubtreeMotion.SHIFT
+    )
+    sigma = sigma_of(trees.table[n, SubtreeLabel.OWN], step, robots)
     for c in ti.static(range(3)):
         motion[k, shift + c] = 0.0
-        if trees.table[n, MOVES + c] == 1:
-            force, mass = motion[k, FORCE + c], motion[k, MASS]
-            motion[k, shift + c] = _moved(motion, k, VELOCITY + c, force, mass, sigma, kick[c])
+        if trees.table[n, SubtreeLabel.MOVES + c] == 1:
+            force, mass = motion[k, BodyMotion.FORCE + c], motion[k, BodyMotion.MASS]
+            motion[k, shift + c] = _moved(
+                motion, k, BodyMotion.VELOCITY + c, force, mass, sigma, kick[c]
+            )
 
 
 @ti.func
 def spread_shifts(b, blocks: Ref, trees: Ref):
     """Add to the shift of each subtree of block b that of the subtree it grows out of."""
     count = trees.table.shape[0]
-    first, last = blocks.progress[b, TREE], blocks.progress[b, TREE_END]
+    first, last = blocks.progress[b, BlockProgress.TREE], blocks.progress[b, BlockProgress.TREE_END]
     chain = first // count
     for k in range(first + 1, last):
-        parent = chain * count + trees.table[k - chain * count, PARENT]
+        parent = chain * count + trees.table[k - chain * count, SubtreeLabel.PARENT]
         for c in ti.static(range(3)):
-            trees.motion[k, SHIFT + c] += trees.motion[parent, SHIFT + c]
+            trees.motion[k, SubtreeMotion.SHIFT + c] += trees.motion[
+                parent, SubtreeMotion.SHIFT + c
+            ]
 
 
 @ti.func
@@ -201,23 +202,23 @@ def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: R
     motion, position = ti.static(swarm.motion, swarm.position)
     count = robots.label.shape[0]
     i, chain = r % count, r // count
-    strayed = 0.0 * motion[r, MASS]
-    number = robots.label[i, NUMBER]
+    strayed = 0.0 * motion[r, BodyMotion.MASS]
+    number = robots.label[i, RobotLabel.NUMBER]
     kick = kick_of(step.seed, chain, number, step.number)
     sigma = sigma_of(i, step, robots)
-    k = chain * trees.table.shape[0] + robots.label[i, SUBTREE]
+    k = chain * trees.table.shape[0] + robots.label[i, RobotLabel.SUBTREE]
     for c in ti.static(range(3)):
-        if number > 0:
-            force, mass = motion[r, FORCE + c], motion[r, MASS]
-            alone = _moved(motion, r, VELOCITY + c, force, mass, sigma, kick[c])
-            position[r, c] += alone + trees.motion[k, SHIFT + c]
+        if robots.label[i, RobotLabel.MOVES] == 1:
+            force, mass = motion[r, BodyMotion.FORCE + c], motion[r, BodyMotion.MASS]
+            alone = _moved(motion, r, BodyMotion.VELOCITY + c, force, mass, sigma, kick[c])
+            position[r, c] += alone + trees.motion[k, SubtreeMotion.SHIFT + c]
         strayed += (position[r, c] - blocks.listed[4 * r + c]) ** 2
-    if ti.static(variant.turning) and robots.weight[i, YAW_PRECISION] > 0.0:
+    if ti.static(variant.turning) and robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0:
         _turn_robot(r, step, robots, swarm)
     if step.number >= step.hold:
         for c in ti.static(range(3)):
             swarm.total[r, c] += position[r, c]
-            swarm.total[r, SQUARE] += position[r, c] * position[r, c]
+            swarm.total[r, Moments.SQUARE] += position[r, c] * position[r, c]
     return strayed
 
 
@@ -230,7 +231,7 @@ THIN_SKIN = 0.01
 @ti.func
 def _skin_of(b, blocks: Ref):
     """Read the skin of rows of block b that are built next, or that were built last [R]."""
-    return ti.select(blocks.progress[b, IS_THIN] == 1, THIN_SKIN, SKIN)
+    return ti.select(blocks.progress[b, BlockProgress.IS_THIN] == 1, THIN_SKIN, SKIN)
 
 
 @ti.func
@@ -248,11 +249,13 @@ def is_fast(strayed):
 @ti.func
 def end_step(b, is_stale, has_fast, blocks: Ref):
     """Count a step, and decide whether rows serve one more, and how far the next ones reach."""
-    is_new = blocks.progress[b, AGE] == 0
-    blocks.progress[b, AGE] = ti.select(is_stale, STALE, blocks.progress[b, AGE] + 1)
+    is_new = blocks.progress[b, BlockProgress.AGE] == 0
+    blocks.progress[b, BlockProgress.AGE] = ti.select(
+        is_stale, STALE, blocks.progress[b, BlockProgress.AGE] + 1
+    )
     if is_new:
-        blocks.progress[b, IS_THIN] = ti.cast(has_fast, ti.i32)
-    blocks.progress[b, TAKEN] += 1
+        blocks.progress[b, BlockProgress.IS_THIN] = ti.cast(has_fast, ti.i32)
+    blocks.progress[b, BlockProgress.TAKEN] += 1
 
 
 @ti.func
@@ -349,8 +352,8 @@ def take_steps(
                 b = i // GRAIN
                 span = ti.Struct(
                     block=b, block_end=b + 1, first=structure_out[b, neighbors.FIRST],
-                    end=structure_out[b, neighbors.END], tree=progress_out[b, TREE],
-                    tree_end=progress_out[b, TREE_END],
+                    end=structure_out[b, neighbors.END], tree=progress_out[b, BlockProgress.TREE],
+                    tree_end=progress_out[b, BlockProgress.TREE_END],
                 )  # fmt: skip
                 grid = ti.Struct(
                     docks=1, own_bits=0, cutoff=near, near=near, entry_stride=1, slot=span.first,
@@ -360,8 +363,8 @@ def take_steps(
                     stride_z=structure_out[b, neighbors.STRIDE_Z],
                 )  # fmt: skip
                 begin_structure(b, structure_out)
-                while progress_out[b, TAKEN] < until and fits(b, structure_out):
-                    if progress_out[b, AGE] == STALE:
+                while progress_out[b, BlockProgress.TAKEN] < until and fits(b, structure_out):
+                    if progress_out[b, BlockProgress.AGE] == STALE:
                         grid.cutoff = near + _skin_of(b, blocks)
                         for r in range(span.first, span.end):
                             for c in ti.static(range(3)):
@@ -369,17 +372,19 @@ def take_steps(
                         list_structure(
                             grid, b, 0, listed_out, cells, connections, rows, structure_out
                         )
-                        progress_out[b, AGE] = 0
+                        progress_out[b, BlockProgress.AGE] = 0
                     if fits(b, structure_out):
-                        step = ti.static(Step(progress_out[b, TAKEN], seed, hold, schedule))
+                        step = ti.static(
+                            Step(progress_out[b, BlockProgress.TAKEN], seed, hold, schedule)
+                        )
                         farthest = _take_step(
                             span, variant, step, measured, trees, grid, rows, blocks, swarm
                         )
                         is_stale = is_beyond_rows(farthest, b, blocks)
                         end_step(b, is_stale, is_fast(farthest), blocks)
     else:
-        t = progress_out[0, TAKEN]
-        goes = ti.cast(progress_out[0, AGE] != STALE and t < until, ti.i32)
+        t = progress_out[0, BlockProgress.TAKEN]
+        goes = ti.cast(progress_out[0, BlockProgress.AGE] != STALE and t < until, ti.i32)
         # Computed here, the bounds of loops need no launch before each loop.
         span = ti.Struct(
             block=0, block_end=goes * progress_out.shape[0], first=0,

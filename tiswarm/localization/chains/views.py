@@ -1,0 +1,237 @@
+"""What chains are made of: robots, what was measured of them, and where chains begin.
+
+A view is a whole log, as `joint` has it, or what one robot heard of others. Lengths in R.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.math import dock_offsets
+from tiswarm.localization.chains.initialization import initial_guess, reinitialize_lost
+from tiswarm.localization.chains.problem import Problem
+from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.chains.subtrees import Forest, find_subtrees
+from tiswarm.localization.cost.settings import ROBUST_SD
+from tiswarm.localization.settings import JointParams
+from tiswarm.measurements.model import KNOWN
+from tiswarm.records.sensing_log import SensingLog
+
+
+class Links(NamedTuple):
+    """C distances and offsets of pairs of robots, H of them touches of unknown docks."""
+
+    robot: Ints
+    """Robot that sensed each, shape (C,)."""
+
+    other: Ints
+    """Robot that it sensed, shape (C,)."""
+
+    is_final: Bools
+    """Whether docks of the two touch at their final stances, and neither has left, shape (C,)."""
+
+    is_offset: Bools
+    """Whether the vector between the docks is measured, shape (C,)."""
+
+    is_touch: Bools
+    """Whether the docks are unknown, shape (C,)."""
+
+    arms: Reals
+    """Arm of the robot's dock less that of the other's, as sensed [R], shape (C, 3)."""
+
+    length: Reals
+    """Measured distance of the docks, 0 of an offset [R], shape (C,)."""
+
+    variance: Reals
+    """Its variance, or that along an offset [R^2], shape (C,)."""
+
+    across: Reals
+    """Variance across an offset, 0 of distances [R^2], shape (C,)."""
+
+    extension: Reals
+    """Gain in log-likelihood for each R more between the two centers [R^-1], shape (C,)."""
+
+    levers: Reals
+    """Horizontal arms of the docks, which turn: the robot's x and y, the other's [R], (C, 4)."""
+
+    vector: Reals
+    """Measured vector from the robot's dock to the other's, 0 of distances [R], shape (C, 3)."""
+
+    candidates: Reals
+    """Arms of the docks that each touch may be of, the robot's and the other's, (H, docks, 6)."""
+
+
+class PlaneRows(NamedTuple):
+    """P planes on which robots were measured to be."""
+
+    robot: Ints
+    """Robot of each, shape (P,)."""
+
+    point: Reals
+    """A point of each [R], shape (P, 3)."""
+
+    direction: Reals
+    """Unit vector perpendicular to it, shape (P, 3)."""
+
+    walk: Reals
+    """Part of the point which turns with the robot, x and y to be subtracted [R], shape (P, 2)."""
+
+    precision: Reals
+    """Precision of the distance from the plane [R^-2], shape (P,)."""
+
+    crowd: Reals
+    """1 where other planes of the robot are perpendicular to it, 3 elsewhere, shape (P,)."""
+
+    robust: Reals
+    """One over the squared width of the robust loss, 0 for none [1], shape (P,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainView:
+    """N robots that are annealed together, in each of C chains."""
+
+    arm: Reals
+    """Center to dock, world frame [R], shape (N, docks, 3)."""
+
+    begin: Reals
+    """Where chains begin [R], shape (C, N, 3)."""
+
+    moves: Bools
+    """Whether each robot moves, shape (N,)."""
+
+    repels: Bools
+    """Whether docks of a robot repel those that they do not touch, shape (N,)."""
+
+    sigma: Reals
+    """Square root of the temperature at each step [R], shape (steps,)."""
+
+    robust: float
+    """One over the squared width of the robust loss of links, 0 for none [1]."""
+
+    yaw_precision: float
+    """Precision of the sensed yaw, 0 where robots do not turn [rad^-2]."""
+
+    links: Links
+    """Measurements of pairs."""
+
+    planes: PlaneRows
+    """Measured coordinates."""
+
+    forest: Forest
+    """Subtrees that move as one."""
+
+    stops: Bools
+    """Axes along which each robot keeps subtrees from moving that it is in, shape (N, 3)."""
+
+    relocate: Callable[[Reals, Reals], int] | None = None
+    """Places robots anew that a chain has lost, given positions and yaw; returns how many."""
+
+
+def view_of(
+    log: SensingLog, params: JointParams, problem: Problem, start: Reals | None = None
+) -> ChainView:
+    """Describe a whole log as chains see it.
+
+    Args:
+        log: What was sensed.
+        params: Settings.
+        problem: Measurements of the log.
+        start: Where chains begin, at `start_sigma` of the settings [R], shape (chains, N, 3); at
+            initial guesses if None.
+    """
+    robots = log.robot_count
+    begin = start
+    if begin is None:
+        begin = initial_guess(log, problem, params.seed, params.chains_for(robots))
+    robust, planes = float(ROBUST_SD**-2 * params.robust), problem.planes
+    gives_way = planes.is_redundant(problem.part) & (planes.precision * KNOWN < 1.0)
+    # Many robots that were measured would hold a subtree more stiffly than its mass allows. What
+    # holds a root is in the root's own mass: a part moves as one toward its root's place.
+    stops = planes.along(robots)
+    stops[problem.roots] = False
+    return ChainView(
+        arm=dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius),
+        begin=begin,
+        moves=np.arange(robots) > 0,
+        repels=params.non_overlap & ~problem.is_gone,
+        sigma=cooled(
+            start_sigma(problem, params) if start is None else params.start_sigma,
+            end_sigma(problem, params),
+            params.steps_for(robots),
+            params.hold_steps,
+        ),
+        robust=robust,
+        yaw_precision=problem.yaw_precision,
+        links=_links_of(problem, params.extension_prior),
+        planes=PlaneRows(
+            robot=planes.robot,
+            point=planes.point,
+            direction=planes.direction,
+            walk=planes.walk,
+            precision=planes.precision,
+            crowd=planes.crowd(robots),
+            robust=np.where(gives_way, robust, 0.0),
+        ),
+        forest=find_subtrees(problem.pair, problem.roots, robots),
+        stops=stops,
+        relocate=partial(reinitialize_lost, problem) if params.robust else None,
+    )
+
+
+def _links_of(problem: Problem, extension: float) -> Links:
+    """Lay out the links of a problem; `extension` is the prior's gain, shared by a robot's."""
+    is_offset, vector, levers = problem.is_offset, problem.vector, problem.lever
+    levers[:, :2] -= vector[:, :2]
+    variance = problem.variance[problem.link]
+    total = problem.by_link(problem.variance)
+    return Links(
+        robot=problem.robot,
+        other=problem.other,
+        is_final=problem.is_final & problem.is_present,
+        is_offset=is_offset,
+        is_touch=problem.is_touch,
+        arms=problem.shift - vector,
+        length=problem.length,
+        variance=variance,
+        across=np.where(is_offset, 0.5 * (total - variance), 0.0),
+        # The direction of an offset is measured.
+        extension=np.where(is_offset, 0.0, extension * problem.is_final / problem.fewest),
+        levers=levers,
+        vector=vector,
+        candidates=np.dstack([arm for arm, _ in problem.rows.touch_arms]),
+    )
+
+
+def start_sigma(problem: Problem, params: JointParams) -> float:
+    """Choose the square root of the temperature at which annealing of one structure begins [R].
+
+    Ranges are longer than contacts. Where they alone tie robots to each other, the first guess is
+    often folded, and colder chains remain so.
+    """
+    is_contact = problem.rows.is_contact
+    by_ranges = len(is_contact) > 0 and not is_contact.any()
+    return max(params.start_sigma, ANNEALING.ranged * by_ranges)
+
+
+def end_sigma(problem: Problem, params: JointParams) -> float:
+    """Choose the square root of the end temperature of one structure [R].
+
+    The colder the end, the better it separates solutions that miss measurements by little. But
+    colder chains sample less of what nothing measures, and noise leaves nothing to be separated.
+    """
+    if params.end_sigma is not None:
+        return params.end_sigma
+    coldest, warmest = ANNEALING.coldest, ANNEALING.warmest
+    noise = float(np.sqrt(np.median(problem.variance))) if len(problem.variance) else warmest
+    lacking = problem.underdetermination / ANNEALING.underdetermined
+    return min(max(coldest + (warmest - coldest) * lacking, noise), warmest)
+
+
+def cooled(begin: float, end: float, steps: int, holding: int) -> Reals:
+    """Cool by the same factor at every step, then hold; sigma of each, shape (steps + holding,)."""
+    falling = begin * (end / begin) ** (np.arange(steps) / steps)
+    return np.concatenate([falling, np.full(holding, end)])
