@@ -9,7 +9,7 @@ Centers and docks are real numbers, or whole numbers of a unit: an offset is the
 swarm is, while real numbers in f32 lose what is far from the origin. All other lengths are real.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tiswarm.compute.lang import (
     GRAIN,
@@ -50,19 +50,18 @@ OUT_OF_REACH = 1e36
 """Squared step that stands for one beyond the WALL, or too long for its square to fit in an f32."""
 _LONGEST_F32 = 1e18
 
-TAKEN, STALE, STRAYED, LONGEST = 0, 1, 2, 3
+TAKEN, STALE, STRAYED, LONGEST, CONTROL_COLUMNS = range(5)
 """Columns of `control`: steps taken; whether rows are stale or no step is left; on cards, whether a
 robot strayed too far, and the bits of the longest squared step as an f32."""
 
 
-class Gains(NamedTuple):
-    """Strength of the forces and length of a step."""
+ATTRACTION, REPULSION, PARTING, STRENGTH_COLUMNS = range(4)
+"""Columns of `strength`, the gains in a step as the ramp has them: A a, B (1 - a) [R^-3], and the
+stiffness with which connected docks nearer than D part in a guided swarm."""
 
-    attraction_gain: float
-    """A of Eq. (1) [1]."""
 
-    repulsion_gain: float
-    """B of Eqs. (1) and (2) [R^-3]."""
+class Constants(NamedTuple):
+    """Numbers that all steps share."""
 
     height_gain: float
     """k_z of Eq. (3) [1]."""
@@ -72,9 +71,6 @@ class Gains(NamedTuple):
 
     max_step: float
     """Longest step of a robot [R]."""
-
-    parting_gain: float
-    """Stiffness of connected docks nearer than D, in a guided swarm [1]."""
 
     momentum: float
     """Share of its last step that a robot takes again, in a guided swarm [1]."""
@@ -123,15 +119,28 @@ def _in_places(length, unit, places: Ref):
 
 
 @ti.func
-def _pull_of(distance, connected, attraction, repulsion, spacing):
-    """Compute the magnitude of Eqs. (1) and (2); both gains include the ramp.
+def _strength_at(strength: Ref, t):
+    """Read the gains of a step, as a vector of columns."""
+    return ti.Vector([strength[t, c] for c in range(STRENGTH_COLUMNS)])
+
+
+@ti.func
+def attract_or_repel(distance, connected, strength, spacing):
+    """Compute the magnitude of Eqs. (1) and (2).
 
     Every branch is computed, since which one holds cannot be predicted in a dense swarm.
     """
     gap = distance - spacing
     square = gap * gap  # a name, so that strict arithmetic multiplies twice, not three times
-    pull = ti.select(connected, attraction * gap, 0.0)
-    return ti.select(gap > 0.0, pull, -repulsion * square * square)
+    pull = ti.select(connected, strength[ATTRACTION] * gap, 0.0)
+    return ti.select(gap > 0.0, pull, -strength[REPULSION] * square * square)
+
+
+@ti.func
+def part_connected(distance, connected, strength, spacing):
+    """Compute the magnitude of Eqs. (1) and (2), and of a spring that parts connected docks."""
+    spring = ti.select(connected, strength[PARTING] * ti.min(distance - spacing, 0.0), 0.0)
+    return attract_or_repel(distance, connected, strength, spacing) + spring
 
 
 @ti.func
@@ -144,7 +153,8 @@ def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
         F = -B (1 - a) (d - D)^4 u    otherwise
     """
     distance = offset.norm()
-    pull = _pull_of(distance, True, attraction_gain * ramp, repulsion_gain * (1.0 - ramp), spacing)
+    strength = ti.Vector([attraction_gain * ramp, repulsion_gain * (1.0 - ramp), 0.0])
+    pull = attract_or_repel(distance, True, strength, spacing)
     return pull / ti.max(distance, _TINY) * offset
 
 
@@ -163,23 +173,47 @@ def capped(step, max_step):
 
 
 @ti.func
-def share_at(share: Ref, t):
-    """Read the shares of attraction and repulsion in a step."""
-    return ti.Vector([share[t, 0], share[t, 1]])
+def follow_force(constants: Ref, _robots: Ref, _robot, force):
+    """Take the force itself as the step; return the force and the step."""
+    return force, capped(force, constants.max_step)
+
+
+@ti.func
+def follow_guide(constants: Ref, robots: Ref, robot, force):
+    """Scale the force by the robot's mobility and add momentum; return that and the step."""
+    guided = force
+    for c in ti.static(range(3)):
+        guided[c] *= robots.mobility[robot, c]
+        guided[c] += constants.momentum * robots.last_step[robot, c]
+    step = capped(guided, constants.max_step)
+    for c in ti.static(range(3)):
+        robots.last_step[robot, c] = step[c]
+    return guided, step
+
+
+class Dynamics(NamedTuple):
+    """How a swarm moves: functions of kernels, which are compiled for them."""
+
+    pull: Any
+    """Magnitude of the force between two docks, as `attract_or_repel`."""
+
+    integrate: Any
+    """Step of a robot under the sum of its forces, as `follow_force`."""
+
+
+FREE = Dynamics(attract_or_repel, follow_force)
+"""Robots follow the forces of the paper."""
+GUIDED = Dynamics(part_connected, follow_guide)
+"""Robots have a mobility along each axis and inertia, and connected docks part."""
 
 
 @ti.func
 def _add_row(
-    grid: Ref, gains: Ref, guided: Static, share, base, row, row_docks, rows: Ref, robots: Ref,
+    grid: Ref, dynamics: Static, spacing, strength, base, row, row_docks, rows: Ref, robots: Ref,
     force,
 ):  # fmt: skip
-    """Add Eqs. (1) and (2) over a row; if guided, connected docks nearer than D part.
-
-    `share` is a row of `step_robots`' table of that name.
-    """
+    """Add the forces of the docks of a row."""
     flag = 1 << grid.own_bits
-    attraction = gains.attraction_gain * share[0]
-    repulsion = gains.repulsion_gain * share[1]
     first = rows.first[row]
     for e in range(rows.count[row]):
         entry = rows.entry[first + e * grid.entry_stride]
@@ -188,53 +222,46 @@ def _add_row(
         apart = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
         offset = _in_length(apart, grid.unit, robots.dock)
         distance = offset.norm()
-        connected = (entry & flag) != 0
-        pull = _pull_of(distance, connected, attraction, repulsion, gains.spacing)
-        if ti.static(guided):
-            overlap = ti.min(distance - gains.spacing, 0.0)
-            pull += ti.select(connected, gains.parting_gain * share[0] * overlap, 0.0)
+        pull = dynamics.pull(distance, (entry & flag) != 0, strength, spacing)
         force += pull / ti.max(distance, _TINY) * offset
     return force
 
 
 @ti.func
 def _force_on_robot(
-    on_card: Static, grid: Ref, gains: Ref, guided: Static, share, base, robot, rows: Ref,
+    on_card: Static, dynamics: Static, grid: Ref, spacing, strength, base, robot, rows: Ref,
     robots: Ref,
 ):  # fmt: skip
     """Sum the forces of a robot's rows."""
     force = ti.Vector([0.0, 0.0, 0.0])
     if ti.static(on_card):
         for row in range(robot * grid.docks, (robot + 1) * grid.docks):
-            force = _add_row(grid, gains, guided, share, base, row, 1, rows, robots, force)
+            force = _add_row(grid, dynamics, spacing, strength, base, row, 1, rows, robots, force)
     else:
-        force = _add_row(grid, gains, guided, share, base, robot, grid.docks, rows, robots, force)
+        force = _add_row(
+            grid, dynamics, spacing, strength, base, robot, grid.docks, rows, robots, force
+        )
     return force
 
 
 @ti.func
 def step_robot(
-    on_card: Static, grid: Ref, gains: Ref, guided: Static, share, base, next_base, robot,
-    rows: Ref, robots: Ref,
+    on_card: Static, dynamics: Static, grid: Ref, constants: Ref, strength, base, next_base,
+    robot, rows: Ref, robots: Ref,
 ):  # fmt: skip
     """Move a robot by its forces; return its squared step and distance from its reference.
 
     A robot whose whole numbers would go beyond the WALL stops there; its step is OUT_OF_REACH.
     """
-    force = _force_on_robot(on_card, grid, gains, guided, share, base, robot, rows, robots)
+    force = _force_on_robot(
+        on_card, dynamics, grid, constants.spacing, strength, base, robot, rows, robots
+    )
     here = vector_at(robots.position, robot)
-    if gains.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
+    if constants.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
         if robots.height[robot] != UNKNOWN:
             rise = _in_length(robots.height[robot] - here[2], grid.unit, robots.height)
-            force[2] += gains.height_gain * rise
-    if ti.static(guided):
-        for c in ti.static(range(3)):
-            force[c] *= robots.mobility[robot, c]
-            force[c] += gains.momentum * robots.last_step[robot, c]
-    step = capped(force, gains.max_step)
-    if ti.static(guided):
-        for c in ti.static(range(3)):
-            robots.last_step[robot, c] = step[c]
+            force[2] += constants.height_gain * rise
+    force, step = dynamics.integrate(constants, robots, robot, force)
     square = step.norm_sqr()
     strayed = 0.0
     for c in ti.static(range(3)):
@@ -256,10 +283,10 @@ def step_robot(
 
 @ti.kernel
 def step_robots(
-    on_card: Static, steps: Static, guided: Static, docks: I32, own_bits: I32, entry_stride: I32,
-    attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
-    max_step: Float, parting_gain: Float, momentum: Float,  # Gains
-    stray_limit: Float, unit: Float, first_t: I32, share: Reals2,
+    on_card: Static, steps: Static, pull: Static, integrate: Static,  # Dynamics
+    docks: I32, own_bits: I32, entry_stride: I32,
+    height_gain: Float, spacing: Float, max_step: Float, momentum: Float,  # Constants
+    stray_limit: Float, unit: Float, first_t: I32, strength: Reals2,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     position_out: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
     mobility: Reals2, last_step_out: Reals2,  # SwarmState
@@ -275,13 +302,11 @@ def step_robots(
     Args:
         on_card: Whether a graphics card computes.
         steps: Most steps of a call.
-        guided: Whether robots have a mobility and inertia.
         docks: First number of `grid`.
         stray_limit: Distance of a robot from its reference at which rows are stale [R].
         unit: What whole centers and docks are numbers of [R]; unused if they are real.
         first_t: Which step comes first.
-        share: Shares of attraction and repulsion in each step, shape (T, 2). They add up to 1, but
-            a small difference of numbers near 1 has few digits in f32.
+        strength: Gains in each step, columns as ATTRACTION and others name them, (T, 3).
         control_out: Columns as TAKEN and others name them; read, too.
         largest_move_out: Longest step of a robot in step t [R], shape (T,) or longer.
     """
@@ -289,9 +314,8 @@ def step_robots(
     robots = ti.static(SwarmState(
         position_out, reference, height, arm, dock_out, mobility, last_step_out
     ))  # fmt: skip
-    gains = ti.static(Gains(
-        attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
-    ))  # fmt: skip
+    dynamics = ti.static(Dynamics(pull, integrate))
+    constants = ti.static(Constants(height_gain, spacing, max_step, momentum))
     # The one dock of a card's row needs no bits; known to the compiler, this saves registers.
     grid = ti.Struct(
         docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride,
@@ -306,8 +330,8 @@ def step_robots(
             if control_out[STALE] == 0:
                 base = (first_t + k) % 2 * half
                 moved_by, way = step_robot(
-                    on_card, grid, gains, guided, share_at(share, first_t + k), base, half - base,
-                    robot, rows, robots,
+                    on_card, dynamics, grid, constants, _strength_at(strength, first_t + k), base,
+                    half - base, robot, rows, robots,
                 )  # fmt: skip
                 if ti.static(on_card):
                     if way > stray_limit * stray_limit:
@@ -320,7 +344,7 @@ def step_robots(
                     ti.atomic_max(strayed, way)
         if control_out[STALE] == 0:
             control_out[TAKEN] = t + 1
-            gone = strayed > stray_limit * stray_limit or t + 1 == share.shape[0]
+            gone = strayed > stray_limit * stray_limit or t + 1 == strength.shape[0]
             if ti.static(on_card):
                 gone = gone or control_out[STRAYED] == 1
                 moved = ti.bit_cast(control_out[LONGEST], ti.f32)
@@ -377,10 +401,10 @@ def start_interval(position: Reals2, reference_out: Reals2, control_out: Ints1):
 
 @ti.kernel
 def relax_structures(
-    guided: Static, own_bits: I32, cutoff: Float, stray_limit: Float, unit: Float,
-    attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
-    max_step: Float, parting_gain: Float, momentum: Float,  # Gains
-    share: Reals2, structure_out: Ints2,
+    pull: Static, integrate: Static,  # Dynamics
+    own_bits: I32, cutoff: Float, stray_limit: Float, unit: Float,
+    height_gain: Float, spacing: Float, max_step: Float, momentum: Float,  # Constants
+    strength: Reals2, structure_out: Ints2,
     begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Reals1,  # Cells
     connection_start: Ints1, connection: Ints1,  # ConnectedDocks
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
@@ -393,10 +417,9 @@ def relax_structures(
     A structure stops where its rows do not fit.
 
     Args:
-        guided: Whether robots have a mobility and inertia.
         own_bits: First number of `grid`.
         stray_limit: As for `step_robots`, like `unit`.
-        share: Shares of attraction and repulsion in each step, shape (T, 2).
+        strength: As for `step_robots`.
         structure_out: Columns as `neighbor_kernels` names them, shape (S, 10).
         largest_move_out: Longest step of a robot by structure and step [R], shape (S, T).
     """
@@ -406,9 +429,8 @@ def relax_structures(
     robots = ti.static(SwarmState(
         position_out, reference_out, height, arm, dock_out, mobility, last_step_out
     ))  # fmt: skip
-    gains = ti.static(Gains(
-        attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
-    ))  # fmt: skip
+    dynamics = ti.static(Dynamics(pull, integrate))
+    constants = ti.static(Constants(height_gain, spacing, max_step, momentum))
     table = ti.static(structure_out)
     docks = arm.shape[0] // position_out.shape[0]
     half = dock_out.shape[0] // 2
@@ -422,7 +444,7 @@ def relax_structures(
             )  # fmt: skip
             begin_structure(s, table)
             stale = 1
-            for t in range(share.shape[0]):
+            for t in range(strength.shape[0]):
                 base = t % 2 * half
                 if stale == 1 and fits(s, table):
                     list_structure(grid, s, base, dock_out, cells, connections, rows, table)
@@ -434,8 +456,8 @@ def relax_structures(
                     moved = 0.0
                     for robot in range(first, end):
                         moved_by, way = step_robot(
-                            False, grid, gains, guided, share_at(share, t), base, half - base,
-                            robot, rows, robots,
+                            False, dynamics, grid, constants, _strength_at(strength, t), base,
+                            half - base, robot, rows, robots,
                         )  # fmt: skip
                         moved = ti.max(moved, moved_by)
                         if way > stray_limit * stray_limit:

@@ -20,7 +20,7 @@ from tiswarm.base.params import AnyArch, AnyPrecision, Precision
 from tiswarm.base.robot import Robot
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
-from tiswarm.engine.kernels import Gains
+from tiswarm.engine.kernels import Constants
 from tiswarm.engine.stepping import Places, RelaxState, Stepper, Swarm
 
 SMALL = 2_000
@@ -220,14 +220,11 @@ class PreparedSwarm:
                 f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
             )
         limit = _NO_LIMIT if max_step is None else max_step
-        gains = Gains(
-            attraction_gain, repulsion_gain, height_gain, self.swarm.spacing, limit, parting_gain,
-            momentum,
-        )  # fmt: skip
-        if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains[:3]) and limit >= 0.0):
+        gains = attraction_gain, repulsion_gain, height_gain
+        if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains) and limit >= 0.0):
             raise InputError(
                 f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
-                f"not {tuple(gains)}"
+                f"not {gains} and {limit:g}"
             )
         state = self.state if resume else self.first
         stepper = self.stepper
@@ -237,9 +234,13 @@ class PreparedSwarm:
         # Arrays of a single thread are on the host, and outlast the device.
         if backend.current() is not self.running and not stepper.by_structure:
             raise InputError("another device started, which freed the swarm; prepare it again")
+        constants = Constants(height_gain, self.swarm.spacing, limit, momentum)
         ramps = np.broadcast_to(ramps, steps)
+        # Rounded first: the shares add up to 1, and what is left of 1 has few digits in f32.
+        shares = np.column_stack([ramps, 1.0 - ramps, ramps]).astype(self.running.dtype)
+        most = np.array([attraction_gain, repulsion_gain, parting_gain], self.running.dtype)
         while True:
-            moves, builds = stepper.take_steps(state, gains, ramps)
+            moves, builds = stepper.take_steps(state, constants, shares * most)
             if not state.places.were_left(moves):
                 break
             # Whole numbers ran out: take the same steps again, in a larger unit.

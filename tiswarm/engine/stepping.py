@@ -21,7 +21,16 @@ from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_kernels import BUILDS
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
 from tiswarm.engine import kernels
-from tiswarm.engine.kernels import OUT_OF_REACH, UNKNOWN, Gains, SwarmState, relax_structures
+from tiswarm.engine.kernels import (
+    FREE,
+    GUIDED,
+    OUT_OF_REACH,
+    UNKNOWN,
+    Constants,
+    Dynamics,
+    SwarmState,
+    relax_structures,
+)
 
 _NORM_SLACK = 1e-6
 """Largest deviation of a quaternion's norm from 1."""
@@ -275,14 +284,20 @@ class Stepper:
     moves: DeviceArray
     """Longest step of any robot in each step, kept for calls of as many, shape (T,)."""
 
-    share: DeviceArray
-    """Shares of attraction and repulsion in each step, kept for calls of as many, shape (T, 2)."""
+    strength: DeviceArray
+    """Gains in each step, kept for calls of as many, shape (T, 3)."""
 
     spacing: float
     """D."""
 
+    stray_limit: float
+    """Distance of a robot from where its row was made at which this is stale."""
+
     is_guided: bool
     """Whether robots have a mobility and inertia."""
+
+    dynamics: Dynamics
+    """How the robots move."""
 
     def __init__(
         self, swarm: Swarm, running: Backend, places: Places, *, by_structure: bool
@@ -295,6 +310,9 @@ class Stepper:
         """
         robots, docks = len(swarm.position), len(swarm.dock_offset_body)
         self.spacing, self.is_guided = swarm.spacing, swarm.mobility is not None
+        self.dynamics = GUIDED if self.is_guided else FREE
+        # Two robots that approach each other share the skin.
+        self.stray_limit = 0.5 * _SKIN * swarm.spacing
         self.by_structure, self.places = by_structure, places
         self.order = order = morton_order(swarm.position, swarm.structure)
         self.start = np.concatenate([[0], np.bincount(swarm.structure).cumsum()])
@@ -321,19 +339,22 @@ class Stepper:
             mobility=memory.upload(share),
             last_step=memory.reals(*share.shape),
         )
-        self.control, self.moves, self.share = memory.ints(4), memory.reals(1), memory.reals(1, 2)
+        self.control = memory.ints(kernels.CONTROL_COLUMNS)
+        self.moves, self.strength = memory.reals(1), memory.reals(1, kernels.STRENGTH_COLUMNS)
         seldom = memory.for_few_launches()
         self.structure = seldom.upload(swarm.structure[order])
         turns, body = swarm.orientation_wxyz[order], swarm.dock_offset_body
         kernels.turn_docks(seldom.upload(turns), seldom.upload(body), self.robots.arm)
 
-    def take_steps(self, state: RelaxState, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
-        """Take a step for each entry of the ramp.
+    def take_steps(
+        self, state: RelaxState, constants: Constants, strength: Reals
+    ) -> tuple[Reals, int]:
+        """Take a step for each row of gains.
 
         Args:
             state: Where the robots start.
-            gains: Strength of the forces.
-            ramp: Share of attraction in each step, shape (T,).
+            constants: Numbers that all steps share.
+            strength: Gains in each step, columns as `kernels.ATTRACTION` names them, shape (T, 3).
 
         Returns:
             Longest step of any robot, shape (T,), and how often rows were made.
@@ -343,7 +364,6 @@ class Stepper:
         self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / places.scale
         robots, refill = self.robots, self.memory.refill
         start = state.position[self.order]
-        share = np.column_stack([ramp, 1.0 - ramp])
         take = self._by_structure if self.by_structure else self._all_at_once
         while True:
             refill(robots.position, places.to_numbers(start, places.origin))
@@ -353,7 +373,7 @@ class Stepper:
             kernels.place_docks(
                 places.scale, self.structure, robots.position, robots.arm, robots.dock
             )
-            if found := take(gains, share):
+            if found := take(constants, strength):
                 return found
 
     def state(self) -> RelaxState:
@@ -374,12 +394,14 @@ class Stepper:
         ordered[self.order] = array
         return ordered
 
-    def _all_at_once(self, gains: Gains, share: Reals) -> tuple[Reals, int]:
+    def _all_at_once(self, constants: Constants, strength: Reals) -> tuple[Reals, int]:
         """Step by step, each with all threads; make rows anew where they are stale."""
-        neighbors, robots, control, steps = self.neighbors, self.robots, self.control, len(share)
+        neighbors, robots, control = self.neighbors, self.robots, self.control
+        steps = len(strength)
         if self.moves.shape[0] != steps:
-            self.moves, self.share = self.memory.reals(steps), self.memory.reals(steps, 2)
-        self.memory.refill(self.share, share)
+            self.moves = self.memory.reals(steps)
+            self.strength = self.memory.reals(*strength.shape)
+        self.memory.refill(self.strength, strength)
         # Docks are held twice: a step reads one half and writes the other.
         taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
         most, calls = (_STEPS_ON_CARD, 1) if neighbors.on_card else (_STEPS, _CALLS)
@@ -391,9 +413,9 @@ class Stepper:
                 with backend.fast_arithmetic():
                     for t in range(taken, taken + calls * most, most):
                         kernels.step_robots(
-                            neighbors.on_card, most, self.is_guided, neighbors.docks,
-                            neighbors.own_bits, neighbors.entry_stride, *gains,
-                            0.5 * _SKIN * self.spacing, self.places.scale, t, self.share,
+                            neighbors.on_card, most, *self.dynamics, neighbors.docks,
+                            neighbors.own_bits, neighbors.entry_stride, *constants,
+                            self.stray_limit, self.places.scale, t, self.strength,
                             *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
                 before, taken = taken, int(control[kernels.TAKEN])
@@ -403,17 +425,16 @@ class Stepper:
         moves = self.memory.download(self.moves).astype(np.float64)
         return moves, neighbors.builds - builds_before
 
-    def _by_structure(self, gains: Gains, share: Reals) -> tuple[Reals, int] | None:
+    def _by_structure(self, constants: Constants, strength: Reals) -> tuple[Reals, int] | None:
         """All steps of a structure on one thread; None if a row was too short, which is now not."""
         neighbors, structures = self.neighbors, len(self.start) - 1
-        shares, moves = self.memory.upload(share), self.memory.reals(structures, len(share))
-        # Two robots that approach each other share the skin.
-        stray_limit = 0.5 * ((1.0 + _SKIN) * self.spacing - self.spacing)
+        moves = self.memory.reals(structures, len(strength))
         with backend.fast_arithmetic():
             relax_structures(
-                self.is_guided, neighbors.own_bits, neighbors.cutoff, stray_limit,
-                self.places.scale, *gains, shares, neighbors.structure, *neighbors.cells,
-                *neighbors.connections, *neighbors.rows, *self.robots, moves,
+                *self.dynamics, neighbors.own_bits, neighbors.cutoff, self.stray_limit,
+                self.places.scale, *constants, self.memory.upload(strength),
+                neighbors.structure, *neighbors.cells, *neighbors.connections, *neighbors.rows,
+                *self.robots, moves,
             )  # fmt: skip
         if (entries := neighbors.fullest()) > neighbors.capacity:
             neighbors.make_room(entries)
