@@ -509,16 +509,8 @@ def fill_rows(
                 place = first // docks + first % docks * (count // docks)
             last = ti.min(first + run, count)
             used = _fill_rows_of(
-                on_card,
-                grid,
-                base,
-                first,
-                last,
-                dock,
-                cells,
-                connections,
-                rows,
+                on_card, grid, base, first, last, dock, cells, connections, rows,
                 ti.Vector([place, room]),
-            )
+            )  # fmt: skip
             if used > longest_out[0]:  # most runs need no atomic operation then
                 ti.atomic_max(longest_out[0], used)

@@ -56,10 +56,9 @@ class EliminationArrays(NamedTuple):
     """f of each node; then u, shape (S, M, 6)."""
 
 
-_FIRST, _DEGREE, _LEFT, _RIGHT, _MARKED_BY, _MARK = range(6)
-_LEAST, _PIVOT, _NEAR = range(3)
-_NEXT, _OTHER = range(2)
-NODE_COLUMNS, ORDER_COLUMNS, HALF_COLUMNS = 6, 3, 2
+_FIRST, _DEGREE, _LEFT, _RIGHT, _MARKED_BY, _MARK, NODE_COLUMNS = range(7)
+_LEAST, _PIVOT, _NEAR, ORDER_COLUMNS = range(4)
+_NEXT, _OTHER, HALF_COLUMNS = range(3)
 
 
 @ti.func
@@ -290,7 +289,7 @@ def solve(work: Ref, s, nodes):
     return has_room
 
 
-NODE_A, NODE_B, DOCK_A, DOCK_B = range(4)
+NODE_A, NODE_B, DOCK_A, DOCK_B, END_COLUMNS = range(5)
 """Columns of a beam: nodes that its ends move with, and docks that it joins, if it is a contact."""
 GROUND, NO_DOCK = -1, -2
 _Z = 2
@@ -306,7 +305,7 @@ class FrameArrays(NamedTuple):
     """Beams in use, shape (S,)."""
 
     ends: Ints3
-    """What each beam joins, columns NODE_A to DOCK_B, shape (S, B, 4)."""
+    """What each beam joins, columns NODE_A to DOCK_B, shape (S, B, END_COLUMNS)."""
 
     stiffness: Reals3
     """Of each beam between its nodes, a 12 x 12 matrix row by row, shape (S, B, 144)."""

@@ -35,6 +35,7 @@ from tiswarm.compute import backend
 from tiswarm.world.frame_kernels import (
     DOCK_A,
     DOCK_B,
+    END_COLUMNS,
     GROUND,
     HALF_COLUMNS,
     NO_DOCK,
@@ -129,7 +130,7 @@ class Frames:
         self.frame = FrameArrays(
             node_count=np.zeros(structures, np.int32),
             beam_count=np.zeros(structures, np.int32),
-            ends=np.empty((structures, beams, 4), np.int32),
+            ends=np.empty((structures, beams, END_COLUMNS), np.int32),
             stiffness=np.empty((structures, beams, 144)),
             span=np.empty((structures, beams, 3)),
             arm=np.zeros((structures, docks * robots, 3)),  # read, and not used, for the ground
