@@ -16,7 +16,7 @@ from tiswarm.localization.chains import initialization
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.methods import localize, localize_many
-from tiswarm.localization.settings import CUES, JointParams
+from tiswarm.localization.settings import SWITCHES, JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -123,7 +123,7 @@ def test_wrong_contacts_are_given_up(towers):
     for log, history, estimate in zip(logs, towers, robust, strict=True):
         judged = outlier_scores(history, estimate, rows=measure(log, params.cues))
         true = _touched(history)
-        felt = [tuple(row) for row in measure(log, CUES).sensed_contacts.tolist()]
+        felt = [tuple(row) for row in measure(log, SWITCHES).sensed_contacts.tolist()]
         doubted = [tuple(row) for row in estimate.outlier_contacts.tolist()]
         wrong = [row for row in felt if row not in true]
         hits = [row for row in doubted if row in wrong]
@@ -258,8 +258,8 @@ def test_touches_of_a_rounded_edge_that_a_log_takes_for_flat_ground_are_outliers
 
     assert error(robust) < 1.5 * error(right) < 0.7 * error(trusting)
     for log, edge, estimate in zip(logs, edged, robust, strict=True):
-        true = {tuple(row) for row in measure(log, CUES).sensed_places.tolist()}
-        added = {tuple(row) for row in measure(edge, CUES).sensed_places.tolist()} - true
+        true = {tuple(row) for row in measure(log, SWITCHES).sensed_places.tolist()}
+        added = {tuple(row) for row in measure(edge, SWITCHES).sensed_places.tolist()} - true
         listed = {tuple(row) for row in estimate.outlier_places.tolist()}
         assert len(listed) > 3
         assert listed <= added

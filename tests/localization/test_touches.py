@@ -8,7 +8,7 @@ import pytest
 
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.methods import localize, localize_many
-from tiswarm.localization.settings import CUES, HopByHopParams, JointParams
+from tiswarm.localization.settings import SWITCHES, HopByHopParams, JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.sensing import SensingParams, observe
 
@@ -67,6 +67,6 @@ def test_touches_are_ignored_where_they_are_switched_off(towers):
 def test_hop_by_hop_takes_no_touches():
     """Robots would have to know the docks; its cues say so."""
     assert "touches" not in HopByHopParams().cues
-    assert "touches" in CUES
+    assert "touches" in SWITCHES
     with pytest.raises(pydantic.ValidationError, match="touches"):
         HopByHopParams(touches=True)

@@ -24,7 +24,7 @@ def test_a_new_cue_serves_every_method_and_analysis(towers, monkeypatch):
         dock = np.full(len(robot), CENTER)
         return Coordinates.of(odometry.final[robot], dock, np.eye(3)[0], x, variance=0.05**2)
 
-    monkeypatch.setattr(cues, "CUES", [*cues.CUES, (("wall",), wall)])
+    monkeypatch.setattr(cues, "CUES", [*cues.CUES, cues.Cue(name="wall", rows=wall)])
 
     after = [localize(log, params), observability(log, params.cues)]
     reference = localize(log, LeastSquaresParams())

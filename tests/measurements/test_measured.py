@@ -1,6 +1,7 @@
 """Work on a log turns each of its cues into rows once."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,11 @@ from tiswarm.records.positions import Truth
 from tiswarm.sensing import SensingParams, observe
 
 
+def calls(cue):
+    """Functions of a cue, by field."""
+    return {name: getattr(cue, name) for name in ("rows", "walked") if getattr(cue, name)}
+
+
 @pytest.fixture
 def work(monkeypatch) -> Counter[str]:
     """Calls of each cue's function, and sums of flips, by name, from now on."""
@@ -27,9 +33,11 @@ def work(monkeypatch) -> Counter[str]:
 
         return counting
 
-    monkeypatch.setattr(
-        cues, "CUES", [(names, counted(call.__name__, call)) for names, call in CUES]
-    )
+    every = [
+        replace(cue, **{each: counted(call.__name__, call) for each, call in calls(cue).items()})
+        for cue in CUES
+    ]
+    monkeypatch.setattr(cues, "CUES", every)
     monkeypatch.setattr(Odometry, "__init__", counted("Odometry", Odometry.__init__))
     return done
 
@@ -52,7 +60,9 @@ def test_a_case_turns_each_cue_into_rows_three_times(towers, work):
     score(truth, log, estimate, history.robot, rows=rows)
     outlier_scores(history, estimate, rows=rows)
 
-    assert work == dict.fromkeys(["Odometry", *(call.__name__ for _, call in CUES)], 3)
+    assert work == dict.fromkeys(
+        ["Odometry", *(call.__name__ for cue in CUES for call in calls(cue).values())], 3
+    )
 
 
 def test_rows_are_those_of_a_log_measured_anew(towers):

@@ -271,7 +271,10 @@ def test_outliers_of_each_kind_are_named_with_their_line(log, estimate, towers):
     """A range names the other robot, a coordinate its axis, a robot its IMU."""
     fixes = np.array([[5, 1, 0, 0, 1e3, 0.1, -1], [5, 0, 1, 0, towers[0].position[5, 1], 0.1, -1]])
     high = np.where(_which(6), 1e3, log.flip_height)
-    sensed = replace(log, fixes=fixes.astype(float), flip_height=high)
+    ranges, touches = np.array([[4, 2, 3.0, 0.1, -1]]), np.array([[4, -1, 2, 0]], np.int32)
+    sensed = replace(
+        log, fixes=fixes.astype(float), flip_height=high, ranges=ranges, touches=touches
+    )
     flips = np.diff(sensed.stances.start)
     i, a, j, b = sensed.contacts[-1].tolist()
     found = replace(

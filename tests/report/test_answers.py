@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.localization.settings import all_cues
+from tiswarm.measurements import cues
 from tiswarm.report.answers import (
     ANSWERS,
     FEWEST,
@@ -21,7 +22,7 @@ from tiswarm.report.answers import (
     result_of,
     two_digits,
 )
-from tiswarm.report.run_data import CUE_WORDS, measured_words
+from tiswarm.report.run_data import measured_words
 from tiswarm.scenario.model import AnyQuestion
 
 NONE = pd.DataFrame()
@@ -190,7 +191,7 @@ def test_each_question_has_an_answer():
 
 def test_each_cue_has_words():
     """Nobody has to know the keys of settings to read a page."""
-    assert {*CUE_WORDS} == {*all_cues()}
+    assert {cue.name for cue in cues.CUES if cue.words} == {*all_cues()}
     assert measured_words("my_cue, contacts") == "contacts and my cue"
     assert measured_words("") == ""
 

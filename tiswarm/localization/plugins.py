@@ -34,7 +34,7 @@ from tiswarm.base.plugins import (
     registered,
 )
 from tiswarm.base.progress import ignore
-from tiswarm.localization.settings import LocalizationParams, all_cues
+from tiswarm.localization.settings import DOCKS_UNKNOWN, LocalizationParams, all_cues
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import FARTHEST, SensingLog
 
@@ -44,7 +44,7 @@ KIND = "method"
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _BUILT_IN = ("joint", "virtual-force", "least-squares", "hop-by-hop", "online", "distributed")
 _TAKEN = ("method", "cues", "settings")
-_USUAL = tuple(cue for cue in all_cues() if cue != "touches")  # only `joint` finds docks of touches
+_USUAL = tuple(name for name in all_cues() if name not in DOCKS_UNKNOWN)
 
 _Locate = TypeVar("_Locate", bound=Callable[..., Any])
 

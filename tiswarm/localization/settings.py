@@ -1,13 +1,13 @@
 """Settings of localization: cues that methods share, and those of each method."""
 
-from dataclasses import fields
-from typing import Annotated, Literal
+from dataclasses import fields, make_dataclass
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
-from tiswarm.measurements.cues import cue_names
+from tiswarm.measurements.cues import cue_names, switched
 
 LARGE = 3000
 """Structures of more robots than this are annealed fewer times, quicker, and not refined."""
@@ -27,74 +27,35 @@ _OF_SCHEME = {
 """Settings of `distributed` that have a meaning in one scheme only."""
 
 
-CUES = (
-    "contacts",
-    "non_overlap",
-    "height",
-    "ground",
-    "walk_contacts",
-    "odometry",
-    "plane",
-    "fixes",
-    "ranges",
-    "directions",
-    "touches",
-    "displacements",
-)
+SWITCHES = tuple(cue.name for cue in switched())
 """Cues that settings have a switch for."""
+
+
+DOCKS_UNKNOWN = tuple(cue.name for cue in switched() if cue.docks_unknown)
+"""Cues that only `joint` can use: it finds the docks of their rows."""
 
 
 def all_cues() -> tuple[str, ...]:
     """List those, and the ones that every method uses."""
-    return tuple(dict.fromkeys((*CUES, *cue_names())))
+    return tuple(dict.fromkeys((*SWITCHES, *cue_names())))
+
+
+_Switches: Any = make_dataclass(
+    "_Switches",
+    [(cue.name, Annotated[bool, Field(description=cue.switch)], True) for cue in switched()],
+    frozen=True,
+    kw_only=True,
+)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class CueParams:
+class CueParams(_Switches):  # type: ignore[misc]
     """Cues of a method that can do without any of them; each counts as far as the log has it.
 
-    Fields that are inherited carry their text as a description, for the JSON Schema does not
-    find the docstrings of a base class.
+    There is a switch for each cue that has one in the table of cues. Fields that are inherited
+    carry their text as a description, for the JSON Schema does not find the docstrings of a base
+    class.
     """
-
-    contacts: Annotated[bool, Field(description="Docks that touch at the end are D apart.")] = True
-
-    non_overlap: Annotated[bool, Field(description="All other docks are D apart or farther.")] = (
-        True
-    )
-
-    height: Annotated[bool, Field(description="Robots are as high as their flips imply.")] = True
-
-    ground: Annotated[
-        bool, Field(description="A dock on flat ground is one dock radius above it.")
-    ] = True
-
-    walk_contacts: Annotated[
-        bool, Field(description="Contacts of earlier stances count too, carried on by the flips.")
-    ] = True
-
-    odometry: Annotated[
-        bool,
-        Field(description="Robots that know where they started went as far as their flips say."),
-    ] = True
-
-    plane: Annotated[
-        bool, Field(description="Planar robots are in the vertical plane of the anchor.")
-    ] = True
-
-    fixes: Annotated[
-        bool, Field(description="Coordinates that a beacon or camera measured count.")
-    ] = True
-
-    ranges: Annotated[bool, Field(description="Measured distances of centers count.")] = True
-
-    directions: Annotated[bool, Field(description="Measured directions of contacts count.")] = True
-
-    touches: Annotated[bool, Field(description="Contacts whose docks are unknown count.")] = True
-
-    displacements: Annotated[
-        bool, Field(description="Measured vectors between the centers of two robots count.")
-    ] = True
 
     @property
     def cues(self) -> tuple[str, ...]:

@@ -1,12 +1,12 @@
 """What a log says, cue by cue: each is a function that turns the log into rows.
 
-To add a cue, write such a function and add a line to `CUES`; every method that takes cues uses it
+To add a cue, write such a function and an entry of `CUES`; every method that takes cues uses it
 then, unless its settings have a switch for it that is off. Lengths in R.
 """
 
 import math
-from collections.abc import Callable, Collection
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,9 @@ class Precision(NamedTuple):
     spawn: float = 0.2
     """Deviation of each coordinate of a spawn position whose log states none."""
 
+
+WALKED = "walk_contacts"
+"""Cue of earlier stances."""
 
 _Rows = Distances | Offsets | Coordinates
 _Producer = Callable[[SensingLog, Odometry, Precision], _Rows]
@@ -206,27 +209,133 @@ def _on_ground(log: SensingLog, stance: Ints, dock: AnyInts, precision: Precisio
     return Coordinates.of(stance, dock, _UP, value, variance=precision.height**2)
 
 
-CUES: list[tuple[tuple[str, ...], _Producer]] = [
-    (("contacts",), _contacts),
-    (("ground",), _ground),
-    (("height",), _height),
-    (("walk_contacts",), _walk_contacts),
-    (("ground", "walk_contacts"), _walk_ground),
-    (("odometry",), _odometry_from_spawn),
-    (("plane",), _plane),
-    (("anchors",), _anchors),
-    (("fixes",), _fixes),
-    (("ranges",), _ranges),
-    (("directions",), _directions),
-    (("touches",), _touches),
-    (("displacements",), _displacements),
-]
-"""Every producer, after the names of the cues that must be in use for it."""
+@dataclass(frozen=True, kw_only=True)
+class Cue:
+    """What a log says in one way: its rows, its switch in settings, its words."""
+
+    name: str
+
+    rows: _Producer | None = None
+    """Function that turns a log into rows; None of a cue without rows."""
+
+    walked: _Producer | None = None
+    """Function for earlier stances, used beside the cue `walk_contacts`."""
+
+    switch: str = ""
+    """Description of the setting that is on unless a user says otherwise; a cue without one is
+    always used."""
+
+    place: int = 0
+    """Place of the setting among those of all cues."""
+
+    words: str = ""
+    """Words for pages; the name if empty."""
+
+    said: int = 99
+    """Place of the words among those of all cues."""
+
+    key: str = ""
+    """Key of the log."""
+
+    item: str = ""
+    """What a row is, of `other` robot, `own` dock and `dock` of the other, or `along` an axis, `at`
+    a coordinate."""
+
+    docks_unknown: bool = False
+    """Whether a method must find the docks of its rows."""
+
+
+CUES: list[Cue] = [
+    Cue(
+        name="contacts", rows=_contacts, key="contacts", item="contact [{own}, {other}, {dock}]",
+        switch="Docks that touch at the end are D apart.", place=0,
+        words="contacts", said=0,
+    ),
+    Cue(
+        name="non_overlap",
+        switch="All other docks are D apart or farther.", place=1,
+        words="non-overlap", said=12,
+    ),
+    Cue(
+        name="ground", rows=_ground, walked=_walk_ground,
+        key="ground_docks", item="ground contact of dock {dock}",
+        switch="A dock on flat ground is one dock radius above it.", place=3,
+        words="docks on the ground", said=7,
+    ),
+    Cue(
+        name="height", rows=_height, key="flip_height", item="height",
+        switch="Robots are as high as their flips imply.", place=2,
+        words="heights", said=6,
+    ),
+    Cue(
+        name=WALKED, rows=_walk_contacts,
+        key="contacts", item="contact [{own}, {other}, {dock}]",
+        switch="Contacts of earlier stances count too, carried on by the flips.", place=4,
+        words="contacts on the way", said=11,
+    ),
+    Cue(
+        name="odometry", rows=_odometry_from_spawn,
+        key="spawn_position", item="spawn position along {along}",
+        switch="Robots that know where they started went as far as their flips say.", place=5,
+        words="odometry", said=10,
+    ),
+    Cue(
+        name="plane", rows=_plane, key="fixes", item="fix along {along} at {at}",
+        switch="Planar robots are in the vertical plane of the anchor.", place=6,
+        words="the plane of motion", said=8,
+    ),
+    Cue(
+        name="anchors", rows=_anchors, key="fixes", item="fix along {along} at {at}",
+        words="further anchors", said=9,
+    ),
+    Cue(
+        name="fixes", rows=_fixes, key="fixes", item="fix along {along} at {at}",
+        switch="Coordinates that a beacon or camera measured count.", place=7,
+        words="fixes", said=5,
+    ),
+    Cue(
+        name="ranges", rows=_ranges, key="ranges", item="range to robot {other}",
+        switch="Measured distances of centers count.", place=8,
+        words="ranges", said=4,
+    ),
+    Cue(
+        name="directions", rows=_directions,
+        key="directions", item="direction of contact [{own}, {other}, {dock}]",
+        switch="Measured directions of contacts count.", place=9,
+        words="directions of contacts", said=2,
+    ),
+    Cue(
+        name="touches", rows=_touches, key="touches", item="touch of robot {other}",
+        switch="Contacts whose docks are unknown count.", place=10,
+        words="contacts of unknown docks", said=1, docks_unknown=True,
+    ),
+    Cue(
+        name="displacements", rows=_displacements,
+        key="displacements", item="displacement to robot {other}",
+        switch="Measured vectors between the centers of two robots count.", place=11,
+        words="displacements", said=3,
+    ),
+]  # fmt: skip
+"""The table of cues. To add one, write its function and an entry here: settings, analyses and pages
+follow."""
 
 
 def cue_names() -> tuple[str, ...]:
-    """List the names of all cues."""
-    return tuple(dict.fromkeys(name for names, _ in CUES for name in names))
+    """List the names of all cues with rows."""
+    return tuple(cue.name for cue in CUES if cue.rows)
+
+
+def switched() -> list[Cue]:
+    """List the cues that settings have a switch for, in their order."""
+    return sorted((cue for cue in CUES if cue.switch), key=lambda cue: cue.place)
+
+
+def in_words(names: Collection[str]) -> list[str]:
+    """Return the words of cues in the order of sentences; an unknown one is its own word."""
+    known = {cue.name: cue for cue in CUES}
+    found = [known.get(name, Cue(name=name)) for name in names]
+    found.sort(key=lambda cue: cue.said)
+    return [cue.words or cue.name.replace("_", " ") for cue in found]
 
 
 class Measured:
@@ -263,7 +372,7 @@ class Measured:
     def used(self, cues: Collection[str]) -> tuple[str, ...]:
         """List the cues with rows in the log, and those that need none."""
         used = self._used(cues)
-        with_rows = {name for names, produce in CUES if produce in used for name in names}
+        with_rows = {name for name, produce in self._produced(cues) if produce in used}
         names = cue_names()
         return (
             *(name for name in names if name in with_rows),
@@ -281,8 +390,17 @@ class Measured:
 
     def _used(self, cues: Collection[str]) -> tuple[_Producer, ...]:
         """List the producers of some cues that have rows."""
-        used = [produce for names, produce in CUES if set(names) <= set(cues)]
+        used = [produce for _, produce in self._produced(cues)]
         return tuple(produce for produce in used if len(self._table(produce).stance))
+
+    @staticmethod
+    def _produced(cues: Collection[str]) -> Iterator[tuple[str, _Producer]]:
+        """Yield some cues with the functions of their rows."""
+        for cue in CUES:
+            if cue.name in cues and cue.rows:
+                yield cue.name, cue.rows
+            if cue.name in cues and cue.walked and WALKED in cues:
+                yield cue.name, cue.walked
 
     def _table(self, produce: _Producer) -> _Rows:
         if produce not in self._tables:

@@ -7,12 +7,11 @@ import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Ints, Reals
 from tiswarm.measurements.contacts import parts, reach
-from tiswarm.measurements.cues import Measured, measure
+from tiswarm.measurements.cues import CUES, WALKED, Measured, measure
 from tiswarm.measurements.model import SPACING
-from tiswarm.measurements.odometry import CENTER, UNKNOWN
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted, percent
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import NUMBERS, SensingLog
 
 MOST_SHOWN = 10
 """Robots, and solutions, that a line or a list names."""
@@ -31,16 +30,6 @@ _MOTIONS = {
     "axis": "turned about one axis through the anchor",
     "hand": "were replaced by their mirror image",
 }
-
-_PLACES = {
-    "height": ("flip_height", "height"),
-    "odometry": ("spawn_position", "spawn position"),
-    "plane": ("fixes", "fix"),
-    "anchors": ("fixes", "fix"),
-    "fixes": ("fixes", "fix"),
-    "ground": ("ground_docks", "ground contact"),
-}
-"""Cues that measure coordinates, their keys in the log, and their names."""
 
 
 def headline(log: SensingLog, estimate: Estimate) -> str:
@@ -172,7 +161,7 @@ def describe_outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterat
     flips = np.zeros(log.robot_count) if log.stances is None else np.diff(log.stances.start)
     rows = [*_outlier_pairs(log, estimate), *_outlier_places(log, estimate)]
     for robot, stance, key, what in rows:
-        of_robot = key in {"flip_height", "spawn_position"} or stance == flips[robot]
+        of_robot = key in NUMBERS or stance == flips[robot]
         place = f"{_line(log, path, robot)}: {'' if of_robot else f'stances[{stance}].'}{key}"
         yield f"{place}: robot {name[robot]}'s {what} is an outlier"
     for robot in [] if estimate.outlier_robots is None else estimate.outlier_robots.tolist():
@@ -235,23 +224,16 @@ _Outlier = tuple[int, int, str, str]
 def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
     if estimate.outlier_contacts is None:
         return
-    name = log.robot_id.tolist()
-    directed, displaced = (
-        set(map(tuple, measure(log, [cue]).sensed_contacts.tolist()))
-        for cue in ("directions", "displacements")
-    )
-    for robot, stance, own, other, dock in estimate.outlier_contacts.tolist():
-        if (robot, stance, own, other, dock) in displaced:
-            yield robot, stance, "displacements", f"displacement to robot {name[other]}"
-        elif own == CENTER:
-            yield robot, stance, "ranges", f"range to robot {name[other]}"
-        elif UNKNOWN in (own, dock):
-            yield robot, stance, "touches", f"touch of robot {name[other]}"
-        elif (robot, stance, own, other, dock) in directed:
-            what = f"direction of contact [{own}, {name[other]}, {dock}]"
-            yield robot, stance, "directions", what
-        else:
-            yield robot, stance, "contacts", f"contact [{own}, {name[other]}, {dock}]"
+    name, measured = log.robot_id.tolist(), Measured(log)
+    # Of cues with equal rows the last one counts: a displacement also says how far robots are.
+    pairs = {
+        cue: set(map(tuple, measured.rows([cue.name]).sensed_contacts.tolist()))
+        for cue in reversed(CUES)
+    }
+    for row in estimate.outlier_contacts.tolist():
+        robot, stance, own, other, dock = row
+        cue = next(cue for cue, rows in pairs.items() if tuple(row) in rows or cue is CUES[0])
+        yield robot, stance, cue.key, cue.item.format(own=own, other=name[other], dock=dock)
 
 
 def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
@@ -262,23 +244,20 @@ def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
     measured, center = Measured(log), estimate.position / log.dock_radius
     wanted, number = np.unique(places, axis=0, return_counts=True)
     listed: dict[tuple[int, ...], list[tuple[float, str, str]]] = {}
-    for cue, (key, what) in _PLACES.items():
-        cues = [cue, "walk_contacts"] if cue == "ground" else [cue]
-        rows = measured.rows(cues)
+    for cue in CUES:
+        rows = measured.rows([cue.name, WALKED] if cue.walked else [cue.name])
         count = len(rows.other)
         missed = np.abs(rows.residual(center, estimate.yaw)) / np.sqrt(rows.variance())
         for point, axis, value, off in zip(
             rows.sensed_places.tolist(), rows.places.direction, rows.places.value,
             missed[count:].tolist(), strict=True,
         ):  # fmt: skip
-            text = what
-            if cue == "ground":
-                text += f" of dock {point[2]}"
-            elif cue != "height":
-                text += f" along {_axis(axis)}"
-            if key == "fixes":
-                text += f" at {value * log.dock_radius:.4g} {log.length_unit}"
-            listed.setdefault(tuple(point), []).append((-off, key, text))
+            text = cue.item.format(
+                dock=point[2],
+                along=_axis(axis),
+                at=f"{value * log.dock_radius:.4g} {log.length_unit}",
+            )
+            listed.setdefault(tuple(point), []).append((-off, cue.key, text))
     for point, many in zip(wanted.tolist(), number.tolist(), strict=True):
         for _, key, text in sorted(listed.get(tuple(point), []))[:many]:
             yield point[0], point[1], key, text

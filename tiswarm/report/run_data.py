@@ -15,6 +15,7 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.measurements.cues import in_words
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
 from tiswarm.records.run_folder import LABEL, TABLE_NOTES, case_folder, check_folders
@@ -52,23 +53,6 @@ class StoredCase:
 
 _WORDS = ["case", "series", "condition", "point", "kind", "status", "reason"]
 """Columns of text that a summary has."""
-
-CUE_WORDS = {
-    "contacts": "contacts",
-    "touches": "contacts of unknown docks",
-    "directions": "directions of contacts",
-    "displacements": "displacements",
-    "ranges": "ranges",
-    "fixes": "fixes",
-    "height": "heights",
-    "ground": "docks on the ground",
-    "plane": "the plane of motion",
-    "anchors": "further anchors",
-    "odometry": "odometry",
-    "walk_contacts": "contacts on the way",
-    "non_overlap": "non-overlap",
-}
-"""Cues in words, in the order in which sentences list them."""
 
 Series = dict[str, list[StoredCase]]
 """Cases that are done, by the name of their series."""
@@ -253,8 +237,6 @@ def measured_words(names: str, *, without: Collection[str] = ()) -> str:
     >>> measured_words("contacts, height, walk_contacts, non_overlap", without={"non_overlap"})
     'contacts, heights and contacts on the way'
     """
-    order = [*CUE_WORDS]
     kept = [name for name in names.split(", ") if name and name not in without]
-    kept.sort(key=lambda name: order.index(name) if name in order else len(order))
-    *first, last = [CUE_WORDS.get(name, name.replace("_", " ")) for name in kept] or [""]
+    *first, last = in_words(kept) or [""]
     return f"{', '.join(first)} and {last}" if first else last

@@ -16,7 +16,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.plugins import load_plugins, watch
 from tiswarm.localization.plugins import all_params
-from tiswarm.localization.settings import CUES, LocalizationParams
+from tiswarm.localization.settings import SWITCHES, LocalizationParams
 from tiswarm.records.messages import UNKNOWN_KEY, Part, did_you_mean, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
 
@@ -186,16 +186,16 @@ def localization_params(
 def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
     """Switch cues of a method on and all others off, or raise InputError."""
     for cue in cues:
-        if cue not in CUES:
-            meant = did_you_mean(cue, CUES) or f"; use {', '.join(CUES)}"
+        if cue not in SWITCHES:
+            meant = did_you_mean(cue, SWITCHES) or f"; use {', '.join(SWITCHES)}"
             raise InputError(f"{cue} is not a cue{meant}", argument="cues")
     settings = _alternatives("localization", _LOCALIZATION)
     able = {
-        name: {cue for cue in CUES if keys.get(cue, {}).get("type") == "boolean"}
-        - {cue for cue in CUES if "const" in keys.get(cue, {})}
+        name: {cue for cue in SWITCHES if keys.get(cue, {}).get("type") == "boolean"}
+        - {cue for cue in SWITCHES if "const" in keys.get(cue, {})}
         for name, keys in settings.items()
     }
-    mine = able.get(method, {*CUES})
+    mine = able.get(method, {*SWITCHES})
     lacking = [cue for cue in cues if cue not in mine]
     others = [name for name, theirs in able.items() if {*cues} <= theirs]
     choose = f"choose method {' or '.join(others)}" if others else "leave them out"
@@ -207,7 +207,7 @@ def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
     if lacking:
         problem = f"{method} cannot use {', '.join(lacking)}; {choose}"
         raise InputError(problem, argument="cues")
-    return {cue: cue in cues for cue in CUES if cue in mine}
+    return {cue: cue in cues for cue in SWITCHES if cue in mine}
 
 
 def _nested(key: str, value: object) -> Iterator[tuple[str, object]]:

@@ -16,7 +16,7 @@ from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import SETTLED, Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
-from tiswarm.localization.settings import CUES, LARGE, ChiSquareParams
+from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
 from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence
@@ -91,7 +91,7 @@ def assess(
         the minimum. Beyond `LARGE` robots the estimate itself is taken for it. Outliers are None
         unless noise explains that, and all other measurements.
     """
-    chosen = {cue: cue in cues for cue in CUES}
+    chosen = {cue: cue in cues for cue in SWITCHES}
     is_large = log.robot_count > LARGE
     solve_yaw = yaw is not None or not is_large
     problem = pose_problem(log, ChiSquareParams(**chosen, solve_yaw=solve_yaw))

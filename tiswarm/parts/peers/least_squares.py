@@ -17,7 +17,7 @@ from tiswarm.localization.chains.initialization import set_apart
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.joint import mixed
 from tiswarm.localization.mixture.ends import further_starts, settled
-from tiswarm.localization.settings import LeastSquaresParams
+from tiswarm.localization.settings import DOCKS_UNKNOWN, LeastSquaresParams
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING
 from tiswarm.parts.peers.hop_by_hop import place
@@ -55,7 +55,9 @@ def localize_batch(
 def _localize(log: SensingLog, params: LeastSquaresParams) -> Estimate:
     problem = pose_problem(log, params)
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
-    rows = measure(log, [cue for cue in params.cues if cue != "touches"], precision=precision)
+    rows = measure(
+        log, [cue for cue in params.cues if cue not in DOCKS_UNKNOWN], precision=precision
+    )
     placed = place(log, rows, non_overlap=params.non_overlap)
     position = set_apart(problem, placed.position)
     ends = [
