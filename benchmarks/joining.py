@@ -25,8 +25,7 @@ from tiswarm.evaluation.tables import MOST_WITHIN
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import JointParams
 from tiswarm.parts.online.tracker import Tracker
-from tiswarm.records.sensing_file import SensingLogBuilder, log_entries
-from tiswarm.records.sensing_format import line_text, parse_header, parse_robot
+from tiswarm.records.sensing_file import SensingLogBuilder, lines_of, log_entries
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -127,10 +126,10 @@ def _tracked(log: SensingLog) -> tuple[Tracker, Reals, Reals, Reals, np.ndarray]
 
 def _by_joint(log: SensingLog, robots: int) -> Reals:
     """Localize the first robots of a log by `joint`, shape (robots, 3)."""
-    header, *lines = log_entries(log)
-    builder = SensingLogBuilder(parse_header(line_text(header)))
+    header, lines = lines_of(log)
+    builder = SensingLogBuilder(header)
     for line in lines[:robots]:
-        builder.add(parse_robot(line_text(line)))
+        builder.add(line)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # verdicts are not what is measured
         return localize(builder.log(), JointParams()).position

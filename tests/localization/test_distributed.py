@@ -34,7 +34,7 @@ from tiswarm.parts.between.wire import (
     write_place,
 )
 from tiswarm.parts.online.tracker import Tracker
-from tiswarm.records.sensing_format import parse_robot
+from tiswarm.records.sensing_format import parse_header, parse_robot
 from tiswarm.sensing import observe
 
 QUICK = DistributedParams(chains=2, steps=40)
@@ -53,7 +53,7 @@ def log(towers):
 def grown(log, params, robots=None):
     """Let robots of a log join."""
     header, *lines = lines_of(centered(replace(log, robot_id=np.arange(log.robot_count))))
-    swarm = PeerSwarm(Program(params, header), log.robot_count)
+    swarm = PeerSwarm(Program(params, parse_header(header)), log.robot_count)
     for line in lines[:robots]:
         swarm.join(parse_robot(line))
     return swarm

@@ -5,9 +5,8 @@ side of a gap stands alone and is the anchor of its side: robots of a side local
 nobody knows where the other side is until both meet, unless `structure.anchors` states it.
 """
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -15,22 +14,19 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization import methods
 from tiswarm.measurements.odometry import with_orientations
-from tiswarm.records.sensing_file import SensingLogBuilder, log_entries
-from tiswarm.records.sensing_format import parse_header, parse_robot
-from tiswarm.records.sensing_log import LISTS, SensingLog
+from tiswarm.records.sensing_file import SensingLogBuilder, lines_of
+from tiswarm.records.sensing_format import HeaderLine, RobotLine
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
 from tiswarm.world.growth import Believe
 from tiswarm.world.history import History
 
-_Line = Mapping[str, Any]
-"""A line of a sensing file."""
-
 
 class _Joining(Protocol):
     """What localizes robots as they join."""
 
-    def join(self, robot: _Line, /) -> object:
+    def join(self, robot: RobotLine, /) -> object:
         """Add the next robot."""
 
     @property
@@ -41,23 +37,20 @@ class _Joining(Protocol):
 class _Part:
     """The n robots of a side in join order, and what they have sensed of each other."""
 
-    def __init__(self, history: History, robots: Ints, lines: Sequence[_Line]) -> None:
-        """Choose from the lines of a whole log, the header first."""
-        header, *every = lines
-        founder, of_part = int(robots[0]), set(robots.tolist())
+    def __init__(
+        self, history: History, robots: Ints, header: HeaderLine, lines: Sequence[RobotLine]
+    ) -> None:
+        """Choose from the lines of a whole log."""
+        founder = int(robots[0])
         self.key = (history.seed, founder)
         self.robots = robots
-        place = history.walks[founder].center[-1]
+        place = history.walks[founder].center[-1].tolist()
         # What robots sense later may need the newer version.
-        self.header = {**header, "version": 2, "anchor_position": place.tolist()}
-        self.lines = [_about(every[robot], of_part) for robot in robots]
-
-    def log(self) -> SensingLog:
-        """Return what the robots have sensed, as a log of their own."""
-        builder = SensingLogBuilder(parse_header(json.dumps(self.header)))
-        for line in self.lines:
-            builder.add(parse_robot(json.dumps(line)))
-        return builder.log()
+        self.header = header.model_copy(update={"version": 2, "anchor_position": place})
+        builder = SensingLogBuilder(self.header, of_some=True)
+        for robot in robots.tolist():
+            builder.add(lines[robot])
+        self.log = builder.log()
 
 
 def believe_by(settings: Scenario) -> Believe:
@@ -85,14 +78,14 @@ def believe_by(settings: Scenario) -> Believe:
 
     def centers(parts: Sequence[_Part]) -> dict[tuple[int, int], Reals]:
         if not (joins := methods.joining(params)):
-            logs = [part.log() for part in parts]
+            logs = [part.log for part in parts]
             estimates = methods.localize_many(logs, [params] * len(logs))
             return {part.key: e.position for part, e in zip(parts, estimates, strict=True)}
         for part in parts:
             if part.key not in swarms:
                 swarms[part.key] = joins(part.header, params)
             swarm = swarms[part.key]
-            for line in part.lines[len(swarm.positions) :]:
+            for line in lines_of(part.log)[1][len(swarm.positions) :]:
                 swarm.join(line)
         return {part.key: swarms[part.key].positions for part in parts}
 
@@ -109,21 +102,6 @@ def _parts(history: History, log: SensingLog) -> list[_Part]:
         touched = walk.at_rest(walk.contacts)[:, 1]
         alone = 0 if j < history.anchors else j
         founder.append(founder[touched[0]] if len(touched) else alone)
-    lines, founders = [*log_entries(log)], np.array(founder)
-    return [_Part(history, np.flatnonzero(founders == f), lines) for f in np.unique(founders)]
-
-
-def _about(line: _Line, robots: set[int]) -> _Line:
-    """Leave out what a robot, or a stance of it, sensed of robots that are not among these."""
-    return dict(_kept(line, robots))
-
-
-def _kept(line: _Line, robots: set[int]) -> Iterator[tuple[str, Any]]:
-    for key, value in line.items():
-        place = LISTS[key].robot if key in LISTS else None
-        if key == "stances" and value:
-            yield key, [_about(stance, robots) for stance in value]
-        elif value and place is not None:
-            yield key, [item for item in value if item[place] in robots]
-        else:
-            yield key, value
+    founders, (header, lines) = np.array(founder), lines_of(log)
+    every = [np.flatnonzero(founders == f) for f in np.unique(founders)]
+    return [_Part(history, robots, header, lines) for robots in every]

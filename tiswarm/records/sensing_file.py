@@ -11,7 +11,7 @@ import json
 import math
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import chain, groupby, zip_longest
@@ -37,6 +37,7 @@ from tiswarm.records.sensing_format import (
     StanceEntry,
     parse_header,
     parse_line,
+    parsed,
 )
 from tiswarm.records.sensing_log import (
     LISTS,
@@ -77,9 +78,14 @@ class SensingLogBuilder:
     nor line.
     """
 
-    def __init__(self, header: HeaderLine) -> None:
-        """Start a log without robots."""
-        self.header = header
+    def __init__(self, header: HeaderLine, *, of_some: bool = False) -> None:
+        """Start a log without robots.
+
+        Args:
+            header: First line of the log.
+            of_some: Whether it is of some robots only: what they sensed of others is left out.
+        """
+        self.header, self._of_some = header, of_some
         self._source_of = {name: row for row, name in enumerate(header.sources or {})}
         self._index_of: dict[int, int] = {}
         self._gone: set[int] = set()
@@ -94,6 +100,11 @@ class SensingLogBuilder:
         self._pivot_dock = array("i")
         self._stance_start = array("q", [0])
         self._has_stances = array("b")
+
+    @property
+    def numbers(self) -> Mapping[int, int]:
+        """By name, the number of each robot, in join order."""
+        return self._index_of
 
     def take(self, line: SensingLine) -> None:
         """Take a line of any kind."""
@@ -159,32 +170,56 @@ class SensingLogBuilder:
 
     def log(self) -> SensingLog:
         """Assemble the log; at least one robot must have been added."""
-        entry, start = np.array(self._entry), np.array(self._stance_start)
-        final = self._final.arrays(entry)
+        return self._log(np.arange(len(self._entry)))
+
+    def log_of(self, number: int) -> tuple[SensingLog, Ints]:
+        """Assemble the log of one robot: before it, the anchor and those that it names only stand.
+
+        Of a robot that only stands the log has its final orientation and fixes.
+
+        Args:
+            number: Number of the robot, in join order.
+
+        Returns:
+            The log, and the number of each of its M robots, ascending, shape (M,).
+        """
+        entry = self._entry[number]
+        named = self._final.named(entry, entry + 1)
+        named |= self._earlier.named(*self._stance_start[entry : entry + 2])
+        robots = np.array(sorted({0, number} | named))
+        return self._log(robots, standing=len(robots) - 1), robots
+
+    def _log(self, robots: Ints, standing: int = 0) -> SensingLog:
+        """Assemble the log of some robots, ascending; so many of the first only stand."""
+        entry, start = np.array(self._entry)[robots], np.array(self._stance_start)
+        final = self._final.arrays(entry, robots, standing)
         final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
         numbers: dict[str, Any] = {
             name: _of_entries(self._numbers[name], len(key.columns))[entry]
             for name, key in NUMBERS.items()
         }
         line, count = np.array(self._line)[entry], np.diff(start)[entry]
+        count[:standing] = 0
+        for number in numbers.values():
+            number[:standing] = np.nan
         first = np.concatenate([[0], np.cumsum(count)])
         # The stances of an entry are in a row; those of robots follow by join order.
         chosen = np.repeat(start[entry] - first[:-1], count) + np.arange(first[-1])
         stances = Stances(
             start=first,
             pivot_dock=np.array(self._pivot_dock, dtype=np.int32)[chosen],
-            **self._earlier.arrays(chosen),
+            **self._earlier.arrays(chosen, robots),
         )
         in_order = np.array_equal(line, 2 + np.arange(len(line)))
         return SensingLog(
-            robot_id=np.array(list(self._index_of), dtype=np.int64),
-            gone=np.array(sorted(self._gone), np.int64),
+            robot_id=np.array(list(self._index_of), dtype=np.int64)[robots],
+            gone=np.flatnonzero(np.isin(robots, [*self._gone])),
             line=None if in_order else line,
             dock_radius=self.header.dock_radius,
             dock_offset_body=np.array(self.header.dock_offsets, dtype=np.float64),
             anchor_position=np.array(self.header.anchor_position, dtype=np.float64),
             ground_z=self.header.ground_z,
-            stances=stances if np.array(self._has_stances)[entry].any() else None,
+            stances=stances if np.array(self._has_stances)[entry[standing:]].any() else None,
             noise=self.header.noise,
             length_unit=self.header.length_unit,
             **self.header.source_arrays(),
@@ -253,6 +288,8 @@ class SensingLogBuilder:
                 continue
             first: dict[tuple[Any, ...], int] = {}
             for place, numbers in enumerate(getattr(entry, name)):
+                if self._of_some and self._is_of_others(key, numbers, who[0]):
+                    continue
                 here = f"{prefix}{name}[{place}]"
                 # A source may be left out at the end.
                 pairs = zip_longest(key.columns, [numbers] if len(key.columns) == 1 else numbers)
@@ -334,6 +371,12 @@ class SensingLogBuilder:
         for place, more in touching.items():
             self._touching[place] += more
 
+    def _is_of_others(self, key: Key, item: Sequence[Any], myself: int) -> bool:
+        """Judge whether an item of a list is about a robot that is not in the log."""
+        if key.robot is None:
+            return False
+        return item[key.robot] != myself and item[key.robot] not in self._index_of
+
     def _robot_index(self, myself: int, number: int, name: int, key: str) -> int:
         if name == myself:
             problem = "the robot touches itself; name another robot or delete the contact"
@@ -390,16 +433,40 @@ class _StanceColumns:
                 self._lists[key] = kept
         return bool(found["contacts"].any())
 
-    def arrays(self, chosen: Ints) -> dict[str, Any]:
-        """Return the arrays of some stances, renumbered in this order."""
-        number = np.full(len(self._orientation) // 4, -1)
-        number[chosen] = np.arange(len(chosen))
+    def named(self, first: int, stop: int) -> set[int]:
+        """List the robots that some stances in a row name."""
+        found: set[int] = set()
+        for name, key in LISTS.items():
+            if key.robot is not None and self._lists[name]:
+                table = self._table(name)
+                begin, end = np.searchsorted(table[:, 0], [first, stop])
+                found.update(map(int, table[begin:end, 1 + key.robot].tolist()))
+        return found
+
+    def arrays(self, chosen: Ints, robots: Ints, standing: int = 0) -> dict[str, Any]:
+        """Return the arrays of some stances, numbered in this order.
+
+        Args:
+            chosen: The stances, shape (n,).
+            robots: Those that they name, ascending; each gets its place among them as its number.
+            standing: Number of stances, the first ones, that have fixes only.
+        """
         lists = {}
-        for key in LISTS:
-            table = self._table(key)
-            table[:, 0] = number[table[:, 0].astype(np.int64)]
-            table = table[table[:, 0] >= 0]
-            lists[key] = table[np.argsort(table[:, 0], kind="stable")]
+        for name, key in LISTS.items():
+            table = self._table(name)
+            if len(table):
+                # Stances were appended one after the other, each with its items.
+                first = np.searchsorted(table[:, 0], chosen)
+                count = np.searchsorted(table[:, 0], chosen, "right") - first
+                if name != "fixes":
+                    count[:standing] = 0
+                end = np.cumsum(count)
+                table = table[np.repeat(first + count - end, count) + np.arange(count.sum())]
+                table[:, 0] = np.repeat(np.arange(len(chosen)), count)
+                if key.robot is not None:
+                    other = table[:, 1 + key.robot]
+                    other[:] = np.searchsorted(robots, other)
+            lists[name] = table
         return {"orientation_wxyz": np.array(self._orientation).reshape(-1, 4)[chosen], **lists}
 
     def _table(self, key: str) -> Any:  # noqa: ANN401 - of integers or floats
@@ -494,9 +561,19 @@ def log_entries(log: SensingLog) -> Iterator[dict[str, Any]]:
     return chain([_header_entries(log)], _robot_entries(log), left)
 
 
-def check_header(log: SensingLog) -> None:
-    """Raise InputError, with the key alone, where a reader would refuse a log's header."""
-    parse_header(json.dumps(_header_entries(log)))
+def lines_of(log: SensingLog) -> tuple[HeaderLine, list[RobotLine]]:
+    """Return the header of a log and the lines of its robots, as a reader of its file has them.
+
+    Raises:
+        InputError: a reader would refuse them; it has the key alone.
+    """
+    lines = [parsed(entries, RobotLine) for entries in _robot_entries(log)]
+    return check_header(log), lines
+
+
+def check_header(log: SensingLog) -> HeaderLine:
+    """Return the header of a log; an InputError, with the key alone, where a reader refuses it."""
+    return parse_header(_header_entries(log))
 
 
 def _header_entries(log: SensingLog) -> dict[str, object]:

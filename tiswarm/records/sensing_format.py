@@ -260,13 +260,11 @@ Line = str | Mapping[str, object]
 """A line of a sensing file, as text or as the value of its JSON."""
 
 
-def line_text(line: Line) -> str:
-    """Write a line of a sensing file."""
-    return line if isinstance(line, str) else json.dumps(line)
-
-
-def parse_header(text: str) -> HeaderLine:
+def parse_header(line: Line | HeaderLine) -> HeaderLine:
     """Read the first line; an InputError names the key at fault, but neither file nor line."""
+    if isinstance(line, HeaderLine):
+        return line
+    text = _text(line)
     entries = parse_json(text)
     if entries.get("format") != FORMAT:
         problem = f'the first line is not a header; start it with {{"format": "{FORMAT}", ...'
@@ -282,9 +280,15 @@ def parse_header(text: str) -> HeaderLine:
         raise _mistake(found, HeaderLine) from found
 
 
-def parse_robot(text: str) -> RobotLine:
+def _text(line: Line) -> str:
+    return line if isinstance(line, str) else json.dumps(line)
+
+
+def parse_robot(line: Line | RobotLine) -> RobotLine:
     """Read the line of a robot that joins; errors as for `parse_header`."""
-    entries = parse_json(text)
+    if isinstance(line, RobotLine):
+        return line
+    entries = parse_json(_text(line))
     if (event := entries.get("event")) is not None:
         problem = "is about a robot that has joined; give the line of one that joins"
         raise InputError(f"{shown(event)} {problem}", key="event")
@@ -388,9 +392,9 @@ _MODELS: dict[str, type[SensingLine]] = {
 }
 
 
-def parse_line(text: str, header: HeaderLine) -> SensingLine:
+def parse_line(line: Line, header: HeaderLine) -> SensingLine:
     """Read a line after this header; an InputError names the key, but neither file nor line."""
-    entries = parse_json(text)
+    entries = parse_json(_text(line))
     event = entries.get("event")
     if event is None:
         return parsed(entries, RobotLine)

@@ -44,9 +44,9 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import SensedStance, SensingLogBuilder
 from tiswarm.records.sensing_format import (
+    HeaderLine,
     Line,
     RobotLine,
-    line_text,
     parse_header,
     parse_robot,
 )
@@ -168,7 +168,11 @@ class Localizer:
     """
 
     def __init__(
-        self, header: Line, params: LocalizationParams | None = None, *, capacity: int = 10_000
+        self,
+        header: Line | HeaderLine,
+        params: LocalizationParams | None = None,
+        *,
+        capacity: int = 10_000,
     ) -> None:
         """Prepare for robots to join.
 
@@ -193,7 +197,7 @@ class Localizer:
             raise InputError(
                 "back_propagation moves robots that have been placed; switch it off to join"
             )
-        head = parse_header(line_text(header))
+        head = parse_header(header)
         self._params = chosen
         self._unit = head.dock_radius
         self._builder = SensingLogBuilder(head)
@@ -221,7 +225,7 @@ class Localizer:
         center: Reals = self._robots.position[: self._count] * self._unit + self._anchor
         return center
 
-    def join(self, robot: Line) -> Reals:
+    def join(self, robot: Line | RobotLine) -> Reals:
         """Place the next robot; the first one is the anchor.
 
         Args:
@@ -237,7 +241,7 @@ class Localizer:
             raise InputError(
                 f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
             )
-        line = parse_robot(line_text(robot))
+        line = parse_robot(robot)
         if line.orientation_wxyz is None:
             problem = "null follows from the lines of later robots, too; localize the whole log"
             raise InputError(problem, key="orientation_wxyz")

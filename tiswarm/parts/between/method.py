@@ -13,7 +13,6 @@ that it touches answer it. In a round of back-propagation each robot sends its p
 of its steps. By touch, robots pass on what they hear.
 """
 
-import json
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 
@@ -29,10 +28,10 @@ from tiswarm.parts.between.channel import HEADER, Channel, Message
 from tiswarm.parts.between.conclusion import Found, estimate_of
 from tiswarm.parts.between.robot import Peer, Program
 from tiswarm.parts.between.wire import MOST_ROBOTS, pose_bytes
-from tiswarm.parts.online.lines import refuse_header, refuse_line
+from tiswarm.parts.online.layers import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_file import log_entries
-from tiswarm.records.sensing_format import RobotLine, line_text, parse_header, parse_robot
+from tiswarm.records.sensing_file import lines_of
+from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 
 _MOST_TURNS = 1000
@@ -73,16 +72,15 @@ def localize_batch(
             raise InputError("distributed takes robots that stay; choose joint", key="event")
         # Robots go by their numbers in join order.
         numbered = replace(log, robot_id=np.arange(log.robot_count))
-        header, *robots = map(json.dumps, log_entries(numbered))
-        refuse_header(parse_header(line_text(header)))
-        lines = [parse_robot(line_text(robot)) for robot in robots]
+        head, lines = lines_of(numbered)
+        refuse_header(head)
         for line in lines:
             refuse_line(line)
 
         def report(share: float, begun: int = joined, robots: int = log.robot_count) -> None:
             on_progress((begun + share * robots) / total)
 
-        estimates.append(_localized(log, p, header, lines, report))
+        estimates.append(_localized(log, p, head, lines, report))
         joined += log.robot_count
     return estimates
 
@@ -90,14 +88,14 @@ def localize_batch(
 def _localized(
     log: SensingLog,
     params: DistributedParams,
-    header: str,
+    head: HeaderLine,
     lines: list[RobotLine],
     on_progress: Callable[[float], None],
 ) -> Estimate:
     """Let robots localize themselves by the scheme that is asked for."""
     if params.scheme == "algorithm-1":
         return algorithm_1(log, params)
-    program = Program(params, header)
+    program = Program(params, head)
     swarm = PeerSwarm(program, len(lines))
     for line in lines:
         swarm.join(line)

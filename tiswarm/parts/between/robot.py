@@ -20,20 +20,16 @@ reported on.
 
 import zlib
 from collections.abc import Iterable, Mapping
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization.chains.problem import chosen_rows
-from tiswarm.localization.cost.neighborhood import Block, Configuration, block_of
+from tiswarm.localization.cost.neighborhood import Block, Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
-from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import DistributedParams, OnlineParams
-from tiswarm.measurements.odometry import Odometry
 from tiswarm.parts.between.chains import annealed
 from tiswarm.parts.between.channel import Message
 from tiswarm.parts.between.wire import (
@@ -52,15 +48,11 @@ from tiswarm.parts.between.wire import (
     write_numbers,
     write_place,
 )
-from tiswarm.parts.online.layers import LocalLayers
-from tiswarm.parts.online.lines import mentioned, standing
+from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import (
     HeaderLine,
     RobotLine,
-    StanceEntry,
-    line_text,
-    parse_header,
 )
 from tiswarm.records.sensing_log import LISTS
 
@@ -85,8 +77,6 @@ class AnswerSettings:
 
 ANSWERS = AnswerSettings()
 
-
-_Entry = TypeVar("_Entry", RobotLine, StanceEntry)
 
 _AXES = 3
 _STEPS = 2
@@ -127,18 +117,18 @@ class Known:
     """Whether it lets the robot that holds this know as it moves."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Program:
     """What every robot is programmed with; it says nothing of other robots."""
 
     params: DistributedParams
-    header: str
+    header: HeaderLine
     """First line of a sensing file."""
 
     @property
     def docks(self) -> int:
         """Docks of a robot."""
-        return len(_head(self.header).dock_offsets)
+        return len(self.header.dock_offsets)
 
     def decoded(self, line: bytes) -> RobotLine:
         """Read a line as it was sent."""
@@ -146,7 +136,14 @@ class Program:
 
     def partners(self, line: bytes) -> set[int]:
         """List the robots that a line has rows about."""
-        return mentioned(self.decoded(line))
+        entry = self.decoded(line)
+        return {
+            item[key.robot]
+            for stance in (entry, *(entry.stances or []))
+            for name, key in LISTS.items()
+            if key.robot is not None
+            for item in getattr(stance, name) or []
+        }
 
 
 class Solved(NamedTuple):
@@ -163,12 +160,6 @@ class Solved(NamedTuple):
 
     operations: float
     """Additions and multiplications that it took, about."""
-
-
-@lru_cache(maxsize=16)
-def _head(header: str) -> HeaderLine:
-    # The second version knows fixes, by which robots are held.
-    return parse_header(line_text(header)).model_copy(update={"version": 2})
 
 
 @lru_cache(maxsize=20_000)
@@ -194,7 +185,7 @@ class LocalSwarm:
             # A robot whose other rows are not here is held by where it is.
             is_whole = each.place is None or each.sharing <= held.keys()
             block = self._block(number, lines, None if is_whole or not number else each.place)
-            self.layers.append(block, self._touching(program, each.line))
+            self.layers.append(Joiner(block, self._touching(program, each.line)))
             for partner in block.partners.tolist():
                 self._sharing[partner].add(k)
                 self._sharing[k].add(partner)
@@ -262,13 +253,14 @@ class LocalSwarm:
 
     def _block(self, number: int, lines: Mapping[int, bytes], stays: Whereabouts | None) -> Block:
         """Measure the rows of a robot about those that are held, and where it stays, if it does."""
-        line, others = lines.get(number, b""), {}
+        members = [0]
         if number:
-            members = sorted(self._program.partners(line) & lines.keys() | {0})
-            others = {each: lines.get(each, b"") for each in members}
+            others = self._program.partners(lines[number]) & lines.keys()
+            members = [*sorted(others | {0}), number]
         place = None if stays is None else tuple(stays.position.tolist())
-        block = _measured(self._program, self._params, line, tuple(others.items()), place)
-        return replace(block, members=np.array([self._index[n] for n in block.members.tolist()]))
+        sent = tuple(lines.get(each, b"") for each in members)
+        block = _measured(self._program, self._params, sent, place)
+        return replace(block, members=np.array([self._index[n] for n in members]))
 
     def _touching(self, program: Program, line: bytes) -> set[tuple[int, int, int]]:
         """List docks of a robot in contact with those of robots that are held."""
@@ -299,21 +291,6 @@ def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
     )
 
 
-def _about(line: RobotLine, robots: AbstractSet[int]) -> RobotLine:
-    """Leave of a line what it says of some robots, and of its own."""
-
-    def cleared(entry: _Entry) -> _Entry:
-        kept = {
-            name: [item for item in items if item[key.robot] in robots]
-            for name, key in LISTS.items()
-            if key.robot is not None and (items := getattr(entry, name))
-        }
-        return entry.model_copy(update=kept)
-
-    stances = line.stances and [cleared(entry) for entry in line.stances]
-    return cleared(line).model_copy(update={"stances": stances})
-
-
 def _held(line: RobotLine, center: Reals, unit: float) -> RobotLine:
     """Add to a line that the robot is where it is [log unit]."""
     axes = np.eye(_AXES)
@@ -321,40 +298,36 @@ def _held(line: RobotLine, center: Reals, unit: float) -> RobotLine:
     return line.model_copy(update={"fixes": [*(line.fixes or []), *fixes]})
 
 
-_ANCHOR = RobotLine.model_validate({"robot": 0, "orientation_wxyz": _LEVEL, "contacts": []})
-"""An anchor that nothing is known about but its place."""
+_ANCHOR = RobotLine.model_validate({"robot": -1, "orientation_wxyz": _LEVEL, "contacts": []})
+"""An anchor that nothing is known about but its place: what robots sensed of it is left out."""
 
 
 @lru_cache(maxsize=20_000)
 def _measured(
     program: Program,
     params: OnlineParams,
-    line: bytes,
-    others: tuple[tuple[int, bytes], ...],
+    lines: tuple[bytes, ...],
     stays: tuple[float, ...] | None,
 ) -> Block:
-    """Measure the rows of a robot about others, which stand; members are the robots' numbers.
+    """Measure the rows of a robot about others, which stand.
 
     Args:
         program: Of every robot.
         params: Settings of the layers.
-        line: What the robot sensed; empty for an anchor that nothing is known about.
-        others: Number and line of each, ascending; empty as well.
+        lines: Of the robots that it names and are held, and of itself, in join order; the first is
+            the anchor's, empty if nothing is known about it.
         stays: Where the robot stays [R]; None if it may move.
     """
-    head = _head(program.header)
-    about = {number for number, sensed in others if sensed}
-    own = _about(program.decoded(line), about) if line else _ANCHOR
+    # The second version knows fixes, by which robots are held.
+    head = program.header.model_copy(update={"version": 2})
+    robots = [program.decoded(line) if line else _ANCHOR for line in lines]
     if stays is not None:
         center = np.array(stays) * head.dock_radius + head.anchor_position
-        own = _held(own, center, head.dock_radius)
-    builder = SensingLogBuilder(head)
-    for _, sensed in others:
-        builder.add(standing(program.decoded(sensed)) if sensed else _ANCHOR)
-    builder.add(own)
-    members = np.array([*(number for number, _ in others), own.robot], np.int64)
-    log = centered(builder.log())
-    return block_of(chosen_rows(log, params, Odometry(log))[0], members)
+        robots[-1] = _held(robots[-1], center, head.dock_radius)
+    builder = SensingLogBuilder(head, of_some=True)
+    for robot in robots:
+        builder.add(robot)
+    return measured(*builder.log_of(len(robots) - 1), params).block
 
 
 @dataclass

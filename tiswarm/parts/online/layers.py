@@ -1,11 +1,17 @@
 """The layers of a join that are local: where the new robot may be, and the robots near it.
 
+All that a robot brings as it joins is the rows of its own line, about itself and earlier robots.
 Robots have numbers, in join order. Lengths in R, relative to the anchor.
 """
+
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError
+from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost.candidates import candidates, extension
 from tiswarm.localization.cost.neighborhood import (
     Block,
@@ -13,14 +19,44 @@ from tiswarm.localization.cost.neighborhood import (
     Linearized,
     Neighborhood,
     Shapes,
+    block_of,
 )
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
+from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import OnlineParams
 from tiswarm.measurements.model import SPACING
+from tiswarm.measurements.odometry import Odometry
+from tiswarm.records.sensing_format import HeaderLine, RobotLine
+from tiswarm.records.sensing_log import SensingLog
 
 _AXES = 3
 _LEAST_SD = 1e-9
 """The anchor has no sd to divide by [R]."""
+
+
+class Joiner(NamedTuple):
+    """What a robot brings as it joins."""
+
+    block: Block
+    """The rows of its line."""
+
+    touching: set[tuple[int, int, int]]
+    """Its docks in contact: its own, an earlier robot, and the dock of that one."""
+
+
+def measured(log: SensingLog, members: Ints, params: OnlineParams) -> Joiner:
+    """Measure what one robot sensed.
+
+    Args:
+        log: Its log, in which it comes last and all others only stand.
+        members: Index of each robot of the log in the whole structure, shape (M,).
+        params: Settings.
+    """
+    log = centered(log)
+    rows, _ = chosen_rows(log, params, Odometry(log))
+    earlier, its, _, own = log.contacts.T.tolist()
+    touching = {*zip(own, members[earlier].tolist(), its, strict=True)}
+    return Joiner(block_of(rows, members), touching)
 
 
 class LocalLayers:
@@ -30,6 +66,7 @@ class LocalLayers:
         """Begin without robots; each is to have so many docks."""
         self._params = params
         self.blocks: list[Block] = []
+        self._touching: list[set[tuple[int, int, int]]] = []
         self.places: list[Reals] = []
         """Where each robot may be, relative to the mean of those it shares rows with [R]."""
         self.state = Configuration(np.empty((0, _AXES)), np.empty((0, _AXES)))
@@ -51,15 +88,11 @@ class LocalLayers:
         mean: Reals = self.state.position + self.shift
         return mean
 
-    def append(self, block: Block, touching: set[tuple[int, int, int]]) -> None:
-        """Make room for a robot that is nowhere yet.
-
-        Args:
-            block: Its rows.
-            touching: Its docks in contact: its own, an earlier robot, and the dock of that one.
-        """
-        number = len(self.blocks)
+    def append(self, robot: Joiner) -> None:
+        """Make room for a robot that is nowhere yet."""
+        number, (block, touching) = len(self.blocks), robot
         self.blocks.append(block)
+        self._touching.append(touching)
         self._sharing.append(set())
         self.places.append(np.empty((0, _AXES)))
         for partner in block.partners.tolist():
@@ -70,6 +103,16 @@ class LocalLayers:
         self.shift = np.concatenate([self.shift, zero])
         self.sd = np.append(self.sd, 0.0)
         self._shapes = self._shapes.with_robot(block.arm, block.turn_sd, touching)
+
+    def with_other(self, robots: Mapping[int, Joiner]) -> "LocalLayers":
+        """Return layers in which some robots sensed something else; all are where they were."""
+        found = LocalLayers(self._shapes.arm.shape[1], self._params)
+        for number, before in enumerate(map(Joiner, self.blocks, self._touching)):
+            found.append(robots.get(number, before))
+        found.places, found.state = self.places, self.state
+        found.shift, found.sd = self.shift, self.sd
+        found.gone.update(self.gone)
+        return found
 
     def place(self, number: int) -> Reals:
         """Find the likely places of a robot that joined.
@@ -227,3 +270,23 @@ def _by_coordinates(block: Block, start: Reals) -> Reals:
     missed = weight * rows.residual(np.tile(start, (rows.robots, 1)))
     place: Reals = start - np.linalg.lstsq(weight[:, None] * rows.places.direction, missed)[0]
     return place
+
+
+def refuse_header(head: HeaderLine) -> None:
+    """Raise InputError where all robots share an error that layers cannot solve for."""
+    if head.noise is not None and head.noise.yaw_bias_deg:
+        problem = "online solves for no bias of yaw; choose method joint for the whole log"
+        raise InputError(problem, key="noise.yaw_bias_deg")
+    if any(source.shared_sd > 0.0 for source in (head.sources or {}).values()):
+        problem = "online knows no errors that measurements share; choose method joint"
+        raise InputError(problem, key="sources")
+
+
+def refuse_line(line: RobotLine) -> None:
+    """Raise InputError where a robot sensed what layers cannot use."""
+    if line.orientation_wxyz is None:
+        problem = "null follows from the lines of later robots, too; choose method joint"
+        raise InputError(problem, key="orientation_wxyz")
+    if line.touches or any(entry.touches for entry in line.stances or []):
+        problem = "online cannot find docks that are unknown; leave touches out, or choose joint"
+        raise InputError(problem, key="touches")

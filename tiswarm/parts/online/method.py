@@ -12,7 +12,6 @@ import json
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from tiswarm.localization.settings import OnlineParams
 from tiswarm.parts.online.tracker import Change, Tracker
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
-from tiswarm.records.sensing_file import log_entries
+from tiswarm.records.sensing_file import lines_of
 from tiswarm.records.sensing_log import SensingLog
 
 _FRAMES = 24
@@ -66,8 +65,7 @@ def localize_batch(
     estimates = []
     total, joined = sum(log.robot_count for log in logs), 0
     for log, p in zip(logs, params, strict=True):
-        # Through text, as the lines of real robots come: one way in.
-        header, *robots = map(json.dumps, islice(log_entries(log), 1 + log.robot_count))
+        header, robots = lines_of(log)
         tracker = Tracker(header, p)
         every = np.unique(np.linspace(1, len(robots), _FRAMES).astype(np.int64))
         at_join = np.empty((len(robots), 3))

@@ -16,29 +16,27 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
-from tiswarm.localization.chains.problem import chosen_rows, pose_problem
-from tiswarm.localization.cost.neighborhood import Block, Neighborhood, block_of
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.cost.neighborhood import Neighborhood
 from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.verdict import Assessment, assess, rms
 from tiswarm.localization.settings import LocalizationParams, OnlineParams
-from tiswarm.measurements.odometry import Odometry
 from tiswarm.parts.online.annealing import annealed_estimate, elsewhere, reannealed
-from tiswarm.parts.online.layers import LocalLayers
-from tiswarm.parts.online.lines import (
-    mentioned,
+from tiswarm.parts.online.layers import (
+    Joiner,
+    LocalLayers,
+    measured,
     refuse_header,
     refuse_line,
-    released,
-    standing,
 )
 from tiswarm.parts.online.settings import TIMES
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import (
+    HeaderLine,
     Line,
     RobotLine,
-    line_text,
     parse_header,
     parse_line,
     parse_robot,
@@ -78,7 +76,7 @@ class Tracker:
     The same lines give the same bytes, at any number of threads of one machine.
     """
 
-    def __init__(self, header: Line, params: LocalizationParams | None = None) -> None:
+    def __init__(self, header: Line | HeaderLine, params: LocalizationParams | None = None) -> None:
         """Prepare for robots to join.
 
         Args:
@@ -93,14 +91,12 @@ class Tracker:
             raise InputError(
                 f"{chosen.method} needs the log of all robots; localize it once they have joined"
             )
-        head = parse_header(line_text(header))
+        head = parse_header(header)
         refuse_header(head)
-        self._params, self._head = chosen, head
+        self._params = chosen
         self._unit, self._anchor = head.dock_radius, np.array(head.anchor_position)
-        self._lines: dict[int, RobotLine] = {}
-        self._builder = SensingLogBuilder(self._head)
-        self._index: dict[int, int] = {}
-        self._layers = LocalLayers(len(self._head.dock_offsets), self._params)
+        self._builder = SensingLogBuilder(head)
+        self._layers = LocalLayers(len(head.dock_offsets), chosen)
         self._annealed_at = 1
         self._outliers: set[int] = set()  # robots whose rows even a search did not explain
         self._said: Reals = np.empty(0)  # standard deviations [R]
@@ -113,7 +109,7 @@ class Tracker:
     @property
     def names(self) -> Ints:
         """Names of the robots, in join order, shape (n,)."""
-        return np.array(list(self._index), np.int64)
+        return np.array([*self._builder.numbers], np.int64)
 
     @property
     def positions(self) -> Reals:
@@ -139,7 +135,7 @@ class Tracker:
         Raises:
             InputError: as for `join`, `update`, `leave` and `release`. Nothing changes then.
         """
-        entry = parse_line(line_text(line), self._head)
+        entry = parse_line(line, self._builder.header)
         if entry.event == "leave":
             return self.leave(entry.robot)
         if entry.event == "release":
@@ -147,7 +143,7 @@ class Tracker:
         return self._updated(entry) if entry.event == "replace" else self._joined(entry)
 
     @backend.exclusive()
-    def join(self, robot: Line) -> Change:
+    def join(self, robot: Line | RobotLine) -> Change:
         """Add the next robot; the first one is the anchor.
 
         Args:
@@ -157,10 +153,10 @@ class Tracker:
             InputError: the line is malformed, or says what a tracker cannot use. The robot leaves
                 no trace then.
         """
-        return self._joined(parse_robot(line_text(robot)))
+        return self._joined(parse_robot(robot))
 
     @backend.exclusive()
-    def update(self, robot: Line) -> Change:
+    def update(self, robot: Line | RobotLine) -> Change:
         """Replace the line of a robot that has joined, as after it has sensed more.
 
         Args:
@@ -169,7 +165,7 @@ class Tracker:
         Raises:
             InputError: the line is malformed, or no such robot is there. Nothing changes then.
         """
-        return self._updated(parse_robot(line_text(robot)))
+        return self._updated(parse_robot(robot))
 
     @backend.exclusive()
     def leave(self, robot: int) -> Change:
@@ -182,7 +178,7 @@ class Tracker:
             InputError: no such robot is there, or it is the anchor. Nothing changes then.
         """
         self._builder.leave(robot)
-        self._layers.gone.add(self._index[robot])
+        self._layers.gone.add(self._builder.numbers[robot])
         return self._change(self._layers.mean, annealed=False)
 
     @backend.exclusive()
@@ -198,14 +194,10 @@ class Tracker:
         """
         before = self._layers.mean
         self._builder.release(robot, contacts)
-        owners = []
-        for own, name, its in contacts:
-            contact, owner = (own, name, its), robot
-            if self._index[name] > self._index[robot]:
-                contact, owner = (its, robot, own), name
-            self._lines[owner] = released(self._lines[owner], contact)
-            owners.append(self._index[owner])
-        annealed = self._measured_anew({*owners}, sorted({*owners}))
+        # The later of two robots has sensed that they touch.
+        number = self._builder.numbers
+        owners = {max(number[robot], number[name]) for _, name, _ in contacts}
+        annealed = self._measured_anew(owners, sorted(owners))
         return self._change(before, annealed=annealed)
 
     def neighborhood(self, robots: Ints) -> Neighborhood:
@@ -226,7 +218,7 @@ class Tracker:
         Raises:
             InputError: no robot has joined.
         """
-        if not self._index:
+        if not self._builder.numbers:
             raise InputError("no robot has joined; join the anchor first")
         backend.processor()
         whole = self.log
@@ -263,7 +255,7 @@ class Tracker:
         says so.
         """
         is_ambiguous = any(len(places) > 1 for places in self._layers.places)
-        is_small = len(self._index) <= TIMES.searched
+        is_small = len(self._builder.numbers) <= TIMES.searched
         if not (is_ambiguous and is_small and found.convergence.converged):
             return found
         away = elsewhere(log, self._params, self._layers.mean, self._layers.sd) & is_tied
@@ -286,8 +278,7 @@ class Tracker:
         before = self._layers.mean
         # The builder refuses what is wrong before anything changes.
         self._builder.replace(line)
-        self._lines[line.robot] = line
-        number = self._index[line.robot]
+        number = self._builder.numbers[line.robot]
         # Blocks of later robots know which way its docks point.
         about = [k for k, block in enumerate(self._layers.blocks) if number in block.members]
         annealed = self._measured_anew({number, *about}, [number])
@@ -295,14 +286,10 @@ class Tracker:
 
     def _join(self, line: RobotLine) -> bool:
         """Add a checked robot, and solve for what is near; return whether all was annealed."""
-        # A line that is refused here or in the builder leaves no trace.
-        block = self._measured(line)
-        number = len(self._index)
+        # A line that is refused leaves no trace.
         self._builder.add(line)
-        backend.processor()
-        self._index[line.robot] = number
-        self._lines[line.robot] = line
-        self._layers.append(block, self._touching(line))
+        number = self._builder.numbers[line.robot]
+        self._layers.append(self._measured(number))
         if number == 0:
             return False
         return self._settle([number], self._layers.place(number))
@@ -312,15 +299,15 @@ class Tracker:
         backend.processor()
         surprised = [self._layers.solve_near(number, places) for number in numbers]
         # As growth is relative, annealing costs each robot the same in the mean.
-        grown = len(self._index) / self._annealed_at - 1.0
+        grown = len(self._builder.numbers) / self._annealed_at - 1.0
         least = TIMES.surprised_growth if any(surprised) else self._params.anneal_growth
-        if len(self._index) < TIMES.fewest or grown < least:
+        if len(self._builder.numbers) < TIMES.fewest or grown < least:
             return False
-        self._annealed_at = len(self._index)
+        self._annealed_at = len(self._builder.numbers)
         log = centered(self.log)
         found = reannealed(log, self._params, self._layers.state)
         self._layers.state, self._layers.shift, self._layers.sd = found
-        is_small = len(self._index) <= TIMES.searched
+        is_small = len(self._builder.numbers) <= TIMES.searched
         if is_small and self._surprising() - self._outliers:
             found = reannealed(log, self._params, self._layers.state, anew=True)
             self._layers.state, self._layers.shift, self._layers.sd = found
@@ -330,45 +317,25 @@ class Tracker:
 
     def _surprising(self) -> set[int]:
         """Find the robots whose rows chance does not explain."""
-        every = np.arange(len(self._index))
+        every = np.arange(len(self._builder.numbers))
         return {*np.flatnonzero(self._layers.surprising(every)).tolist()}
 
-    def _measured(self, line: RobotLine) -> Block:
-        """Measure the rows of a robot, in a log where all others only stand."""
-        earlier = {self._index[name] for name in mentioned(line) if name in self._index}
-        own = self._index.get(line.robot, len(self._index))
-        members = sorted(earlier | {0}) if own else []
-        names = list(self._index)
-        builder = SensingLogBuilder(self._head)
-        for member in members:
-            builder.add(standing(self._lines[names[member]]))
-        builder.add(line)
-        every = np.array([*members, own], np.int64)
-        log = centered(builder.log())
-        return block_of(chosen_rows(log, self._params, Odometry(log))[0], every)
+    def _measured(self, number: int) -> Joiner:
+        """Measure the rows of a robot."""
+        return measured(*self._builder.log_of(number), self._params)
 
     def _measured_anew(self, changed: AbstractSet[int], solved: list[int]) -> bool:
         """Measure the rows of some robots anew, and solve for what is near some of them.
 
         Positions are where they were before; return whether all robots were annealed.
         """
-        before = self._layers
-        self._layers = LocalLayers(len(self._head.dock_offsets), self._params)
-        for number, line in enumerate(self._lines.values()):
-            block = self._measured(line) if number in changed else before.blocks[number]
-            self._layers.append(block, self._touching(line))
-        self._layers.places, self._layers.state = before.places, before.state
-        self._layers.shift, self._layers.sd = before.shift, before.sd
-        self._layers.gone.update(before.gone)
+        anew = {number: self._measured(number) for number in changed}
+        self._layers = self._layers.with_other(anew)
         for number in solved:
             # Where it may be by fewer or other rows; without partners, anywhere.
             self._layers.places[number] = np.empty((0, _AXES))
             self._layers.place(number)
         return self._settle(solved)
-
-    def _touching(self, line: RobotLine) -> set[tuple[int, int, int]]:
-        """List the docks of a robot in contact, as `append` takes them."""
-        return {(dock, self._index[other], its) for dock, other, its in line.contacts}
 
     def _change(self, before: Reals, *, annealed: bool) -> Change:
         """Say who moved since these positions, shape (n, 3), or is surer than was said."""
