@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.test_tour import stops
+from tiswarm.records.measures import MEASURES as COLUMNS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -178,6 +179,19 @@ def _comments_per_100_lines() -> float:
     return 100.0 * comments / code
 
 
+def _files_that_name_a_measure() -> int:
+    """Count the modules with a measure's column as text, of the measure that has most.
+
+    Columns of one word are left out: estimates and logs use such words, too.
+    """
+    files: dict[str, set[str]] = {name: set() for name in COLUMNS if "_" in name}
+    statistic = re.compile(r"(.+?)(_mean|_std|_ci95|_least|_most)?")
+    for file, node in _nodes(ast.Constant):
+        if isinstance(node.value, str) and (found := statistic.fullmatch(node.value)):
+            files.get(found[1], set()).add(file)
+    return max(map(len, files.values()))
+
+
 MEASURES: dict[str, Callable[[], float]] = {
     "files of the tour": lambda: len(stops()),
     "lines of these files": _tour_lines,
@@ -189,6 +203,7 @@ MEASURES: dict[str, Callable[[], float]] = {
     "lines of the body of a kernel": lambda: max(map(_body_lines, _functions()[1])),
     "lines of the body of another function": lambda: max(map(_body_lines, _functions()[0])),
     "comments per 100 lines of numerical code": _comments_per_100_lines,
+    "modules that name one measure": _files_that_name_a_measure,
 }
 """By name on the page, what measures a quantity."""
 

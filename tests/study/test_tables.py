@@ -10,6 +10,7 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.records.frames import write_frame
+from tiswarm.records.measures import MEASURES
 from tiswarm.report.answers import headline
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
@@ -209,3 +210,11 @@ def test_swept_values_are_written_as_in_a_scenario(tmp_path):
         "structure={kind: tower}, sensing.heights=true, sensing.spawn_noise=null"
     }
     assert not re.search("True|nan|None|'", lines)
+
+
+def test_every_score_is_a_measure(small_run):
+    """A column without a definition has no unit, no mean and no place on the page."""
+    records = [json.loads(path.read_text()) for path in small_run.glob("cases/*/case.json")]
+
+    assert records
+    assert all(record["scores"].keys() <= MEASURES.keys() for record in records)

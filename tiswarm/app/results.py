@@ -14,6 +14,7 @@ import numpy as np
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyMovie
+from tiswarm.records.measures import DISPARITY, RMSE
 from tiswarm.records.messages import counted, did_you_mean
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ File = str | PathLike[str]
 Overrides = Mapping[str, object] | Sequence[str]
 """Values by dotted key, or as texts `KEY=VALUE`."""
 
-_ERRORS = ["rmse_R_mean", "rmse_R_ci95", "procrustes_disparity_mean"]
+_ERRORS = [RMSE.mean, RMSE.ci95, DISPARITY.mean]
 """Columns of errors that a table shows by default; `frame` has all."""
 
 _FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888; box-sizing: border-box"'

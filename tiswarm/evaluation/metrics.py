@@ -19,6 +19,7 @@ from scipy.special import stdtrit
 from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.measures import RMSE
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
 
@@ -222,7 +223,7 @@ def by_hops_apart(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataF
         if len(pairs):
             error = relative_errors(estimate.position, truth.position, pairs)
             rows.append({"hops_apart": count, "pairs": len(pairs), **_statistics(error)})
-    return pd.DataFrame(rows, columns=["hops_apart", "pairs", "mean_error_R", "rmse_R"])
+    return pd.DataFrame(rows, columns=["hops_apart", "pairs", "mean_error_R", RMSE.column])
 
 
 def error_profile(robots: pd.DataFrame) -> pd.DataFrame:
@@ -256,9 +257,9 @@ def relative_profile(relative: pd.DataFrame) -> pd.DataFrame:
         pairs = part["pairs"].sum()
         weight = part["pairs"] / pairs
         mean = (weight * part["mean_error_R"]).sum()
-        rmse = np.sqrt((weight * part["rmse_R"] ** 2).sum())
+        rmse = np.sqrt((weight * part[RMSE.column] ** 2).sum())
         row = {"by": "hops_apart", "low": apart, "high": apart, "count": pairs}
-        rows.append(row | {"mean_error_R": mean, "rmse_R": rmse})
+        rows.append(row | {"mean_error_R": mean, RMSE.column: rmse})
     return pd.DataFrame(rows)
 
 
@@ -289,4 +290,4 @@ def _ranges(robots: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def _statistics(error: Reals) -> dict[str, float]:
-    return {"mean_error_R": float(error.mean()), "rmse_R": float(np.sqrt(np.mean(error**2)))}
+    return {"mean_error_R": float(error.mean()), RMSE.column: float(np.sqrt(np.mean(error**2)))}

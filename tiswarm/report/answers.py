@@ -19,6 +19,18 @@ import pandas as pd
 
 from tiswarm.base.errors import InputError
 from tiswarm.records.frames import read_frame
+from tiswarm.records.measures import (
+    BUILT_FOR,
+    CONSISTENT,
+    CONVERGED,
+    CROSSED,
+    DISCONNECTED,
+    DISPARITY,
+    JOINED,
+    RMSE,
+    SENT,
+    Measure,
+)
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report.run_data import (
@@ -43,7 +55,7 @@ MOST_TIMES = 10_000
 """Ratio of two errors beyond which the smaller one is exact but for rounding."""
 
 _MOST_GROUPS = 3
-_RMSE = "rmse_R_mean"
+
 
 Row = dict[Hashable, Any]
 """A row of `table.csv`."""
@@ -118,9 +130,9 @@ def at_points(table: pd.DataFrame, key: str = "condition") -> dict[str, list[Row
     """List the rows with an RMSE by the point of the sweep, in words, without the compared key."""
     names = [name for name in swept(table) if name != key]
     points: dict[str, list[Row]] = {}
-    if _RMSE not in table:
+    if RMSE.mean not in table:
         return points
-    for row in table[(table["cases"] > 0) & table[_RMSE].notna()].to_dict("records"):
+    for row in table[(table["cases"] > 0) & table[RMSE.mean].notna()].to_dict("records"):
         points.setdefault(_text(row, names), []).append(row)
     return points
 
@@ -169,7 +181,7 @@ def mean_of(rows: Sequence[Row], points: int, *, by_condition: bool = False) -> 
 
 def errors_of(rows: Iterable[Row]) -> list[float]:
     """List the mean RMSE of rows [R]."""
-    return [float(row[_RMSE]) for row in rows]
+    return [float(row[RMSE.mean]) for row in rows]
 
 
 def list_errors(
@@ -253,7 +265,7 @@ def _differences(pairs: pd.DataFrame) -> dict[_Pair, Row]:
     """List the differences in RMSE, by what they compare."""
     if pairs.empty:
         return {}
-    rows: list[Row] = pairs[pairs["measure"] == "rmse_R"].to_dict("records")
+    rows: list[Row] = pairs[pairs["measure"] == RMSE.column].to_dict("records")
     names = pairs.columns[2 : pairs.columns.get_loc("measure")]
     return {(_text(row, names), str(row["condition"]), str(row["against"])): row for row in rows}
 
@@ -296,7 +308,7 @@ def _is_smaller(one: Row, other: Row, differences: Mapping[_Pair, Row]) -> bool:
         return bool(FEWEST <= after["structures"] == after.get("larger"))
     # Methods that are swept have ranges only, and structures that differ cannot be paired.
     is_enough = min(one["cases"], other["cases"]) >= FEWEST
-    return METHOD in one and is_enough and bool(one["rmse_R_most"] < other["rmse_R_least"])
+    return METHOD in one and is_enough and bool(one[RMSE.most] < other[RMSE.least])
 
 
 def _measurements(row: Row) -> str:
@@ -318,14 +330,6 @@ BUDGET_B = 1_000
 
 _MOST_NAMED = 6
 _MOST_POINTS = 8
-_BUILT_FOR = {
-    "tower": ("height", "height_R_mean"),
-    "cantilever": ("reach", "reach_R_mean"),
-    "chain": ("depth", "depth_R_mean"),
-}
-"""By kind of structure, what it is built for, and the column of that [R]."""
-
-_BRIDGES, _SENT, _PUBLISHED = "crossed_mean", "sent_B_mean", "paper_rmse_radii"
 
 
 class Results(NamedTuple):
@@ -375,30 +379,34 @@ def _reached_at(rows: Sequence[Row], place: str) -> str:
 
 def _reached_by(rows: Sequence[Row]) -> str:
     """State what structures of a kind reached at many points."""
-    kind = rows[0].get("kind")
-    if kind == "bridge" and _has_bridges(rows):
-        closed = sum(round(row[_BRIDGES] * row["cases"]) for row in rows)
-        return f"bridges closed {closed} of {sum(int(row['cases']) for row in rows)}"
-    if kind not in _BUILT_FOR or _BUILT_FOR[kind][1] not in rows[0]:
+    measure = _built_for(rows)
+    if measure is None:
         return ""
-    what, column = _BUILT_FOR[kind]
-    return f"{what} of {kind}s {range_of(float(row[column]) for row in rows)}"
+    if measure is CROSSED:
+        closed = sum(round(row[measure.mean] * row["cases"]) for row in rows)
+        return f"bridges closed {closed} of {sum(int(row['cases']) for row in rows)}"
+    reached = range_of(float(row[measure.mean]) for row in rows)
+    return f"{measure.label.lower()} of {rows[0]['kind']}s {reached}"
 
 
 def _reaches(rows: Sequence[Row]) -> tuple[str, list[str]]:
     """Return what structures of a kind are built for, and what those of each row reached."""
-    kind = rows[0].get("kind")
-    if kind == "bridge" and _has_bridges(rows):
-        closed = [f"{round(row[_BRIDGES] * row['cases'])} of {row['cases']:.0f}" for row in rows]
+    measure = _built_for(rows)
+    if measure is None:
+        return "", []
+    means = [float(row[measure.mean]) for row in rows]
+    if measure is CROSSED:
+        built = [row["cases"] for row in rows]
+        closed = [f"{round(m * n)} of {n:.0f}" for m, n in zip(means, built, strict=True)]
         return "bridges closed", closed
-    what, column = _BUILT_FOR.get(str(kind), ("", ""))
-    known = column in rows[0]
-    return (what, [f"{two_digits(row[column])} R" for row in rows]) if known else ("", [])
+    return measure.label.lower(), [f"{two_digits(mean)} R" for mean in means]
 
 
-def _has_bridges(rows: Sequence[Row]) -> bool:
-    """Whether each row has the share of its bridges that were closed."""
-    return all(row.get(_BRIDGES, math.nan) >= 0.0 for row in rows)
+def _built_for(rows: Sequence[Row]) -> Measure | None:
+    """Return the measure of what structures of a kind are built for; None if a row lacks it."""
+    measure = BUILT_FOR.get(str(rows[0].get("kind")))
+    known = measure and all(row.get(measure.mean, math.nan) >= 0.0 for row in rows)
+    return measure if known else None
 
 
 def _point_words(row: Row) -> str:
@@ -421,7 +429,9 @@ def _traffic(results: Results) -> str:
     if METHOD in swept(results.table):
         return ""  # one condition has methods of all kinds
     rows = _by_condition(results.table)
-    sent = {name: [float(row.get(_SENT, math.nan)) for row in each] for name, each in rows.items()}
+    sent = {
+        name: [float(row.get(SENT.mean, math.nan)) for row in each] for name, each in rows.items()
+    }
     if not any(max(of_name) >= 0.0 for of_name in sent.values()):
         return ""
     limit = f"{BUDGET_B / 1e3:.0f} kB each"
@@ -458,9 +468,9 @@ def _cues(results: Results) -> str:
 
 def _changes(first: Sequence[Row], rows: Sequence[Row]) -> str:
     """Write by how much errors differ from those of the first condition, point by point."""
-    of_first = {_point_words(row): float(row["rmse_R_mean"]) for row in first}
+    of_first = {_point_words(row): float(row[RMSE.mean]) for row in first}
     found = [
-        100.0 * (float(row["rmse_R_mean"]) / base - 1.0)
+        100.0 * (float(row[RMSE.mean]) / base - 1.0)
         for row in rows
         if (base := of_first.get(_point_words(row), 0.0))
     ]
@@ -472,11 +482,11 @@ def _changes(first: Sequence[Row], rows: Sequence[Row]) -> str:
 
 def _paper_order(table: pd.DataFrame) -> str:
     """Count the points where conditions have the paper's order; empty of few structures."""
-    if _PUBLISHED not in table or table["cases"].min() < FEWEST:
+    if RMSE.published not in table or table["cases"].min() < FEWEST:
         return ""
     points = [
-        [row[_PUBLISHED] for row in sorted(rows, key=lambda row: float(row["rmse_R_mean"]))]
-        for rows in at_points(table[table[_PUBLISHED].notna()]).values()
+        [row[RMSE.published] for row in sorted(rows, key=lambda row: float(row[RMSE.mean]))]
+        for rows in at_points(table[table[RMSE.published].notna()]).values()
     ]
     points = [published for published in points if len({*published}) > 1]
     if not points:
@@ -491,7 +501,7 @@ def _scaling(results: Results) -> str:
     if table.empty:
         return ""
     table = table[table["mean"].notna()]
-    rmse, time = (table[table["measure"] == name] for name in ("rmse_R", "localize_cpu_s"))
+    rmse, time = (table[table["measure"] == name] for name in (RMSE.column, "localize_cpu_s"))
     sizes = rmse["robots"]
     if not rmse["exponent"].notna().any():  # of fewer than three sizes
         return ""
@@ -550,9 +560,12 @@ ANSWERS: dict[str, Callable[[Results], str]] = {
 
 
 _NEEDED = [
-    "rmse_R_mean", "rmse_R_ci95", "rmse_R_least", "rmse_R_most", "procrustes_disparity_mean",
-]  # fmt: skip
-_DISCONNECTED = "disconnected_mean"
+    RMSE.mean,
+    RMSE.ci95,
+    RMSE.least,
+    RMSE.most,
+    DISPARITY.mean,
+]
 
 
 def headline(folder: Path) -> str:
@@ -614,7 +627,7 @@ def result_of(folder: Path, table: pd.DataFrame, labels: Mapping[str, str] | Non
 
 def _disconnected_somewhere(rows: pd.DataFrame) -> str:
     """State in how many rows structures have disconnected robots; empty if in none or in one."""
-    many = int((rows[_DISCONNECTED] > 0.0).sum()) if _DISCONNECTED in rows else 0
+    many = int((rows[DISCONNECTED.mean] > 0.0).sum()) if DISCONNECTED.mean in rows else 0
     if not many or len(rows) == 1:
         return ""
     least = f"; robots are disconnected from the anchor in {many} of {len(rows)} rows of the table"
@@ -627,24 +640,24 @@ def _in_words(row: Row) -> str:
     if not row["cases"]:
         return f"{name}: no case was finished"
     text = (
-        f"{name}: RMSE {_spread(row)}, disparity {row['procrustes_disparity_mean']:.3g}, "
+        f"{name}: RMSE {_spread(row)}, disparity {row[DISPARITY.mean]:.3g}, "
         f"{counted(row['cases'], 'structure')}"
     )
     doubtful = []
-    for word in ("converged", "consistent"):
-        share = row.get(f"{word}_mean", math.nan)
+    for measure in (CONVERGED, CONSISTENT):
+        share = row.get(measure.mean, math.nan)
         if lost := 0 if math.isnan(share) else round(row["cases"] * (1.0 - share)):
-            doubtful.append(f"{lost} of them not {word}")
+            doubtful.append(f"{lost} of them not {measure.column}")
     return ", ".join([text, *doubtful]) + _disconnected(row)
 
 
 def _disconnected(row: Row) -> str:
     """State how many robots no measurement ties to the anchor; empty if there are none."""
-    lost = row.get(_DISCONNECTED, math.nan)
+    lost = row.get(DISCONNECTED.mean, math.nan)
     if math.isnan(lost) or not lost:
         return ""
     mean = " on average" if row["cases"] > 1 else ""
-    joined = row.get("joined_mean", math.nan)
+    joined = row.get(JOINED.mean, math.nan)
     of_all = "" if math.isnan(joined) else f" of {joined:.3g}"
     return f", {lost:.3g}{of_all} robots disconnected{mean}"
 
@@ -656,8 +669,8 @@ def _swept(row: Row) -> list[Hashable]:
 
 def _spread(row: Row) -> str:
     """Write an RMSE with its range, or its confidence interval where that says more."""
-    mean, half = row["rmse_R_mean"], row["rmse_R_ci95"]
+    mean, half = row[RMSE.mean], row[RMSE.ci95]
     if row["cases"] >= FEWEST:
         return f"{mean:.3g} R (95 % CI {mean - half:.3g} to {mean + half:.3g})"
-    least, most = row["rmse_R_least"], row["rmse_R_most"]
+    least, most = row[RMSE.least], row[RMSE.most]
     return f"{mean:.3g} R" + (f" ({least:.3g} to {most:.3g})" if row["cases"] > 1 else "")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from tiswarm.records.measures import MAIN, RMSE, STEPS
 from tiswarm.records.messages import three_digits
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
@@ -43,8 +44,7 @@ PROFILED = {
     "hops_apart": "Hops between two robots",
 }
 SCALING_PANELS = {
-    "rmse_R": "RMSE [R]",
-    "procrustes_disparity": "Procrustes disparity",
+    **{measure.column: measure.axis for measure in MAIN},
     "grow_cpu_s": "Growth, CPU time [s]",
     "localize_cpu_s": "Localization, CPU time [s]",
     "localize_wall_s": "Localization, wall time [s]",
@@ -89,7 +89,7 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     A line joins rounds that move equally many robots by equally many steps. A condition without
     rounds is a horizontal line. Each point of a sweep has a panel.
     """
-    numbers = ["cases", "rmse_R_mean", "rmse_R_ci95", "steps_per_robot_mean"]
+    numbers = ["cases", RMSE.mean, RMSE.ci95, STEPS.mean]
     numbers += ["round_every", "round_recent", "round_sweeps"]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
     swept = swept_words(table).columns[1:]
@@ -101,7 +101,7 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     )
     for axes, (point, part) in zip(panels, shown, strict=True):
         has_rounds = part["round_every"].notna()
-        levels = part.loc[~has_rounds, ["condition", "rmse_R_mean", "rmse_R_ci95"]]
+        levels = part.loc[~has_rounds, ["condition", RMSE.mean, RMSE.ci95]]
         for place, level in enumerate(levels.itertuples(index=False)):
             _draw_level(axes, *level, at_right=place % 2 == 0)
         rounds = part[has_rounds].fillna({"round_recent": np.inf})
@@ -112,10 +112,10 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
             _draw_family(axes, family, {"label": name, **marker_style(place)})
         title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
         set_title(axes, shortened(title))
-        axes.set_xlabel("Steps per robot")
+        axes.set_xlabel(STEPS.axis)
         axes.set_ylim(bottom=0.0)
-    steps = table.loc[table["round_every"].notna(), "steps_per_robot_mean"]
-    label_left(panels, "RMSE [R]")
+    steps = table.loc[table["round_every"].notna(), STEPS.mean]
+    label_left(panels, RMSE.axis)
     set_log(panels[0], "x", 2.0 * steps.max() / steps.min())
     panels[0].set_xlim(0.7 * steps.min(), 1.4 * steps.max())
     words = "robots moved in a round; mean and 95 % CI"
@@ -127,15 +127,15 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
 
 def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) -> None:
     """Draw a line through rounds at several intervals, with the joins between two."""
-    line = family.sort_values("steps_per_robot_mean")
-    steps, rmse = line["steps_per_robot_mean"], line["rmse_R_mean"]
+    line = family.sort_values(STEPS.mean)
+    steps, rmse = line[STEPS.mean], line[RMSE.mean]
     for x, y, joins in zip(steps, rmse, line["round_every"], strict=True):
         axes.annotate(
             f"{joins:g}", (x, y), (2.0, 2.0), textcoords="offset points", fontsize=5.5,
             color=look["color"],
         )  # fmt: skip
     axes.errorbar(
-        steps, rmse, yerr=line["rmse_R_ci95"].fillna(0.0), markersize=3.0, linewidth=1.0,
+        steps, rmse, yerr=line[RMSE.ci95].fillna(0.0), markersize=3.0, linewidth=1.0,
         elinewidth=0.4, **look,
     )  # fmt: skip
 
@@ -157,7 +157,7 @@ def _profile_painters(run: RunData) -> dict[str, Painter]:
 
     All series share a figure if there are many points, or no sweep.
     """
-    numbers = ["low", "high", "rmse_R", "p10_R", "p90_R"]
+    numbers = ["low", "high", RMSE.column, "p10_R", "p90_R"]
     table = run.table("profiles.csv", ["condition", "by"], numbers, after="by", optional=True)
     if table.empty:  # no case was finished
         return {}
@@ -193,7 +193,7 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
             look = figure_style.line_style(place)
             joined, few = rows[rows["many"]], rows[~rows["many"]]
             axes.plot(
-                joined["at"], joined["rmse_R"], marker="o", markersize=2.5,
+                joined["at"], joined[RMSE.column], marker="o", markersize=2.5,
                 label=", ".join(map(str, reversed(series))), **look,
             )  # fmt: skip
             if bands and joined["p90_R"].notna().any():
@@ -202,11 +202,11 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
                     joined["at"], low, high, color=look["color"], alpha=0.15, linewidth=0.0
                 )
             look |= {"linestyle": "", "markerfacecolor": "white", "markeredgewidth": 0.6}
-            axes.plot(few["at"], few["rmse_R"], marker="o", markersize=2.5, **look)
+            axes.plot(few["at"], few[RMSE.column], marker="o", markersize=2.5, **look)
             if place == 0:
                 _count(axes, rows["at"], rows["count"])
-        axes.set(xlabel=label, ylabel="RMSE [R]")
-        rmse = part["rmse_R"].to_numpy(float)
+        axes.set(xlabel=label, ylabel=RMSE.axis)
+        rmse = part[RMSE.column].to_numpy(float)
         fit_axis(axes, "y", rmse[part["many"]], others=rmse)
     set_log(axes, "x")
     axes.set_ylabel("Relative RMSE [R]")
@@ -246,14 +246,14 @@ def _draw_small_profiles(
     first = next(iter(shown.values()))
     for axes, (point, rows) in zip(panels, shown.items(), strict=True):
         for _, line in first.groupby("condition", sort=False):
-            axes.plot(line["at"], line["rmse_R"], color="0.8", linewidth=1.0)
+            axes.plot(line["at"], line[RMSE.column], color="0.8", linewidth=1.0)
         for place, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
             look: dict[str, Any] = {"color": figure_style.PALETTE[place], "markersize": 2.0}
-            axes.plot(line["at"], line["rmse_R"], "o-", linewidth=1.0, label=condition, **look)
+            axes.plot(line["at"], line[RMSE.column], "o-", linewidth=1.0, label=condition, **look)
         set_title(axes, shortened(str(point)), 6.5)
-    fit_axis(panels[0], "y", part["rmse_R"].to_numpy(float))
+    fit_axis(panels[0], "y", part[RMSE.column].to_numpy(float))
     figure.supxlabel(PROFILED[_SMALL], fontsize=8.0)
-    figure.supylabel("RMSE [R]", fontsize=8.0)
+    figure.supylabel(RMSE.axis, fontsize=8.0)
     entries = entries_of(panels[:1])
     if len(entries) > 1:
         add_legend(figure, entries)

@@ -9,6 +9,7 @@ import numpy as np
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.records import outputs
+from tiswarm.records.measures import RMSE
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
@@ -105,7 +106,7 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
     ends = np.array([line[-1] for line in lines])
     panels[0].set_ylim(top=1.05 * top or 1.0)
     fit_axis(panels[0], "y", ends, others=np.concatenate([np.empty(0), *lines]))
-    figure.supylabel("RMSE [R]", fontsize=8.0)
+    figure.supylabel(RMSE.axis, fontsize=8.0)
     add_legend(figure, legend, f"mean{' ± 1 sd' * bands}, {counted(seeds, 'structure')}")
     left = len(points) - len(shown)
     more = f"{counted(left, 'more sweep point')} not shown" if left else ""
@@ -170,7 +171,7 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: 
 
 def _traces(cases: list[StoredCase]) -> tuple[Reals, Reals]:
     """Interpolate each case's RMSE on common iterations; a case that ended keeps its last value."""
-    names = ["iteration", "rmse_R"]
+    names = ["iteration", RMSE.column]
     tables = [case.columns("convergence.csv", names, empty=True) for case in cases]
     tables = [table for table in tables if len(table)]
     iteration = np.unique(np.concatenate([np.empty(0), *(table[:, 0] for table in tables)]))

@@ -20,6 +20,7 @@ from PIL import Image
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records.io import run_file, write_bytes
+from tiswarm.records.measures import RMSE
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report.answers import read_pairs, result_of
@@ -305,11 +306,11 @@ def _gather(run: RunData) -> Page:
     path = run_file(run.folder / "scenario.yaml")
     stated = stated_scenario(run.folder)
     manifest = read_manifest(run.folder)
-    numbers = ["cases", "paper_rmse_radii"]
+    numbers = ["cases", RMSE.published]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
     pairs = relabeled(read_pairs(run.folder), run.labels)
     words = ["condition", "suite", "way", "needs"]
-    suites = run.table("suites.csv", words, ["rmse_R_mean"], after="cases", optional=True)
+    suites = run.table("suites.csv", words, [RMSE.mean], after="cases", optional=True)
     arch = manifest.backend.get("arch", "cpu")
     return Page(
         name=stated.get("name", run.folder.name),

@@ -2,13 +2,26 @@
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from tiswarm.measurements.verdicts import describe_misfit
+from tiswarm.records.measures import (
+    CONSISTENT,
+    CONVERGED,
+    DISCONNECTED,
+    DISPARITY,
+    FLOPPY_MODES,
+    MISFIT,
+    PAGE,
+    RMSE,
+    SD_FACTOR,
+    SPARE,
+    TESTABLE,
+)
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.answers import FEWEST
@@ -17,67 +30,15 @@ from tiswarm.report.run_data import measured_words, swept_columns, swept_words
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""
 
-_CONSISTENT = "consistent estimates"
-
-# Label and name of the measure of each column.
-_ACCURACY = [("RMSE [R]", "rmse_R"), ("disparity", "procrustes_disparity")]
-_LIMITS = [
-    ("contacts per robot", "contacts_per_robot"),
-    ("floppy modes", "floppy_modes"),
-    ("rms radius [R]", "rms_radius_R"),
-]
-_ALIGNED = [
-    ("not aligned", "rmse_R"),
-    ("yaw and translation aligned", "rmse_yaw_aligned_R"),
-    ("rigidly aligned", "rmse_rigid_aligned_R"),
-]
-_ATTACHMENT = [
-    ("share of robots within 2 R", "within_dock"),
-    ("neighbors [R]", "rmse_per_contact_R"),
-    ("share of neighbors within 2 R", "contacts_within_dock"),
-]
-_CALIBRATION = [
-    ("robots in their 50 % interval", "coverage_50"),
-    ("robots in their 90 % interval", "coverage_90"),
-    ("precision of outliers", "outlier_precision"),
-    ("recall of outliers", "outlier_recall"),
-    ("converged estimates", "converged"),
-    (_CONSISTENT, "consistent"),
-    ("factor of sd", "sd_factor"),
-    ("mirrored robots", "mirrored"),
-    ("robots located", "located"),
-    ("RMSE of robots located [R]", "rmse_located_R"),
-]
-_SUITES = [*_CALIBRATION[-2:], ("RMSE of all [R]", "rmse_R"), *_ACCURACY[1:], *_LIMITS[1:2]]
-_ANCHOR = [
-    ("first robot", "first_on_anchor"),
-    ("second robot", "second_on_anchor"),
-    ("third robot", "third_on_anchor"),
-]
-_PUBLISHED = [
-    ("published RMSE [robot radii]", "paper_rmse_radii"),
-    ("RMSE [R]", "rmse_R"),
-    ("published change [%]", "paper_rmse_change_percent"),
-    ("change [%]", "rmse_change_percent"),
-    ("published disparity", "paper_procrustes_disparity"),
-    ("disparity", "procrustes_disparity"),
-]
-_CASE = [
-    ("robots", "robots"),
-    ("joined", "joined"),
-    ("disconnected", "disconnected"),
-    *_ACCURACY[:1],
-    ("yaw aligned [R]", "rmse_yaw_aligned_R"),
-    ("rigidly aligned [R]", "rmse_rigid_aligned_R"),
-    *_ACCURACY[1:],
-    *_LIMITS,
-    *[(f"{label} on the anchor", name) for label, name in _ANCHOR],
-    ("height [R]", "height_R"),
-    ("peak stress", "peak_stress"),
-]
-_MEASURES = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
-
-_Column = tuple[str, str]
+_PUBLISHED = {
+    RMSE.published: "published RMSE [robot radii]",
+    RMSE.mean: "RMSE [R]",
+    "paper_rmse_change_percent": "published change [%]",
+    "rmse_change_percent": "change [%]",
+    DISPARITY.published: "published disparity",
+    DISPARITY.mean: "disparity",
+}
+"""Headings of columns of `table.csv` beside those of the paper."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,11 +55,11 @@ def headline_table(table: pd.DataFrame) -> PageTable:
     """Format the accuracy of each condition, the best one of each sweep point first."""
     swept = swept_columns(table)[1:]
     point = table.groupby(swept, sort=False).ngroup() if swept else 0
-    order = ["point", *({"rmse_R_mean"} & set(table))]
+    order = ["point", *({RMSE.mean} & set(table))]
     rows = table.assign(point=point).sort_values(order, kind="stable")
-    columns = _means(rows, _ACCURACY)
-    if "disconnected_mean" in rows and (rows["disconnected_mean"] > 0.0).any():
-        columns["robots disconnected"] = _mean(rows, "disconnected")
+    columns = _means(rows, "accuracy")
+    if DISCONNECTED.mean in rows and (rows[DISCONNECTED.mean] > 0.0).any():
+        columns["robots disconnected"] = _mean(rows, DISCONNECTED.column)
     shared, further = _measurements(rows)
     least, most = rows["cases"].min(), rows["cases"].max()
     if least < most:
@@ -140,20 +101,20 @@ def result_tables(
     tables = []
     if suites is not None and len(suites):
         tables.append(_measured_suites(suites))
-    if table["paper_rmse_radii"].notna().any():
+    if table[RMSE.published].notna().any():
         tables.append(_beside_the_paper(table))
     if len(paired):
         tables.append(_differences(paired))
     note = "Alignment removes a rotated or shifted frame; the rest is a wrong shape."
-    tables.append(_labeled(words, _means(table, _ALIGNED), "RMSE after alignment [R]", note))
+    tables.append(_labeled(words, _means(table, "aligned"), "RMSE after alignment [R]", note))
     note = (
         "2 R, a dock's diameter, is what the paper calls sufficient for attachment. Robots: in the "
         "world; neighbors: the vector between two robots in contact, one hop apart, with its RMSE."
     )
-    tables.append(_labeled(words, _means(table, _ATTACHMENT), "Accuracy for attachment", note))
+    tables.append(_labeled(words, _means(table, "attachment"), "Accuracy for attachment", note))
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
-    tables.append(_labeled(words, _means(table, _LIMITS), "Limits of the accuracy", note))
-    if calibration := _means(table, _CALIBRATION) | _consistent(table):
+    tables.append(_labeled(words, _means(table, "limits"), "Limits of the accuracy", note))
+    if calibration := _means(table, "calibration") | _consistent(table):
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "
             "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
@@ -164,7 +125,7 @@ def result_tables(
                 " Precision: wrong contacts among those reported as outliers; recall: reported "
                 "outliers among wrong contacts."
             )
-        if _CONSISTENT in calibration:
+        if PAGE["calibration"][CONSISTENT] in calibration:
             note += (
                 " Consistent: noise as stated explains the measurements; where it does not, the "
                 "factor multiplies the standard deviations. Not testable: fewer measurements are "
@@ -178,7 +139,7 @@ def result_tables(
         shown = _labeled(words, calibration, "Calibration", note)
         reported = (shown.frame[[*calibration]] != "").any(axis=1)
         tables.append(replace(shown, frame=shown.frame[reported]))
-    if anchor := _means(table, _ANCHOR):
+    if anchor := _means(table, "anchor"):
         note = (
             "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
             "Means are over structures in which so many robots touch it."
@@ -190,16 +151,16 @@ def result_tables(
 
 def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
     """Format the share of consistent estimates among those that were tested, by label."""
-    if not {"consistent_mean", "testable_mean"} <= set(table):
+    if not {CONSISTENT.mean, TESTABLE.mean} <= set(table):
         return {}
-    tested = table["testable_mean"].astype(float)
-    share = (table["consistent_mean"].astype(float) - (1.0 - tested)) / tested.where(tested > 0.0)
-    spare = _numbers(table.get("spare_measurements_mean", tested * math.nan))
+    tested = table[TESTABLE.mean].astype(float)
+    share = (table[CONSISTENT.mean].astype(float) - (1.0 - tested)) / tested.where(tested > 0.0)
+    spare = _numbers(table.get(SPARE.mean, tested * math.nan))
     of = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
     texts = np.where(tested > 0.0, _numbers(share) + of, "not testable (" + spare + " spare)")
-    known = table["consistent_mean"].notna()
+    known = table[CONSISTENT.mean].notna()
     found = pd.Series(texts, table.index, dtype=str).where(known, "")
-    return {_CONSISTENT: found} if known.any() else {}
+    return {PAGE["calibration"][CONSISTENT]: found} if known.any() else {}
 
 
 def _measured_suites(suites: pd.DataFrame) -> PageTable:
@@ -216,7 +177,7 @@ def _measured_suites(suites: pd.DataFrame) -> PageTable:
         f"{int(name.removeprefix('usd_')):,} robots [USD]": _numbers(suites[name])
         for name in prices
     }
-    columns |= {**_means(suites, _SUITES), "needs": suites["needs"]}
+    columns |= {**_means(suites, "suites"), "needs": suites["needs"]}
     words = swept_words(suites).drop(columns=["suite", "way", "needs"])
     shown = _labeled(words, columns, "Table I, measured", note)
     return replace(shown, words=[*words, "needs"])
@@ -230,26 +191,27 @@ def _once(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _beside_the_paper(table: pd.DataFrame) -> PageTable:
     """Format the rows of the paper's settings beside its numbers."""
-    rows = table[table["paper_rmse_radii"].notna()]
+    rows = table[table[RMSE.published].notna()]
     note = (
         'The paper does not define its "robot radius". R is the radius of a dock, 32.9 mm in the '
         "paper's towers; table.csv has mm, and rho, the distance from a robot's center to a dock. "
         "Changes are relative to the first condition."
     )
-    columns = {}
-    for label, name in _PUBLISHED:
-        if f"{name}_mean" in rows:
-            columns[label] = _mean(rows, name)
-        elif name in rows:
-            columns[label] = _numbers(rows[name])
+    means = {measure.mean: measure.column for measure in (RMSE, DISPARITY)}
+    columns = {
+        heading: _mean(rows, means[name]) if name in means else _numbers(rows[name])
+        for name, heading in _PUBLISHED.items()
+        if name in rows
+    }
     return _labeled(swept_words(rows), columns, "Beside the paper", note)
 
 
 def _differences(paired: pd.DataFrame) -> PageTable:
     """Format differences between conditions on the same structures."""
     first = paired["against"] == paired["against"].iloc[0]
-    rows = paired[first & paired["measure"].isin(list(_MEASURES))]
-    words = swept_words(rows, before="measure").assign(measure=rows["measure"].map(_MEASURES))
+    headings = {each.column: heading for each, heading in PAGE["accuracy"].items()}
+    rows = paired[first & paired["measure"].isin([*headings])]
+    words = swept_words(rows, before="measure").assign(measure=rows["measure"].map(headings))
     columns = {
         "difference": _mean(rows, "difference", sign="+"),
         "smaller in": rows["smaller"].astype(str) + " of " + rows["structures"].astype(str),
@@ -270,7 +232,10 @@ def case_table(summary: pd.DataFrame) -> PageTable:
     """Format a row for each case."""
     shown = summary.head(MOST_ROWS)
     words = shown[["case", "status"]].fillna("").astype(str)
-    numbers = {label: _numbers(shown[name]) for label, name in _CASE if name in shown}
+    headings = {"robots": "robots"} | {m.column: heading for m, heading in PAGE["cases"].items()}
+    numbers = {
+        heading: _numbers(shown[name]) for name, heading in headings.items() if name in shown
+    }
     reasons = shown["reason"].fillna("").astype(str)
     reason = {"reason": reasons} if reasons.any() else {}
     left_out = len(summary) - len(shown)
@@ -313,12 +278,12 @@ def _labeled(
     return PageTable(frame=frame, words=words.columns.astype(str), title=title, note=note)
 
 
-def _means(table: pd.DataFrame, columns: Sequence[_Column]) -> dict[str, pd.Series]:
-    """Format the means that a table has, by label."""
+def _means(table: pd.DataFrame, place: str) -> dict[str, pd.Series]:
+    """Format the means that a table of the page shows, by heading, if `table` has them."""
     return {
-        label: _mean(table, name)
-        for label, name in columns
-        if f"{name}_mean" in table and table[f"{name}_mean"].notna().any()
+        heading: _mean(table, measure.column)
+        for measure, heading in PAGE[place].items()
+        if measure.mean in table and table[measure.mean].notna().any()
     }
 
 
@@ -356,7 +321,10 @@ def _numbers(values: pd.Series) -> "pd.Series[str]":
 
 _MOST_REASONS = 5
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-_VERDICTS = ("converged", "consistent", "misfit_sd", "sd_factor", "distrust")
+_VERDICTS = (
+    *(m.column for m in (CONVERGED, CONSISTENT, MISFIT, SD_FACTOR)),
+    "distrust",
+)
 
 
 def warnings_of(summary: pd.DataFrame) -> list[str]:
@@ -368,7 +336,7 @@ def warnings_of(summary: pd.DataFrame) -> list[str]:
         why = _some(failed["reason"].dropna().unique(), "; ")
         found.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
     found += _untrusted(done)
-    if "disconnected" in done and (lost := done["disconnected"].fillna(0)).any():
+    if DISCONNECTED.column in done and (lost := done[DISCONNECTED.column].fillna(0)).any():
         robots, cases = counted(int(lost.sum()), "robot"), counted(int((lost > 0).sum()), "case")
         found.append(
             f"No measurement that was used ties {robots} in {cases} to the anchor; their positions "
@@ -387,7 +355,7 @@ def notes_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
         found.append(
             f"Growth ended before all robots joined in {counted(len(ended), 'case')}: {why}."
         )
-    if "floppy_modes" in done and ((modes := done["floppy_modes"]) > 0).any():
+    if FLOPPY_MODES.column in done and ((modes := done[FLOPPY_MODES.column]) > 0).any():
         least, most = f"{modes.min():.0f}", f"{modes.max():.0f}"
         count = least if least == most else f"{least} to {most}"
         found.append(
@@ -426,13 +394,16 @@ def _range(numbers: Iterable[str]) -> str:
 def _untrusted(done: pd.DataFrame) -> Iterator[str]:
     """Name the cases whose estimate did not converge, or is not consistent, and why."""
     found = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
-    lost = found["converged"].eq(False)  # noqa: FBT003 - other methods leave it empty
+    lost = found[CONVERGED.column].eq(False)  # noqa: FBT003 - other methods leave it empty
     if lost.any():
         text = f"{_share(found, lost, 'did not converge')}. All tables include their errors."
         yield f"{text} Try more steps or chains."
-    at_odds = found["consistent"].eq(False) & ~lost  # noqa: FBT003
+    at_odds = found[CONSISTENT.column].eq(False) & ~lost  # noqa: FBT003
     if at_odds.any():
-        misfit, factor = found["misfit_sd"][at_odds].dropna(), found["sd_factor"][at_odds].max()
+        misfit, factor = (
+            found[MISFIT.column][at_odds].dropna(),
+            found[SD_FACTOR.column][at_odds].max(),
+        )
         sizes = [describe_misfit(max(misfit, key=abs, default=0.0))]
         sizes += [f"sd is multiplied by {factor:.2g}"] if factor > 1.0 else []
         most = " and ".join(filter(None, sizes))

@@ -18,6 +18,7 @@ from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.measurements.cues import in_words
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
+from tiswarm.records.measures import DISCONNECTED
 from tiswarm.records.run_folder import LABEL, TABLE_NOTES, case_folder, check_folders
 from tiswarm.records.terrain import NO_EDGE
 from tiswarm.scenario.yaml_source import read_yaml
@@ -109,7 +110,7 @@ class RunData:
     def note(self) -> str:
         """How many cases failed or have disconnected robots; empty if none did and none has."""
         failed, count = sum(not case.done for case in self.cases), len(self.cases)
-        lost = int((self.summary.get("disconnected", pd.Series(dtype=float)) > 0).sum())
+        lost = int((self.summary.get(DISCONNECTED.column, pd.Series(dtype=float)) > 0).sum())
         notes = [f"{failed} of {count} cases failed and are left out"] * (failed > 0)
         notes += [f"{lost} of {count} cases have disconnected robots"] * (lost > 0)
         return "; ".join(notes)

@@ -18,6 +18,7 @@ from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import MOST_WITHIN, Estimate
 from tiswarm.records.frames import EstimateTrace, read_frame, read_trace, thinned
 from tiswarm.records.io import MAX_LOG_BYTES, at_line, numbered_lines, run_file
+from tiswarm.records.measures import RMSE
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import parse_header
 from tiswarm.records.sensing_log import SensingLog
@@ -354,9 +355,9 @@ def first_series(run: RunData) -> list[str]:
     Both are of the first point of the sweep that Algorithm 1 localizes; of the first point where
     it localizes none, and then the other series is that with the next least RMSE.
     """
-    if "rmse_R" not in run.summary:
+    if RMSE.column not in run.summary:
         return []
-    error = run.summary.groupby("series", sort=False)["rmse_R"].mean()
+    error = run.summary.groupby("series", sort=False)[RMSE.column].mean()
     known = {name: cases[0] for name, cases in run.series.items() if math.isfinite(error[name])}
     rivals = [name for name, case in known.items() if case.method in ALGORITHM_1]
     start = known[next(iter([*rivals, *known]))].point if known else ""

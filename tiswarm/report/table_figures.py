@@ -14,6 +14,17 @@ import pandas as pd
 from tiswarm.base.progress import Progress
 from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame
+from tiswarm.records.measures import (
+    CONTACTS,
+    CROSSED,
+    FLIPS_AS_PLANNED,
+    FLOPPY_MODES,
+    HEIGHT,
+    MAIN,
+    REACH,
+    RMSE,
+    Measure,
+)
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
@@ -38,26 +49,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_MEASURES = {
-    "rmse_R": ("RMSE [R]", "paper_rmse_radii"),
-    "procrustes_disparity": ("Procrustes disparity", "paper_procrustes_disparity"),
-}
-"""Axis label and published counterpart of each measure."""
-
-_LABELS = [label for label, _ in _MEASURES.values()]
-_DRAWN = [f"{measure}_{statistic}" for measure in _MEASURES for statistic in ("mean", "ci95")]
+_DRAWN = [column for measure in MAIN for column in (measure.mean, measure.ci95)]
 
 _PUBLISHED = "published (robot radii)"
 
 _MOST_ROWS = 60
 
-_SHAPE_PANELS = {
-    "rmse_R": "RMSE [R]",
-    "floppy_modes": "Floppy modes",
-    "contacts_per_robot": "Contacts per robot",
-    "height_R": "Height [R]",
-}
-
+_OF_SHAPES = (RMSE, FLOPPY_MODES, CONTACTS, HEIGHT)
 
 CAPTIONS = {
     "accuracy": "Errors of each condition: mean RMSE and mean Procrustes disparity over the "
@@ -96,7 +94,7 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     differ in color and marker. Open markers are published numbers, whose unit of length is not
     defined.
     """
-    published = [column for _, column in _MEASURES.values()]
+    published = [measure.published for measure in MAIN]
     table = run.table("table.csv", ["condition"], ["cases", *published, *_DRAWN], after="cases")
     swept = swept_words(table).drop(columns="condition")
     values = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
@@ -106,23 +104,21 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     shown = points[: max(1, _MOST_ROWS // len(names))]
     few = table["cases"].max() < FEWEST
     height = 0.9 + 0.12 * len(names) * (1 + len(shown))
-    figure, panels = new_panels(
-        PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y", most=most
-    )
-    for axes, (measure, (_, counterpart)) in zip(panels, _MEASURES.items(), strict=True):
+    figure, panels = new_panels(PAGE_WIDTH, height, len(MAIN), len(MAIN), share="y", most=most)
+    for axes, measure in zip(panels, MAIN, strict=True):
         for index, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition").reindex(names)
             place = np.arange(len(names)) + (index - 0.5 * (len(shown) - 1)) / (1 + len(shown))
             look = {**marker_style(index), "linestyle": "", "markersize": 3.5}
-            mean, ci95 = rows[f"{measure}_mean"], rows[f"{measure}_ci95"].fillna(0.0)
+            mean, ci95 = rows[measure.mean], rows[measure.ci95].fillna(0.0)
             error = None if few else ci95
             axes.errorbar(mean, place, xerr=error, label=shortened(point) or "mean", **look)
-            axes.plot(rows[counterpart], place, markerfacecolor="white", **look)
+            axes.plot(rows[measure.published], place, markerfacecolor="white", **look)
             if few:
-                each = _each_structure(run, measure, point)
+                each = _each_structure(run, measure.column, point)
                 rows_of = [names.index(condition) for condition in each.index]
                 axes.plot(each, place[rows_of], **{**look, "markersize": 1.8, "alpha": 0.6})
-    _finish_rows(panels, names, _LABELS)
+    _finish_rows(panels, names, MAIN)
     if table[published].notna().any(axis=None):
         panels[0].plot(
             [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
@@ -165,16 +161,16 @@ def draw_rows(table: pd.DataFrame) -> "Figure":
     words = words.where(shown[words.columns].notna(), "")
     labels = [", ".join(filter(None, row)) for row in words.to_numpy()]
     height = 0.9 + 0.17 * len(shown)
-    figure, panels = new_panels(PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y")
-    for axes, name in zip(panels, _MEASURES, strict=True):
+    figure, panels = new_panels(PAGE_WIDTH, height, len(MAIN), len(MAIN), share="y")
+    for axes, measure in zip(panels, MAIN, strict=True):
         for index, run in enumerate(shown["run"].unique()):
             rows = (shown["run"] == run).to_numpy()
             axes.errorbar(
-                shown.loc[rows, f"{name}_mean"], np.flatnonzero(rows),
-                xerr=shown.loc[rows, f"{name}_ci95"].fillna(0.0), fmt="o", markersize=3.5,
+                shown.loc[rows, measure.mean], np.flatnonzero(rows),
+                xerr=shown.loc[rows, measure.ci95].fillna(0.0), fmt="o", markersize=3.5,
                 color=marker_style(index)["color"], label=run, linewidth=1.0,
             )  # fmt: skip
-    _finish_rows(panels, labels, _LABELS)
+    _finish_rows(panels, labels, MAIN)
     add_legend(figure, entries_of(panels[:1]), "mean and 95 % CI", loc="outside upper right")
     left = len(table) - len(shown)
     figure_style.add_note(figure, f"{left} more rows are in comparison.csv" if left else "")
@@ -186,7 +182,7 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
 
     Conditions differ in color and marker; where all are equal, gray stands for all.
     """
-    numbers = [f"{name}_{statistic}" for name in _SHAPE_PANELS for statistic in ("mean", "ci95")]
+    numbers = [column for each in _OF_SHAPES for column in (each.mean, each.ci95)]
     table = run.table("table.csv", ["condition"], ["cases", *numbers], after="cases")
     words = swept_words(table).drop(columns="condition")
     table["point"] = words.agg(", ".join, axis=1)
@@ -194,21 +190,21 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     shown = points[:_MOST_ROWS]
     series = dict(list(table.groupby("condition", sort=False)))
     figure, panels = new_panels(
-        PAGE_WIDTH, 0.9 + 0.17 * len(shown), len(_SHAPE_PANELS), 4, share="y", most=most
+        PAGE_WIDTH, 0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most
     )
-    for axes, name in zip(panels, _SHAPE_PANELS, strict=True):
-        alike = table.groupby("point")[f"{name}_mean"].nunique().max() <= 1
+    for axes, measure in zip(panels, _OF_SHAPES, strict=True):
+        alike = table.groupby("point")[measure.mean].nunique().max() <= 1
         for index, (condition, rows) in enumerate(series.items()):
             look = {**marker_style(index), "linestyle": "", "markersize": 3.0, "linewidth": 0.8}
             look |= {"color": "0.4", "marker": "o"} if alike else {}
             part = rows.set_index("point").reindex(shown)
             axes.errorbar(
-                part[f"{name}_mean"], np.arange(len(shown)), label=condition,
-                xerr=part[f"{name}_ci95"].fillna(0.0), **look,
+                part[measure.mean], np.arange(len(shown)), label=condition,
+                xerr=part[measure.ci95].fillna(0.0), **look,
             )  # fmt: skip
-    _finish_rows(panels, shown, [*_SHAPE_PANELS.values()])
-    for axes, name in list(zip(panels, _SHAPE_PANELS, strict=True))[1:]:
-        end = (table[f"{name}_mean"] + table[f"{name}_ci95"].fillna(0.0)).max()
+    _finish_rows(panels, shown, _OF_SHAPES)
+    for axes, measure in list(zip(panels, _OF_SHAPES, strict=True))[1:]:
+        end = (table[measure.mean] + table[measure.ci95].fillna(0.0)).max()
         top = float(np.nan_to_num(end)) or 1.0
         axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
     for axes in panels:
@@ -221,10 +217,10 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     return figure
 
 
-def _finish_rows(panels: "list[Axes]", names: Sequence[str], labels: Sequence[str]) -> None:
+def _finish_rows(panels: "list[Axes]", names: Sequence[str], measures: Sequence[Measure]) -> None:
     """Label rows, from the top, and axes."""
-    for axes, label in zip(panels, labels, strict=True):
-        axes.set_xlabel(label)
+    for axes, measure in zip(panels, measures, strict=True):
+        axes.set_xlabel(measure.axis)
         means = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
         axes.locator_params(axis="x", nbins=6)
         fit_axis(axes, "x", means, nonpositive="clip")
@@ -238,8 +234,6 @@ _GRADED = re.compile(r"(.+?)[-_ ](\d+(?:\.\d+)?)")
 _FEWEST_GRADES = 3
 _UNITS = {"_deg": "deg", "_noise": "R"}
 """Units by the ends of keys."""
-
-_ERROR, _HALF = "rmse_R_mean", "rmse_R_ci95"
 
 
 def _grade_painters(run: RunData) -> dict[str, Painter]:
@@ -260,8 +254,8 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     Conditions whose names begin alike share a panel, in which each point of the sweep has a line.
     A dashed line in its color is the first condition without such a number.
     """
-    table = run.table("table.csv", ["condition"], ["cases", _ERROR, _HALF], after="cases")
-    table = table[table[_ERROR].notna()]
+    table = run.table("table.csv", ["condition"], ["cases", RMSE.mean, RMSE.ci95], after="cases")
+    table = table[table[RMSE.mean].notna()]
     families = _families(table)
     swept = swept_words(table).drop(columns="condition")
     words = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
@@ -280,14 +274,14 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
             look = {"label": shortened(point) or "mean", **marker_style(place)}
             _draw_line(axes, rows, grades, look)
             if plain in rows.index:
-                axes.axhline(float(rows.loc[plain, _ERROR]), **_dashed(look))
+                axes.axhline(float(rows.loc[plain, RMSE.mean]), **_dashed(look))
         set_title(axes, family)
         axes.set_xlabel(_meaning([stated.get(name, {}) for name in grades.values()]))
         axes.set_xticks([*grades], [f"{grade:g}" for grade in grades])
         axes.minorticks_off()
-    means = table.loc[table["condition"].isin(graded | {plain}), _ERROR].to_numpy(float)
+    means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
     fit_axis(panels[0], "y", means, nonpositive="clip")
-    figure.supylabel("RMSE [R]", fontsize=8.0)
+    figure.supylabel(RMSE.axis, fontsize=8.0)
     level = f"; dashed: {plain}" if plain else ""
     number = counted(int(table["cases"].max()), "structure")
     add_legend(figure, entries_of(panels[:1]), f"mean and 95 % CI, {number}{level}")
@@ -326,9 +320,9 @@ def _draw_line(
 ) -> None:
     """Draw the means of graded conditions with their intervals, on a logarithmic axis."""
     part = rows.reindex([*grades.values()])
-    half = part[_HALF].fillna(0.0)
+    half = part[RMSE.ci95].fillna(0.0)
     at = np.array([*grades])
-    axes.errorbar(at, part[_ERROR], yerr=half, markersize=3.0, elinewidth=0.6, **look)
+    axes.errorbar(at, part[RMSE.mean], yerr=half, markersize=3.0, elinewidth=0.6, **look)
     if at.min() > 0.0:
         set_log(axes, "x")
 
@@ -339,19 +333,19 @@ def _dashed(look: dict[str, Any]) -> dict[str, Any]:
 
 _BY = "structure.navigate_by"
 _PANELS = {
-    "height_R": ("tower", "Tower height [R]"),
-    "reach_R": ("cantilever", "Cantilever reach [R]"),
-    "crossed": ("bridge", "Bridges closed [1]"),
-    "flips_as_planned": ("", "Flips as planned [1]"),
+    HEIGHT: ("tower", "Tower height [R]"),
+    REACH: ("cantilever", "Cantilever reach [R]"),
+    CROSSED: ("bridge", "Bridges closed [1]"),
+    FLIPS_AS_PLANNED: ("", "Flips as planned [1]"),
 }
-"""By column of `summary.csv`: the kind of structure that a panel shows, all if empty; its axis."""
+"""By measure: the kind of structure that a panel shows, all if empty; its axis."""
 
 _NORMAL_95 = 1.96
 
 
 def _building_painters(run: RunData) -> dict[str, Painter]:
     """List the figure by file name, if some robots of a run navigate by estimates."""
-    planned = run.summary.get("flips_as_planned")
+    planned = run.summary.get(FLIPS_AS_PLANNED.column)
     return {"building": draw_building} if planned is not None and planned.notna().any() else {}
 
 
@@ -364,7 +358,11 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
     rows = done.assign(structure=_structures(done), by=_navigation(done))
     rows = rows.drop_duplicates(["by", "structure", "seed"])  # conditions may share structures
     names, kinds = list(dict.fromkeys(rows["by"])), list(dict.fromkeys(rows["structure"]))
-    shown = {name: panel for name, panel in _PANELS.items() if _of_kind(rows, panel[0])[name].any()}
+    shown = {
+        measure.column: panel
+        for measure, panel in _PANELS.items()
+        if _of_kind(rows, panel[0])[measure.column].any()
+    }
     height = 0.9 + len(names) * (0.16 + 0.07 * len(kinds))
     figure, panels = new_panels(PAGE_WIDTH, height, len(shown), len(shown), share="y", most=most)
     for axes, (column, (kind, label)) in zip(panels, shown.items(), strict=True):

@@ -39,6 +39,17 @@ from tiswarm.localization.settings import LocalizationParams, VirtualForceParams
 from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import damaged, make_folder
+from tiswarm.records.measures import (
+    DISPARITY,
+    LOCATED,
+    MAIN,
+    MEASURES,
+    PAGE,
+    PAIRED,
+    RMSE,
+    RMSE_LOCATED,
+    RMSE_RHO,
+)
 from tiswarm.records.messages import shown
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.records.terrain import NO_EDGE, Terrain
@@ -49,23 +60,6 @@ from tiswarm.study.cases import Group, Plan
 from tiswarm.study.provenance import Cost
 from tiswarm.study.store import CaseRecord, RunFolder
 
-_ACCURACY = (
-    "rmse_R", "rmse_rho", "rmse_yaw_aligned_R", "rmse_rigid_aligned_R", "rmse_per_contact_R",
-    "procrustes_disparity",
-)  # fmt: skip
-_AVERAGED = (
-    "joined", "disconnected",
-    "contacts_per_robot", "rms_radius_R", "height_R", "reach_R", "depth_R", "beyond_edge",
-    "crossed", "flips_as_planned", "failed_flips", "peak_stress", "floppy_modes", "coverage_50",
-    "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "testable",
-    "spare_measurements", "misfit_sd", "sd_factor", "mirrored", "suspects", "steps_per_robot",
-    "located", "rmse_located_R",
-    "rmse_at_join_R", "within_dock", "contacts_within_dock", "doubtful", "sent_B", "worst_sent_B",
-    "heard_B", "worst_heard_B", "memory_B", "worst_memory_B", "messages", "rounds", "operations",
-    "worst_operations",
-    "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
-)  # fmt: skip
-_OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")
 _RECRUITMENT = ("force_threshold", "recruit_base", "recruit_limit")
 _ROUNDING_R = 1e-9
 """RMSE [R] that rounding explains: no other one is a multiple of it."""
@@ -150,10 +144,10 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
             used |= {"kind": setting.structure.kind, "method": _title(setting.localization)}
             row = {"condition": first.condition, **first.point_cells, **ours, **used}
             at_point.append(row | _rounds(setting) | _paper(setting, ours))
-        of_paper = [row for row in at_point if row["paper_rmse_radii"] > 0.0]
+        of_paper = [row for row in at_point if row[RMSE.published] > 0.0]
         base = (of_paper or at_point)[0]
         for row, (name, rmse) in itertools.product(
-            at_point, (("", "rmse_R_mean"), ("paper_", "paper_rmse_radii"))
+            at_point, (("", RMSE.mean), ("paper_", RMSE.published))
         ):
             change = row[rmse] / base[rmse] - 1.0 if base[rmse] > _ROUNDING_R else math.nan
             row[f"{name}rmse_change_percent"] = 100.0 * change
@@ -197,13 +191,12 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
     cell = _published(setting)
     rmse, disparity = (cell.rmse_radii, cell.disparity) if cell else (math.nan, math.nan)
     return {
-        "paper_rmse_radii": rmse,
-        "paper_procrustes_disparity": disparity,
-        "rmse_mm_mean": ours["rmse_R_mean"] * MM_PER_RADIUS,
-        "rmse_mm_ci95": ours["rmse_R_ci95"] * MM_PER_RADIUS,
-        "rmse_R_to_paper": ours["rmse_R_mean"] / rmse,
-        "rmse_rho_to_paper": ours["rmse_rho_mean"] / rmse,
-        "procrustes_disparity_to_paper": ours["procrustes_disparity_mean"] / disparity,
+        RMSE.published: rmse,
+        DISPARITY.published: disparity,
+        "rmse_mm_mean": ours[RMSE.mean] * MM_PER_RADIUS,
+        "rmse_mm_ci95": ours[RMSE.ci95] * MM_PER_RADIUS,
+        **{f"{of.column}_to_paper": ours[of.mean] / rmse for of in (RMSE, RMSE_RHO)},
+        f"{DISPARITY.column}_to_paper": ours[DISPARITY.mean] / disparity,
     }
 
 
@@ -211,11 +204,12 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
     """Count cases, and return means over the finished ones with their uncertainty and range."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    for name in _AVERAGED:
-        column = scores[name] if name in scores else pd.Series(dtype=float)
-        values = column.to_numpy(np.float64)
-        found = mean_std_ci95(values) | least_and_most(values)
-        full |= {f"{name}_{statistic}": value for statistic, value in found.items()}
+    for measure in MEASURES.values():
+        if measure.averaged:
+            column = scores.get(measure.column, pd.Series(dtype=float))
+            values = column.to_numpy(np.float64)
+            found = mean_std_ci95(values) | least_and_most(values)
+            full |= {measure.statistic(name): value for name, value in found.items()}
     return full
 
 
@@ -258,7 +252,11 @@ def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Da
 def accuracy_by_key(records: Mapping[Any, CaseRecord]) -> pd.DataFrame:
     """Tabulate the accuracy of finished cases by structure, under the keys of these."""
     done = {key: record.scores for key, record in records.items() if record.is_done}
-    return pd.DataFrame(list(done.values()), index=pd.Index(list(done)), columns=list(_ACCURACY))
+    return pd.DataFrame(
+        list(done.values()),
+        index=pd.Index(list(done)),
+        columns=[each.column for each in PAIRED],
+    )
 
 
 def differences(
@@ -270,8 +268,7 @@ def differences(
     """Return a row for each measure: difference `after - before` over shared structures."""
     a, b = before.align(after, join="inner", axis=0)
     found = {
-        name: paired_difference(a[name].to_numpy(float), b[name].to_numpy(float))
-        for name in _ACCURACY
+        name: paired_difference(a[name].to_numpy(float), b[name].to_numpy(float)) for name in a
     }
     return [
         {**first_columns, "measure": name, **row, **last_columns} for name, row in found.items()
@@ -287,7 +284,7 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         names = ["z_R", "error_R", "hops_from_anchor", "contacts"]
         robots = [read_frame(folder / "robots.csv", gaps=names) for folder in folders]
         robots = [table.assign(join=np.arange(len(table))) for table in robots]
-        names = ["hops_apart", "pairs", "mean_error_R", "rmse_R"]
+        names = ["hops_apart", "pairs", "mean_error_R", RMSE.column]
         relative = [
             read_frame(folder / "relative.csv", numbers=names, empty=True) for folder in folders
         ]
@@ -310,7 +307,7 @@ def suites(
     located whose positions its cues determine. Means are over structures.
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
-    suite_of, rows = load(SUITE_OF, "suites.csv"), []
+    suite_of, shown, rows = load(SUITE_OF, "suites.csv"), PAGE["suites"], []
     for group in _grouped(records, lambda record: record.series):
         first, setting = group[0], setting_of[group[0].case]
         suite, touch = suite_of(setting.sensing.suite), setting.sensing.touch
@@ -326,10 +323,10 @@ def suites(
             "cases": len(done),
             **{f"usd_{n}": suite.price(n, touch=touch) for n in _PRICED},
         }
-        scores = pd.DataFrame(done, columns=list(_OF_SUITES), dtype=float)
-        for name in _OF_SUITES:
-            found = mean_std_ci95(scores[name].to_numpy())
-            row |= {f"{name}_mean": found["mean"], f"{name}_ci95": found["ci95"]}
+        scores = pd.DataFrame(done, columns=[each.column for each in shown], dtype=float)
+        for each in shown:
+            found = mean_std_ci95(scores[each.column].to_numpy())
+            row |= {each.mean: found["mean"], each.ci95: found["ci95"]}
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -339,15 +336,16 @@ def _located(case: Path) -> dict[str, float]:
 
     NaN where nothing states it.
     """
+    names = LOCATED.column, RMSE_LOCATED.column
     estimate = read_frame(case / "estimate.csv", ["known"]).iloc[1:]
     square = read_frame(case / "robots.csv", gaps=["error_R"])["error_R"].iloc[1:] ** 2
     if "undetermined" in estimate:
         is_located = estimate["undetermined"].isna()
     elif estimate["known"].isna().any():
-        return {"located": math.nan, "rmse_located_R": math.nan}
+        return dict.fromkeys(names, math.nan)
     else:
         is_located = estimate["known"].isin(["yes", "mirrored"])
-    return {"located": is_located.mean(), "rmse_located_R": square[is_located].mean() ** 0.5}
+    return dict(zip(names, (is_located.mean(), square[is_located].mean() ** 0.5), strict=True))
 
 
 def _grouped(
@@ -358,9 +356,6 @@ def _grouped(
     for record in records:
         groups.setdefault(key(record), []).append(record)
     return list(groups.values())
-
-
-_SCALED = ("rmse_R", "procrustes_disparity")
 
 
 def scaling(
@@ -386,7 +381,7 @@ def scaling(
         for case in done:
             record = records[case.name]
             point = {key: value for key, value in record.point.items() if key != "robots"}
-            measured = {name: record.scores[name] for name in _SCALED}
+            measured = {name: record.scores[name] for name in (each.column for each in MAIN)}
             for stage, cost in {**costs[case.name], "grow": grown}.items():
                 measured |= {f"{stage.replace(' ', '_')}_{unit}": n for unit, n in cost.items()}
             row = {"series": replace(record, point=point).series, "robots": case.settings.robots}
@@ -464,9 +459,13 @@ def _read_table(run: Path) -> pd.DataFrame:
     if not path.exists():
         msg = "has no table.csv; give a folder that `tiswarm run` made"
         raise InputError(msg, path=run)
-    measures = ["rmse_R_mean", "rmse_R_ci95", "procrustes_disparity_mean"]
     table = read_frame(
-        path, ["condition"], ["cases"], gaps=measures, notes=TABLE_NOTES, numbers_after="cases"
+        path,
+        ["condition"],
+        ["cases"],
+        gaps=[RMSE.mean, RMSE.ci95, DISPARITY.mean],
+        notes=TABLE_NOTES,
+        numbers_after="cases",
     )
     for text in map(str, [*table.columns, *table.to_numpy().ravel()]):
         if not text.isprintable():  # a terminal would obey it

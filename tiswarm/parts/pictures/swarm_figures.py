@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.aliases import Reals
+from tiswarm.records.measures import RMSE, RMSE_AT_JOIN, SENT
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     PAGE_WIDTH,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_SENT, _ERROR = "sent_B", "rmse_R"
+_SENT, _ERROR = SENT.column, RMSE.column
 _TICKS = {"x": (1.0, 3.0), "y": (1.0, 2.0, 5.0)}
 _NORMAL_95 = 1.96
 _CLEAR = 8.0
@@ -77,8 +78,8 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
         for place, name in enumerate(names):
             _draw_condition(axes, cases[cases["condition"] == name], name, place)
         set_title(axes, f"{kind}, {robots} robots")
-        axes.set_xlabel("Sent by a robot [B]")
-    label_left(panels, "RMSE [R]")
+        axes.set_xlabel(SENT.axis)
+    label_left(panels, RMSE.axis)
     _set_scale(panels[0])
     add_legend(figure, entries_of(panels))
     figure_style.add_note(figure, run.note)
@@ -183,7 +184,7 @@ def _short(value: float) -> str:
     return f"{value / 1000.0:g}k" if value >= 1000.0 else f"{value:g}"  # noqa: PLR2004 - a thousand
 
 
-_SCORE, _COLUMN = "rmse_at_join_R", "error_at_join_R"
+_SCORE, _COLUMN = RMSE_AT_JOIN.column, "error_at_join_R"
 _SHARE = 4
 """The robots that joined last are one in so many of the smallest structure."""
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.aliases import Reals
+from tiswarm.records.measures import RMSE
 from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
 from tiswarm.report.figure_style import (
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PRICE, _ERROR, _HALF = "usd_100", "rmse_R_mean", "rmse_R_ci95"
+_PRICE, _ERROR, _HALF = "usd_100", RMSE.mean, RMSE.ci95
 _CHEAPEST = 200.0  # price up to which the axis is linear: some sensors cost nothing [USD]
 _MOST_PANELS = 4
 _LINE, _LETTER = 0.025, 0.0145  # height and width of a letter of a label [share of the panel]

@@ -1,0 +1,361 @@
+"""Measures: numbers that compare estimates and structures, each defined once.
+
+A measure is a score in `case.json`, a column of `summary.csv` and, averaged over structures, of
+`table.csv`. To add one, add it here, in the order of `table.csv`, and compute it in
+`tiswarm/evaluation/tables.py`. Tables, page, figures and `docs/files.md` follow.
+"""
+
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number of a case."""
+
+    column: str
+    """Name of its score and of its column."""
+
+    unit: str
+    """Its unit; "1" for pure numbers."""
+
+    source: str
+    """What it is computed from."""
+
+    meaning: str
+    """What it is, in words."""
+
+    _: KW_ONLY
+
+    label: str = ""
+    """Its name along axes and in sentences, without unit."""
+
+    better: Literal["", "smaller", "larger"] = ""
+    """Which values are better, if either."""
+
+    averaged: bool = True
+    """Whether `table.csv` has its statistics."""
+
+    paired: bool = False
+    """Whether `paired.csv` has its differences between conditions."""
+
+    published: str = ""
+    """Column of `table.csv` with the paper's number, if the paper has one."""
+
+    @property
+    def axis(self) -> str:
+        """Label with the unit, if it has one."""
+        return self.label if self.unit == "1" else f"{self.label} [{self.unit}]"
+
+    @property
+    def mean(self) -> str:
+        """Column of its mean."""
+        return self.statistic("mean")
+
+    @property
+    def ci95(self) -> str:
+        """Column of the half width of the confidence interval."""
+        return self.statistic("ci95")
+
+    @property
+    def least(self) -> str:
+        """Column of its least value."""
+        return self.statistic("least")
+
+    @property
+    def most(self) -> str:
+        """Column of its greatest value."""
+        return self.statistic("most")
+
+    def statistic(self, name: str) -> str:
+        """Return the column of a statistic over structures: also `std`, the standard deviation."""
+        return f"{self.column}_{name}"
+
+
+_STRUCTURE, _BOTH, _ESTIMATE = "structure", "structure, estimate", "estimate"
+_LOG, _WALKS, _TRAFFIC = "log, cues", "walks", "messages"
+
+
+JOINED = Measure("joined", "1", _STRUCTURE, "robots that joined")
+DISCONNECTED = Measure(
+    "disconnected", "1", _ESTIMATE, "robots that no measurement ties to an anchor", better="smaller"
+)
+CONTACTS = Measure(
+    "contacts_per_robot", "1", _STRUCTURE, "contacts of a robot with earlier ones, in the mean",
+    label="Contacts per robot",
+)  # fmt: skip
+RMS_RADIUS = Measure(
+    "rms_radius_R", "R", _STRUCTURE, "root mean square distance of robots from their centroid"
+)
+HEIGHT = Measure(
+    "height_R", "R", _STRUCTURE, "height of the highest robot above the ground", label="Height"
+)
+REACH = Measure("reach_R", "R", _STRUCTURE, "greatest x of a robot", label="Reach")
+DEPTH = Measure(
+    "depth_R", "R", _STRUCTURE, "depth of the lowest robot below the ground", label="Depth"
+)
+BEYOND_EDGE = Measure(
+    "beyond_edge", "1", _STRUCTURE,
+    "share of the robots beyond the edge, or over the gap; empty on flat ground",
+)  # fmt: skip
+CROSSED = Measure(
+    "crossed", "1", _STRUCTURE, "whether a bridge joins both sides of its gap", label="Closed"
+)
+FLIPS_AS_PLANNED = Measure(
+    "flips_as_planned", "1", _WALKS,
+    "share of the flips planned to end at a robot after which the mover touched that robot; empty "
+    "where robots know the truth",
+    label="Flips as planned", better="larger",
+)  # fmt: skip
+FAILED_FLIPS = Measure(
+    "failed_flips", "1", _WALKS,
+    "flips that met nothing, or where the robot had been, for each flip taken; empty where robots "
+    "know the truth",
+    better="smaller",
+)  # fmt: skip
+PEAK_STRESS = Measure(
+    "peak_stress", "dock weights/R^2", _STRUCTURE, "largest stress in any contact"
+)
+FLOPPY_MODES = Measure(
+    "floppy_modes", "1", _LOG,
+    "motions that change no measurement that the method uses; empty where they were not counted",
+    label="Floppy modes", better="smaller",
+)  # fmt: skip
+COVERAGE_50 = Measure(
+    "coverage_50", "1", _BOTH, "share of robots, without anchors, in their 50 % interval"
+)
+COVERAGE_90 = Measure(
+    "coverage_90", "1", _BOTH, "share of robots, without anchors, in their 90 % interval"
+)
+PRECISION = Measure(
+    "outlier_precision", "1", _BOTH, "wrong contacts among those reported as outliers",
+    better="larger",
+)  # fmt: skip
+RECALL = Measure(
+    "outlier_recall", "1", _BOTH, "reported outliers among wrong contacts", better="larger"
+)
+CONVERGED = Measure("converged", "1", _ESTIMATE, "whether the method converged", better="larger")
+CONSISTENT = Measure(
+    "consistent", "1", _ESTIMATE, "whether noise as stated explains the measurements",
+    better="larger",
+)  # fmt: skip
+TESTABLE = Measure(
+    "testable", "1", _ESTIMATE,
+    "whether the log could be found not consistent: it was, or its spare measurements are at least "
+    "a quarter of the unknown coordinates",
+)  # fmt: skip
+SPARE = Measure(
+    "spare_measurements", "1", _ESTIMATE,
+    "measurements beyond the unknowns that they determine; empty where they were not counted",
+)  # fmt: skip
+MISFIT = Measure(
+    "misfit_sd", "1", _ESTIMATE,
+    "excess of the least chi-square over its expectation, in standard deviations of a chi-square",
+)  # fmt: skip
+SD_FACTOR = Measure(
+    "sd_factor", "1", _ESTIMATE, "Birge ratio that multiplied `sd_R`; 1 if consistent"
+)
+MIRRORED = Measure(
+    "mirrored", "1", _ESTIMATE,
+    "robots that solutions put apart; empty if the method looks for one solution only",
+)  # fmt: skip
+SUSPECTS = Measure(
+    "suspects", "1", _ESTIMATE,
+    "robots that the estimate names, since their measurements all disagree: outliers, whose "
+    "orientations do not count; 0 with methods that name none",
+)  # fmt: skip
+STEPS = Measure(
+    "steps_per_robot", "1", _ESTIMATE,
+    "steps of a robot in the mean, those in rounds of back-propagation included",
+    label="Steps per robot",
+)  # fmt: skip
+LOCATED = Measure(
+    "located", "1", _ESTIMATE,
+    "share of robots located, without anchors, if the method places robots one by one",
+    better="larger",
+)  # fmt: skip
+RMSE_LOCATED = Measure(
+    "rmse_located_R",
+    "R",
+    _BOTH,
+    "RMSE of the robots located; empty if there are none",
+    better="smaller",
+)
+RMSE_AT_JOIN = Measure(
+    "rmse_at_join_R", "R", _BOTH, "RMSE of robots as they joined, if the method places them then",
+    better="smaller",
+)  # fmt: skip
+WITHIN_DOCK = Measure(
+    "within_dock", "1", _BOTH, "share of robots, without anchors, whose error is at most 2 R",
+    better="larger",
+)  # fmt: skip
+CONTACTS_WITHIN_DOCK = Measure(
+    "contacts_within_dock", "1", _BOTH,
+    "share of pairs in contact whose vector errs by at most 2 R", better="larger",
+)  # fmt: skip
+DOUBTFUL = Measure(
+    "doubtful",
+    "1",
+    _ESTIMATE,
+    "robots that do not trust their own positions, if robots localize themselves",
+)
+SENT = Measure(
+    "sent_B", "B", _TRAFFIC, "sent by a robot in the mean, what it passes on for others included",
+    label="Sent by a robot", better="smaller",
+)  # fmt: skip
+WORST_SENT = Measure("worst_sent_B", "B", _TRAFFIC, "most that a robot sent", better="smaller")
+HEARD = Measure("heard_B", "B", _TRAFFIC, "heard by a robot in the mean", better="smaller")
+WORST_HEARD = Measure("worst_heard_B", "B", _TRAFFIC, "most that a robot heard", better="smaller")
+MEMORY = Measure("memory_B", "B", _TRAFFIC, "stored by a robot in the mean", better="smaller")
+WORST_MEMORY = Measure(
+    "worst_memory_B", "B", _TRAFFIC, "most that a robot stored", better="smaller"
+)
+MESSAGES = Measure(
+    "messages", "1", _TRAFFIC, "messages that a robot sent, in the mean", better="smaller"
+)
+ROUNDS = Measure(
+    "rounds", "1", _TRAFFIC, "rounds with messages, which all robots share", better="smaller"
+)
+OPERATIONS = Measure(
+    "operations", "1", _TRAFFIC, "operations of a robot, in the mean", better="smaller"
+)
+WORST_OPERATIONS = Measure(
+    "worst_operations", "1", _TRAFFIC, "most operations of a robot", better="smaller"
+)
+FIRST_ON_ANCHOR, SECOND_ON_ANCHOR, THIRD_ON_ANCHOR = (
+    Measure(
+        f"{place}_on_anchor", "1", _STRUCTURE,
+        f"join index of the {place} robot that touches an anchor; the first anchor has index 0; "
+        "empty if fewer do, so the mean is over structures in which so many do",
+    )
+    for place in ("first", "second", "third")
+)  # fmt: skip
+RMSE = Measure(
+    "rmse_R", "R", _BOTH, "root mean square position error of all robots", label="RMSE",
+    better="smaller", paired=True, published="paper_rmse_radii",
+)  # fmt: skip
+RMSE_RHO = Measure(
+    "rmse_rho", "rho", _BOTH, "RMSE in distances from a robot's center to a dock",
+    better="smaller", paired=True,
+)  # fmt: skip
+RMSE_YAW_ALIGNED = Measure(
+    "rmse_yaw_aligned_R", "R", _BOTH, "RMSE after alignment by yaw and translation",
+    better="smaller", paired=True,
+)  # fmt: skip
+RMSE_RIGID_ALIGNED = Measure(
+    "rmse_rigid_aligned_R", "R", _BOTH, "RMSE after alignment by rotation and translation",
+    better="smaller", paired=True,
+)  # fmt: skip
+RMSE_PER_CONTACT = Measure(
+    "rmse_per_contact_R", "R", _BOTH,
+    "RMSE of the vector between two robots in contact, one hop apart",
+    better="smaller", paired=True,
+)  # fmt: skip
+DISPARITY = Measure(
+    "procrustes_disparity", "1", _BOTH,
+    "squared error after rigid alignment, relative to the squared extent of the structure",
+    label="Procrustes disparity", better="smaller", paired=True,
+    published="paper_procrustes_disparity",
+)  # fmt: skip
+SSE = Measure(
+    "sse_R2", "R^2", _BOTH, "sum of squared position errors", better="smaller", averaged=False
+)
+CHAINS = Measure(
+    "chains", "1", _ESTIMATE, "chains, or starts, that enter the estimate", averaged=False
+)
+RESTARTED = Measure(
+    "restarted_chains", "1", _ESTIMATE, "annealings that were repeated", averaged=False
+)
+WRONG_CONTACTS = Measure(
+    "wrong_contacts", "1", _BOTH, "contacts of the log that the structure lacks", averaged=False
+)
+OUTLIERS = Measure("outliers", "1", _ESTIMATE, "contacts reported as outliers", averaged=False)
+SENSED_MAX = Measure(
+    "sensed_max", "dock weights", _STRUCTURE, "largest load that any robot senses",
+    averaged=False,
+)  # fmt: skip
+RECRUITED = Measure(
+    "recruited", "1", _STRUCTURE, "robots that others called to their aid", averaged=False
+)
+SPAWNS = Measure(
+    "spawns", "1", _STRUCTURE, "robots spawned, those that never joined included", averaged=False
+)
+
+MEASURES = {each.column: each for each in [*globals().values()] if isinstance(each, Measure)}
+"""All measures by column, in the order above."""
+
+MAIN = (RMSE, DISPARITY)
+"""The two that state accuracy: the paper's, in headlines, figures and studies of size."""
+
+PAIRED = tuple(measure for measure in MEASURES.values() if measure.paired)
+
+BUILT_FOR = {"tower": HEIGHT, "cantilever": REACH, "chain": DEPTH, "bridge": CROSSED}
+"""By kind of structure, the measure of what it is built for."""
+
+_ON_ANCHOR = {
+    FIRST_ON_ANCHOR: "first robot",
+    SECOND_ON_ANCHOR: "second robot",
+    THIRD_ON_ANCHOR: "third robot",
+}
+_LIMITS = {
+    CONTACTS: "contacts per robot",
+    FLOPPY_MODES: "floppy modes",
+    RMS_RADIUS: "rms radius [R]",
+}
+_OF_LOCATED = {LOCATED: "robots located", RMSE_LOCATED: "RMSE of robots located [R]"}
+
+PAGE: Mapping[str, Mapping[Measure, str]] = {
+    "accuracy": {RMSE: "RMSE [R]", DISPARITY: "disparity"},
+    "aligned": {
+        RMSE: "not aligned",
+        RMSE_YAW_ALIGNED: "yaw and translation aligned",
+        RMSE_RIGID_ALIGNED: "rigidly aligned",
+    },
+    "attachment": {
+        WITHIN_DOCK: "share of robots within 2 R",
+        RMSE_PER_CONTACT: "neighbors [R]",
+        CONTACTS_WITHIN_DOCK: "share of neighbors within 2 R",
+    },
+    "limits": _LIMITS,
+    "calibration": {
+        COVERAGE_50: "robots in their 50 % interval",
+        COVERAGE_90: "robots in their 90 % interval",
+        PRECISION: "precision of outliers",
+        RECALL: "recall of outliers",
+        CONVERGED: "converged estimates",
+        CONSISTENT: "consistent estimates",
+        SD_FACTOR: "factor of sd",
+        MIRRORED: "mirrored robots",
+        **_OF_LOCATED,
+    },
+    "anchor": _ON_ANCHOR,
+    "suites": {
+        **_OF_LOCATED,
+        RMSE: "RMSE of all [R]",
+        DISPARITY: "disparity",
+        FLOPPY_MODES: "floppy modes",
+    },
+    "cases": {
+        JOINED: "joined",
+        DISCONNECTED: "disconnected",
+        RMSE: "RMSE [R]",
+        RMSE_YAW_ALIGNED: "yaw aligned [R]",
+        RMSE_RIGID_ALIGNED: "rigidly aligned [R]",
+        DISPARITY: "disparity",
+        **_LIMITS,
+        **{measure: f"{heading} on the anchor" for measure, heading in _ON_ANCHOR.items()},
+        HEIGHT: "height [R]",
+        PEAK_STRESS: "peak stress",
+    },
+}
+"""By table of a run's page, the headings of its measures in order."""
+
+
+def measures_table() -> str:
+    """Write all measures as a table of Markdown; `docs/files.md` has it."""
+    lines = ["| column | unit | from | meaning | better |", "|---|---|---|---|---|"]
+    for each in MEASURES.values():
+        name = f"`{each.column}`" + ("" if each.averaged else " (no mean)")
+        lines.append(f"| {name} | {each.unit} | {each.source} | {each.meaning} | {each.better} |")
+    return "\n".join(lines) + "\n"
