@@ -40,7 +40,7 @@ def test_check_warns_of_unlikely_positions(log, tmp_path):
         f"{path}:{place} is unlikely; correct it or leave it out"
         for place in (
             "9: spawn_position: 1e+06 R from the anchor",
-            "11: ranges: 1e+05 R for a range",
+            "11: ranges: 1e+05 R to robot 3",
             "10: fixes: 1e+06 R from the anchor",
         )
     ]

@@ -16,7 +16,7 @@ from tiswarm.measurements.consistency import contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
-from tiswarm.measurements.units import COLUMNS, Slip, slips
+from tiswarm.measurements.units import Slip, lengths, slips
 from tiswarm.measurements.verdicts import (
     MOST_SHOWN,
     cautions,
@@ -31,7 +31,7 @@ from tiswarm.measurements.verdicts import (
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import NUMBERS, SensingLog
 
 if TYPE_CHECKING:
     from tiswarm.parts.advice.further import AdviceTable, Kind
@@ -227,9 +227,8 @@ def _slips(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
         near = [usual for usual in _USUAL if _NEAR[0] * times <= usual <= _NEAR[1] * times]
         many = f"about {near[0]:g}" if near else f"at least {float(f'{times:.2g}'):g}"
         size = f"{many} times too {'long' if slip.factor > 1.0 else 'short'}"
-        either = " of either" if slip.against in COLUMNS else ""
         problem = f"{slip.what}: {size} beside {slip.against}"
-        remedy = f"correct the unit{either}, or leave it out"
+        remedy = "correct the unit, or leave it out"
         yield f"{path}:{log.line_of(slip.robot)}: {slip.key}: {problem}; {remedy}"
     if (more := len(found) - MOST_SHOWN) > 0:
         yield f"{path}: {counted(more, 'more such length')}"
@@ -237,25 +236,15 @@ def _slips(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
 
 def _unlikely(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
     """Describe in lines lengths beyond any likely size of the swarm, of keys without slips."""
-    size = 2.0 * np.linalg.norm(log.dock_offset_body, axis=1).max() + log.spacing
+    size = 2.0 * np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius + 2.0
     in_a_row, apart = (log.robot_count + _MARGIN) * size, max(log.robot_count, _SPARSE) * size
-    robots, anchor = np.arange(log.robot_count), log.anchor_position
-    fixed, direction, value = log.fixes[:, 0], log.fixes[:, 1:4], log.fixes[:, 4]
-    spawned = np.abs(log.spawn_position - anchor).max(axis=1)
-    from_anchor, of_range = "from the anchor", "for a range"
     named = {slip.key for slip in found}
-    for key, robot, away, farthest, what in (
-        ("flip_height", robots, np.abs(log.flip_height - anchor[2]), in_a_row, from_anchor),
-        ("spawn_position", robots, spawned, in_a_row, from_anchor),
-        ("fixes", fixed, np.abs(value - direction @ anchor), apart, from_anchor),
-        ("ranges", log.ranges[:, 0], log.ranges[:, 2], apart, of_range),
-    ):
-        wrong = [] if key in named else np.flatnonzero(away > farthest)[:MOST_SHOWN].tolist()
-        for row in wrong:
-            text = (
-                f"{away[row]:.3g} {log.length_unit} {what} is unlikely; correct it or leave it out"
-            )
-            yield f"{path}:{log.line_of(int(robot[row]))}: {key}: {text}"
+    for key, column in lengths(log):
+        farthest = in_a_row if key in NUMBERS else apart
+        wrong = np.flatnonzero((column.size > farthest) & (key not in named))
+        for row in wrong[:MOST_SHOWN].tolist():
+            place = f"{path}:{log.line_of(int(column.robot[row]))}: {key}"
+            yield f"{place}: {column.described(log, row)} is unlikely; correct it or leave it out"
 
 
 def _inspect_scenario(path: Path) -> Inspection:

@@ -119,6 +119,12 @@ class Key:
         """Whether an item means nothing without the orientation of its robot."""
         return any(column in _OF_BODY for column in self.columns)
 
+    def part(self, rows: NDArray[Any], *kinds: Column) -> Reals:
+        """Select the columns of some kinds from an array of a log, shape (n, columns of them)."""
+        numbers = rows if rows.ndim > 1 else rows[:, None]
+        start = numbers.shape[1] - len(self.columns)
+        return numbers[:, [start + k for k, each in enumerate(self.columns) if each in kinds]]
+
     def rows(self, items: Sequence[Sequence[float]] = ()) -> NDArray[Any]:
         """Make rows of a log from items after the number of a stance, shape (n, 1 + columns)."""
         kind = np.int32 if self.is_whole else np.float64
