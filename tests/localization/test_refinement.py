@@ -247,7 +247,7 @@ def test_derivatives_of_overlaps_are_those_of_distances(towers, kind):
     motion = state_at(cost, draw.normal(size=(robots, 3)), draw)
     motion.position[0] = 0.0
     linear = cost.linearized(at, cost.precision)
-    overlap = slice(len(linear.robot), len(linear.robot) + len(linear.tables[1].residual))
+    overlap = len(cost.rows) + np.arange(len(linear.tables[1].residual))
     slope = (linear.jacobian @ unknowns(cost, motion)[cost.free])[overlap]
 
     def moved(by):

@@ -18,7 +18,7 @@ from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, by_group
+from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows, by_group
 from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.contacts import close_docks
@@ -51,6 +51,7 @@ _SMALLER, _LEAST_RADIUS = 0.4, 1e-4
 radius [R]."""
 
 _AXES = np.arange(3)
+_NO_ROWS = LinearRows(*(np.empty(0, kind) for kind in (float, int, int, float, float)))
 
 
 class State(NamedTuple):
@@ -126,6 +127,8 @@ class Cost:
         self.of_final = np.flatnonzero(is_noisy & ~self.is_earlier[self.stance])
         self.of_earlier = np.flatnonzero(is_noisy & self.is_earlier[self.stance])
         self.earlier = np.cumsum(self.is_earlier)[self.stance[self.of_earlier]] - 1
+        self._no_noise = csc_array((len(rows), 3 * int(self.is_earlier.sum())))
+        self._related = RelatedRows(np.unique(self.row[self.of_earlier]), rows.robot)
         self.reach = float(np.median(rows.distances.length)) if len(rows.distances.length) else 1.0
         self._listed: Reals = np.full_like(self.walks.arm[self.walks.final], np.inf)
         self._docks: Ints = np.empty((0, 4), np.int64)
@@ -164,8 +167,10 @@ class Cost:
             (self.of_axis, 6 * robots + rows.robot[self.of_axis, None]),
             (with_source, 7 * robots + rows.source[with_source, None]),
         ]
-        self.row_of = np.concatenate([np.repeat(row, c.shape[1]) for row, c in place])
-        self.unknown_of = np.concatenate([column.ravel() for _, column in place])
+        row = np.concatenate([np.repeat(row, c.shape[1]) for row, c in place])
+        column = self.column[np.concatenate([unknown.ravel() for _, unknown in place])]
+        self.moves = np.flatnonzero(column >= 0)
+        self.row_of, self.column_of = row[self.moves], column[self.moves]
         self.of_source = rows.shared_sd[rows.source[with_source]]
 
     def refine(
@@ -225,47 +230,48 @@ class Cost:
 
     def linearized(self, state: State, precision: Reals) -> Linear:
         """Linearize at a state; priors have that precision (U,), those of positions are there."""
-        size = len(self.rows)
         rows, arm = self._turned(state)
         direction = rows.directions(state.position)
-        noise = csc_array((size, 3 * int(self.is_earlier.sum())))
-        final, yaw = np.empty((0, 3)), np.empty(0)
+        noise, final, yaw, turning = self._no_noise, np.empty((0, 3)), np.empty(0), np.empty(0)
+        residual = rows.residual(state.position)
         if self.has_turns:
             across = np.cross(direction[self.row], np.where(self.is_own[:, None], arm, -arm))
             final, yaw = (across * self.sd)[self.of_final], -across[self.of_yaw, 2]
+        if len(self.of_earlier):
             noise = by_group(
                 (across * self.sd)[self.of_earlier],
                 self.row[self.of_earlier],
                 self.earlier,
                 noise.shape,
             )
-        # The axes of offsets turn with the robot, too.
-        x, y, _ = rows.vectors(state.position)[self.of_axis].T
-        turning = direction[self.of_axis, 0] * y - direction[self.of_axis, 1] * x
+            residual -= noise @ state.turn[self.is_earlier].ravel()
+        if len(self.of_axis):  # the axes of offsets turn with the robot, too
+            x, y, _ = rows.vectors(state.position)[self.of_axis].T
+            turning = direction[self.of_axis, 0] * y - direction[self.of_axis, 1] * x
         values = [
             direction, -direction[: len(self.rows.other)], final, yaw, turning, self.of_source
         ]  # fmt: skip
-        residual = rows.residual(state.position) - noise @ state.turn[self.is_earlier].ravel()
-        residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
+        if len(self.of_source):
+            residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
         own_variance, excess = self._robust(residual)
         tables = [
             LinearRows(
                 residual,
                 self.row_of,
-                self.unknown_of,
-                np.concatenate([v.ravel() for v in values]),
+                self.column_of,
+                np.concatenate([v.ravel() for v in values])[self.moves],
                 own_variance,
             ),
             self._overlaps(state),
             *([] if self.links is None else [self._links_of(state, self.links)]),
-            *([] if self.hinged is None else [_hinges(self.hinged)]),
+            *([] if self.hinged is None else [self._hinges(self.hinged)]),
         ]
         at_rest = np.zeros_like(state.position)
         off = (at_rest, state.turn[self.walks.final], state.yaw, state.shared)
         return Linear(
             tables=tables,
             noise=noise,
-            robot=self.rows.robot,
+            related=self._related,
             column=self.column,
             precision=precision[self.free],
             off=np.concatenate([part.ravel() for part in off])[self.free],
@@ -277,8 +283,10 @@ class Cost:
         """Turn the arms of all measurements as a state says; also the parts of these arms."""
         if not self.has_turns:
             return self.rows, self.arm
-        yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
-        arm = Rotation.from_rotvec(yaw).apply(self.arm)
+        arm = self.arm
+        if state.yaw.any():
+            yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
+            arm = Rotation.from_rotvec(yaw).apply(arm)
         arm = Rotation.from_rotvec(-state.turn[self.stance] * self.sd).apply(arm)
         offsets, size = self.rows.offsets, len(self.rows)
         axis = turned(offsets.axis, state.yaw[self.walks.owner[offsets.stance]])
@@ -318,7 +326,9 @@ class Cost:
         """Arms of all docks at the end [R], shape (N, docks, 3)."""
         arm = self.walks.arm[self.walks.final]
         docks = arm.shape[1]
-        flat = turned(arm.reshape(-1, 3), np.repeat(state.yaw, docks))
+        flat: Reals = arm.reshape(-1, 3)
+        if state.yaw.any():
+            flat = turned(flat, np.repeat(state.yaw, docks))
         if len(self.of_final):
             turn = -(state.turn * self._turn_sd)[self.walks.final]
             flat = Rotation.from_rotvec(np.repeat(turn, docks, axis=0)).apply(flat)
@@ -332,6 +342,8 @@ class Cost:
         apart = point[docks[:, 0], docks[:, 1]] - point[docks[:, 2], docks[:, 3]]
         length = np.linalg.norm(apart, axis=1)
         chosen = np.flatnonzero((length < SPACING) & (length > 0.0))
+        if not len(chosen):
+            return _NO_ROWS
         later, own, earlier, its = docks[chosen].T
         way = apart[chosen] / length[chosen, None]
         robot = np.concatenate([later, earlier])
@@ -347,7 +359,7 @@ class Cost:
             ],
             axis=1,
         )
-        return LinearRows(
+        return self._rows_of(
             length[chosen] - SPACING,
             np.repeat(np.tile(np.arange(len(chosen)), 2), column.shape[1]),
             column.ravel(),
@@ -364,7 +376,24 @@ class Cost:
         column = 3 * (self.rows.robots + ends[:, None]) + _AXES
         sign = np.repeat([-1.0, 1.0], left.size)
         row, variance = np.tile(np.arange(left.size), 2), np.full(left.size, links.sd**2)
-        return LinearRows(left.ravel(), row, column.ravel(), sign * sd[ends].ravel(), variance)
+        value = sign * sd[ends].ravel()
+        return self._rows_of(left.ravel(), row, column.ravel(), value, variance)
+
+    def _hinges(self, pair: Ints) -> LinearRows:
+        """Hold the offsets of pairs of robots where they are, along each axis."""
+        rows = _AXES.size * len(pair)
+        column = 3 * pair.T[:, :, None] + _AXES
+        value, row = np.repeat([1.0, -1.0], rows), np.tile(np.arange(rows), 2)
+        variance = np.full(rows, HINGE_SD**2)
+        return self._rows_of(np.zeros(rows), row, column.ravel(), value, variance)
+
+    def _rows_of(
+        self, residual: Reals, row: Ints, unknown: Ints, value: Reals, variance: Reals
+    ) -> LinearRows:
+        """Leave out derivatives by unknowns that stay, such as the anchor's place."""
+        column = self.column[unknown]
+        moves = column >= 0
+        return LinearRows(residual, row[moves], column[moves], value[moves], variance)
 
     def _moved(self, state: State, linear: Linear, radius: float) -> State:
         """Go from a state to where the sum of squares, linearized there, is least."""
@@ -386,12 +415,3 @@ class Cost:
         far = np.linalg.norm(shift, axis=1, keepdims=True)
         shift *= np.minimum(1.0, longest / np.maximum(far, longest))
         return State(state.position + shift, state.yaw + yaw, turn, state.shared + shared)
-
-
-def _hinges(pair: Ints) -> LinearRows:
-    """Hold the offsets of pairs of robots where they are, along each axis."""
-    rows = _AXES.size * len(pair)
-    column = 3 * pair.T[:, :, None] + _AXES
-    value = np.repeat([1.0, -1.0], rows)
-    variance = np.full(rows, HINGE_SD**2)
-    return LinearRows(np.zeros(rows), np.tile(np.arange(rows), 2), column.ravel(), value, variance)

@@ -35,14 +35,65 @@ class LinearRows(NamedTuple):
     row: Ints
     """Row of each derivative, shape (m,)."""
 
-    unknown: Ints
-    """Unknown of each derivative, shape (m,)."""
+    column: Ints
+    """Free unknown of each derivative, shape (m,)."""
 
     value: Reals
     """Derivatives, shape (m,); those at the same place add up."""
 
     variance: Reals
     """Variance of each row, independent of others, shape (n,)."""
+
+
+class RelatedRows:
+    """Rows of a robot that have noise of its earlier stances in common, at all states."""
+
+    def __init__(self, rows: Ints, robot: Ints) -> None:
+        """Lay out the blocks of the covariance, and the places of its inverse.
+
+        Args:
+            rows: Rows with such noise, ascending, shape (n,).
+            robot: Robot that sensed each measurement, shape (E,).
+        """
+        self.rows = rows
+        if not len(rows):
+            return
+        # Robot after robot, so that the rows of each are one block of the covariance.
+        self.rows = rows[np.argsort(robot[rows], kind="stable")]
+        _, first, count = np.unique(robot[self.rows], return_index=True, return_counts=True)
+        self._block = np.repeat(np.arange(len(count)), count)
+        self._place = np.arange(len(rows)) - first[self._block]
+        most = int(count.max(initial=0))
+        # Blocks are filled up to the largest size by the identity: one call inverts them all.
+        self._identity = np.tile(np.eye(most), (len(count), 1, 1))
+        is_row = np.arange(most) < count[:, None]
+        self._entry = of, here, there = np.nonzero(is_row[:, :, None] & is_row[:, None, :])
+        self._alone = np.setdiff1d(np.arange(len(robot)), rows)
+        self._row, self._column = self.rows[first[of] + here], self.rows[first[of] + there]
+
+    def inverse(self, noise: csc_array, own_variance: Reals) -> csr_array | Reals:
+        """Invert B B^T + diag(own variance).
+
+        Args:
+            noise: B, of the first E rows, shape (E, M).
+            own_variance: Of all rows, shape (n,).
+
+        Returns:
+            The inverse, shape (n, n); its diagonal, shape (n,), if there is no B.
+        """
+        if not len(self.rows):
+            return 1.0 / own_variance
+        shared = csr_array(noise)[self.rows, :]
+        covariance = (shared @ shared.T).tocoo()
+        dense, block, place = self._identity.copy(), self._block, self._place
+        i, j = covariance.coords
+        dense[block[i], place[i], place[j]] = covariance.data
+        dense[block, place, place] = covariance.diagonal() + own_variance[self.rows]
+        # Rows beyond the measured ones, such as overlaps, are on the diagonal, too.
+        alone = np.concatenate([self._alone, np.arange(noise.shape[0], len(own_variance))])
+        value = np.concatenate([np.linalg.inv(dense)[self._entry], 1.0 / own_variance[alone]])
+        row, column = (np.concatenate([k, alone]) for k in (self._row, self._column))
+        return csr_array((value, (row, column)), shape=(len(own_variance),) * 2)
 
 
 @dataclass(kw_only=True)
@@ -55,8 +106,8 @@ class Linear:
     noise: csc_array
     """B, shape (E, M)."""
 
-    robot: Ints
-    """Robot that sensed each measurement, whose noise its others share, shape (E,)."""
+    related: RelatedRows
+    """Which rows B relates."""
 
     column: Ints
     """Column of each unknown, -1 of those that stay, shape (U,)."""
@@ -78,17 +129,14 @@ class Linear:
         self.residual = np.concatenate([table.residual for table in self.tables])
         self.own_variance = np.concatenate([table.variance for table in self.tables])
         first = np.cumsum([0, *(len(table.residual) for table in self.tables)])
-        row = np.concatenate([t.row + a for t, a in zip(self.tables, first, strict=False)])
-        column = self.column[np.concatenate([table.unknown for table in self.tables])]
-        value = np.concatenate([table.value for table in self.tables])
-        # Unknowns that stay, such as the anchor's place, have no column.
-        moves = column >= 0
-        self.jacobian = csr_array(
-            (value[moves], (row[moves], column[moves])), shape=(first[-1], len(self.precision))
-        )
+        row: Ints = np.concatenate([t.row + a for t, a in zip(self.tables, first, strict=False)])
+        column: Ints = np.concatenate([table.column for table in self.tables])
+        value: Reals = np.concatenate([table.value for table in self.tables])
+        size = len(self.residual), len(self.precision)
+        self.jacobian = csr_array((value, (row, column)), shape=size)
         """J of all rows, shape (n, F)."""
-        measured = len(self.robot)
-        self.inverse = _inverse(self.noise, self.own_variance, self.robot)
+        measured = self.noise.shape[0]
+        self.inverse = self.related.inverse(self.noise, self.own_variance)
         """Inverse covariance of all rows, or the inverse variance of each if that is diagonal."""
         pull = self._weighted(self.residual)
         square = self.residual * pull
@@ -118,16 +166,27 @@ class Linear:
             # Half of C^-1 on each side keeps the product symmetric, bit by bit.
             scaled = self.jacobian.copy()
             scaled.data *= np.repeat(np.sqrt(self.inverse), np.diff(scaled.indptr))
-            return csc_array(scaled.T @ scaled)
-        return csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
+            known = csc_array(scaled.T @ scaled)
+        else:
+            known = csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
+        known.eliminate_zeros()
+        known.sort_indices()
+        return known
 
     def _factored(self, further: Reals, information: csc_array | None = None) -> SuperLU:
         """Factor information with further precision of each free unknown, shape (F,)."""
         known = self.information if information is None else information
+        column = np.repeat(np.arange(len(further)), np.diff(known.indptr))
+        diagonal = np.flatnonzero(known.indices == column)
+        if len(diagonal) == len(further):
+            total = known.copy()
+            total.data[diagonal] += further
+        else:  # nothing measures some unknowns
+            total = csc_array(known + diags_array(further))
         # Symmetric mode takes pivots from the diagonal: their signs count eigenvalues, and their
         # product is the determinant.
         return splu(
-            csc_array(known + diags_array(further)),
+            total,
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
@@ -156,7 +215,7 @@ class Linear:
         # Turns of earlier stances are in the covariance, not among the unknowns: their likeliest
         # values follow from the residuals that are left.
         left = self._weighted(self.residual + self.jacobian @ step)
-        return step, -(self.noise.T @ left[: len(self.robot)])
+        return step, -(self.noise.T @ left[: self.noise.shape[0]])
 
     @property
     def log_volume(self) -> float:
@@ -191,7 +250,7 @@ class Linear:
         draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(draws))
         own, turn, prior = np.split(draw, sizes[:-1])
         error = np.sqrt(self.own_variance)[:, None] * own
-        error[: len(self.robot)] += self.noise @ turn
+        error[: self.noise.shape[0]] += self.noise @ turn
         pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
         shift = self.undamped.solve(pull)[: self.shifts]
         if free is not None:
@@ -200,44 +259,6 @@ class Linear:
             shift -= moved @ (moved.T @ shift)
         square: Reals = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
         return np.concatenate([[0.0], square])
-
-
-def _inverse(noise: csc_array, own_variance: Reals, robot: Ints) -> csr_array | Reals:
-    """Invert B B^T + diag(own variance), whose blocks are the rows of a robot.
-
-    Args:
-        noise: B, of the first E rows, shape (E, M).
-        own_variance: Of all rows, shape (n,).
-        robot: Robot of each of the first rows, shape (E,).
-
-    Returns:
-        The inverse, shape (n, n); its diagonal, shape (n,), if there is no B.
-    """
-    if not noise.nnz:
-        return 1.0 / own_variance
-    is_shared = np.zeros(len(robot), np.bool_)
-    is_shared[noise.indices] = True
-    rows = np.flatnonzero(is_shared)
-    # Robot after robot, so that the rows of each are one block of the covariance.
-    rows = rows[np.argsort(robot[rows], kind="stable")].astype(np.int64)
-    _, first, count = np.unique(robot[rows], return_index=True, return_counts=True)
-    shared = csr_array(noise)[rows, :]
-    covariance = (shared @ shared.T).tocoo()
-    block = np.repeat(np.arange(len(count)), count)
-    place = np.arange(len(rows)) - first[block]
-    most = int(count.max())
-    # Blocks are filled up to the largest size by the identity: one call inverts them all.
-    dense = np.tile(np.eye(most), (len(count), 1, 1))
-    i, j = covariance.coords
-    dense[block[i], place[i], place[j]] = covariance.data
-    dense[block, place, place] = covariance.diagonal() + own_variance[rows]
-    is_row = np.arange(most) < count[:, None]
-    of, here, there = np.nonzero(is_row[:, :, None] & is_row[:, None, :])
-    alone = np.setdiff1d(np.arange(len(own_variance)), rows)
-    value = np.concatenate([np.linalg.inv(dense)[of, here, there], 1.0 / own_variance[alone]])
-    row = np.concatenate([rows[first[of] + here], alone])
-    column = np.concatenate([rows[first[of] + there], alone])
-    return csr_array((value, (row, column)), shape=(len(own_variance),) * 2)
 
 
 def by_group(value: Reals, row: Ints, group: Ints, shape: tuple[int, int]) -> csc_array:
