@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from tests.test_tour import stops
+from tiswarm.measurements.cues import CUES
 from tiswarm.records.measures import MEASURES as COLUMNS
+from tiswarm.records.sensing_log import KEYS, NUMBERS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -192,6 +194,24 @@ def _files_that_name_a_measure() -> int:
     return max(map(len, files.values()))
 
 
+def _files_that_name_a_key() -> int:
+    """Count the modules with an optional key of a log, or a cue, as text or attribute: the most.
+
+    In rooms without logs these names, and in all rooms other cues of one word, mean other things.
+    """
+    optional = {name for name, key in KEYS.items() if key.version > 1 or name in NUMBERS}
+    files: dict[str, set[str]] = {
+        name: set()
+        for name in optional | {cue.name for cue in CUES if cue.rows and "_" in cue.name}
+    }
+    for kind, named in ((ast.Constant, "value"), (ast.Attribute, "attr")):
+        for file, node in _nodes(kind):
+            name = getattr(node, named)
+            if isinstance(name, str) and file.split("/")[1] not in {"compute", "engine", "world"}:
+                files.get(name, set()).add(file)
+    return max(map(len, files.values()))
+
+
 MEASURES: dict[str, Callable[[], float]] = {
     "files of the tour": lambda: len(stops()),
     "lines of these files": _tour_lines,
@@ -204,6 +224,7 @@ MEASURES: dict[str, Callable[[], float]] = {
     "lines of the body of another function": lambda: max(map(_body_lines, _functions()[0])),
     "comments per 100 lines of numerical code": _comments_per_100_lines,
     "modules that name one measure": _files_that_name_a_measure,
+    "modules that name one key or cue": _files_that_name_a_key,
 }
 """By name on the page, what measures a quantity."""
 

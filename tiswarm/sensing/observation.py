@@ -24,12 +24,7 @@ from tiswarm.sensing.params import SensingParams
 from tiswarm.sensing.plugins import COLUMNS, own_rows
 from tiswarm.world.history import History
 
-SENSES = {
-    "fixes": "tiswarm.parts.suites.senses:sense_fixes",
-    "ranges": "tiswarm.parts.suites.senses:sense_ranges",
-    "directions": "tiswarm.parts.suites.senses:sense_directions",
-    "connections": "tiswarm.parts.suites.senses:sense_connections",
-}
+SENSE = "tiswarm.parts.suites.senses:sense_{}"
 """By list of the log, a function of history and settings that returns rows of it."""
 
 _Lists = dict[str, NDArray[Any]]
@@ -62,7 +57,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     lists["contacts"] = sensed_contacts(history, params)
     lists["ground_docks"] = history.table("ground_docks")
     lists["fixes"] = np.unique(np.concatenate([planes(history), anchors(history)]), axis=0)
-    added = ((name, load(SENSES[name], name)(history, params)) for name in params.added)
+    added = ((name, load(SENSE.format(name), name)(history, params)) for name in params.added)
     for filled, every in chain(added, own_rows(history, params)):
         rows = every[~is_mute[every[:, 0].astype(np.int64)]]
         lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)

@@ -23,17 +23,14 @@ from tiswarm.base.plugins import (
     register,
     registered,
 )
-from tiswarm.records.sensing_log import FARTHEST
+from tiswarm.records.sensing_log import FARTHEST, LISTS
 from tiswarm.world.history import History
 
 KIND = "sensor"
 """What plug-ins register here."""
 
-Filled = Literal["fixes", "ranges", "directions", "connections"]
-"""Lists of the log that a sensor may fill."""
-
-COLUMNS = {"fixes": 8, "ranges": 6, "directions": 8, "connections": 9}
-"""Numbers in a row of each of them, with robot and stance."""
+COLUMNS = {name: 2 + len(key.columns) for name, key in LISTS.items() if not key.is_whole}
+"""Numbers in a row of each list of the log that a sensor may fill, with robot and stance."""
 
 SuiteName = Literal[
     "fireant-v3", "coachbot-v1", "coachbot-v2", "zooids", "kilobot", "freesn", "m-blocks", "atron",
@@ -49,7 +46,7 @@ class OwnSuite:
     """A sensor suite that a plug-in registered."""
 
     name: str
-    fills: Filled
+    fills: str
     sense: Callable[..., Any]
     settings: Mapping[str, Any]
     robot_usd: float
@@ -58,7 +55,7 @@ class OwnSuite:
 def sensor(
     name: str,
     *,
-    fills: Filled,
+    fills: str,
     settings: Mapping[str, Any] = MappingProxyType({}),
     robot_usd: float = 0.0,
 ) -> Callable[[_Sense], _Sense]:
