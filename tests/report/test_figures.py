@@ -478,11 +478,17 @@ def test_grades_of_a_sensor_are_a_curve(run_folder):
     require_alike(draw, load_run(run_folder))
 
 
-def test_two_numbered_conditions_are_no_grades(run_folder):
-    """Names such as `algorithm-1` have numbers, too."""
+def test_conditions_that_differ_in_two_numbers_are_no_grades(run_folder):
+    """Nor are those of which only names have numbers."""
     measures = "rmse_R_mean,rmse_R_ci95"
-    rows = [[name, 4, 1.0, 0.1] for name in ("algorithm-1", "algorithm-2", "joint")]
+    rows = [[f"noise-{number}", 4, 1.0, 0.1] for number in (1, 2, 3)]
     write_table(run_folder / "table.csv", f"condition,cases,{measures}", rows)
+    (run_folder / "scenario.yaml").write_text(
+        "conditions:\n"
+        "  noise-1: {sensing.tilt_noise_deg: 1, sensing.yaw_noise_deg: 1}\n"
+        "  noise-2: {sensing.tilt_noise_deg: 2, sensing.yaw_noise_deg: 2}\n"
+        "  noise-3: {sensing.tilt_noise_deg: 2, sensing.yaw_noise_deg: 5}\n"
+    )
 
     assert "grades" not in table_figures.painters(load_run(run_folder))
 

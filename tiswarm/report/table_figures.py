@@ -3,10 +3,9 @@
 They have a row or a marker for each condition: accuracy, shapes, grades and what robots build.
 """
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -26,6 +25,7 @@ from tiswarm.records.measures import (
     Measure,
 )
 from tiswarm.records.messages import counted
+from tiswarm.records.run_folder import LABEL
 from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
 from tiswarm.report.figure_style import (
@@ -64,7 +64,7 @@ CAPTIONS = {
     "building": "What robots build that navigate by the truth, or by what each condition estimates "
     "as they join. A flip is as planned if the robot then touches the one that it meant to reach. "
     "Bars are 95 % CI.",
-    "grades": "RMSE by grade: conditions whose names end in a number share a panel, and each point "
+    "grades": "RMSE by grade: conditions that differ in one number share a panel, and each point "
     "of the sweep has a line. The dashed line is the first condition without a grade. Bars are "
     "95 % CI.",
     "shape": "Accuracy and structure by the robots: mean RMSE, floppy modes (motions that change "
@@ -230,7 +230,6 @@ def _finish_rows(panels: "list[Axes]", names: Sequence[str], measures: Sequence[
     panels[0].set_ylim(len(names) - 0.5, -0.5)
 
 
-_GRADED = re.compile(r"(.+?)[-_ ](\d+(?:\.\d+)?)")
 _FEWEST_GRADES = 3
 _UNITS = {"_deg": "deg", "_noise": "R"}
 """Units by the ends of keys."""
@@ -245,39 +244,38 @@ def _grade_painters(run: RunData) -> dict[str, Painter]:
         return {}
     table = run.table("table.csv", ["condition"], [], after="cases")
     has_rounds = table.get("round_every", pd.Series(dtype=float)).notna().any()
-    return {} if has_rounds or not _families(table) else {"grades": draw_grades}
+    return {} if has_rounds or not _families(run, table) else {"grades": draw_grades}
 
 
 def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
-    """Draw RMSE against the number at the end of the names of conditions that else agree.
+    """Draw RMSE against the number in which conditions differ that else agree.
 
-    Conditions whose names begin alike share a panel, in which each point of the sweep has a line.
-    A dashed line in its color is the first condition without such a number.
+    They share a panel, in which each point of the sweep has a line. A dashed line in its color is
+    the first condition that belongs to no panel.
     """
     table = run.table("table.csv", ["condition"], ["cases", RMSE.mean, RMSE.ci95], after="cases")
     table = table[table[RMSE.mean].notna()]
-    families = _families(table)
+    families = _families(run, table)
     swept = swept_words(table).drop(columns="condition")
     words = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
     table["point"] = [", ".join(f"{key}={value}" for key, value in row) for row in words]
     points = list(dict.fromkeys(table["point"]))
     shown = points[: len(PALETTE)]
-    graded = {name for grades in families.values() for name in grades.values()}
+    graded = {name for family in families for name in family.names.values()}
     plain = next((name for name in table["condition"] if name not in graded), "")
-    stated = stated_conditions(run.folder)
     columns = min(2 if len(families) in {2, 4} else 3, len(families))
     height = 0.6 + 2.1 * -(-len(families) // columns)
     figure, panels = new_panels(PAGE_WIDTH, height, len(families), columns, share="y", most=most)
-    for axes, (family, grades) in zip(panels, families.items(), strict=True):
+    for axes, family in zip(panels, families, strict=True):
         for place, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition")
             look = {"label": shortened(point) or "mean", **marker_style(place)}
-            _draw_line(axes, rows, grades, look)
+            _draw_line(axes, rows, family.names, look)
             if plain in rows.index:
                 axes.axhline(float(rows.loc[plain, RMSE.mean]), **_dashed(look))
-        set_title(axes, family)
-        axes.set_xlabel(_meaning([stated.get(name, {}) for name in grades.values()]))
-        axes.set_xticks([*grades], [f"{grade:g}" for grade in grades])
+        set_title(axes, family.title)
+        axes.set_xlabel(_meaning(family.keys))
+        axes.set_xticks([*family.names], [f"{grade:g}" for grade in family.names])
         axes.minorticks_off()
     means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
     fit_axis(panels[0], "y", means, nonpositive="clip")
@@ -290,33 +288,43 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     return figure
 
 
-def _families(table: pd.DataFrame) -> dict[str, dict[float, str]]:
-    """Gather conditions by the beginning of their names: the names by grade, ascending."""
-    families: dict[str, dict[float, str]] = {}
+class _Family(NamedTuple):
+    """Conditions that differ in one number."""
+
+    title: str
+    keys: Sequence[str]  # settings that have the number
+    names: Mapping[float, str]  # of the conditions, by the number, ascending
+
+
+def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
+    """Gather conditions that set the same keys, of which some have one number that differs."""
+    each = stated_conditions(run.folder).items()
+    stated = {str(entries.get(LABEL, name)): entries for name, entries in each}
+    alike: dict[tuple[str, ...], dict[str, dict[str, Any]]] = {}
     for name in dict.fromkeys(table["condition"]):
-        if found := _GRADED.fullmatch(name):
-            families.setdefault(found[1], {})[float(found[2])] = name
-    return {
-        family: dict(sorted(grades.items()))
-        for family, grades in families.items()
-        if len(grades) >= _FEWEST_GRADES
-    }
+        if entries := stated.get(name):
+            alike.setdefault(tuple(sorted({*entries} - {LABEL})), {})[name] = entries
+    families = []
+    for keys, members in alike.items():
+        varied = [key for key in keys if len({repr(each[key]) for each in members.values()}) > 1]
+        numbers = {name: [each[key] for key in varied] for name, each in members.items()}
+        grades = {of[0]: name for name, of in numbers.items() if len({*map(repr, of)}) == 1}
+        are_numbers = all(type(grade) in {int, float} for grade in grades)
+        if are_numbers and len(grades) == len(members) >= _FEWEST_GRADES:
+            title = next(iter(members)).rstrip("-_ .0123456789")
+            families.append(_Family(title, varied, dict(sorted(grades.items()))))
+    return families
 
 
-def _meaning(conditions: list[dict[str, Any]]) -> str:
-    """Name the settings in which conditions differ, with the unit that their names state."""
-    keys = [
-        key
-        for key, value in conditions[0].items()
-        if any(other.get(key) != value for other in conditions)
-    ]
+def _meaning(keys: Sequence[str]) -> str:
+    """Name settings, with the unit that their names state."""
     words = " = ".join(key.split(".")[-1].removesuffix("_deg").replace("_", " ") for key in keys)
     units = [unit for end, unit in _UNITS.items() if any(key.endswith(end) for key in keys)]
     return f"{words} [{units[0]}]" if units else words
 
 
 def _draw_line(
-    axes: "Axes", rows: pd.DataFrame, grades: dict[float, str], look: dict[str, Any]
+    axes: "Axes", rows: pd.DataFrame, grades: Mapping[float, str], look: dict[str, Any]
 ) -> None:
     """Draw the means of graded conditions with their intervals, on a logarithmic axis."""
     part = rows.reindex([*grades.values()])

@@ -4,9 +4,7 @@ A variant is one point of the sweep under one condition.
 """
 
 import itertools
-import json
 import math
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -115,33 +113,10 @@ def _examine(
             for key in setting.values:
                 sweep.pop(key, None)
     outcome = from_plain(data)
-    for setting in settings:
-        problem = _missing_keys(data, setting, settings, source)
-        if not problem and isinstance(outcome, Scenario):
-            problem = _overridden(outcome, setting)
-        if problem:
-            raise setting.error(problem)
     mistakes = _mistakes(data) or ([] if swept else _swept_over(data))
     errors = [_placed(mistake, path, source, settings) for mistake in mistakes]
     errors.sort(key=lambda error: (error.line is None, error.line))
     return (outcome if isinstance(outcome, Scenario) else None), errors
-
-
-def _overridden(scenario: Scenario, setting: Setting) -> str:
-    """Return what replaces the value of an option in every case and the way out, or nothing."""
-    each = scenario.conditions.values()
-    for leaf, value in setting.values.items():
-        if isinstance(value, dict) and value:
-            continue  # its own values follow
-        for entry in scenario.sweep:
-            if any(_covers(key, leaf) for key in swept_keys(entry)):
-                rest = {other: values for other, values in scenario.sweep.items() if other != entry}
-                return f"has no effect: the sweep sets {entry}; add {_option('sweep', rest)}"
-        covering = [next((key for key in entries if _covers(key, leaf)), "") for entries in each]
-        if all(covering) and any(entries.get(leaf, ...) != value for entries in each):
-            how = _option(f"conditions.{next(iter(scenario.conditions))}.{leaf}", value)
-            return f"has no effect: every condition sets {covering[0]}; set it there, as in {how}"
-    return ""
 
 
 def _swept_over(data: Plain) -> list[Mistake]:
@@ -177,52 +152,6 @@ def _value_at(data: Plain, key: str) -> object:
     for part in key.split("."):
         value = value.get(part) if isinstance(value, dict) else None
     return value
-
-
-def _missing_keys(
-    data: Plain, setting: Setting, settings: Sequence[Setting], source: YamlSource
-) -> str:
-    """Return the keys that the settings selected by an option lack and the way out, or nothing."""
-    section, name = setting.selected
-    if not section:
-        return ""
-    kept, missing, lines = deepcopy(data), list[str](), set[int]()
-    while mistakes := [
-        mistake
-        for mistake in _mistakes(kept)
-        if mistake.about_key and not find_culprit(mistake, settings) and _keys(mistake, section)
-    ]:
-        for mistake in mistakes:
-            missing += _keys(mistake, section)
-            lines.add(source.place_of(mistake.path).line)
-        for part, key in {mistake.path[:2] for mistake in mistakes}:
-            del kept[str(part)][key]
-        if not kept.get("conditions", True):
-            kept["conditions"] = {name: {}}
-    if not missing:
-        return ""
-    parts = [part for part in (section, "conditions", "sweep") if kept.get(part) != data.get(part)]
-    options = " ".join(_option(part, kept[part]) for part in parts)
-    place = f" (line{'s' * (len(lines) > 1)} {', '.join(map(str, sorted(lines)))})"
-    where = "" if lines == {NOWHERE.line} else place
-    return f"{name} has no {', '.join(dict.fromkeys(missing))}{where}; add {options}"
-
-
-def _keys(mistake: Mistake, section: str) -> list[str]:
-    """Return the keys of a section at which a mistake was made, nested ones excluded."""
-    kind, *path = mistake.path
-    if kind == section:
-        return [str(path[0])] if len(path) == 1 else []
-    keys = swept_keys(str(path[0])) if kind == "sweep" else map(str, path[1:2])
-    return [key[len(section) + 1 :] for key in keys if key.startswith(f"{section}.")]
-
-
-def _covers(key: str, leaf: str) -> bool:
-    return f"{leaf}.".startswith(f"{key}.")
-
-
-def _option(key: str, value: object) -> str:
-    return f"--set {shlex.quote(f'{key}={json.dumps(value)}')}"
 
 
 def _mistakes(data: Plain) -> list[Mistake]:

@@ -61,14 +61,6 @@ class Setting(NamedTuple):
         """Its value and, if that is a mapping, all values in it, by dotted key."""
         return dict(_nested(".".join(self.path), self.value))
 
-    @property
-    def selected(self) -> tuple[str, str]:
-        """The section whose settings it selects and their name; empty if it selects none."""
-        for section, key in DISCRIMINATORS.items():
-            if isinstance(name := self.values.get(f"{section}.{key}"), str):
-                return section, name
-        return "", ""
-
     def error(self, problem: str) -> InputError:
         """Return an error that names the setting."""
         return InputError(problem, argument="overrides", key=self.text)
