@@ -297,7 +297,7 @@ class _Family(NamedTuple):
 
 
 def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
-    """Gather conditions that set the same keys, of which some have one number that differs."""
+    """Gather conditions that set the same keys, and among these one number that differs."""
     each = stated_conditions(run.folder).items()
     stated = {str(entries.get(LABEL, name)): entries for name, entries in each}
     alike: dict[tuple[str, ...], dict[str, dict[str, Any]]] = {}
