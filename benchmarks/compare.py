@@ -25,8 +25,8 @@ from benchmarks.logs.__main__ import FOLDER as LOGS
 from benchmarks.swarm_step.machine import describe
 from benchmarks.threads import WORKS, Task, Work
 from tiswarm.compute import backend
-from tiswarm.localization.methods import localize_many
-from tiswarm.localization.settings import HopByHopParams, LeastSquaresParams, LocalizationParams
+from tiswarm.localization.methods import LocalizationParams, localize_many
+from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.study.provenance import all_code
 
 BASELINES = Path(__file__).with_name("baselines")

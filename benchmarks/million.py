@@ -24,7 +24,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.machine import machine
 from tiswarm.evaluation.metrics import rmse, robot_errors
-from tiswarm.localization.methods import module_of
+from tiswarm.localization.methods import localize_batch
 from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -125,7 +125,7 @@ def sensed(name: str, robots: int) -> tuple[SensingLog, Reals]:
 def localized(log: SensingLog) -> Reals:
     """Localize a log by one chain of `joint`, shape (N, 3) [R]."""
     params = JointParams(chains=1, walk_contacts=False, odometry=False)
-    [estimate] = module_of("joint").localize_batch([log], [params])
+    [estimate] = localize_batch([log], [params])
     return estimate.position
 
 

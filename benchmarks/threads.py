@@ -24,13 +24,8 @@ from benchmarks.swarm_step.machine import describe
 from benchmarks.swarm_step.scenes import ROBOT, StepParams, make
 from tiswarm.compute import backend
 from tiswarm.engine.relax import PreparedSwarm
-from tiswarm.localization.methods import module_of
-from tiswarm.localization.settings import (
-    JointParams,
-    LocalizationParams,
-    Together,
-    VirtualForceParams,
-)
+from tiswarm.localization.methods import LocalizationParams, localize_batch
+from tiswarm.localization.settings import JointParams, Together, VirtualForceParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figure_style import PAGE_WIDTH, STYLE, marker_style, new_figure, png
 from tiswarm.sensing import SensingParams, observe
@@ -92,7 +87,7 @@ def _logs(robots: int, count: int) -> list[SensingLog]:
 def _localize_many(params: LocalizationParams) -> Callable[[int], Task]:
     def prepared(structures: int) -> Task:
         logs = [_logs(SMALL, KEPT_LOGS)[n % KEPT_LOGS] for n in range(structures)]
-        return lambda: module_of(params.method).localize_batch(logs, [params] * structures)
+        return lambda: localize_batch(logs, [params] * structures)
 
     return prepared
 
@@ -100,7 +95,7 @@ def _localize_many(params: LocalizationParams) -> Callable[[int], Task]:
 def _localize_one(params: LocalizationParams) -> Callable[[int], Task]:
     def prepared(robots: int) -> Task:
         log = _logs(robots, 1)
-        return lambda: module_of(params.method).localize_batch(log, [params])
+        return lambda: localize_batch(log, [params])
 
     return prepared
 

@@ -30,7 +30,8 @@ from tiswarm.base.progress import Progress
 from tiswarm.compute import backend
 from tiswarm.localization.chains.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.methods import METHODS, localize_many
-from tiswarm.localization.settings import HopByHopParams, LeastSquaresParams, Together
+from tiswarm.localization.settings import Together
+from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.parts.suites.senses import in_sight
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import load_scenario

@@ -14,14 +14,14 @@ def stops() -> list[str]:
 
 
 def test_a_stranger_reads_the_tour_in_an_hour():
-    """At most 14 files and 4,200 lines, each file once."""
+    """At most 14 files and 4,500 lines, each file once."""
     files = stops()
 
     lines = sum(len((REPOSITORY / file).read_text().splitlines()) for file in files)
 
     assert 10 <= len(files) <= 14
     assert len(set(files)) == len(files)
-    assert lines <= 4200
+    assert lines <= 4500
 
 
 def test_files_and_names_of_the_tour_exist():

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from tiswarm.base.errors import EnvironmentTroubleError, InputError
     from tiswarm.base.robot import RobotGeometry
     from tiswarm.engine.relax import RelaxResult, relax
-    from tiswarm.localization.plugins import method
+    from tiswarm.localization.methods import method
     from tiswarm.localization.virtual_force.method import Localizer
     from tiswarm.parts.online.tracker import Tracker
     from tiswarm.sensing.plugins import sensor
@@ -93,7 +93,7 @@ _HOME = {
     "Run": "tiswarm.app.results",
     "Tracker": "tiswarm.parts.online.tracker",
     "export_format": "tiswarm.app.exports",
-    "method": "tiswarm.localization.plugins",
+    "method": "tiswarm.localization.methods",
     "open_run": "tiswarm.app.results",
     "relax": "tiswarm.engine.relax",
     "sensor": "tiswarm.sensing.plugins",

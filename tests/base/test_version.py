@@ -10,7 +10,7 @@ import pytest
 from tiswarm.base import version
 from tiswarm.localization import methods
 from tiswarm.study import provenance
-from tiswarm.study.provenance import all_code, case_code, module_code, structure_code
+from tiswarm.study.provenance import all_code, case_code, method_code, structure_code
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 METHODS = tuple(methods.METHODS)
@@ -52,7 +52,7 @@ def _use(package, patch):
 
 def digests():
     """Digest of the cases of each method, of structures and of all code, by name."""
-    module_code.cache_clear()
+    method_code.cache_clear()
     found = {name: case_code(name) for name in METHODS}
     return found | {"structures": structure_code.__wrapped__(), "all": all_code.__wrapped__()}
 

@@ -17,7 +17,7 @@ import tiswarm as library
 from tests.runs import REPOSITORY
 from tiswarm.base import plugins
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.localization.plugins import all_params
+from tiswarm.localization.methods import all_params
 from tiswarm.scenario.model import scenario_schema
 from tiswarm.scenario.validation import localization_params
 from tiswarm.study import runner

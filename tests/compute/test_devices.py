@@ -201,7 +201,7 @@ def test_a_device_that_no_stage_uses_is_refused(towers, tmp_path, method):
         tiswarm.localize(log, method, arch="metal")
     with pytest.raises(InputError, match=r"precision: f32 has no use"):
         tiswarm.localize(log, method, precision="f32")
-    assert methods.start_device([method], "auto").arch == "cpu"
+    assert methods.start_device([methods.settings_of(method)()], "auto").arch == "cpu"
 
     with pytest.raises(InputError, match="vulkan has no use"):
         tiswarm.run(TOWER, {"robots": 4}, out=tmp_path, arch="vulkan", quiet=True)

@@ -10,9 +10,9 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.methods import localize
-from tiswarm.localization.settings import LeastSquaresParams
 from tiswarm.parts.formats.imports import import_poses, write_imports
 from tiswarm.parts.formats.poses import Assumptions, read_dock_offsets
+from tiswarm.parts.peers.settings import LeastSquaresParams
 from tiswarm.records.positions import read_positions
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingNoise

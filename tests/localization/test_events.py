@@ -10,14 +10,10 @@ from tests.localization.test_online import QUICK, fed, lines_of
 from tests.structures import NOISY
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.methods import localize, localize_many
-from tiswarm.localization.settings import (
-    HopByHopParams,
-    JointParams,
-    LeastSquaresParams,
-    VirtualForceParams,
-)
+from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.parts.advice.further import advise
 from tiswarm.parts.online.tracker import Tracker
+from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import parse_header, parse_line
 from tiswarm.sensing import observe

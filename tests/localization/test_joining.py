@@ -10,7 +10,8 @@ import pytest
 import tiswarm
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
-from tiswarm.localization.settings import BackPropagation, LeastSquaresParams, VirtualForceParams
+from tiswarm.localization.settings import BackPropagation, VirtualForceParams
+from tiswarm.parts.peers.settings import LeastSquaresParams
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 

@@ -10,20 +10,14 @@ from tests import foreign
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize, localize_many
-from tiswarm.localization.settings import (
-    BackPropagation,
-    DistributedParams,
-    HopByHopParams,
-    JointParams,
-    LeastSquaresParams,
-    OnlineParams,
-    Together,
-    VirtualForceParams,
-)
+from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
 from tiswarm.localization.virtual_force.method import Localizer
 from tiswarm.measurements.cues import cue_names
 from tiswarm.parts.advice.further import advise, advise_together
+from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.navigation import _parts
+from tiswarm.parts.online.settings import OnlineParams
+from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.scenario.expansion import load_scenario

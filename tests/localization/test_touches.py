@@ -8,8 +8,9 @@ import pytest
 
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.methods import localize, localize_many
-from tiswarm.localization.settings import SWITCHES, HopByHopParams, JointParams
+from tiswarm.localization.settings import SWITCHES, JointParams
 from tiswarm.measurements.cues import measure
+from tiswarm.parts.peers.settings import HopByHopParams
 from tiswarm.sensing import SensingParams, observe
 
 QUICK = JointParams(chains=3, steps=800, hold_steps=200)

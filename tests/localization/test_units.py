@@ -10,15 +10,9 @@ from hypothesis import strategies as st
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.methods import localize
-from tiswarm.localization.settings import (
-    BackPropagation,
-    HopByHopParams,
-    JointParams,
-    LeastSquaresParams,
-    Together,
-    VirtualForceParams,
-)
+from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
 from tiswarm.measurements.consistency import contradictions
+from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow

@@ -54,7 +54,7 @@ def calls(tmp_path_factory) -> Counter:
 
     # The first run traces kernels, which takes ten times as long with a profile.
     study.run(small, tmp_path_factory.mktemp("first"), progress=Progress())
-    provenance.module_code.cache_clear()
+    provenance.method_code.cache_clear()
     before = sys.getprofile()
     sys.setprofile(note)
     try:

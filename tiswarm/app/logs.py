@@ -26,7 +26,7 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
-    from tiswarm.localization.settings import LocalizationParams
+    from tiswarm.localization.methods import LocalizationParams
     from tiswarm.parts.advice.explanation import Explanation
     from tiswarm.parts.advice.further import AdviceTable
     from tiswarm.report.swarm_view import SwarmView
@@ -66,10 +66,9 @@ class Log(SensingLog):
 
         params = method_params(method, cues, overrides, settings)
         progress = ConsoleProgress(quiet=quiet)
-        titles = [methods.title(params)]
-        running = methods.start_device(titles, arch, threads=threads, precision=precision)
+        running = methods.start_device([params], arch, threads=threads, precision=precision)
         if arch != "cpu":
-            progress.info(methods.where(titles, running))
+            progress.info(methods.where([params], running))
         name = "compile, localize" if backend.current().is_cold else "localize"
         with progress.task(name, self.robot_count) as advance:
             found = self.with_estimate(methods.localize(self, params, on_progress=advance))

@@ -1,76 +1,148 @@
-"""Every localization method, by name."""
+"""Every localization method, by name, and the one door to all of them.
 
-from collections.abc import Collection, Hashable, Sequence
-from dataclasses import replace
-from typing import Any
+A method is a class of settings, and a module with a function of a log and such settings. Plug-ins
+register a function:
 
-from tiswarm.base.errors import InputError
-from tiswarm.base.params import AnyArch, AnyPrecision
+    @tiswarm.method("my-locate")
+    def locate(log):
+        return positions  # shape (N, 3), in the unit of the log
+
+The libraries of kernels are imported as the first log is localized.
+"""
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from dataclasses import (
+    MISSING,
+    Field,
+    dataclass,
+    field,
+    fields,
+    is_dataclass,
+    make_dataclass,
+    replace,
+)
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_type_hints
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.params import STRICT, AnyArch, AnyPrecision
 from tiswarm.base.parts import load
+from tiswarm.base.plugins import (
+    Plugin,
+    PluginError,
+    fault_of_numbers,
+    guarded,
+    register,
+    registered,
+)
 from tiswarm.base.progress import Advance, by_share, ignore
-from tiswarm.compute import backend
-from tiswarm.compute.backend import Backend
-from tiswarm.localization.settings import LocalizationParams, VirtualForceParams
+from tiswarm.localization.settings import DOCKS_UNKNOWN, MethodParams, all_cues
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_log import SensingLog, moved
+from tiswarm.records.sensing_log import FARTHEST, SensingLog, moved
+
+if TYPE_CHECKING:
+    from tiswarm.compute.backend import Backend
 
 METHODS = {
-    "joint": "tiswarm.localization.joint",
-    "virtual-force": "tiswarm.localization.virtual_force.method",
-    "least-squares": "tiswarm.parts.peers.least_squares",
-    "hop-by-hop": "tiswarm.parts.peers.hop_by_hop",
-    "online": "tiswarm.parts.online.method",
-    "distributed": "tiswarm.parts.between.method",
+    "virtual-force": "tiswarm.localization.settings:VirtualForceParams",
+    "least-squares": "tiswarm.parts.peers.settings:LeastSquaresParams",
+    "joint": "tiswarm.localization.settings:JointParams",
+    "hop-by-hop": "tiswarm.parts.peers.settings:HopByHopParams",
+    "online": "tiswarm.parts.online.settings:OnlineParams",
+    "distributed": "tiswarm.parts.between.settings:DistributedParams",
 }
-OWN = "tiswarm.localization.plugins"
-"""Modules with the functions `batch_key` and `localize_batch`, imported when they are used; `OWN`
-has those of the methods of plug-ins. Methods that place robots as they join have `joining`, too.
+"""Classes of settings, in the order of the schema; their `module` is imported when it is used.
 
-`localize_batch` takes one log a structure, settings for each, and a function that it calls with the
-share of its work that is done [1]; it returns an estimate for each.
-All logs of a batch have, with their settings, the same `batch_key`. Methods that localize one log
-after the other choose batches by the settings, so that each batch has a cost of its own.
+A module has `localize`. It takes a log whose anchor is at the origin, settings, and a function that
+it calls with the share of its work that is done [1]; it returns an estimate. A module whose logs
+share launches has `batch_key` and `localize_batch` instead, see `joint`: all logs of a batch have,
+with their settings, the same key.
 """
 
-PARALLEL = frozenset({"joint", "virtual-force together"})
-"""Titles of methods that run on the device that a user chooses; others run on the processor in
-f64."""
+KIND = "method"
+"""What plug-ins register here."""
+
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_TAKEN = ("method", "cues", "settings")
+_USUAL = tuple(name for name in all_cues() if name not in DOCKS_UNKNOWN)
+
+_Locate = TypeVar("_Locate", bound=Callable[..., Any])
 
 
-def module_of(method: str) -> Any:  # noqa: ANN401 - a module
-    """Import the module of a method."""
-    return load(METHODS.get(method, OWN), f"method {method}")
+def settings_of(name: str) -> type[MethodParams]:
+    """Return the class of settings of a method of this package.
+
+    Raises:
+        EnvironmentTroubleError: this copy of the package lacks the method.
+    """
+    found: type[MethodParams] = load(METHODS[name], f"method {name}")
+    return found
 
 
-def joining(params: LocalizationParams) -> Any | None:  # noqa: ANN401 - a class
+def all_params() -> Any:  # noqa: ANN401 - a type
+    """Return the type of the settings of any method that is here, those of plug-ins included."""
+    kinds = (*_built_in(), *(found.value.params for found in registered(KIND).values()))
+    return Annotated[Union[kinds], pydantic.Field(discriminator="method")]  # noqa: UP007
+
+
+def _built_in() -> Iterator[type[MethodParams]]:
+    for name in METHODS:
+        try:
+            yield settings_of(name)
+        except EnvironmentTroubleError:  # a copy of the package without this part
+            continue
+
+
+if TYPE_CHECKING:
+    LocalizationParams = MethodParams
+else:
+    LocalizationParams = all_params()
+"""Settings of any method."""
+
+
+def modules(name: str) -> set[str]:
+    """List the modules with the settings and the code of a method; none if it is not here."""
+    try:
+        return {METHODS[name].partition(":")[0], settings_of(name).module}
+    except EnvironmentTroubleError:
+        return set()
+
+
+def joining(params: MethodParams) -> Any | None:  # noqa: ANN401 - a class
     """Return the class that localizes robots as they join; None if these settings need all.
 
     It is made of a log's header and the settings, and has `join`, which takes the line of a robot,
     and `positions`.
     """
-    of_method = getattr(module_of(params.method), "joining", None)
-    return of_method(params) if of_method else None
+    return load(params.joining, f"method {params.method}") if params.joining else None
 
 
-def title(params: LocalizationParams) -> str:
-    """Name a method, and its schedule unless robots move in join order."""
-    if isinstance(params, VirtualForceParams) and params.schedule != "join-order":
-        return f"{params.method} {params.schedule}"
-    return params.method
-
-
-def require_use(titles: Collection[str], arch: AnyArch, precision: AnyPrecision = "auto") -> None:
+def require_use(
+    params: Collection[MethodParams], arch: AnyArch, precision: AnyPrecision = "auto"
+) -> None:
     """Refuse a device or f32 that none of these methods can use.
 
     Raises:
         InputError: none of them is parallel, and a device or f32 was named.
     """
-    if not PARALLEL.isdisjoint(titles):
+    if any(each.is_parallel for each in params):
         return
+    titles = sorted({each.title for each in params})
     problem = (
-        f"has no use: {' and '.join(sorted(set(titles)))} always computes on cpu in f64; "
+        f"has no use: {' and '.join(titles)} always computes on cpu in f64; "
         "choose method joint, or virtual-force with schedule together, or leave this out"
     )
     if arch not in {"cpu", "auto"}:
@@ -80,46 +152,53 @@ def require_use(titles: Collection[str], arch: AnyArch, precision: AnyPrecision 
 
 
 def start_device(
-    titles: Collection[str],
+    params: Collection[MethodParams],
     arch: AnyArch,
     *,
     threads: int | None = None,
     precision: AnyPrecision = "auto",
-) -> Backend:
+) -> "Backend":
     """Start what the parallel ones of these methods run on; arguments as for `backend.start`.
 
     Raises:
         InputError: none of the methods is parallel, and a device or f32 was named.
         EnvironmentTroubleError: the machine lacks the device.
     """
-    require_use(titles, arch, precision)
-    if PARALLEL.isdisjoint(titles):
+    from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
+
+    require_use(params, arch, precision)
+    if not any(each.is_parallel for each in params):
         return backend.start("cpu", threads=threads)
     return backend.start(arch, threads=threads, precision=precision)
 
 
-def start_for(params: LocalizationParams) -> Backend:
+def start_for(params: MethodParams) -> "Backend":
     """Start the device of a method with its settings, unless it runs."""
-    return backend.device() if title(params) in PARALLEL else backend.processor()
+    from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
+
+    return backend.device() if params.is_parallel else backend.processor()
 
 
-def where(titles: Collection[str], running: Backend) -> str:
+def where(params: Collection[MethodParams], running: "Backend") -> str:
     """Say in a line on what these methods compute, `running` being what the parallel ones use."""
-    parallel = sorted(PARALLEL.intersection(titles))
+    parallel = sorted({each.title for each in params if each.is_parallel})
     if not parallel:
         return f"all stages compute on {running}"
     compute = "computes" if len(parallel) == 1 else "compute"
     return f"{' and '.join(parallel)} {compute} on {running}, all other stages on cpu in f64"
 
 
-def batch_key(log: SensingLog, params: LocalizationParams) -> Hashable:
-    """Name what logs and their settings share if `localize_many` computes them side by side."""
-    return params.method, module_of(params.method).batch_key(log, params)
+def batch_key(log: SensingLog, params: MethodParams) -> Hashable:
+    """Name what logs and their settings share if `localize_many` computes them side by side.
+
+    Methods that localize one log after the other share the settings, so that each batch has a cost
+    of its own.
+    """
+    of_method = getattr(_module_of(params), "batch_key", None)
+    return params.method, of_method(log, params) if of_method else repr(params)
 
 
-def localize(
-    log: SensingLog, params: LocalizationParams, *, on_progress: Advance = ignore
-) -> Estimate:
+def localize(log: SensingLog, params: MethodParams, *, on_progress: Advance = ignore) -> Estimate:
     """Work out from what a swarm sensed where every robot is; the steps reported are robots."""
     [estimate] = localize_many(
         [log], [params], with_observability=True,
@@ -128,10 +207,9 @@ def localize(
     return estimate
 
 
-@backend.exclusive()
 def localize_many(
     logs: Sequence[SensingLog],
-    params: Sequence[LocalizationParams],
+    params: Sequence[MethodParams],
     *,
     with_observability: bool = False,
     on_progress: Advance = ignore,
@@ -148,29 +226,67 @@ def localize_many(
     Returns:
         One estimate a log; the same as if each had been localized alone.
     """
+    from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
+
     logs = [with_orientations(log) for log in logs]
     batches: dict[Hashable, list[int]] = {}
     for n, (log, p) in enumerate(zip(logs, params, strict=True)):
         batches.setdefault(batch_key(log, p), []).append(n)
     estimates: dict[int, Estimate] = {}
-    for members in batches.values():
-        method = module_of(params[members[0]].method)
-        start_for(params[members[0]])
-        about_anchor = [centered(logs[n]) for n in members]
-        report = by_share(on_progress, len(members))
-        batch = method.localize_batch(about_anchor, [params[n] for n in members], report)
-        for n, relative in zip(members, batch, strict=True):
-            estimate = uncentered(relative, logs[n])
-            if with_observability:
-                # Half way between two images, measurements may resist less than at either.
-                at = estimate.solutions[0] if estimate.solutions else estimate
-                known = observability(
-                    logs[n], params[n].cues, at.position, yaw_unknown=estimate.yaw is not None
-                )
-                estimate = replace(estimate, observability=known)
-            estimates[n] = estimate
-        report(1.0)
+    with backend.exclusive():
+        for members in batches.values():
+            start_for(params[members[0]])
+            about_anchor = [centered(logs[n]) for n in members]
+            report = by_share(on_progress, len(members))
+            batch = localize_batch(about_anchor, [params[n] for n in members], report)
+            for n, relative in zip(members, batch, strict=True):
+                estimate = uncentered(relative, logs[n])
+                if with_observability:
+                    estimate = _observed(estimate, logs[n], params[n])
+                estimates[n] = estimate
+            report(1.0)
     return [estimates[n] for n in range(len(logs))]
+
+
+def _observed(estimate: Estimate, log: SensingLog, params: MethodParams) -> Estimate:
+    """Add to an estimate what its log determines."""
+    # Half way between two images, measurements may resist less than at either.
+    at = estimate.solutions[0] if estimate.solutions else estimate
+    known = observability(log, params.cues, at.position, yaw_unknown=estimate.yaw is not None)
+    return replace(estimate, observability=known)
+
+
+def localize_batch(
+    logs: Sequence[SensingLog],
+    params: Sequence[MethodParams],
+    on_progress: Callable[[float], None] = ignore,
+) -> list[Estimate]:
+    """Localize logs of the same `batch_key`, whose anchors are at the origin.
+
+    Returns:
+        One estimate a log, relative to its anchor.
+    """
+    module = _module_of(params[0])
+    if of_method := getattr(module, "localize_batch", None):
+        batch: list[Estimate] = of_method(logs, params, on_progress)
+        return batch
+    estimates: list[Estimate] = []
+    total, done = sum(log.robot_count for log in logs), 0
+    for log, p in zip(logs, params, strict=True):
+
+        def report(share: float, begun: int = done, robots: int = log.robot_count) -> None:
+            on_progress((begun + share * robots) / total)
+
+        estimates.append(module.localize(log, p, report))
+        report(1.0)
+        done += log.robot_count
+    return estimates
+
+
+def _module_of(params: MethodParams) -> Any:  # noqa: ANN401 - a module
+    """Import the module of a method; that of a plug-in is the class of its settings."""
+    is_own = isinstance(params, OwnParams)
+    return OwnParams if is_own else load(params.module, f"method {params.method}")
 
 
 def centered(log: SensingLog) -> SensingLog:
@@ -190,3 +306,212 @@ def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
         at_join=None if estimate.at_join is None else estimate.at_join + by,
         solutions=tuple(replace(s, position=s.position + by) for s in estimate.solutions),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnMethod:
+    """A method that a plug-in registered."""
+
+    name: str
+    locate: Callable[..., Any]
+    """Function of a log, and of settings if there are any; returns positions or an estimate."""
+
+    settings: type[Any] | None
+    """Class of its settings."""
+
+    cues: tuple[str, ...]
+    """What of the log it uses."""
+
+    params: type["OwnParams"]
+    """Section `localization` of a scenario: the name of the method, and its settings."""
+
+
+class OwnParams(MethodParams):
+    """Section `localization` with the method of a plug-in; each has a class with its settings."""
+
+    @property
+    def cues(self) -> tuple[str, ...]:
+        """What of the log is used."""
+        return _own(self.method).cues
+
+    @property
+    def settings(self) -> Any:  # noqa: ANN401 - an object of the plug-in
+        """Settings as the plug-in defines them; None if it has none."""
+        kind = _own(self.method).settings
+        return None if kind is None else kind(**self._values())
+
+    @staticmethod
+    def localize(
+        log: SensingLog, params: "OwnParams", _on_progress: Callable[[float], None]
+    ) -> Estimate:
+        """Localize a log by the function of the plug-in.
+
+        Returns:
+            Its estimate. Where it returns positions only, the residual is the root mean square over
+            contacts, ranges, and the components of measured offsets.
+
+        Raises:
+            PluginError: the function failed, or returned something else.
+        """
+        own, plugin = _own(params.method), registered(KIND)[params.method].plugin
+        settings = () if own.settings is None else (params.settings,)
+
+        def locate() -> tuple[Any, NDArray[Any]]:
+            found = own.locate(log, *settings)
+            return found, np.asarray(found.position if isinstance(found, Estimate) else found)
+
+        found, position = guarded(plugin, own.name, locate)
+        if wrong := _fault(log, found, position):
+            problem = f"{plugin.file}: {own.name} returned {wrong}"
+            raise PluginError(problem, f"{problem}\n")
+        if isinstance(found, Estimate):
+            return found
+        return _judged(log, own.cues, position.astype(np.float64))
+
+    def _values(self) -> dict[str, Any]:
+        names = (each.name for each in fields(self))  # type: ignore[arg-type]
+        return {name: getattr(self, name) for name in names if name != "method"}
+
+    def __reduce__(self) -> tuple[Callable[..., "OwnParams"], tuple[Plugin, str, dict[str, Any]]]:
+        """Send the plug-in ahead, so that a worker loads it before it needs the class."""
+        plugin = registered(KIND)[self.method].plugin
+        return _received, (plugin, self.method, self._values())
+
+
+def method(
+    name: str, *, settings: type[Any] | None = None, cues: Sequence[str] = _USUAL
+) -> Callable[[_Locate], _Locate]:
+    """Register a function as a localization method.
+
+    The function takes a log, and settings if it has a class of them. It returns the robots'
+    positions [log unit] in join order, shape (N, 3), or an `Estimate`. Positions get the verdicts
+    of other methods, by the chi-square of the measurements of the cues.
+
+    Args:
+        name: Name of the method in scenarios and commands: words of letters and digits, with "-".
+        settings: Frozen dataclass, whose fields are settings of scenarios; None for no settings.
+        cues: What of the log the method uses, as `tiswarm localize --cues` names it.
+
+    Raises:
+        InputError: the name is taken or invalid, there is no such cue, or settings cannot be
+            checked.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"{name!r} names no method; use words like my-method")
+    if name in METHODS:
+        raise InputError(f"method {name} is taken by tiswarm itself; choose another name")
+    for cue in cues:
+        if cue not in all_cues():
+            raise InputError(f"{cue} is not a cue; use {', '.join(all_cues())}")
+    section = _section(name, settings)
+
+    def add(locate: _Locate) -> _Locate:
+        own = OwnMethod(
+            name=name, locate=locate, settings=settings, cues=tuple(cues), params=section
+        )
+        register(KIND, name, own, locate)
+        return locate
+
+    return add
+
+
+def _fault(log: SensingLog, found: object, position: NDArray[Any]) -> str:
+    """Say what is wrong with a method's result, and what is wanted; empty if nothing is."""
+    if position.shape != (log.robot_count, 3):
+        what = f"{type(found).__name__} of shape {position.shape}"
+        return f"{what}; return positions of shape ({log.robot_count}, 3), or an Estimate"
+    farthest = FARTHEST * log.dock_radius
+    where = f"within {farthest:g} {log.length_unit} of the origin"
+    wrong = fault_of_numbers(position, farthest, where)
+    return wrong and f"positions that are {wrong}; give guesses"
+
+
+def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:
+    """Make an estimate of positions [log unit], with verdicts by their measurements."""
+    from tiswarm.localization.mixture.verdict import assess, rms  # noqa: PLC0415 - slow to import
+    from tiswarm.measurements.contacts import disconnected  # noqa: PLC0415 - slow to import
+    from tiswarm.measurements.cues import measure  # noqa: PLC0415 - slow to import
+
+    rows = measure(log, cues)
+    untied, center = disconnected(rows), position / log.dock_radius
+    gap = rows.residual(center)[: len(rows.other)]
+    return Estimate(
+        robot_id=log.robot_id,
+        position=position,
+        disconnected=untied,
+        **assess(log, cues, center, is_guess=untied)._asdict(),
+        iteration=np.zeros(1, np.int64),
+        trace=position[None],
+        residual=np.array([rms(gap)]) * log.dock_radius,
+    )
+
+
+def _own(name: str) -> OwnMethod:
+    found: OwnMethod = registered(KIND)[name].value
+    return found
+
+
+def _received(plugin: Plugin, name: str, values: Mapping[str, Any]) -> OwnParams:  # noqa: ARG001
+    """Make settings on a worker, where the plug-in has been loaded."""
+    return _own(name).params(**values)
+
+
+def _section(name: str, settings: type[Any] | None) -> type[OwnParams]:
+    """Make the class of a section from the class of the settings.
+
+    Raises:
+        InputError: the settings are no frozen dataclass, or have a field that cannot be checked.
+    """
+    kind: Any = Annotated[Literal[name], pydantic.Field(description="Name of the method.")]
+    described: list[tuple[str, Any, Any]] = [("method", kind, field(default=name))]
+    if settings is not None:
+        if not is_dataclass(settings) or not settings.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+            problem = f"settings of {name}: {settings!r} is no frozen dataclass"
+            raise InputError(f"{problem}; decorate it with @dataclass(frozen=True)")
+        kinds, texts = get_type_hints(settings, include_extras=True), _texts(settings)
+        for each in fields(settings):
+            if each.name in _TAKEN:
+                problem = f"settings of {name}: {each.name} has a meaning already; rename it"
+                raise InputError(problem)
+            kind = Annotated[kinds[each.name], pydantic.Field(description=texts.get(each.name))]
+            described.append((each.name, kind, _default(each)))
+
+    def check(self: OwnParams) -> None:
+        self.settings  # noqa: B018 - raises what the plug-in's own check finds
+
+    title = f"Own{''.join(word.capitalize() for word in name.split('-'))}Params"  # in the schema
+    text = (settings and settings.__doc__) or f"Settings of {name}."
+    made = make_dataclass(
+        title, described, bases=(OwnParams,), frozen=True, kw_only=True,
+        namespace={"__doc__": text, "__post_init__": check, "__module__": __name__},
+    )  # fmt: skip
+    config = ConfigDict(**{**STRICT, "use_attribute_docstrings": False})
+    try:
+        checked: Any = checked_dataclass(made, frozen=True, kw_only=True, config=config)
+    except pydantic.errors.PydanticSchemaGenerationError as error:
+        problem = f"settings of {name}: {str(error).splitlines()[0]}; use types like float or str"
+        raise InputError(problem) from error
+    section: type[OwnParams] = checked
+    return section
+
+
+def _default(each: "Field[Any]") -> Any:  # noqa: ANN401 - a default
+    """Copy the default of a field."""
+    if each.default_factory is not MISSING:
+        return field(default_factory=each.default_factory)
+    return field() if each.default is MISSING else field(default=each.default)
+
+
+def _texts(settings: type[Any]) -> dict[str, str]:
+    """Read the docstrings below the fields of a class; empty where it has no source."""
+    try:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
+    except (OSError, TypeError, SyntaxError):
+        return {}
+    body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
+    return {
+        named.target.id: inspect.cleandoc(str(text.value.value))
+        for named, text in pairwise(body)
+        if isinstance(named, ast.AnnAssign) and isinstance(named.target, ast.Name)
+        and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+    }  # fmt: skip

@@ -1,7 +1,7 @@
-"""Settings of localization: cues that methods share, and those of each method."""
+"""Settings of localization: cues that methods share, and those of the methods of the core."""
 
 from dataclasses import fields, make_dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -12,24 +12,8 @@ from tiswarm.measurements.cues import cue_names, switched
 LARGE = 3000
 """Structures of more robots than this are annealed fewer times, quicker, and not refined."""
 
-_ONE_BY_ONE = (
-    "back_propagation",
-    "stop_error",
-    "height_order",
-    "neighbor_repulsion",
-)
-"""Settings of `virtual-force` that have no meaning where robots move together."""
-
-_OF_SCHEME = {
-    "joiner": ("hops", "robots", "solver", "reach", "growth", "chains", "steps", "start_sigma"),
-    "algorithm-1": ("poses", "back_propagation", "undocked_repulsion"),
-}
-"""Settings of `distributed` that have a meaning in one scheme only."""
-
-
 SWITCHES = tuple(cue.name for cue in switched())
 """Cues that settings have a switch for."""
-
 
 DOCKS_UNKNOWN = tuple(cue.name for cue in switched() if cue.docks_unknown)
 """Cues that only `joint` can use: it finds the docks of their rows."""
@@ -38,6 +22,61 @@ DOCKS_UNKNOWN = tuple(cue.name for cue in switched() if cue.docks_unknown)
 def all_cues() -> tuple[str, ...]:
     """List those, and the ones that every method uses."""
     return tuple(dict.fromkeys((*SWITCHES, *cue_names())))
+
+
+class MethodParams:
+    """Settings of a localization method, and what its settings decide before it is loaded."""
+
+    module: ClassVar[str]
+    """Module of the method, see `tiswarm.localization.methods`."""
+
+    method: str
+    """Name of the method."""
+
+    @property
+    def cues(self) -> tuple[str, ...]:
+        """What of the log is used: every cue without a switch, and those whose switch is on."""
+        return tuple(cue for cue in all_cues() if getattr(self, cue, True))
+
+    @property
+    def joining(self) -> str:
+        """Class that places robots as they join, as `module:class`; empty if it needs all."""
+        return ""
+
+    @property
+    def title(self) -> str:
+        """Name of the method, and its schedule unless robots move in join order."""
+        return self.method
+
+    @property
+    def is_parallel(self) -> bool:
+        """Whether it runs on the device that a user chooses; others run on the processor in f64."""
+        return False
+
+    def seconds(self, robots: int) -> float:
+        """Estimate the processor time of one structure, on one core of a server of 2023 [s]."""
+        return _ROBOT_S * robots
+
+
+_ROBOT_S = 0.01
+"""Processor time of a robot in a method that states no other [s]."""
+
+_ITERATION_S = 1.3e-6
+"""Processor time of an iteration of a robot in Algorithm 1 [s]."""
+
+_TOGETHER_S = 4e-7
+"""Processor time of a step of a robot under the schedule `together` [s]."""
+
+_CHAIN_STEP_S = 8e-7
+"""Processor time of a step of a robot in one chain [s]."""
+
+_ONE_BY_ONE = (
+    "back_propagation",
+    "stop_error",
+    "height_order",
+    "neighbor_repulsion",
+)
+"""Settings of `virtual-force` that have no meaning where robots move together."""
 
 
 _Switches: Any = make_dataclass(
@@ -49,18 +88,13 @@ _Switches: Any = make_dataclass(
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class CueParams(_Switches):  # type: ignore[misc]
+class CueParams(_Switches, MethodParams):  # type: ignore[misc]
     """Cues of a method that can do without any of them; each counts as far as the log has it.
 
     There is a switch for each cue that has one in the table of cues. Fields that are inherited
     carry their text as a description, for the JSON Schema does not find the docstrings of a base
     class.
     """
-
-    @property
-    def cues(self) -> tuple[str, ...]:
-        """What of the log is used: every cue without a switch, and those whose switch is on."""
-        return tuple(cue for cue in all_cues() if getattr(self, cue, True))
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -144,6 +178,12 @@ class BackPropagation:
     """1 - alpha_t as a round begins; it falls to 0 linearly. At full strength repulsion would
     undo what is right already."""
 
+    def steps(self, robots: int) -> float:
+        """Count the steps of a robot in all rounds, in the mean of so many robots."""
+        after = [*range(self.every, robots, self.every), robots]  # so many joins
+        moved = sum(min(joins, self.recent or robots) for joins in after)
+        return float(self.sweeps * moved / robots)
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Together:
@@ -168,13 +208,15 @@ class Together:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class VirtualForceParams:
+class VirtualForceParams(MethodParams):
     """Gains of Eqs. (1)-(3) and the schedule that applies them.
 
     Gains must not be fitted on the runs they are reported on. The defaults are those of
     `docs/fits/virtual-force.json`, to two digits: found by `benchmarks.tuning` on towers and
     cantilevers of the seeds 1000 to 1011, under all conditions of `scenarios/paper.yaml`.
     """
+
+    module: ClassVar = "tiswarm.localization.virtual_force.method"
 
     method: Literal["virtual-force"] = "virtual-force"
     """Name of the method."""
@@ -261,25 +303,36 @@ class VirtualForceParams:
         }
         return tuple(cue for cue, is_used in chosen.items() if is_used)
 
+    @property
+    def joining(self) -> str:
+        """Class that places robots as they join; empty if settings let robots move afterwards."""
+        moves_all = self.is_parallel or self.back_propagation is not None
+        return "" if moves_all else "tiswarm.localization.virtual_force.method:Localizer"
 
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class LeastSquaresParams(ChiSquareParams):
-    """Starts from which the chi-square of all measurements is minimized."""
+    @property
+    def title(self) -> str:
+        """Name of the method, and its schedule unless robots move in join order."""
+        return f"{self.method} {self.schedule}" if self.is_parallel else self.method
 
-    method: Literal["least-squares"] = "least-squares"
-    """Name of the method."""
+    @property
+    def is_parallel(self) -> bool:
+        """Whether all robots move at once."""
+        return self.schedule == "together"
 
-    starts: Annotated[int, Field(ge=1, le=1000)] = 4
-    """Starts: the positions of `hop-by-hop`, and the same with random errors of its standard
-    deviations. Where ranges tie robots, multidimensional scaling adds two more."""
-
-    rounds: Annotated[int, Field(ge=1, le=1000)] = 50
-    """Levenberg-Marquardt steps at most from each start."""
+    def seconds(self, robots: int) -> float:
+        """Estimate the processor time of one structure [s]."""
+        if self.is_parallel:
+            return _TOGETHER_S * robots * self.together.steps
+        rounds = self.back_propagation
+        steps = self.iterations + (rounds.steps(robots) if rounds else 0.0)
+        return _ITERATION_S * robots * steps
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class JointParams(ChiSquareParams):
     """Schedule of the annealer that places all robots at once."""
+
+    module: ClassVar = "tiswarm.localization.joint"
 
     method: Literal["joint"] = "joint"
     """Name of the method."""
@@ -315,6 +368,16 @@ class JointParams(ChiSquareParams):
     climb as far as they can before they stay; most configurations that fit their measurements are
     folded closer than what they build."""
 
+    @property
+    def is_parallel(self) -> bool:
+        """Whether chains run on the device that a user chooses: always."""
+        return True
+
+    def seconds(self, robots: int) -> float:
+        """Estimate the processor time of one structure [s]."""
+        steps = self.steps_for(robots) + self.hold_steps
+        return _CHAIN_STEP_S * robots * self.chains_for(robots) * steps
+
     def chains_for(self, robots: int) -> int:
         """Annealings of a structure of so many robots."""
         return self.chains or (8 if robots <= LARGE else 4)
@@ -326,163 +389,3 @@ class JointParams(ChiSquareParams):
     def refines(self, robots: int) -> bool:
         """Whether to refine what chains of a structure of so many robots come to."""
         return robots <= LARGE if self.refine is None else self.refine
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class OnlineParams(ChiSquareParams):
-    """What a tracker does at a join, beside solving for the robots near the one that joined."""
-
-    method: Literal["online"] = "online"
-    """Name of the method."""
-
-    touches: Literal[False] = False
-    """Touches do not count: only `joint` finds their docks."""
-
-    solve_yaw: Literal[False] = False
-    """No bias of yaw is solved for."""
-
-    anneal_growth: Annotated[float, Field(gt=0.0)] = 0.1
-    """Growth of the structure after which it is annealed again, in its size at the last time
-    [1]."""
-
-    chains: Annotated[int, Field(ge=1, le=1000)] = 4
-    """Annealings then, each from the present estimate."""
-
-    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 500
-    """Steps of each annealing."""
-
-    hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 200
-    """Steps at the end temperature, over which positions are averaged."""
-
-    start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
-    """Square root of the temperature at which annealing begins [R]: warm enough for mirror images
-    of single robots to be tried, and cold enough for the structure to keep its shape."""
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class DistributedParams(ChiSquareParams):
-    """What robots send each other to find out where they are, and by which channel.
-
-    A robot computes from its own rows and from what it was sent. By default one robot, the anchor,
-    solves for all within `reach` of it, and so for all of a structure of 100.
-    """
-
-    method: Literal["distributed"] = "distributed"
-    """Name of the method."""
-
-    touches: Literal[False] = False
-    """Touches do not count: only `joint` finds their docks."""
-
-    solve_yaw: Literal[False] = False
-    """No bias of yaw is solved for."""
-
-    scheme: Literal["joiner", "algorithm-1"] = "joiner"
-    """joiner: where a robot joins, one robot asks those nearby for what they measured, solves for
-    their positions and sends them the answer. algorithm-1: the paper's, by the defaults of
-    `virtual-force`, whose positions are those without losses and rounding."""
-
-    poses: Literal["once", "every-join"] = "every-join"
-    """When robots send their poses in `algorithm-1`: once they are placed, or at each join."""
-
-    undocked_repulsion: bool = True
-    """Use Eq. (2) in `algorithm-1`, for which robots hear of all others; without it they hear of
-    those that they touch alone, once."""
-
-    back_propagation: BackPropagation | None = None
-    """Rounds of `algorithm-1` in which all robots move again; off if null."""
-
-    channel: Literal["touch", "radio"] = "touch"
-    """touch: robots in contact pass on what they hear, robot by robot. radio: all robots hear what
-    one of them sends."""
-
-    loss: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of transmissions that are lost [1]."""
-
-    delay: Annotated[int, Field(ge=0, le=1000)] = 0
-    """Rounds that a transmission takes beyond the next one [1]."""
-
-    retries: Annotated[int, Field(ge=0, le=100)] = 4
-    """Times at most that a transmission without an answer is repeated [1]."""
-
-    bits: Annotated[int, Field(ge=8, le=32)] | None = 16
-    """Bits of each number that is sent, in a range that its message states; all 64 if null."""
-
-    hops: Annotated[int, Field(ge=1)] = 2
-    """Steps of "shares a measurement" within which robots are asked [1]."""
-
-    robots: Annotated[int, Field(ge=2)] = 100
-    """Robots at most that are asked, and that a robot holds measurements of [1]."""
-
-    solver: Literal["joiner", "keeper"] = "keeper"
-    """Who solves: the robot that joined, or the nearest one that solved for the first robot that it
-    touches, which holds the measurements of those nearby."""
-
-    reach: Annotated[int, Field(ge=0, le=254)] = 12
-    """Contacts at most to such a robot [1]; without one, the robot touched solves. With 12 the
-    anchor solves for all of 100 robots; with 3 several robots do."""
-
-    growth: Annotated[float, Field(gt=0.0)] = 0.1
-    """Growth after which a robot that solves anneals all robots that it holds [1]."""
-
-    chains: Annotated[int, Field(ge=0, le=1000)] = 8
-    """Annealings of the robots nearby by the robot that solves; 0 for none."""
-
-    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 400
-    """Steps of each annealing."""
-
-    start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
-    """Square root of the temperature at which annealings begin [R]."""
-
-    def __post_init__(self) -> None:
-        """Refuse settings of another scheme."""
-        usual = {field.name: field.default for field in fields(self)}
-        for scheme, names in _OF_SCHEME.items():
-            for name in names:
-                if scheme != self.scheme and getattr(self, name) != usual[name]:
-                    raise ValueError(
-                        f"{name} is of scheme {scheme}; remove it, or set scheme to {scheme}"
-                    )
-
-    @property
-    def published(self) -> VirtualForceParams:
-        """Settings of Algorithm 1, for the scheme `algorithm-1`."""
-        return VirtualForceParams(
-            back_propagation=self.back_propagation, undocked_repulsion=self.undocked_repulsion
-        )
-
-    @property
-    def cues(self) -> tuple[str, ...]:
-        """What of the log is used; Algorithm 1 knows fewer cues."""
-        return self.published.cues if self.scheme == "algorithm-1" else super().cues
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class HopByHopParams(CueParams):
-    """Order in which robots solve for their own positions, each once.
-
-    Weights follow from the noise that the log states. Non-overlap decides between mirror images.
-    """
-
-    method: Literal["hop-by-hop"] = "hop-by-hop"
-    """Name of the method."""
-
-    touches: Literal[False] = False
-    """Touches do not count: only `joint` finds their docks."""
-
-    order: Literal["hops", "join"] = "hops"
-    """hops: a robot follows once its measurements of the world and of located robots, whether these
-    joined earlier or later, suffice. join: robots follow in join order and use those before them.
-    """
-
-
-LocalizationParams = Annotated[
-    # | the settings of each further method
-    VirtualForceParams
-    | LeastSquaresParams
-    | JointParams
-    | HopByHopParams
-    | OnlineParams
-    | DistributedParams,
-    Field(discriminator="method"),
-]
-"""Settings of any method."""

@@ -24,7 +24,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.settings import LocalizationParams
+from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,

@@ -15,8 +15,8 @@ from pydantic_core import ErrorDetails, InitErrorDetails
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.plugins import load_plugins, watch
-from tiswarm.localization.plugins import all_params
-from tiswarm.localization.settings import SWITCHES, LocalizationParams
+from tiswarm.localization.methods import METHODS, LocalizationParams, all_params, settings_of
+from tiswarm.localization.settings import SWITCHES
 from tiswarm.records.messages import UNKNOWN_KEY, Part, did_you_mean, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
 
@@ -89,6 +89,9 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
         return adapter.validate_json(json.dumps(data))
     except ValidationError as found:
         errors = found.errors(include_url=False)
+        for error in errors:
+            if error["type"] == "union_tag_invalid" and error["ctx"]["tag"] in METHODS:
+                settings_of(error["ctx"]["tag"])  # raises what this copy of the package lacks
         return [_mistake(error, adapter) for error in errors if not _follows(error, errors)]
 
 

@@ -6,7 +6,6 @@ robots.
 
 from typing import NamedTuple
 
-from tiswarm.localization import settings as methods
 from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import variants
 from tiswarm.scenario.model import Scenario
@@ -20,14 +19,6 @@ _SOLVE_S = {  # solve of the mechanics: at all, for each robot, for each pair of
     "flexible": (5e-5, 5e-6, 1.2e-8),
     "rigid": (5e-5, 3e-6, 1.6e-9),  # a third of that in towers, three times in heaps
 }
-_VIRTUAL_FORCE_S = 1.3e-6  # iteration of a robot
-_TOGETHER_S = 4e-7  # step of a robot
-_JOINT_S = 8e-7  # step of a robot in one chain
-_LEAST_SQUARES_S = 0.01  # localization of a robot
-_ONLINE_S = 0.07  # join of a robot
-_PEER_S = 0.01  # join of a robot by messages, without annealing
-_PEER_STEP_S = 8e-6, 1e-7  # step of one chain of it: at all, for each robot
-_SENDING_S = 1.5e-3  # messages of a robot in Algorithm 1
 _REST_S = 5e-4  # sensing, evaluation and storage of a robot
 _BASE_MB = 270.0  # memory of the program
 _ROBOT_MB = 0.05  # memory of each robot of a batch, most of all in `joint`
@@ -71,7 +62,7 @@ def forecast(scenario: Scenario, execution: Execution = _HERE) -> Forecast:
         robots=robots,
         start_s=_START_S * (1 + execution.processes),
         grow_s=seeds * sum(map(_grow_s, grown.values())),
-        localize_s=seeds * sum(map(_localize_s, points)),
+        localize_s=seeds * sum(point.localization.seconds(point.robots) for point in points),
         rest_s=_REST_S * robots,
         memory_mb=_BASE_MB + _ROBOT_MB * at_once,
     )
@@ -88,44 +79,8 @@ def _grow_s(settings: Scenario) -> float:
 
 def _believe_s(settings: Scenario) -> float:
     """Estimate the localization of robots while they build: at each join of one or of all [s]."""
-    params = settings.localization
-    is_one = isinstance(params, methods.OnlineParams)
-    if isinstance(params, methods.VirtualForceParams):
-        is_one = params.schedule == "join-order" and params.back_propagation is None
-    return _localize_s(settings) * (1.0 if is_one else settings.robots / 2.0)
-
-
-def _localize_s(settings: Scenario) -> float:
     n, params = settings.robots, settings.localization
-    if isinstance(params, methods.VirtualForceParams):
-        if params.schedule == "together":
-            return _TOGETHER_S * n * params.together.steps
-        return _VIRTUAL_FORCE_S * n * (params.iterations + _sweeps(params.back_propagation, n))
-    if isinstance(params, methods.JointParams):
-        return _JOINT_S * n * params.chains_for(n) * (params.steps_for(n) + params.hold_steps)
-    if isinstance(params, methods.OnlineParams):
-        return _ONLINE_S * n
-    if isinstance(params, methods.DistributedParams):
-        return _distributed_s(params, n)
-    return _LEAST_SQUARES_S * n
-
-
-def _distributed_s(params: methods.DistributedParams, n: int) -> float:
-    """Estimate the localization of n robots by what they send each other [s]."""
-    if params.scheme == "algorithm-1":
-        steps = methods.VirtualForceParams().iterations + _sweeps(params.back_propagation, n)
-        return n * (_SENDING_S + _VIRTUAL_FORCE_S * steps)
-    once, each = _PEER_STEP_S
-    return n * (_PEER_S + params.chains * params.steps * (once + each * n))
-
-
-def _sweeps(rounds: methods.BackPropagation | None, n: int) -> float:
-    """Return the steps of a robot in all rounds of back-propagation, in the mean of n robots."""
-    if rounds is None:
-        return 0.0
-    after = [*range(rounds.every, n, rounds.every), n]  # so many joins
-    moved = sum(min(joins, rounds.recent or n) for joins in after)
-    return float(rounds.sweeps * moved / n)
+    return params.seconds(n) * (1.0 if params.joining else n / 2.0)
 
 
 def _time(seconds: float) -> str:

@@ -21,12 +21,11 @@ from tiswarm.base.plugins import registered
 from tiswarm.base.version import __version__, code_digest
 from tiswarm.compute import machine, numerics
 from tiswarm.compute.backend import Backend
-from tiswarm.localization import methods
+from tiswarm.localization import methods, settings
 from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 
-_METHODS = methods.METHODS
 _COMPOSES = "tiswarm.study.runner"
 """Module that composes a case of all that computes it."""
 
@@ -39,17 +38,20 @@ def case_code(method: str, suite: str = "") -> str:
     unknown method is empty.
     """
     own = [registered("method").get(method), registered("sensor").get(suite)]
-    if method not in _METHODS and own[0] is None:
+    if method not in methods.METHODS and own[0] is None:
         return ""
-    code = module_code(_METHODS.get(method, methods.OWN))
+    code = method_code(method)
     return "+".join([code, *(found.plugin.digest for found in own if found)])
 
 
 @cache
-def module_code(module: str) -> str:
-    """Return the digest of the code that computes cases of the methods in a module."""
-    others = {methods.OWN, *_METHODS.values()} - {module}
-    return code_digest([_COMPOSES, module], {methods.__name__: others})
+def method_code(method: str) -> str:
+    """Return the digest of the code that computes cases of a method, without that of plug-ins."""
+    modules = {name: methods.modules(name) for name in methods.METHODS}
+    own = modules.get(method, set())
+    others = set().union(*modules.values()) - own
+    apart = dict.fromkeys((methods.__name__, settings.__name__), others)
+    return code_digest([_COMPOSES, *own], apart)
 
 
 @cache

@@ -70,7 +70,7 @@ def run(
         scenario: What to compute.
         parent: Folder that holds the run's folder.
         progress: Receives progress reports.
-        arch: Device of methods that are `methods.PARALLEL`; other stages run on the processor.
+        arch: Device of methods that are parallel; other stages run on the processor.
         threads: CPU threads; all if None.
         execution: Where cases are computed, and which.
         overwrite: Whether to replace files of a folder that no run made.
@@ -149,17 +149,17 @@ def _start_device(
     On a cluster, only its workers can start it.
     """
     points = {case.variant.label: case.settings for case in whole.cases}.values()
-    titles = {methods.title(settings.localization) for settings in points}
+    used = [settings.localization for settings in points]
     if execution.scheduler is not None:
         if arch == "auto":
             raise InputError("auto cannot see the workers; name their device", argument="arch")
         for settings in points:
-            methods.require_use(titles, arch, settings.precision)
+            methods.require_use(used, arch, settings.precision)
         return arch
     for precision in sorted({settings.precision for settings in points}):
-        running = methods.start_device(titles, arch, threads=threads, precision=precision)
+        running = methods.start_device(used, arch, threads=threads, precision=precision)
     if arch != "cpu":
-        progress.info(methods.where(titles, running))
+        progress.info(methods.where(used, running))
     return running.arch
 
 

@@ -18,7 +18,8 @@ from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation.tables import evaluate
 from tiswarm.localization import methods
-from tiswarm.localization.settings import JointParams, LocalizationParams
+from tiswarm.localization.methods import LocalizationParams, localize_many
+from tiswarm.localization.settings import JointParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
@@ -201,7 +202,7 @@ class _CaseRunner:
             if self._sample is not None and _compiled.get(method) != running:
                 with suppress(Exception):
                     log = observe(self._sample, sensing)
-                    methods.localize_many([log], [_shortened(settings.localization)])
+                    localize_many([log], [_shortened(settings.localization)])
                 _compiled[method] = running
 
     def _choose_device(self, precision: AnyPrecision) -> None:
@@ -269,16 +270,14 @@ class _CaseRunner:
         self._warm_up_methods(cases)
         with self._stage("localize", cases) as advance:
             chosen = [case.settings.localization for case in cases]
-            estimates = methods.localize_many(
-                logs, chosen, with_observability=True, on_progress=advance
-            )
+            estimates = localize_many(logs, chosen, with_observability=True, on_progress=advance)
         running = methods.start_for(chosen[0])
         farthest = [
             np.abs(estimate.position - log.anchor_position).max() / log.dock_radius
             for estimate, log in zip(estimates, logs, strict=True)
         ]
         error = running.force_error(max(farthest))
-        stage = f"localize by {methods.title(chosen[0])}"
+        stage = f"localize by {chosen[0].title}"
         self.used.add(Used(stage, running, error, numerics.here()))
         return estimates
 
@@ -323,7 +322,7 @@ def _batches(cases: Sequence[Case], logs: Mapping[str, SensingLog]) -> Iterable[
 
 def _method(case: Case) -> tuple[str, AnyPrecision]:
     """Return method, schedule and precision, which cases of a batch share."""
-    return methods.title(case.settings.localization), case.settings.precision
+    return case.settings.localization.title, case.settings.precision
 
 
 def _record(

@@ -34,8 +34,8 @@ from tiswarm.evaluation.metrics import (
     relative_profile,
 )
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
-from tiswarm.localization import methods
-from tiswarm.localization.settings import LocalizationParams, VirtualForceParams
+from tiswarm.localization.methods import LocalizationParams
+from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import damaged, make_folder
@@ -119,7 +119,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
 
 def _title(method: LocalizationParams) -> str:
     """Name a method, with what else makes it another one."""
-    return " ".join([methods.title(method), *filter(None, [getattr(method, "scheme", None)])])
+    return " ".join([method.title, *filter(None, [getattr(method, "scheme", None)])])
 
 
 def _edges(terrain: Terrain) -> dict[str, float]:

@@ -27,7 +27,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.localization.mixture.verdict import assess
-from tiswarm.localization.settings import BackPropagation, LocalizationParams, VirtualForceParams
+from tiswarm.localization.settings import BackPropagation, MethodParams, VirtualForceParams
 from tiswarm.localization.virtual_force.kernels import (
     ALL_DOCKS,
     DOCKS_OF_NEIGHBORS,
@@ -138,12 +138,6 @@ def localize_batch(
     return estimates
 
 
-def joining(params: VirtualForceParams) -> "type[Localizer] | None":
-    """Return what places robots as they join; None if settings let robots move afterwards."""
-    moves_all = params.schedule == "together" or params.back_propagation is not None
-    return None if moves_all else Localizer
-
-
 class Localizer:
     """Places robots one by one as they join, each at once and for good.
 
@@ -170,7 +164,7 @@ class Localizer:
     def __init__(
         self,
         header: Line | HeaderLine,
-        params: LocalizationParams | None = None,
+        params: MethodParams | None = None,
         *,
         capacity: int = 10_000,
     ) -> None:

@@ -18,10 +18,9 @@ from tiswarm.localization.cost.kernels import (
     VARIANCE,
 )
 from tiswarm.localization.cost.neighborhood import Configuration, Neighborhood
-from tiswarm.localization.settings import DistributedParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.parts.between.chain_kernels import ChainDocks, ChainRows, anneal_near
-from tiswarm.parts.between.settings import CHAINS
+from tiswarm.parts.between.settings import CHAINS, DistributedParams
 from tiswarm.parts.online.layers import LocalLayers
 
 _AXES = 3

@@ -7,7 +7,7 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.mixture.verdict import assess, rms
-from tiswarm.localization.settings import DistributedParams
+from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.records.estimate import Convergence, Estimate
 from tiswarm.records.sensing_log import SensingLog
 

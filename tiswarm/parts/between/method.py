@@ -13,7 +13,7 @@ that it touches answer it. In a round of back-propagation each robot sends its p
 of its steps. By touch, robots pass on what they hear.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,17 +21,18 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
-from tiswarm.localization.settings import BackPropagation, DistributedParams, VirtualForceParams
+from tiswarm.localization.settings import BackPropagation, VirtualForceParams
 from tiswarm.localization.virtual_force import method as virtual_force
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.parts.between.channel import HEADER, Channel, Message
 from tiswarm.parts.between.conclusion import Found, estimate_of
 from tiswarm.parts.between.robot import Peer, Program
+from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.between.wire import MOST_ROBOTS, pose_bytes
 from tiswarm.parts.online.layers import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import lines_of
-from tiswarm.records.sensing_format import HeaderLine, RobotLine
+from tiswarm.records.sensing_format import RobotLine
 from tiswarm.records.sensing_log import SensingLog
 
 _MOST_TURNS = 1000
@@ -44,59 +45,31 @@ _OF_FORCE = 30
 """Operations for the force between them [1]."""
 
 
-def batch_key(log: SensingLog, params: DistributedParams) -> Hashable:  # noqa: ARG001
-    """Name what logs share that are localized in one batch, one after the other: the settings."""
-    return repr(params)
-
-
-def localize_batch(
-    logs: Sequence[SensingLog],
-    params: Sequence[DistributedParams],
-    on_progress: Callable[[float], None] = ignore,
-) -> list[Estimate]:
-    """Let the robots of each log join one after the other.
+def localize(
+    log: SensingLog, params: DistributedParams, on_progress: Callable[[float], None] = ignore
+) -> Estimate:
+    """Let the robots of a log join one after the other.
 
     Returns:
-        One estimate a log, with what robots sent each other.
+        The estimate, with what robots sent each other.
 
     Raises:
-        InputError: a log has what robots cannot send, or more robots than have numbers.
+        InputError: the log has what robots cannot send, or more robots than have numbers.
     """
-    estimates = []
-    total, joined = sum(log.robot_count for log in logs), 0
-    for log, p in zip(logs, params, strict=True):
-        if log.robot_count > MOST_ROBOTS:
-            problem = f"distributed numbers up to {MOST_ROBOTS} robots; choose method joint"
-            raise InputError(problem)
-        if log.gone.size:
-            raise InputError("distributed takes robots that stay; choose joint", key="event")
-        # Robots go by their numbers in join order.
-        numbered = replace(log, robot_id=np.arange(log.robot_count))
-        head, lines = lines_of(numbered)
-        refuse_header(head)
-        for line in lines:
-            refuse_line(line)
-
-        def report(share: float, begun: int = joined, robots: int = log.robot_count) -> None:
-            on_progress((begun + share * robots) / total)
-
-        estimates.append(_localized(log, p, head, lines, report))
-        joined += log.robot_count
-    return estimates
-
-
-def _localized(
-    log: SensingLog,
-    params: DistributedParams,
-    head: HeaderLine,
-    lines: list[RobotLine],
-    on_progress: Callable[[float], None],
-) -> Estimate:
-    """Let robots localize themselves by the scheme that is asked for."""
+    if log.robot_count > MOST_ROBOTS:
+        problem = f"distributed numbers up to {MOST_ROBOTS} robots; choose method joint"
+        raise InputError(problem)
+    if log.gone.size:
+        raise InputError("distributed takes robots that stay; choose joint", key="event")
+    # Robots go by their numbers in join order.
+    numbered = replace(log, robot_id=np.arange(log.robot_count))
+    head, lines = lines_of(numbered)
+    refuse_header(head)
+    for line in lines:
+        refuse_line(line)
     if params.scheme == "algorithm-1":
         return algorithm_1(log, params)
-    program = Program(params, head)
-    swarm = PeerSwarm(program, len(lines))
+    swarm = PeerSwarm(Program(params, head), len(lines))
     for line in lines:
         swarm.join(line)
         on_progress((line.robot + 1) / len(lines))

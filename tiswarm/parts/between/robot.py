@@ -20,7 +20,7 @@ reported on.
 
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -29,9 +29,9 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.cost.neighborhood import Block, Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
-from tiswarm.localization.settings import DistributedParams, OnlineParams
 from tiswarm.parts.between.chains import annealed
 from tiswarm.parts.between.channel import Message
+from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.between.wire import (
     CHECK,
     NUMBER,
@@ -49,6 +49,7 @@ from tiswarm.parts.between.wire import (
     write_place,
 )
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
+from tiswarm.parts.online.settings import OnlineParams
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import (
     HeaderLine,
@@ -278,7 +279,9 @@ def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
     places = [each.place.position for each in known.values() if each.place is not None]
     farthest = float(np.abs(places).max()) if places else 1.0
     rounding = rounding_sd(farthest, params.bits)
-    names = OnlineParams.__dataclass_fields__.keys() & params.__dataclass_fields__.keys()
+    names = {field.name for field in fields(OnlineParams)} & {
+        field.name for field in fields(params)
+    }
     shared = {
         name: getattr(params, name) for name in names - {"method", "chains", "steps", "start_sigma"}
     }

@@ -15,9 +15,9 @@ from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.joint import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.mixture.ends import failed, ranked
 from tiswarm.localization.mixture.settings import CONVERGENCE
-from tiswarm.localization.settings import ChiSquareParams, JointParams, OnlineParams
+from tiswarm.localization.settings import ChiSquareParams, JointParams
 from tiswarm.measurements.contacts import untied_directions
-from tiswarm.parts.online.settings import TIMES
+from tiswarm.parts.online.settings import TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -23,9 +23,9 @@ from tiswarm.localization.cost.neighborhood import (
 )
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.methods import centered
-from tiswarm.localization.settings import OnlineParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.odometry import Odometry
+from tiswarm.parts.online.settings import OnlineParams
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 

@@ -1,9 +1,62 @@
-"""Constants of the tracker, each with its unit and its reason. Lengths in R.
+"""Settings of `online`, and constants of the tracker. Lengths in R.
 
-Chosen on towers and cantilevers of the seeds 5000 to 5009, which no result is reported on.
+Each has its unit and its reason. Constants were chosen on towers and cantilevers of the seeds 5000
+to 5009, which no result is reported on.
 """
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from tiswarm.base.params import STRICT
+from tiswarm.localization.settings import ChiSquareParams
+
+_JOIN_S = 0.07
+"""Processor time of a join [s]."""
+
+
+@checked_dataclass(frozen=True, kw_only=True, config=STRICT)
+class OnlineParams(ChiSquareParams):
+    """What a tracker does at a join, beside solving for the robots near the one that joined."""
+
+    module: ClassVar = "tiswarm.parts.online.method"
+
+    method: Literal["online"] = "online"
+    """Name of the method."""
+
+    touches: Literal[False] = False
+    """Touches do not count: only `joint` finds their docks."""
+
+    solve_yaw: Literal[False] = False
+    """No bias of yaw is solved for."""
+
+    anneal_growth: Annotated[float, Field(gt=0.0)] = 0.1
+    """Growth of the structure after which it is annealed again, in its size at the last time
+    [1]."""
+
+    chains: Annotated[int, Field(ge=1, le=1000)] = 4
+    """Annealings then, each from the present estimate."""
+
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 500
+    """Steps of each annealing."""
+
+    hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 200
+    """Steps at the end temperature, over which positions are averaged."""
+
+    start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
+    """Square root of the temperature at which annealing begins [R]: warm enough for mirror images
+    of single robots to be tried, and cold enough for the structure to keep its shape."""
+
+    @property
+    def joining(self) -> str:
+        """Class that places robots as they join."""
+        return "tiswarm.parts.online.tracker:Tracker"
+
+    def seconds(self, robots: int) -> float:
+        """Estimate the processor time of so many joins [s]."""
+        return _JOIN_S * robots
 
 
 @dataclass(frozen=True, kw_only=True)

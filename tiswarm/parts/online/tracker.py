@@ -20,7 +20,7 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.neighborhood import Neighborhood
 from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.verdict import Assessment, assess, rms
-from tiswarm.localization.settings import LocalizationParams, OnlineParams
+from tiswarm.localization.settings import MethodParams
 from tiswarm.parts.online.annealing import annealed_estimate, elsewhere, reannealed
 from tiswarm.parts.online.layers import (
     Joiner,
@@ -29,7 +29,7 @@ from tiswarm.parts.online.layers import (
     refuse_header,
     refuse_line,
 )
-from tiswarm.parts.online.settings import TIMES
+from tiswarm.parts.online.settings import TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import SensingLogBuilder
@@ -76,7 +76,7 @@ class Tracker:
     The same lines give the same bytes, at any number of threads of one machine.
     """
 
-    def __init__(self, header: Line | HeaderLine, params: LocalizationParams | None = None) -> None:
+    def __init__(self, header: Line | HeaderLine, params: MethodParams | None = None) -> None:
         """Prepare for robots to join.
 
         Args:

@@ -20,7 +20,7 @@ that each partner, and each source, counts once. Yaw is taken as sensed.
 Lengths in R.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -29,10 +29,10 @@ from scipy.spatial import cKDTree
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
 from tiswarm.localization.mixture.verdict import assess, rms
-from tiswarm.localization.settings import HopByHopParams
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.parts.peers.settings import HopByHopParams
 from tiswarm.parts.peers.trilateration import (
     POINTS,
     Ties,
@@ -85,30 +85,17 @@ class Placed(NamedTuple):
         return is_located
 
 
-def batch_key(log: SensingLog, params: HopByHopParams) -> Hashable:  # noqa: ARG001
-    """Name what logs share that are localized in one batch, one after the other: the settings."""
-    return repr(params)
-
-
-def localize_batch(
-    logs: Sequence[SensingLog],
-    params: Sequence[HopByHopParams],
-    on_progress: Callable[[float], None] = ignore,
-) -> list[Estimate]:
-    """Localize structures one after the other.
+def localize(
+    log: SensingLog,
+    params: HopByHopParams,
+    _on_progress: Callable[[float], None] = ignore,
+) -> Estimate:
+    """Localize a structure.
 
     Returns:
-        One estimate a log. The residual is the root mean square over contacts, ranges, and the
-        components of measured offsets. Verdicts are on located robots.
+        Its estimate. The residual is the root mean square over contacts, ranges, and the components
+        of measured offsets. Verdicts are on located robots.
     """
-    estimates: list[Estimate] = []
-    for log, p in zip(logs, params, strict=True):
-        estimates.append(_localize(log, p))
-        on_progress(len(estimates) / len(logs))
-    return estimates
-
-
-def _localize(log: SensingLog, params: HopByHopParams) -> Estimate:
     rows = measure(log, params.cues)
     placed = place(log, rows, non_overlap=params.non_overlap, in_join_order=params.order == "join")
     position, unit_length = placed.position, log.dock_radius

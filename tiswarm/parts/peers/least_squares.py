@@ -5,7 +5,7 @@ suffice. There all of them move at once, by the same steps as at the end of `joi
 differ by random errors, so that the estimate says whether they lead to one minimum. Lengths in R.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,42 +17,30 @@ from tiswarm.localization.chains.initialization import set_apart
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.joint import mixed
 from tiswarm.localization.mixture.ends import further_starts, settled
-from tiswarm.localization.settings import DOCKS_UNKNOWN, LeastSquaresParams
+from tiswarm.localization.settings import DOCKS_UNKNOWN
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING
 from tiswarm.parts.peers.hop_by_hop import place
+from tiswarm.parts.peers.settings import LeastSquaresParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 _AXES = np.arange(3)
 
 
-def batch_key(log: SensingLog, params: LeastSquaresParams) -> Hashable:  # noqa: ARG001
-    """Name what logs share that are localized in one batch, one after the other: the settings."""
-    return repr(params)
-
-
-def localize_batch(
-    logs: Sequence[SensingLog],
-    params: Sequence[LeastSquaresParams],
-    on_progress: Callable[[float], None] = ignore,
-) -> list[Estimate]:
-    """Localize structures one after the other.
+def localize(
+    log: SensingLog,
+    params: LeastSquaresParams,
+    _on_progress: Callable[[float], None] = ignore,
+) -> Estimate:
+    """Localize a structure.
 
     Returns:
-        One estimate a log: the mean over all minima found, weighted as in `joint`. `sd` follows
-        from their curvature; where measurements leave motions open, it is that of `hop-by-hop`. The
+        Its estimate: the mean over all minima found, weighted as in `joint`. `sd` follows from
+        their curvature; where measurements leave motions open, it is that of `hop-by-hop`. The
         residual is the root mean square over contacts, ranges, and the components of measured
         offsets.
     """
-    estimates: list[Estimate] = []
-    for log, p in zip(logs, params, strict=True):
-        estimates.append(_localize(log, p))
-        on_progress(len(estimates) / len(logs))
-    return estimates
-
-
-def _localize(log: SensingLog, params: LeastSquaresParams) -> Estimate:
     problem = pose_problem(log, params)
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     rows = measure(
