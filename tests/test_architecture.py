@@ -3,7 +3,6 @@
 import ast
 import re
 import sys
-import tokenize
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
+from benchmarks.house import House
 from tests.test_tour import stops
 from tiswarm.measurements.cues import CUES
 from tiswarm.records.measures import MEASURES as COLUMNS
@@ -42,10 +42,6 @@ MODULES = {
     if contract["name"] == "the spine imports no optional part"
 )
 
-NUMERICAL = {"compute", "engine", "localization", "measurements", "parts", "world"}
-DIRECTIVE = re.compile(r"# (noqa|type:|fmt:)")
-"""A comment for a tool, not for a reader."""
-LAYOUT = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 
 _Node = TypeVar("_Node", bound=ast.AST)
 
@@ -157,30 +153,6 @@ def _body_lines(node: ast.FunctionDef) -> int:
     return node.end_lineno - (node.body[0].end_lineno if has_docstring else node.body[0].lineno - 1)
 
 
-def _comments_per_100_lines() -> float:
-    """Count comments for readers, and lines of numerical code without docstrings."""
-    comments, code = 0, 0
-    for file, tree in MODULES.items():
-        if file.split("/")[1] not in NUMERICAL:
-            continue
-        texts = (node for node in ast.walk(tree) if isinstance(node, ast.Expr))
-        documented = {
-            line
-            for node in texts
-            if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-            for line in range(node.lineno, node.end_lineno + 1)
-        }
-        lines: set[int] = set()
-        with (REPOSITORY / file).open(encoding="utf-8") as source:
-            for token in tokenize.generate_tokens(source.readline):
-                if token.type == tokenize.COMMENT:
-                    comments += not DIRECTIVE.match(token.string)
-                elif token.type not in LAYOUT:
-                    lines.update(range(token.start[0], token.end[0] + 1))
-        code += len(lines - documented)
-    return 100.0 * comments / code
-
-
 def _files_that_name_a_measure() -> int:
     """Count the modules with a measure's column as text, of the measure that has most.
 
@@ -222,9 +194,9 @@ MEASURES: dict[str, Callable[[], float]] = {
     "arguments of a kernel": lambda: max(len(node.args.args) for node in _functions()[1]),
     "lines of the body of a kernel": lambda: max(map(_body_lines, _functions()[1])),
     "lines of the body of another function": lambda: max(map(_body_lines, _functions()[0])),
-    "comments per 100 lines of numerical code": _comments_per_100_lines,
     "modules that name one measure": _files_that_name_a_measure,
     "modules that name one key or cue": _files_that_name_a_key,
+    "comments per 100 lines of numerical code": House(REPOSITORY).comments,
 }
 """By name on the page, what measures a quantity."""
 

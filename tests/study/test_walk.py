@@ -6,22 +6,17 @@ floor that all rooms stand on: `base`, `compute` and `records`. What the store a
 is theirs, not the study's.
 """
 
-import inspect
-import sys
 from collections import Counter
-from functools import cache
-from pathlib import Path
 
 import pytest
 
-import tiswarm
+from benchmarks.walks import calls_of
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.base.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance
 
-PACKAGE = Path(tiswarm.__file__).parent
 FLOOR = ("base", "compute", "records")
 LINE = ["run", "cases", "jobs", "outcomes", "executors", "runner", "store", "tables", "scaling"]
 """Files of the study in the order in which a scenario passes through them."""
@@ -30,7 +25,7 @@ WALKING = LINE[: LINE.index("store")]
 
 @pytest.fixture(scope="module")
 def calls(tmp_path_factory) -> Counter:
-    """Calls from file to file that the study makes in a small run: (from, to, function)."""
+    """Calls that the study makes in a small run: (from, to, function)."""
     small = load_scenario(
         REPOSITORY / "tests" / "tower.yaml",
         [
@@ -39,42 +34,10 @@ def calls(tmp_path_factory) -> Counter:
             "conditions={a: {}, b: {localization.iterations: 9}}",
         ],
     )
-    found: Counter = Counter()
-
-    def note(frame, event, _):
-        if event != "call" or not (to := _file(frame.f_code.co_filename)):
-            return
-        caller = frame.f_back
-        while caller is not None and not _file(caller.f_code.co_filename):
-            caller = caller.f_back
-        if caller is None or (here := _file(caller.f_code.co_filename)) == to:
-            return
-        if not _is_value(frame):
-            found[here, to, frame.f_code.co_name] += 1
-
     # The first run traces kernels, which takes ten times as long with a profile.
     study.run(small, tmp_path_factory.mktemp("first"), progress=Progress())
     provenance.method_code.cache_clear()
-    before = sys.getprofile()
-    sys.setprofile(note)
-    try:
-        study.run(small, tmp_path_factory.mktemp("walk"), progress=Progress())
-    finally:
-        sys.setprofile(before)
-    return found
-
-
-@cache
-def _file(name: str) -> str:
-    """Return the module of a file within the package, as `study/run`; empty outside of it."""
-    path = Path(name)
-    return path.relative_to(PACKAGE).with_suffix("").as_posix() if PACKAGE in path.parents else ""
-
-
-def _is_value(frame) -> bool:
-    name, owner = frame.f_code.co_name, type(frame.f_locals.get("self"))
-    attribute = inspect.getattr_static(owner, name, None)
-    return name.startswith(("<", "__")) or isinstance(attribute, property)
+    return calls_of(lambda: study.run(small, tmp_path_factory.mktemp("walk"), progress=Progress()))
 
 
 def _place(file: str) -> int | None:
@@ -87,7 +50,9 @@ def test_a_scenario_makes_at_most_25_stops(calls):
     walking = {f"study/{name}" for name in WALKING}
 
     stops = {
-        (to, name) for here, to, name in calls if here in walking and to.split("/")[0] not in FLOOR
+        (to, name)
+        for here, to, name in calls
+        if here in walking and here != to and to.split("/")[0] not in FLOOR
     }
 
     assert len(stops) <= 25, sorted(stops)
@@ -97,7 +62,11 @@ def test_each_list_is_made_once(calls):
     """The plan sorts all cases; jobs, outcomes and tables take them in its orders."""
     made = {"variants", "plan", "batch", "compute", "write_tables"}
 
-    assert {name: n for (_, _, name), n in calls.items() if name in made} == dict.fromkeys(made, 1)
+    count = Counter[str]()
+    for (_, _, name), n in calls.items():
+        count[name] += n if name in made else 0
+
+    assert {name: count[name] for name in made} == dict.fromkeys(made, 1)
 
 
 def test_nothing_climbs_back(calls):
