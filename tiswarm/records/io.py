@@ -35,10 +35,10 @@ _LENGTH = 200
 _HOST = sha256(gethostname().encode()).hexdigest()[:6]
 _START = secrets.token_hex(4)
 _NAME = re.compile(
-    r"\..+\.(?:(?P<host>[0-9a-f]{6})-(?P<process>\d+)-(?P<start>[0-9a-f]{8})-)?"
+    r"\..+\.(?P<host>[0-9a-f]{6})-(?P<process>\d+)-(?P<start>[0-9a-f]{8})-"
     r"[0-9a-f]{8}\.(?:part|tmp)"
 )
-"""Machine, process, random digits of the process and of the file; version 0.2 had these alone."""
+"""Machine, process, random digits of the process and of the file."""
 
 _LONGEST_S = 3600.0
 """Time without a change after which a writer on another machine is taken for dead [s]."""
@@ -62,8 +62,8 @@ def is_abandoned(path: Path) -> bool:
     Processes of other machines cannot be seen: what they write is abandoned after an hour.
     """
     writer = _NAME.fullmatch(path.name)
-    if writer is None or writer["host"] is None:
-        return writer is not None
+    if writer is None:
+        return False
     process = int(writer["process"])
     if writer["host"] != _HOST:
         return _age_s(path) > _LONGEST_S

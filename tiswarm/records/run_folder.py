@@ -25,7 +25,7 @@ _TOLERANT = ConfigDict(strict=True, allow_inf_nan=False)  # of entries of other 
 _Facts = Mapping[str, str | int | None]
 
 TABLE_NOTES = ("measurements", "kind", "method")
-"""Columns of text that `table.csv` has after its first numbers; older ones have none."""
+"""Columns of text that `table.csv` has after its first numbers."""
 
 MAX_VARIANT_NAME = 150
 """Most characters of the name of a case, without its seed."""

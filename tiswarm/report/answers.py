@@ -304,8 +304,8 @@ def _is_smaller(one: Row, other: Row, differences: Mapping[_Pair, Row]) -> bool:
     before, after = (differences.get(key) for key in _pair(one, other))
     if before is not None:
         return bool(FEWEST <= before["structures"] == before["smaller"])
-    if after is not None:  # runs of older versions do not count the larger ones
-        return bool(FEWEST <= after["structures"] == after.get("larger"))
+    if after is not None:
+        return bool(FEWEST <= after["structures"] == after["larger"])
     # Methods that are swept have ranges only, and structures that differ cannot be paired.
     is_enough = min(one["cases"], other["cases"]) >= FEWEST
     return METHOD in one and is_enough and bool(one[RMSE.most] < other[RMSE.least])

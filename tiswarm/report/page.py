@@ -57,7 +57,6 @@ _FIRST = (
 _SUFFIXES = {".png", ".gif", ".webp", ".mp4"}
 _RENDER_SHARE = 0.5  # width on the page over that of the file
 _MOVIE_WIDTH = 420  # of an animation on the page
-_FIGURE_SHARE = 0.42  # of a figure without SVG, as runs of earlier versions have
 _PIXELS = 96.0 / 72.0  # of a point of an SVG
 
 _TAGS = {"svg", "g", "defs", "path", "use", "clipPath", "rect", "image", "text", "tspan"}
@@ -141,17 +140,16 @@ def _place(path: Path) -> tuple[int, str]:
 
 
 def _shown(path: Path) -> Shown:
-    """Read a picture, or the SVG beside it, without its caption."""
+    """Read a picture, of a figure the SVG beside it, without its caption."""
     vector = path.with_suffix(".svg")
-    if path.parent.name == "figures" and vector.exists():
+    if path.parent.name == "figures":
         drawing, width = _drawn(vector, _read(vector))
         column = path.with_name(f"{path.stem}{NARROW}.svg")
         narrow = _drawn(column, _read(column))[0] if column.exists() else ""
         return Shown("", "", "", 0, 0, wide=round(width), drawing=drawing, narrow=narrow)
     kind, data, (width, height) = _encoded(path)
-    share = {"renders": _RENDER_SHARE}.get(path.parent.name, _FIGURE_SHARE)
     source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
-    wide = round(width * share) if path.suffix == ".png" else _MOVIE_WIDTH
+    wide = round(width * _RENDER_SHARE) if path.suffix == ".png" else _MOVIE_WIDTH
     return Shown(source, "", "", width, height, wide=wide)
 
 
