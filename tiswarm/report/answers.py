@@ -92,11 +92,12 @@ def conclusion(table: pd.DataFrame, pairs: pd.DataFrame) -> str:
     if not found:
         return ""
     rows = [row for group in found for rows in group.members.values() for row in rows]
-    key = _compared(table)
-    points = len(at_points(table, key))
-    texts = _apart(found) if _are_apart(found) else [*_by_measurements(found, points)]
+    points = len(at_points(table, _compared(table)))
+    texts = [_apart(found)] if _are_apart(found) else [*_by_measurements(found, points)]
+    first, *more = texts
     by_condition = swept(table) == ["condition", METHOD]
-    return f"{mean_of(rows, points, by_condition=by_condition)}: {'; '.join(texts)}"
+    head = mean_of(rows, points, by_condition=by_condition)
+    return ". ".join([f"{head}: {first}", *(text[:1].upper() + text[1:] for text in more)])
 
 
 def groups(table: pd.DataFrame, pairs: pd.DataFrame) -> list[Group]:
@@ -203,11 +204,12 @@ def _are_apart(found: Sequence[Group]) -> bool:
     return len(found) > _MOST_GROUPS and all(len(group.members) == 1 for group in found)
 
 
-def _apart(found: Sequence[Group]) -> list[str]:
+def _apart(found: Sequence[Group]) -> str:
     """State the errors of conditions whose measurements all differ."""
-    names = {name: rows for group in found for name, rows in group.members.items()}
-    count = len({*names})
-    return [f"{count} conditions, each with other measurements or noise, {_listed(names)}"]
+    rows = {name: rows for group in found for name, rows in group.members.items()}
+    ordered = sorted(rows, key=lambda name: least_error(rows[name]))
+    listed = list_errors(rows, ordered[:MOST_NAMED], ordered[MOST_NAMED:], {})
+    return f"{len(rows)} conditions, each with other measurements or noise, {listed}"
 
 
 def _by_measurements(found: Sequence[Group], points: int) -> Iterable[str]:
@@ -220,7 +222,7 @@ def _by_measurements(found: Sequence[Group], points: int) -> Iterable[str]:
         somewhere = f" (at {counted(group.points, 'point')})" if group.points < points else ""
         with_these = f"with {used or 'unknown measurements'}{again}{somewhere}, "
         stated.add(used)
-        yield f"{with_these}{_listed(group.members, group)}"
+        yield f"{with_these if len(found) > 1 else ''}{_compare(group)}"
     if rest := found[_MOST_GROUPS:]:
         rows = [row for group in rest for rows in group.members.values() for row in rows]
         count = counted(len({*(name for group in rest for name in group.members)}), "condition")
@@ -228,33 +230,40 @@ def _by_measurements(found: Sequence[Group], points: int) -> Iterable[str]:
         yield f"with other measurements or noise, {count} of {errors}"
 
 
-def _listed(members: Mapping[str, Sequence[Row]], group: Group | None = None) -> str:
-    """List conditions with their errors: the first ones, and those that are the smallest."""
-    wins = group.smallest if group else Counter[str]()
-    ordered = sorted(members, key=lambda name: least_error(members[name]))
-    named = [name for n, name in enumerate(ordered) if n < MOST_NAMED or wins[name]]
-    least = least_error(members[ordered[0]])
-    notes = {}
-    for name in named:
-        if wins[name]:
-            points = group.points if group else 0
-            where = f" at {wins[name]} of {points} points" if points > 1 else ""
-            notes[name] = f" (the smallest on every structure{where})"
-        elif group and group.points == 1 and name != ordered[0]:
-            notes[name] = _times(least_error(members[name]), least)
-    rest = [name for name in ordered if name not in named]
-    return list_errors(members, named, rest, notes)
+def _compare(group: Group) -> str:
+    """State which condition of a group is best, and how many times as much the others err.
+
+    Conditions beyond the first ones are named where they are best. At several points of a sweep,
+    ranges of errors stand for ratios.
+    """
+    first, *others = group.members
+    named = [name for n, name in enumerate(others, 1) if n < MOST_NAMED or group.smallest[name]]
+    texts = [_with_rank(group, name) for name in named]
+    if rest := [name for name in others if name not in named]:
+        most = max(error for name in rest for error in errors_of(group.members[name]))
+        texts.append(f"and {len(rest)} more up to {two_digits(most)} R")
+    best = _with_rank(group, first)
+    return f"{best}; {', '.join(texts)} (same measurements)" if texts else best
 
 
-def _times(error: float, least: float) -> str:
-    """Write how many times as large an error is, roughly; empty where it is about as large."""
-    ratio = error / least if least else math.inf
-    if ratio < 1.05:  # noqa: PLR2004 - would be rounded to 1
-        return ""
-    if ratio > MOST_TIMES:
-        return f" (more than {MOST_TIMES:,} times)"
-    digits = 1 if 2.0 <= ratio < 9.5 else 2  # noqa: PLR2004 - one digit says enough there
-    return f" (about {float(f'{ratio:.{digits}g}'):.6g} times)"
+def _with_rank(group: Group, name: str) -> str:
+    """State the error of a condition and where it is best, or how many times the least it is."""
+    rows, points, won = group.members[name], group.points, group.smallest[name]
+    errors = range_of(errors_of(rows))
+    if won:
+        where = f" at {won} of {points} points" if points > 1 else ""
+        return f"{name} is best{where}, {errors}"
+    is_ratio = points == 1 and name != next(iter(group.members)) and group.least > 0.0
+    return f"{name} {_times(least_error(rows) / group.least) if is_ratio else errors}"
+
+
+def _times(ratio: float) -> str:
+    """Write a ratio of errors.
+
+    >>> _times(2.44), _times(25.6), _times(123456.0)
+    ('2.4x', '26x', 'over 10,000x')
+    """
+    return f"over {MOST_TIMES:,}x" if ratio > MOST_TIMES else f"{two_digits(ratio)}x"
 
 
 _Pair = tuple[str, str, str]
