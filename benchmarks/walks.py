@@ -23,13 +23,7 @@ import tiswarm
 from tiswarm import study
 from tiswarm.app.drawing import draw
 from tiswarm.base.progress import Progress
-from tiswarm.localization.methods import localize, module_of
-from tiswarm.localization.settings import (
-    DistributedParams,
-    JointParams,
-    OnlineParams,
-    VirtualForceParams,
-)
+from tiswarm.localization.methods import localize, settings_of
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.run_data import load_run
@@ -114,10 +108,9 @@ def walks(folder: Path) -> Iterator[tuple[str, Callable[[], object]]]:
         folder: An empty folder for runs.
     """
     log, lines = read_sensing_log(LOG), LOG.read_text().splitlines()
-    yield "log -> localize", lambda: localize(log, VirtualForceParams())
-    for params in (JointParams(), OnlineParams(), DistributedParams()):
-        module = module_of(params.method)
-        yield f"logs -> {params.method}", partial(module.localize_batch, [log], [params])
+    yield "log -> localize", lambda: localize(log, settings_of("virtual-force")())
+    for method in ("joint", "online", "distributed"):
+        yield f"logs -> {method}", partial(localize, log, settings_of(method)())
     yield "line -> Tracker.join", partial(_join, lines)
     scenario = load_scenario(SCENARIO, ["sweep={robots: [5, 6]}", "seeds=2"])
     yield "scenario -> study.run", lambda: study.run(scenario, _new(folder), progress=Progress())
