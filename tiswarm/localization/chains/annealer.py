@@ -90,6 +90,7 @@ class Annealer:
         seed: int,
         hold: int,
         by_block: bool | None = None,
+        is_short: bool = False,
         inertia_factor: float = 1.0,
     ) -> None:
         """Put every chain where it begins.
@@ -100,10 +101,12 @@ class Annealer:
             hold: Steps at the end that are averaged.
             by_block: Whether one thread takes all steps of a structure in one chain; else all
                 threads take each step together. By what is quicker if None; no bit depends on it.
+            is_short: Whether all steps take few launches, so that arrays on the host are quicker.
             inertia_factor: Factor of every mass; 4 halves the steps.
         """
         running = backend.current()
-        self.memory = memory = Allocator(running, on_host=False)
+        memory = Allocator(running, on_host=False)
+        self.memory = memory = memory.for_few_launches() if is_short else memory
         self.on_card = running.on_card
         self.views, self.seed = views, seed
         self.size = [len(v.moves) for v in views]
@@ -217,7 +220,7 @@ class Annealer:
         """Return how many steps the slowest block has taken."""
         progress = self.blocks.progress
         return int(
-            progress.to_numpy()[:, BlockProgress.TAKEN].min()
+            self.memory.download(progress)[:, BlockProgress.TAKEN].min()
             if self.by_block
             else progress[0, BlockProgress.TAKEN]
         )
@@ -251,7 +254,7 @@ class Annealer:
 
     def forget_rows(self) -> None:
         """Let the rows of every block be built anew."""
-        progress = self.blocks.progress.to_numpy()
+        progress = self.memory.download(self.blocks.progress)
         progress[:, BlockProgress.AGE] = STALE
         self.memory.refill(self.blocks.progress, progress)
 
@@ -287,7 +290,7 @@ class Annealer:
 
     def by_robot(self, array: DeviceArray) -> Reals:
         """Read an array of every copy as logs number robots, shape (chains, N, ...)."""
-        value: Reals = array.to_numpy().astype(np.float64)
+        value: Reals = self.memory.download(array).astype(np.float64)
         return value.reshape(self.chains, -1, *value.shape[1:])[:, np.argsort(self.order)]
 
 

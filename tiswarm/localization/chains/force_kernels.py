@@ -387,11 +387,22 @@ def _hold_of_planes(r, i, square, stiffness, inertia, variant: Static, measured:
 def pull_robot(r, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Ref, swarm: Ref):
     """Write the force on copy r and the mass that it needs, and both for its turn if it turns.
 
-    A robot that becomes heavier keeps its kinetic energy, not its velocity.
+    A robot that becomes heavier keeps its kinetic energy, not its velocity. One that neither moves
+    nor turns is left as it is.
     """
+    i = r % measured.robots.label.shape[0]
+    goes = measured.robots.label[i, RobotLabel.MOVES] == 1
+    if ti.static(variant.turning):
+        goes = True  # anchors turn, too
+    if goes:
+        _pull_robot(r, i, variant, step, measured, grid, rows, swarm)
+
+
+@ti.func
+def _pull_robot(r, i, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Ref, swarm: Ref):
+    """Do what `pull_robot` does for copy r of robot i."""
     robots = ti.static(measured.robots)
     motion, heading = ti.static(swarm.motion, swarm.heading)
-    i = r % robots.label.shape[0]
     sigma = sigma_of(i, step, robots)
     square = sigma * sigma
     growth = step.schedule[step.schedule.shape[0] - 1, step.number]

@@ -197,9 +197,7 @@ class Problem:
     @property
     def fewest(self) -> Ints:
         """Final contacts of the robot of each pair that has fewer, at least 1, shape (C,)."""
-        count = np.bincount(self.pair[self.is_final].ravel(), minlength=len(self.part))
-        fewest: Ints = np.maximum(count[self.pair].min(axis=1), 1)
-        return fewest
+        return fewest_contacts(self.pair, self.is_final, len(self.part))
 
     def residual(self, position: Reals, yaw: Reals) -> Reals:
         """Compute the residuals of the links.
@@ -240,6 +238,19 @@ class Problem:
         longest = fixed + self.length + ALLOWED_SD * np.sqrt(variance + sigma**2)
         counts = slice(None) if inlier is None else inlier
         return reach(self.pair[counts], longest[counts], self.part)
+
+
+def fewest_contacts(pair: Ints, is_final: Bools, robots: int) -> Ints:
+    """Count final contacts of the robot of each pair that has fewer, at least 1.
+
+    Args:
+        pair: Pairs of N robots, shape (C, 2).
+        is_final: Which of them are contacts at final stances, shape (C,).
+        robots: N.
+    """
+    count = np.bincount(pair[is_final].ravel(), minlength=robots)
+    fewest: Ints = np.maximum(count[pair].min(axis=1), 1)
+    return fewest
 
 
 def pose_problem(

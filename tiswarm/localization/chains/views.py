@@ -16,6 +16,7 @@ from tiswarm.localization.chains.initialization import initial_guess, reinitiali
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.chains.subtrees import Forest, find_subtrees
+from tiswarm.localization.cost.planes import Planes
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.model import KNOWN
@@ -167,18 +168,23 @@ def view_of(
         robust=robust,
         yaw_precision=problem.yaw_precision,
         links=_links_of(problem, params.extension_prior),
-        planes=PlaneRows(
-            robot=planes.robot,
-            point=planes.point,
-            direction=planes.direction,
-            walk=planes.walk,
-            precision=planes.precision,
-            crowd=planes.crowd(robots),
-            robust=np.where(gives_way, robust, 0.0),
-        ),
+        planes=plane_rows(planes, robots, np.where(gives_way, robust, 0.0)),
         forest=find_subtrees(problem.pair, problem.roots, robots),
         stops=stops,
         relocate=partial(reinitialize_lost, problem) if params.robust else None,
+    )
+
+
+def plane_rows(planes: Planes, robots: int, robust: Reals) -> PlaneRows:
+    """Lay out planes of N robots; `robust` as in `PlaneRows`."""
+    return PlaneRows(
+        robot=planes.robot,
+        point=planes.point,
+        direction=planes.direction,
+        walk=planes.walk,
+        precision=planes.precision,
+        crowd=planes.crowd(robots),
+        robust=robust,
     )
 
 

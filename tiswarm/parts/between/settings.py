@@ -1,14 +1,10 @@
-"""Settings of `distributed`, and constants of chains near one robot. Lengths in R.
+"""Settings of `distributed`, each with its unit and its reason. Lengths in R."""
 
-Each has its unit and its reason. Constants were chosen on towers and cantilevers of the seeds 1000
-to 1007, which no result is reported on.
-"""
-
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass as checked_dataclass
+from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
 from tiswarm.localization.settings import BackPropagation, ChiSquareParams, VirtualForceParams
@@ -29,7 +25,7 @@ _OF_SCHEME = {
 """Settings that have a meaning in one scheme only."""
 
 
-@checked_dataclass(frozen=True, kw_only=True, config=STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class DistributedParams(ChiSquareParams):
     """What robots send each other to find out where they are, and by which channel.
 
@@ -134,22 +130,3 @@ class DistributedParams(ChiSquareParams):
         once, each = _STEP_S
         steps = self.chains * self.steps
         return robots * (_JOIN_S + steps * (once + each * robots))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChainSettings:
-    """How robots near one are annealed."""
-
-    end_sigma: float = 0.01
-    """Square root of the temperature at which annealing ends [R]."""
-
-    tempered: float = 4.0
-    """Divisor of costs by which ends of chains weigh in standard deviations [1]: few chains meet
-    few of the likely minima."""
-
-    extension: float = 1.5
-    """Gain in log-likelihood for each R more between robots that share a row [R^-1], shared among
-    the rows of a robot, as in `joint`."""
-
-
-CHAINS = ChainSettings()

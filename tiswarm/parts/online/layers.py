@@ -145,7 +145,7 @@ class LocalLayers:
         if places is not None:
             starts[:, number] = places
         self.state = Configuration(starts[0], turn)
-        if not self._blocks_about(near):  # nothing says where it is
+        if not self.blocks_about(near):  # nothing says where it is
             self.sd[number] = np.linalg.norm(starts[0], axis=1).max() + SPACING
             return False
         problem = self.neighborhood(near)
@@ -180,7 +180,7 @@ class LocalLayers:
 
     def surprising(self, robots: Ints) -> list[bool]:
         """Judge of robots, ascending, whether chance does not explain their rows and overlaps."""
-        if not self._blocks_about(robots):
+        if not self.blocks_about(robots):
             return [False] * len(robots)
         problem = self.neighborhood(robots)
         linear = problem.linearized(self.state)
@@ -190,7 +190,7 @@ class LocalLayers:
         """Gather the cost of some robots, ascending by join order, all others where they are."""
         return Neighborhood(
             robots,
-            self._blocks_about(robots),
+            self.blocks_about(robots),
             self._shapes,
             robust=self._params.robust,
             non_overlap=self._params.non_overlap,
@@ -219,7 +219,7 @@ class LocalLayers:
         weight = np.exp(-0.5 * (score - score.min()))
         return *found[int(score.argmin())], weight / weight.sum()
 
-    def _blocks_about(self, robots: Ints) -> list[Block]:
+    def blocks_about(self, robots: Ints) -> list[Block]:
         """List the blocks with rows about some robots."""
         # Rows about a robot are in its own block and in those of later robots.
         chosen = {*robots.tolist()}
