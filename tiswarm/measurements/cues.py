@@ -393,13 +393,18 @@ class Measured:
         used = [produce for _, produce in self._produced(cues)]
         return tuple(produce for produce in used if len(self._table(produce).stance))
 
-    @staticmethod
-    def _produced(cues: Collection[str]) -> Iterator[tuple[str, _Producer]]:
-        """Yield some cues with the functions of their rows."""
+    def _produced(self, cues: Collection[str]) -> Iterator[tuple[str, _Producer]]:
+        """Yield some cues that were sensed, with the functions of their rows."""
+        parts = [part for part in (self.log, self.log.stances) if part is not None]
         for cue in CUES:
-            if cue.name in cues and cue.rows:
+            if cue.name not in cues:
+                continue
+            # Most logs have few of all keys.
+            if cue.key and not any(len(getattr(part, cue.key, ())) for part in parts):
+                continue
+            if cue.rows:
                 yield cue.name, cue.rows
-            if cue.name in cues and cue.walked and WALKED in cues:
+            if cue.walked and WALKED in cues:
                 yield cue.name, cue.walked
 
     def _table(self, produce: _Producer) -> _Rows:
@@ -436,7 +441,7 @@ def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     Where the direction of a contact was measured, its rows replace the distance. All ranges,
     displacements and fixes count, those of the same robots or along the same axis, too.
     """
-    d, o, p, walks = rows.distances, rows.offsets, rows.places, rows.odometry
+    d, p, walks = rows.distances, rows.places, rows.odometry
     docks = len(log.dock_offset_body)
     robot, at, dock, other, other_dock = rows.sensed_contacts.T
     stance = walks.first[robot] + at
@@ -462,10 +467,4 @@ def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     is_repeated = stays & np.isin(number + docks + 1, number)
     placed = np.lexsort((*p.direction.T, p.dock, p.stance))
     placed = placed[~is_repeated[placed]]
-    return Measurements.gather(
-        walks,
-        [Distances._make(column[order] for column in d)],
-        [Coordinates._make(column[placed] for column in p)],
-        [Offsets._make(column[directed] for column in o)],
-        shared_sd=rows.shared_sd,
-    )
+    return rows.ordered(order, directed, placed)

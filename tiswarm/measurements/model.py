@@ -401,16 +401,23 @@ class Measurements:
 
     def select(self, chosen: Bools) -> "Measurements":
         """Keep rows chosen by an array of shape (E,)."""
-        pair = chosen[: len(self.other)]
-        distance, offset, place = np.split(chosen, [len(self.distances.stance), len(pair)])
+        if chosen.all():
+            return self
+        tables = np.split(chosen, [len(self.distances.stance), len(self.other)])
+        return self.ordered(*map(np.flatnonzero, tables))
+
+    def ordered(self, distance: Ints, offset: Ints, place: Ints) -> "Measurements":
+        """Keep these rows of each table in this order."""
+        pair = np.concatenate([distance, len(self.distances.stance) + offset])
+        row = np.concatenate([pair, len(self.other) + place])
         return replace(
             self,
             distances=Distances._make(column[distance] for column in self.distances),
             offsets=Offsets._make(column[offset] for column in self.offsets),
             places=Coordinates._make(column[place] for column in self.places),
-            robot=self.robot[chosen],
+            robot=self.robot[row],
             other=self.other[pair],
-            arm=self.arm[chosen],
+            arm=self.arm[row],
             other_arm=self.other_arm[pair],
         )
 

@@ -312,9 +312,9 @@ def chosen_rows(
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows, variance[~is_wrong]))
     # All fixes of a robot count, unlike other coordinates: none is a repetition of another.
-    fixed = measured.rows({*params.cues} & {"fixes"})
-    if not len(fixed):
+    if not measured.used({*params.cues} & {"fixes"}):
         return rows, inconsistent
+    fixed = measured.rows({"fixes"})
     fixed = fixed.select(fixed.robot > 0)
     every_place = [rows.places, fixed.places]
     tables = [rows.distances], every_place, [rows.offsets]
