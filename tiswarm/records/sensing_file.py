@@ -14,8 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
-from itertools import chain, groupby, zip_longest
-from operator import itemgetter
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -42,6 +41,7 @@ from tiswarm.records.sensing_format import (
 from tiswarm.records.sensing_log import (
     LISTS,
     NUMBERS,
+    WHOLE,
     Column,
     Key,
     SensingLog,
@@ -57,6 +57,16 @@ _CLOSE_TO_UNIT = 1e-9
 
 _UNIT = {"normal": "direction", "direction": "direction", "quaternion": "quaternion"}
 """Columns that are unit vectors, in words; a normal stays as it is."""
+
+_REALS = {
+    name: [
+        (column, key.columns.index(column), key.columns.index(column) + key.columns.count(column))
+        for column in dict.fromkeys(key.columns)
+        if column not in (*WHOLE, "source")
+    ]
+    for name, key in LISTS.items()
+}
+"""Real numbers of an item: what they are, the first of them and the one after the last."""
 
 _OF_DOCKS = [name for name, key in LISTS.items() if key.is_of_docks]
 
@@ -280,25 +290,27 @@ class SensingLogBuilder:
         }
         lists: dict[str, list[tuple[Any, ...]]] = {}
         for name, key in LISTS.items():
-            if key.version > 1:
-                self.header.refuse_new(f"{prefix}{name}", getattr(entry, name), key.version)
+            given = getattr(entry, name)
+            if given is not None and key.version > self.header.version:
+                self.header.refuse_new(f"{prefix}{name}", given, key.version)
             items: list[tuple[Any, ...]] = []
-            if not getattr(entry, name):  # as most are
+            if not given:  # as most are
                 lists[name] = items
                 continue
+            columns, reals = key.columns, _REALS[name]
             first: dict[tuple[Any, ...], int] = {}
-            for place, numbers in enumerate(getattr(entry, name)):
+            for place, numbers in enumerate(given):
                 if self._of_some and self._is_of_others(key, numbers, who[0]):
                     continue
                 here = f"{prefix}{name}[{place}]"
                 # A source may be left out at the end.
-                pairs = zip_longest(key.columns, [numbers] if len(key.columns) == 1 else numbers)
+                pairs = zip_longest(columns, [numbers] if len(columns) == 1 else numbers)
                 item = tuple(
                     check[column](number, here) if column in check else number
                     for column, number in pairs
                 )
-                items.append(item if key.is_whole else self._checked_reals(key, item, here))
-                if "dock or null" in key.columns and -1 not in item:
+                items.append(self._checked_reals(reals, item, here) if reals else item)
+                if columns[0] == "dock or null" and -1 not in item:
                     problem = "both docks are known; list the contact in contacts"
                     raise InputError(problem, key=here)
                 before = first.setdefault(items[-1], place)
@@ -308,16 +320,20 @@ class SensingLogBuilder:
             lists[name] = sorted(items)
         return SensedStance(orientation, lists)
 
-    def _checked_reals(self, key: Key, item: tuple[Any, ...], where: str) -> tuple[Any, ...]:
+    def _checked_reals(
+        self, reals: list[tuple[Column, int, int]], item: tuple[Any, ...], where: str
+    ) -> tuple[Any, ...]:
         """Check the real numbers of an item beside each other; scale unit vectors."""
-        found: list[Any] = []
-        for column, group in groupby(zip(key.columns, item, strict=True), itemgetter(0)):
-            part = [number for _, number in group]
+        checked = item
+        for column, start, end in reals:
+            part = item[start:end]
             if column in _UNIT:
                 unit = _unit(part, _UNIT[column], where)
-                part = part if column == "normal" else unit
-            elif column == "value":
-                self.header.refuse_far(where, part[0], np.dot(found, self.header.anchor_position))
+                if column != "normal":
+                    checked = (*checked[:start], *unit, *checked[end:])
+            elif column == "value":  # along the normal before it
+                along = np.dot(item[:start], self.header.anchor_position)
+                self.header.refuse_far(where, part[0], along)
             elif column == "distance":
                 self.header.refuse_far(where, part[0], 0.0)
                 if not part[0] > 0.0:
@@ -329,8 +345,7 @@ class SensingLogBuilder:
                     raise InputError("the vector has length 0; correct it", key=where)
             elif column == "sd":
                 self.header.refuse_sd(where, part[0])
-            found += part
-        return tuple(found)
+        return checked
 
     def _orientation(self, entry: RobotLine | StanceEntry, key: str, number: int) -> list[float]:
         """Check a stance's orientation; NaN for a robot without a compass."""

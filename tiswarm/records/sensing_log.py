@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from inspect import cleandoc
 from typing import Annotated, Any, Literal
 
@@ -76,7 +77,7 @@ Column = Literal[
 ]  # fmt: skip
 """What a number of an item is. Checks, units and moves of the anchor follow from it."""
 
-_WHOLE = ("dock", "dock or null", "robot")
+WHOLE = ("dock", "dock or null", "robot")
 _OF_BODY = ("dock", "dock or null", "vector")
 
 
@@ -99,12 +100,12 @@ class Key:
     noise: str = ""
     """Key of the header's noise that states the standard deviation."""
 
-    @property
+    @cached_property
     def is_whole(self) -> bool:
         """Whether all numbers are whole."""
-        return all(column in _WHOLE for column in self.columns)
+        return all(column in WHOLE for column in self.columns)
 
-    @property
+    @cached_property
     def robot(self) -> int | None:
         """Column of the other robot; None where an item names none."""
         return self.columns.index("robot") if "robot" in self.columns else None
