@@ -16,7 +16,7 @@ from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize, localize_many
-from tiswarm.localization.mixture.ends import aligned, ranked
+from tiswarm.localization.mixture.ends import Fit, aligned, ranked
 from tiswarm.localization.mixture.mixture import deviation, minimum, mix
 from tiswarm.localization.mixture.settings import MIXTURE, SD_CALIBRATION
 from tiswarm.localization.settings import JointParams
@@ -61,7 +61,7 @@ def ends_of(log, position, has_failed=None):
     """Rank chains where they ended, without moving them to a minimum."""
     known = pose_problem(log, AS_ENDED)
     failed = np.zeros(len(position), np.bool_) if has_failed is None else has_failed
-    return ranked(log, AS_ENDED, known, chains_at(position), failed)
+    return ranked(Fit(log, AS_ENDED, known, chains_at(position), failed))
 
 
 @given(off=st.lists(st.floats(0.0, 3.0), min_size=1, max_size=9))
@@ -130,7 +130,7 @@ def test_an_estimate_does_not_depend_on_the_order_of_chains():
     image = place * [1.0, 1.0, -1.0] + [0.0, 0.0, 50.0]
     position = np.array([place, place + 0.3 * (np.arange(10) > 3)[:, None], image, image])
     mixtures = [
-        mix(log, ALL, known, chains_at(position[list(order)]), SOUND)
+        mix(Fit(log, ALL, known, chains_at(position[list(order)]), SOUND))
         for order in list(permutations(range(4)))[::5]
     ]
 
@@ -314,7 +314,7 @@ def test_a_least_cost_that_one_chain_alone_found_is_said():
     known = pose_problem(log, AS_ENDED)
 
     alone, agreed = (
-        mix(log, AS_ENDED, known, chains_at(ends), SOUND).convergence
+        mix(Fit(log, AS_ENDED, known, chains_at(ends), SOUND)).convergence
         for ends in (position, position[[0, 0, 1, 2]])
     )
 
@@ -331,7 +331,7 @@ def test_chains_that_all_failed_are_said():
     position = np.tile(place, (4, 1, 1))
     position[1:, 1, 0] += [3.0, 4.0, 5.0]
 
-    verdict = mix(log, AS_ENDED, known, chains_at(position), ~SOUND).convergence
+    verdict = mix(Fit(log, AS_ENDED, known, chains_at(position), ~SOUND)).convergence
 
     assert not verdict.converged
     assert verdict.reason == "all chains ended out of reach of their contacts, or ran hot"
@@ -344,7 +344,7 @@ def test_too_many_outliers_are_said():
     known = pose_problem(log, AS_ENDED)
     position = np.tile(place / log.dock_radius, (4, 1, 1))
 
-    verdict = mix(log, AS_ENDED, known, chains_at(position), SOUND).convergence
+    verdict = mix(Fit(log, AS_ENDED, known, chains_at(position), SOUND)).convergence
 
     assert not verdict.converged
     assert verdict.reason == f"{len(pairs)} of 39 contacts and ranges are outliers"
@@ -353,9 +353,10 @@ def test_too_many_outliers_are_said():
 def _minimum(log, known, position, sd, inlier=None):
     """Refine one chain."""
     annealed = chains_at(position[None])
-    ends = ranked(log, AS_ENDED, known, annealed, SOUND[:1])
+    ends = ranked(Fit(log, AS_ENDED, known, annealed, SOUND[:1]))
     counts = np.ones(len(known.rows), np.bool_) if inlier is None else inlier
-    return minimum(log, ALL, known, annealed, ends, np.ones(1), counts, sd)
+    ends = replace(ends, fit=replace(ends.fit, params=ALL))
+    return minimum(ends, np.ones(1), counts, sd)
 
 
 def test_measurements_that_are_no_inliers_do_not_pull(towers):
@@ -453,8 +454,8 @@ def test_structures_that_are_not_refined_are_as_their_chains_leave_them(towers):
     position = towers[0].position + 0.05 * rng.normal(size=(4, log.robot_count, 3))
     position[:, 0] = towers[0].position[0]
 
-    ends = ranked(log, AS_ENDED, known, chains_at(position), SOUND)
-    mixture = mix(log, AS_ENDED, known, chains_at(position), SOUND)
+    ends = ranked(Fit(log, AS_ENDED, known, chains_at(position), SOUND))
+    mixture = mix(Fit(log, AS_ENDED, known, chains_at(position), SOUND))
 
     mean = np.tensordot(ends.weight, position, 1)
     np.testing.assert_allclose(mixture.position, mean, atol=1e-12)
@@ -476,7 +477,7 @@ def test_chains_that_differ_by_a_free_motion_are_one_solution(seed, angle, hand)
     copy = place[0] + (place - place[0]) @ turn
     position = np.array([place, copy, place, copy])
 
-    mixture = mix(log, ALL, known, chains_at(position), SOUND)
+    mixture = mix(Fit(log, ALL, known, chains_at(position), SOUND))
 
     assert mixture.free_frame == ("rotation", "hand")
     assert len(mixture.solutions) == 1
@@ -490,13 +491,13 @@ def test_chains_that_differ_by_a_free_motion_are_one_solution(seed, angle, hand)
 def test_ends_are_aligned_with_the_one_of_least_cost(first):
     """It stays where it is, and an end that misses more comes as near to it as a turn allows."""
     log, place = foreign.without_beacons(6, 0, sd=0.01)
-    known, place = pose_problem(log, AS_ENDED), place / log.dock_radius
+    place = place / log.dock_radius
     turned = place[0] + (place - place[0]) @ Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
     turned[-1] += [0.0, 0.0, 2.0]
     position = np.roll([place, turned], first, axis=0)
     ends = ends_of(log, position)
 
-    _, found = aligned(known, chains_at(position), ends)
+    found = aligned(ends)
 
     np.testing.assert_allclose(found.position[first], place, rtol=1e-12)
     away, before = (np.linalg.norm(each - place) for each in (found.position[1 - first], turned))
@@ -508,9 +509,8 @@ def test_structures_that_are_not_refined_count_no_chain_that_failed(towers):
     log = observe(towers[0], NOISY)
     position = np.array([towers[0].position] * 4)
 
-    mixture = mix(
-        log, AS_ENDED, pose_problem(log, AS_ENDED), chains_at(position), np.arange(4) == 2
-    )
+    chains, is_failed = chains_at(position), np.arange(4) == 2
+    mixture = mix(Fit(log, AS_ENDED, pose_problem(log, AS_ENDED), chains, is_failed))
 
     assert mixture.solutions[0].chains == 3
 
@@ -521,7 +521,7 @@ def test_hinges_make_no_robot_less_sure_that_nothing_ties():
     known = pose_problem(log, ALL)
     chains = chains_at(np.random.default_rng(0).normal(0.0, 5.0, (4, 4, 3)), within=4.0)
 
-    mixture = mix(log, ALL, known, chains, SOUND)
+    mixture = mix(Fit(log, ALL, known, chains, SOUND))
 
     own = deviation(known, chains.mean, chains.within, np.full(4, 0.25), SIGMA) ** 2
     guess = place_disconnected(mixture.position[None], known)[1][0]

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization import joint
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture import outliers
@@ -194,7 +193,7 @@ def test_robots_whose_sensors_are_stuck_are_named(log, stuck):
 
 def test_stuck_sensors_are_named_where_nobody_looks_for_outliers(stuck, monkeypatch):
     """A structure that is too large to be refined still warns."""
-    monkeypatch.setattr(joint, "disregard", lambda *_: None)
+    monkeypatch.setattr(outliers, "disregard", lambda *_: None)
 
     found = localize(stuck, JointParams())
 

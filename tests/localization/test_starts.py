@@ -10,7 +10,7 @@ from tests import foreign
 from tests.structures import with_ranges
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.mixture import starts
-from tiswarm.localization.mixture.ends import further_starts
+from tiswarm.localization.mixture.ends import Posed, further_starts
 from tiswarm.localization.mixture.starts import images, scaled_distances
 from tiswarm.localization.settings import LARGE, JointParams
 from tiswarm.sensing import SensingParams, observe
@@ -94,7 +94,7 @@ def test_contacts_alone_and_too_many_robots_have_no_such_start(towers, monkeypat
 
     assert starts_of(contacts) == []
     assert len(scaled_distances(few, anchor)) == 2
-    assert further_starts(ranged, JointParams(refine=False), few) == []
+    assert further_starts(Posed(ranged, JointParams(refine=False), few)) == []
     assert PARAMS.refines(LARGE)
     monkeypatch.setattr(starts, "MOST_ROBOTS", 29)
     assert scaled_distances(few, anchor) == []
@@ -107,7 +107,7 @@ def test_nothing_measured_is_no_trouble():
     fixed = foreign.with_places(silent, place, [1, 2, 3])
 
     found = [
-        further_starts(log, PARAMS, pose_problem(log, PARAMS))
+        further_starts(Posed(log, PARAMS, pose_problem(log, PARAMS)))
         for log in (silent, fixed, foreign.silent(place[:1]))
     ]
 
@@ -119,7 +119,9 @@ def test_starts_are_minima_and_an_image_that_is_excluded_is_left_out():
     one, place = foreign.room_of_tags(foreign.ROOM, 0)
     two, level = foreign.room_of_tags(foreign.CEILING, 0)
 
-    room, ceiling = (further_starts(log, PARAMS, pose_problem(log, PARAMS)) for log in (one, two))
+    room, ceiling = (
+        further_starts(Posed(log, PARAMS, pose_problem(log, PARAMS))) for log in (one, two)
+    )
 
     off = [np.linalg.norm(start - place / one.dock_radius, axis=1).max() for start in room]
     assert 0.0 < max(off) < 5.0
@@ -137,7 +139,7 @@ def test_the_likelier_image_comes_first(seed):
     for amplitude in (1.0, 0.1):
         log, place = foreign.nearly_flat(amplitude, seed)
 
-        found = further_starts(log, PARAMS, pose_problem(log, PARAMS))
+        found = further_starts(Posed(log, PARAMS, pose_problem(log, PARAMS)))
 
         off = [np.linalg.norm(start - place / log.dock_radius, axis=1).max() for start in found]
         assert off[0] < least

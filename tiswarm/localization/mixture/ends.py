@@ -5,6 +5,7 @@ ran away. Lengths in R.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,56 @@ from tiswarm.localization.mixture.frames import HELD, Frame, align, free_frame
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
 from tiswarm.localization.mixture.starts import scaled_distances
 from tiswarm.localization.settings import ChiSquareParams
-from tiswarm.measurements.model import SPACING
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A log of N robots, the settings of a method, and the rows that they choose."""
+
+    log: SensingLog
+    params: ChiSquareParams
+    problem: Problem
+
+    @property
+    def is_refined(self) -> bool:
+        """Whether estimates of so many robots are moved to a minimum."""
+        return self.params.refines(self.log.robot_count)
+
+    def cost(self, rows: Measurements, *, non_overlap: bool = True, **options: Any) -> Cost:  # noqa: ANN401
+        """Return the cost of some of its rows; further options as for `Cost`."""
+        return Cost(
+            self.log,
+            rows,
+            yaw_precision=self.problem.yaw_precision,
+            non_overlap=non_overlap and self.params.non_overlap,
+            **options,
+        )
+
+
+@dataclass(frozen=True)
+class Fit(Posed):
+    """The same, and K chains that were fitted to these rows."""
+
+    annealed: Annealed
+
+    has_failed: Bools
+    """Chains that no noise of the measurements explains, as many as were annealed."""
+
+    @classmethod
+    def of(cls, posed: Posed, annealed: Annealed) -> "Fit":
+        """Find which chains failed."""
+        is_failed = failed(posed.problem, annealed)
+        return cls(posed.log, posed.params, posed.problem, annealed, is_failed)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ends:
     """Minima that K chains lead to."""
+
+    fit: Fit
+    """The chains."""
 
     position: Reals
     """Centers [R], shape (K, N, 3)."""
@@ -75,45 +119,31 @@ def squares(problem: Problem, annealed: Annealed) -> Reals:
     return square
 
 
-def ranked(
-    log: SensingLog,
-    params: ChiSquareParams,
-    problem: Problem,
-    annealed: Annealed,
-    has_failed: Bools,
-) -> Ends:
+def ranked(fit: Fit) -> Ends:
     """Move each chain to a minimum of the cost, and weigh it.
 
     The cost is that at `MIXTURE.tempered` times the temperature of the chains: they end
     where it lets measurements be missed.
     """
+    annealed = fit.annealed
     position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
     cost = np.full(len(position), np.inf)
-    rounds = MIXTURE.rounds if params.refines(log.robot_count) else 0
+    rounds = MIXTURE.rounds if fit.is_refined else 0
     # Where every chain failed, the least bad one has to do; the verdict says so.
-    for k in np.flatnonzero(has_failed.all() | ~has_failed).tolist():
-        position[k], yaw[k], cost[k] = _descended(
-            log, params, problem, (position[k], yaw[k]), annealed.sigma, rounds
-        )
-    return _ends(problem, position, yaw, cost, annealed.sigma)
+    for k in np.flatnonzero(fit.has_failed.all() | ~fit.has_failed).tolist():
+        start = position[k], yaw[k]
+        position[k], yaw[k], cost[k] = _descended(fit, start, annealed.sigma, rounds)
+    return _ends(fit, position, yaw, cost)
 
 
 def _descended(
-    log: SensingLog,
-    params: ChiSquareParams,
-    problem: Problem,
-    start: tuple[Reals, Reals],
-    sigma: float,
-    rounds: int,
+    posed: Posed, start: tuple[Reals, Reals], sigma: float, rounds: int
 ) -> tuple[Reals, Reals, float]:
     """Move a configuration to a minimum of the cost nearby: positions, yaw, and the cost."""
     # Many ends are compared: independent errors are quicker, and do for a ranking.
-    cost = Cost(
-        log,
-        problem.rows.associated(*start),
-        yaw_precision=problem.yaw_precision,
-        robust_sd=ROBUST_SD if params.robust else None,
-        non_overlap=params.non_overlap,
+    cost = posed.cost(
+        posed.problem.rows.associated(*start),
+        robust_sd=ROBUST_SD if posed.params.robust else None,
         are_independent=True,
         further_variance=(MIXTURE.tempered * sigma) ** 2,
     )
@@ -121,89 +151,75 @@ def _descended(
     return state.position, state.yaw, linear.cost
 
 
-def _ends(problem: Problem, position: Reals, yaw: Reals, cost: Reals, sigma: float) -> Ends:
+def _ends(fit: Fit, position: Reals, yaw: Reals, cost: Reals) -> Ends:
     """Weigh ends, and sort them into solutions."""
-    residual = problem.rows.residual(position, yaw)
-    weight = _weights(cost, len(problem.rows))
+    rows = fit.problem.rows
+    weight = _weights(cost, len(rows))
     return Ends(
+        fit=fit,
         position=position,
         yaw=yaw,
         cost=cost,
-        missed=residual**2 / (problem.rows.variance() + sigma**2),
+        missed=rows.residual(position, yaw) ** 2 / (rows.variance() + fit.annealed.sigma**2),
         weight=weight,
         solution=_solutions(position, weight),
     )
 
 
-def with_further(
-    log: SensingLog,
-    params: ChiSquareParams,
-    problem: Problem,
-    annealed: Annealed,
-    ends: Ends,
-    further: list[Reals],
-) -> tuple[Annealed, Ends]:
+def with_further(ends: Ends, further: list[Reals]) -> Ends:
     """Add the minima that further starts lead to, as chains that do not move."""
     if not further:
-        return annealed, ends
-    rounds = MIXTURE.warm_rounds
+        return ends
+    fit, annealed = ends.fit, ends.fit.annealed
     found = [
-        _descended(log, params, problem, (position, ends.yaw[0]), annealed.sigma, rounds)
+        _descended(fit, (position, ends.yaw[0]), annealed.sigma, MIXTURE.warm_rounds)
         for position in further
     ]
     position, yaw = (np.array([each[k] for each in found]) for k in (0, 1))
-    annealed = annealed.joined(annealed.still(position, yaw))
-    return annealed, _ends(
-        problem,
+    return _ends(
+        replace(fit, annealed=annealed.joined(annealed.still(position, yaw))),
         np.concatenate([ends.position, position]),
         np.concatenate([ends.yaw, yaw]),
         np.concatenate([ends.cost, [cost for _, _, cost in found]]),
-        annealed.sigma,
     )
 
 
-def settled(
-    log: SensingLog,
-    params: ChiSquareParams,
-    problem: Problem,
-    position: Reals,
-    sigma: float,
-    rounds: int,
-) -> tuple[Reals, Reals, float]:
+def settled(posed: Posed, position: Reals, sigma: float, rounds: int) -> tuple[Reals, Reals, float]:
     """Move positions that no chain led to: first warm, then to a minimum as `_descended` does."""
-    length = problem.length[~problem.is_offset]
+    length = posed.problem.length[~posed.problem.is_offset]
     warm = MIXTURE.unfolding * float(np.median(length)) if len(length) else sigma
     start = position, np.zeros(len(position))
-    position, yaw, _ = _descended(log, params, problem, start, warm, MIXTURE.warm_rounds)
-    return _descended(log, params, problem, (position, yaw), sigma, rounds)
+    position, yaw, _ = _descended(posed, start, warm, MIXTURE.warm_rounds)
+    return _descended(posed, (position, yaw), sigma, rounds)
 
 
-def further_starts(log: SensingLog, params: ChiSquareParams, problem: Problem) -> list[Reals]:
+def further_starts(posed: Posed) -> list[Reals]:
     """Find where measured distances fit as a whole, by ascending cost [R], (N, 3) each.
 
     None where contacts alone tie robots, or for structures too large to be refined. Of two mirror
     images, one that measurements exclude is left out.
     """
-    if not params.refines(log.robot_count):
+    if not posed.is_refined:
         return []
-    anchor, rounds = log.anchor_position / log.dock_radius, MIXTURE.warm_rounds
+    anchor, rounds = posed.log.anchor_position / posed.log.dock_radius, MIXTURE.warm_rounds
     found = []
-    for start in scaled_distances(problem, anchor):
-        position, _, cost = settled(log, params, problem, start, ANNEALING.warmest, rounds)
+    for start in scaled_distances(posed.problem, anchor):
+        position, _, cost = settled(posed, start, ANNEALING.warmest, rounds)
         found.append((cost, position))
     # By the cost alone: of equal costs, arrays would be compared, which fails.
     found.sort(key=lambda pair: pair[0])
-    chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(problem.rows))
+    chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(posed.problem.rows))
     return [position for cost, position in found if cost <= found[0][0] + chance]
 
 
-def aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed, Ends]:
+def aligned(ends: Ends) -> Ends:
     """Move all ends by rigid motions that nothing resists to where the best one is."""
+    problem, annealed = ends.fit.problem, ends.fit.annealed
     best = ends.position[int(ends.cost.argmin())]
     moves = problem.part == problem.part[0]
     frame = free_frame(problem.rows, best, moves)
     if not frame.names:
-        return annealed, ends
+        return ends
     turn = align(ends.position, best, frame, moves)
 
     def turned(position: Reals) -> Reals:
@@ -212,8 +228,14 @@ def aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed,
 
     position = turned(ends.position)
     solution = _solutions(position, ends.weight)
-    aligned = replace(annealed, mean=turned(annealed.mean), last=turned(annealed.last))
-    return aligned, replace(ends, position=position, solution=solution, frame=frame)
+    chains = replace(annealed, mean=turned(annealed.mean), last=turned(annealed.last))
+    return replace(
+        ends,
+        fit=replace(ends.fit, annealed=chains),
+        position=position,
+        solution=solution,
+        frame=frame,
+    )
 
 
 def _weights(cost: Reals, measurements: int) -> Reals:

@@ -10,6 +10,7 @@ A chain moves about its mean for three reasons: measurements are noisy, they lea
 and the temperature lets them be missed. Only the first two are errors, and make `sd`. Lengths in R.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,15 +20,13 @@ from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.cost.cost import SETTLED, Cost
-from tiswarm.localization.mixture.ends import Ends, aligned, ranked, with_further
+from tiswarm.localization.cost.cost import SETTLED
+from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.starts import images
-from tiswarm.localization.mixture.verdict import misfit_by_robot
-from tiswarm.localization.settings import ChiSquareParams
+from tiswarm.localization.mixture.verdict import misfit_by_robot, rms
 from tiswarm.measurements.model import Measurements
-from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Solution
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, Solution
 
 _LEAST_CHAINS = 1.5
 """Effective number of chains below which their spread says nothing."""
@@ -104,38 +103,28 @@ class Mixture(NamedTuple):
     """Solutions, the likeliest first [R]."""
 
 
-def mix(
-    log: SensingLog,
-    params: ChiSquareParams,
-    problem: Problem,
-    annealed: Annealed,
-    has_failed: Bools,
-    prior_sd: Reals | None = None,
-) -> Mixture:
+def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
     """Mix the chains of one structure into one estimate.
 
     Args:
-        log: What was sensed.
-        params: Settings.
-        problem: Measurements.
-        annealed: Chains.
-        has_failed: Chains that no noise of the measurements explains, shape (K,).
+        fit: Chains.
         prior_sd: Standard deviation of positions that measurements leave open [R], shape (N,); that
             of the chains if None.
     """
-    ends = ranked(log, params, problem, annealed, has_failed)
-    if params.refines(log.robot_count):
+    ends = ranked(fit)
+    if fit.is_refined:
         best = ends.position[int(ends.cost.argmin())]
-        annealed, ends = with_further(log, params, problem, annealed, ends, images(problem, best))
-    annealed, ends = aligned(problem, annealed, ends)
-    outlier = _outliers(problem, ends)
+        ends = with_further(ends, images(fit.problem, best))
+    ends = aligned(ends)
+    problem, annealed = fit.problem, ends.fit.annealed
+    outlier = _outliers(ends)
     open_sd = prior_sd
     if open_sd is None:
         open_sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
-    if prior_sd is None and params.refines(log.robot_count):
-        hinged, part = _hinged_variance(log, params, problem, ends, ~outlier), SD_CALIBRATION.hinged
+    if prior_sd is None and fit.is_refined:
+        hinged, part = _hinged_variance(ends, ~outlier), SD_CALIBRATION.hinged
         open_sd = np.sqrt((1.0 - part) * open_sd**2 + part * hinged)
-    minima, share = _minima(log, params, problem, annealed, ends, ~outlier, open_sd)
+    minima, share = _minima(ends, ~outlier, open_sd)
     best = minima[0]
     # A robot that some solution leaves open has no mean over all: chains say where it is.
     is_held = np.all([each.is_held for each in minima], axis=0)
@@ -150,7 +139,7 @@ def mix(
     # The variance of a mixture: the mean within its parts, and that between their means.
     between = share @ ((at - np.tensordot(share, at, 1)) ** 2).sum(axis=2)
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
-    verdict = _convergence(problem, ends, outlier, best, has_failed)
+    verdict = _convergence(ends, outlier, best)
     sd = np.sqrt((verdict.sd_factor * sd) ** 2 + loose[0])
     gap = problem.residual(placed[1:], np.array([each.yaw for each in minima]))
     width = np.sqrt(problem.variance + annealed.sigma**2)
@@ -179,29 +168,61 @@ def mix(
     )
 
 
-def _minima(
-    log: SensingLog,
-    params: ChiSquareParams,
-    problem: Problem,
-    annealed: Annealed,
-    ends: Ends,
-    inlier: Bools,
-    open_sd: Reals,
-) -> tuple[list[Minimum], Reals]:
+def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Estimate:
+    """Make an estimate of chains, or of starts that do not move; arguments as for `mix`."""
+    mixture, problem, annealed = mix(fit, prior_sd), fit.problem, fit.annealed
+    position, yaw = mixture.position, mixture.yaw
+    trace = np.concatenate([place_disconnected(annealed.trace[:-1], problem)[0], position[None]])
+    yaw_trace = np.concatenate([annealed.yaw_trace[:-1], yaw[None]])
+    gap = problem.residual(trace, yaw_trace)
+    width = np.sqrt(problem.variance + annealed.sigma**2)
+    outliers = problem.rows.select(mixture.outlier)
+    places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
+    unit, found = fit.log.dock_radius, mixture.convergence.converged
+    return Estimate(
+        robot_id=fit.log.robot_id,
+        position=position * unit,
+        disconnected=problem.untied,
+        sd=mixture.sd * unit,
+        yaw=yaw if problem.yaw_precision else None,
+        convergence=replace(mixture.convergence, restarted=restarted),
+        outlier_contacts=np.unique(outliers.sensed_contacts, axis=0) if found else None,
+        outlier_places=places if found else None,
+        misfit=mixture.misfit,
+        mirrored=mixture.mirrored,
+        free_frame=mixture.free_frame,
+        solutions=tuple(
+            replace(
+                each,
+                residual=each.residual * unit,
+                position=each.position * unit,
+                sd=None if each.sd is None else each.sd * unit,
+            )
+            for each in mixture.solutions
+        ),
+        iteration=annealed.iteration,
+        trace=trace * unit,
+        residual=rms(gap) * unit,
+        residual_sd=float(rms(gap[-1:] / width)[0]),
+    )
+
+
+def _minima(ends: Ends, inlier: Bools, open_sd: Reals) -> tuple[list[Minimum], Reals]:
     """Find the minimum of each solution, the likeliest first, and their weights."""
-    if not params.refines(log.robot_count):
-        return [_unrefined(annealed, ends, inlier, open_sd)], np.ones(1)
+    if not ends.fit.is_refined:
+        return [_unrefined(ends, inlier, open_sd)], np.ones(1)
     minima, shares = [], []
     for solution in range(int(ends.solution[ends.weight > 0.0].max()) + 1):
         weight = np.where(ends.solution == solution, ends.weight, 0.0)
         shares.append(weight.sum())
         chosen = weight / weight.sum()
-        minima.append(minimum(log, params, problem, annealed, ends, chosen, inlier, open_sd))
+        minima.append(minimum(ends, chosen, inlier, open_sd))
     return _weighed(minima, np.array(shares))
 
 
-def _unrefined(annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
+def _unrefined(ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
     """Take the mean of all chains of a structure that is too large to be refined."""
+    annealed = ends.fit.annealed
     square = np.where(inlier, ends.missed[int(ends.cost.argmin())], 0.0)
     least = MIXTURE.spare * 3.0 * (len(sd) - 1)
     position = np.asarray(np.tensordot(ends.weight, annealed.mean, 1), np.float64)
@@ -221,22 +242,17 @@ def _unrefined(annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals) -> Mini
     )
 
 
-def _hinged_variance(
-    log: SensingLog, params: ChiSquareParams, problem: Problem, ends: Ends, inlier: Bools
-) -> Reals:
+def _hinged_variance(ends: Ends, inlier: Bools) -> Reals:
     """Compute the mean square error of positions if robots in contact are joined by hinges, (N,).
 
     Chains agree on motions that the search has not tried. A chain of robots that only their
     contacts hold is as uncertain as a random walk.
     """
-    best = int(ends.cost.argmin())
+    problem, best = ends.fit.problem, int(ends.cost.argmin())
     start = ends.position[best], ends.yaw[best]
     joins = problem.is_final if problem.is_final.any() else np.ones(len(problem.pair), np.bool_)
-    cost = Cost(
-        log,
+    cost = ends.fit.cost(
         problem.rows.select(inlier).associated(*start),
-        yaw_precision=problem.yaw_precision,
-        non_overlap=params.non_overlap,
         are_independent=True,
         further_variance=ANNEALING.coldest**2,
         hinged=np.unique(problem.pair[joins], axis=0),
@@ -281,11 +297,12 @@ def _distinct(minima: list[Minimum], cost: Reals) -> tuple[list[Minimum], Reals]
     return kept, np.array([each.cost for each in kept])
 
 
-def _outliers(problem: Problem, ends: Ends) -> Bools:
+def _outliers(ends: Ends) -> Bools:
     """Find measurements that every end in the mixture misses, and each of the best few, (E,).
 
     A single chain tears contacts that are right.
     """
+    problem = ends.fit.problem
     order = np.argsort(np.argsort(ends.cost, kind="stable"))
     jury = (ends.weight > 0.0) | ((order < CONVERGENCE.jury) & np.isfinite(ends.cost))
     missed = (ends.missed[jury] > CONVERGENCE.outlier_sd**2).all(axis=0)
@@ -295,10 +312,9 @@ def _outliers(problem: Problem, ends: Ends) -> Bools:
     return outlier
 
 
-def _convergence(
-    problem: Problem, ends: Ends, outlier: Bools, best: Minimum, has_failed: Bools
-) -> Convergence:
+def _convergence(ends: Ends, outlier: Bools, best: Minimum) -> Convergence:
     """Give the verdicts, and the first reason for a bad one."""
+    problem, has_failed = ends.fit.problem, ends.fit.has_failed
     test, links = CONVERGENCE, len(problem.variance)
     chance = MIXTURE.alike * np.sqrt(2.0 * len(problem.rows))
     alike = ends.cost <= ends.cost.min() + chance
@@ -335,39 +351,24 @@ def _convergence(
     )
 
 
-def minimum(
-    log: SensingLog,
-    params: ChiSquareParams,
-    problem: Problem,
-    annealed: Annealed,
-    ends: Ends,
-    weight: Reals,
-    inlier: Bools,
-    sd: Reals,
-) -> Minimum:
+def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
     """Find the minimum of the cost of one solution, by generalized least squares.
 
     Args:
-        log: What was sensed.
-        params: Settings.
-        problem: Measurements.
-        annealed: Chains.
-        ends: Minima that they lead to.
+        ends: Minima that chains lead to.
         weight: Weights of the chains of this solution, which add up to 1, shape (K,).
         inlier: Measurements that count, shape (E,).
         sd: Standard deviation of positions by the chains [R], shape (N,).
     """
+    problem, annealed = ends.fit.problem, ends.fit.annealed
     members, best = weight > 0.0, int(np.where(weight > 0.0, ends.cost, np.inf).argmin())
     position, yaw = ends.position[best], ends.yaw[best]
     used = inlier.copy()
     used[problem.rows.touch] &= _agreed(problem.rows, annealed, members)
     rows = problem.rows.select(used).associated(position, yaw)
-    cost = Cost(
-        log,
+    cost = ends.fit.cost(
         rows,
-        yaw_precision=problem.yaw_precision,
         links=problem.connections,
-        non_overlap=params.non_overlap,
         # A bias that is not solved for is in all stances of a robot.
         are_independent=problem.rows.odometry.bias > 0.0,
         further_variance=(MIXTURE.tepid * annealed.sigma) ** 2,

@@ -17,12 +17,14 @@ from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to impor
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.chains.annealed import Annealed
-from tiswarm.localization.chains.problem import Problem, pose_problem
-from tiswarm.localization.cost.cost import Cost, State
+from tiswarm.localization.chains.annealer import anneal
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.cost.cost import State
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.cost.settings import ROBUST_SD
+from tiswarm.localization.mixture.ends import Fit, Posed
+from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
-from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted
@@ -46,70 +48,98 @@ class Disregarded(NamedTuple):
     robots: Ints
     """These robots, shape (K,)."""
 
-    log: SensingLog
-    """What was sensed, with final orientations of these robots that meet other measurements."""
-
-    problem: Problem
-    """Measurements without those of their walks."""
+    posed: Posed
+    """What was sensed, with final orientations of these robots that meet other measurements, and
+    the rows without those of their walks."""
 
     annealed: Annealed
     """Chains, with these robots where the other measurements put them."""
 
 
-class _Fit(NamedTuple):
+class _Trial(NamedTuple):
     """A minimum of the robust cost without the orientations of K robots."""
 
     robots: Ints
-    problem: Problem
+    posed: Posed
     state: State
     linear: Linear
 
 
-def disregard(
-    log: SensingLog,
-    params: ChiSquareParams,
-    problem: Problem,
-    annealed: Annealed,
-    estimate: Estimate,
-) -> Disregarded | None:
+def without_outlier_robots(fit: Fit, estimate: Estimate) -> Estimate:
+    """Localize again without the orientations of robots that explain most of a misfit, if any.
+
+    A drift that is too small to be named may turn the rest of the structure. So the estimate stays
+    as uncertain, and as little to be trusted, as the misfit of all measurements says.
+    """
+    found = disregard(fit, estimate)
+    estimate = warned(fit.log, estimate)
+    if found is None:
+        return estimate
+    posed = found.posed
+    chains = anneal([posed.log], [posed.params], [posed.problem])[0]
+    again = mixed(Fit.of(posed, found.annealed.joined(chains)))
+    before, after = estimate.convergence, again.convergence
+    if before is None or after is None or again.sd is None or not explains(before, after):
+        return estimate
+    factor = max(before.sd_factor, after.sd_factor)
+    missed = [each.outlier_contacts for each in (estimate, again)]
+    contacts = [each for each in missed if each is not None]
+    verdict = replace(
+        after,
+        consistent=False,
+        sd_factor=factor,
+        reason=f"the orientations of {counted(len(found.robots), 'robot')} are outliers",
+    )
+    return replace(
+        again,
+        convergence=verdict,
+        sd=again.sd * (factor / after.sd_factor),
+        outlier_robots=np.sort(found.robots),
+        # Wrong contacts make a robot suspect, too: they stay listed.
+        outlier_contacts=np.unique(np.concatenate(contacts), axis=0) if contacts else None,
+    )
+
+
+def disregard(fit: Fit, estimate: Estimate) -> Disregarded | None:
     """Find the robots whose orientations do not count, where an estimate is not consistent.
 
     Args:
-        log: What was sensed.
-        params: Settings.
-        problem: Measurements.
-        annealed: Chains.
+        fit: Chains.
         estimate: Estimate that all orientations lead to.
 
     Returns:
         The structure without them. None if there are none, or too many to be outliers, or if the
         structure is too large to be refined.
     """
+    log, problem = fit.log, fit.problem
     verdict, stuck = estimate.convergence, stuck_robots(log)
-    is_explained = verdict is None or verdict.consistent or verdict.misfit_sd < 0.0
+    is_explained = verdict is None or verdict.misfit_sd <= MOST_MISFIT_SD
     if is_explained and not len(stuck):
         return None
     # The error of an orientation that was chained is that of many robots.
     is_chained = problem.connections is not None and len(problem.connections.robot)
-    if not params.refines(log.robot_count) or is_chained:
+    if not fit.is_refined or is_chained:
         return None
     position = estimate.solutions[0].position / log.dock_radius
     yaw = np.zeros(log.robot_count) if estimate.yaw is None else estimate.yaw
-    posed = pose_problem(log, params, stuck) if len(stuck) else problem
-    fit = _fitted(log, params, (stuck, posed), (position, yaw))
+    trial = _fitted(stuck, _posed(fit, stuck) if len(stuck) else fit, (position, yaw))
     for robot in stuck.tolist():
-        fit = _searched(log, params, fit, robot)
-    while (further := None if is_explained else _next(log, params, fit)) is not None:
-        fit = further
-        if len(fit.robots) - len(stuck) > OUTLIER_ROBOTS.most * log.robot_count:
+        trial = _searched(trial, robot)
+    while (further := None if is_explained else _next(trial)) is not None:
+        trial = further
+        if len(trial.robots) - len(stuck) > OUTLIER_ROBOTS.most * log.robot_count:
             return None
-    fit = _justified(log, params, fit, stuck)
-    if not len(fit.robots):
+    trial = _justified(trial, stuck)
+    if not len(trial.robots):
         return None
-    turned = _turned(log, fit)
-    return Disregarded(
-        fit.robots, turned, pose_problem(turned, params, fit.robots), _placed(annealed, fit)
-    )
+    turned = replace(trial.posed, log=_turned(trial))
+    return Disregarded(trial.robots, _posed(turned, trial.robots), _placed(fit.annealed, trial))
+
+
+def _posed(posed: Posed, disregarded: Ints) -> Posed:
+    """Choose the rows of a log without the orientations of some robots."""
+    problem = pose_problem(posed.log, posed.params, disregarded)
+    return Posed(posed.log, posed.params, problem)
 
 
 def warned(log: SensingLog, estimate: Estimate) -> Estimate:
@@ -148,108 +178,104 @@ def explains(before: Convergence, after: Convergence) -> bool:
 
 
 def _fitted(
-    log: SensingLog,
-    params: ChiSquareParams,
-    posed: tuple[Ints, Problem],
+    robots: Ints,
+    posed: Posed,
     start: tuple[Reals, Reals],
     turn: Reals | None = None,
     sd: float = 0.0,
-) -> _Fit:
+) -> _Trial:
     """Find the minimum of the robust cost near positions, yaws and turns.
 
     Measurements may be missed by some standard deviation [R] beside their noise; docks may overlap
     then.
     """
-    robots, problem = posed
-    cost = Cost(
-        log,
-        problem.rows.associated(*start),
-        yaw_precision=problem.yaw_precision,
+    cost = posed.cost(
+        posed.problem.rows.associated(*start),
         robust_sd=ROBUST_SD,
-        non_overlap=params.non_overlap and not sd,
+        non_overlap=not sd,
         further_variance=sd**2,
     )
-    rounds = OUTLIER_ROBOTS.rounds
-    return _Fit(robots, problem, *cost.refine(start, rounds, turn=turn))
+    return _Trial(robots, posed, *cost.refine(start, OUTLIER_ROBOTS.rounds, turn=turn))
 
 
-def _without(log: SensingLog, params: ChiSquareParams, fit: _Fit, robots: Ints) -> _Fit:
+def _without(trial: _Trial, robots: Ints) -> _Trial:
     """Leave out the orientations of some robots, and find the minimum near another one.
 
     What the other minimum had to turn these robots by is given in widths of its priors.
     """
-    problem, state = pose_problem(log, params, robots), fit.state
-    sd, before = problem.rows.odometry.turn_sd, fit.problem.rows.odometry.turn_sd
+    posed, state = _posed(trial.posed, robots), trial.state
+    sd, before = (each.problem.rows.odometry.turn_sd for each in (posed, trial.posed))
     ratio = np.divide(before, sd, out=np.zeros_like(sd), where=sd > 0.0)
     turn = state.turn * ratio[:, [0, 0, 1]]
-    return _fitted(log, params, (robots, problem), (state.position, state.yaw), turn)
+    return _fitted(robots, posed, (state.position, state.yaw), turn)
 
 
-def _next(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit | None:
+def _next(trial: _Trial) -> _Trial | None:
     """Leave out the orientations of the robot that chance explains least, if there is one."""
-    gain, freed = _gains(fit)
-    predicted = _significance(gain, freed, fit)
-    predicted[fit.robots] = 0.0
+    gain, freed = _gains(trial)
+    predicted = _significance(gain, freed, trial)
+    predicted[trial.robots] = 0.0
     best, most = None, OUTLIER_ROBOTS.least
     for robot in np.argsort(-predicted, kind="stable")[: OUTLIER_ROBOTS.tried].tolist():
         # Sorted: no later robot is more promising.
         if predicted[robot] < OUTLIER_ROBOTS.promising:
             break
-        further = _without(log, params, fit, np.append(fit.robots, robot))
-        lower = np.array([fit.linear.chi_square - further.linear.chi_square])
+        further = _without(trial, np.append(trial.robots, robot))
+        lower = np.array([trial.linear.chi_square - further.linear.chi_square])
         found = _significance(lower, freed[[robot]], further)[0]
         if found >= most:
             best, most = further, found
-    return None if best is None else _searched(log, params, best, int(best.robots[-1]))
+    return None if best is None else _searched(best, int(best.robots[-1]))
 
 
-def _searched(log: SensingLog, params: ChiSquareParams, fit: _Fit, robot: int) -> _Fit:
+def _searched(trial: _Trial, robot: int) -> _Trial:
     """Find the least cost over orientations of a robot that does not count.
 
     An IMU may have drifted by more than a right angle. The search begins where contacts may be
     missed by more than their noise, since far from all minima the robust loss is flat.
     """
-    posed, final = (fit.robots, fit.problem), fit.problem.rows.odometry.final[robot]
+    robots, posed, state, _ = trial
+    final = posed.problem.rows.odometry.final[robot]
     found = []
     for axis in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
-        turn = fit.state.turn.copy()
+        turn = state.turn.copy()
         # States hold turns in standard deviations.
         turn[final] += axis * _TRIAL_TURN / OUTLIER_ROBOTS.turn_sd
-        start = fit.state.position, fit.state.yaw
-        found.append(_fitted(log, params, posed, start, turn, sd=_TRIAL_SD))
-    _, _, state, _ = min(found, key=lambda each: each.linear.cost)
+        start = state.position, state.yaw
+        found.append(_fitted(robots, posed, start, turn, sd=_TRIAL_SD))
+    best = min(found, key=lambda each: each.linear.cost).state
     # Costs of the search let contacts be missed: only those without that can be compared.
-    again = _fitted(log, params, posed, (state.position, state.yaw), state.turn)
-    return min(fit, again, key=lambda each: each.linear.cost)
+    again = _fitted(robots, posed, (best.position, best.yaw), best.turn)
+    return min(trial, again, key=lambda each: each.linear.cost)
 
 
-def _justified(log: SensingLog, params: ChiSquareParams, fit: _Fit, stuck: Ints) -> _Fit:
+def _justified(trial: _Trial, stuck: Ints) -> _Trial:
     """Let orientations that are not stuck count where chance explains how much the cost rises.
 
     Before the robot that is to blame was found, its neighbors may have looked worse.
     """
-    for robot in fit.robots[len(stuck) : -1].tolist():
-        back = _without(log, params, fit, fit.robots[fit.robots != robot])
-        rise = np.array([back.linear.chi_square - fit.linear.chi_square])
+    for robot in trial.robots[len(stuck) : -1].tolist():
+        back = _without(trial, trial.robots[trial.robots != robot])
+        rise = np.array([back.linear.chi_square - trial.linear.chi_square])
         freed = _gains(back)[1][[robot]]
-        if _significance(rise, freed, fit)[0] < OUTLIER_ROBOTS.least:
-            fit = back
-    return fit
+        if _significance(rise, freed, trial)[0] < OUTLIER_ROBOTS.least:
+            trial = back
+    return trial
 
 
-def _significance(gain: Reals, freed: Ints, fit: _Fit) -> Reals:
+def _significance(gain: Reals, freed: Ints, trial: _Trial) -> Reals:
     """Compute how surely the rows that were freed are wrong, if that lowers the cost so much.
 
     Args:
         gain: Differences of costs [1], shape (n,).
         freed: Rows that were freed, shape (n,).
-        fit: Minimum whose typical squares say how noisy good measurements are.
+        trial: Minimum whose typical squares say how noisy good measurements are.
 
     Returns:
         -log10 of the chance of such a gain if they are right, shape (n,).
     """
-    square = fit.linear.square
-    spare = len(square) / max(fit.linear.freedom(), 1)
+    square = trial.linear.square
+    spare = len(square) / max(trial.linear.freedom(), 1)
     # Where noise is stated too small, all squares are large, and the gain of one robot says little.
     noise = max(1.0, float(np.median(square) / chdtri(1, 0.5)) * spare)
     with np.errstate(divide="ignore"):  # a gain beyond any chance is infinitely significant
@@ -257,7 +283,7 @@ def _significance(gain: Reals, freed: Ints, fit: _Fit) -> Reals:
     return np.where(freed > 0, significance, 0.0)
 
 
-def _gains(fit: _Fit) -> tuple[Reals, Ints]:
+def _gains(trial: _Trial) -> tuple[Reals, Ints]:
     """Predict by how much the cost falls without the orientations of each robot.
 
     Without rows D the cost of a linear problem is lower by e^T (C - J P J^T)^-1 e, with their
@@ -267,7 +293,7 @@ def _gains(fit: _Fit) -> tuple[Reals, Ints]:
     Returns:
         Gains [1], and how many rows others check, (N,) both.
     """
-    rows, linear = fit.problem.rows, fit.linear
+    rows, linear = trial.posed.problem.rows, trial.linear
     gain, freed = np.zeros(rows.robots), np.zeros(rows.robots, np.int64)
     walked = np.flatnonzero(rows.is_walked)
     for robot in range(rows.robots):
@@ -302,12 +328,12 @@ def _gain(linear: Linear, rows: Ints, columns: Ints) -> tuple[float, int]:
     return float((part[is_checked] ** 2 / value[is_checked]).sum()), int(is_checked.sum())
 
 
-def _turned(log: SensingLog, fit: _Fit) -> SensingLog:
+def _turned(trial: _Trial) -> SensingLog:
     """Turn robots whose orientations do not count as other measurements say."""
-    robots, walks = fit.robots, fit.problem.rows.odometry
+    robots, log, walks = trial.robots, trial.posed.log, trial.posed.problem.rows.odometry
     final = walks.final[robots]
-    yaw = Rotation.from_rotvec(np.outer(fit.state.yaw[robots], [0.0, 0.0, 1.0]))
-    turn = Rotation.from_rotvec(-fit.state.turn[final] * walks.turn_sd[final][:, [0, 0, 1]])
+    yaw = Rotation.from_rotvec(np.outer(trial.state.yaw[robots], [0.0, 0.0, 1.0]))
+    turn = Rotation.from_rotvec(-trial.state.turn[final] * walks.turn_sd[final][:, [0, 0, 1]])
     sensed = Rotation.from_quat(log.orientation_wxyz[robots], scalar_first=True)
     orientation = log.orientation_wxyz.copy()
     # Yaw corrections of the new log come first, too.
@@ -315,9 +341,9 @@ def _turned(log: SensingLog, fit: _Fit) -> SensingLog:
     return replace(log, orientation_wxyz=orientation)
 
 
-def _placed(annealed: Annealed, fit: _Fit) -> Annealed:
+def _placed(annealed: Annealed, trial: _Trial) -> Annealed:
     """Move robots whose orientations do not count to where other measurements put them."""
     mean, last, within = annealed.mean.copy(), annealed.last.copy(), annealed.within.copy()
-    mean[:, fit.robots] = last[:, fit.robots] = fit.state.position[fit.robots]
-    within[:, fit.robots] = fit.linear.variance()[fit.robots]
+    mean[:, trial.robots] = last[:, trial.robots] = trial.state.position[trial.robots]
+    within[:, trial.robots] = trial.linear.variance()[trial.robots]
     return replace(annealed, mean=mean, last=last, within=within)

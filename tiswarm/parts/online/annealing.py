@@ -5,15 +5,16 @@ from dataclasses import fields
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
-from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.annealer import anneal
 from tiswarm.localization.chains.initialization import place_disconnected, set_apart
 from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
-from tiswarm.localization.joint import localize_batch, mixed, without_outlier_robots
-from tiswarm.localization.mixture.ends import failed, ranked
+from tiswarm.localization.joint import localize_batch
+from tiswarm.localization.mixture.ends import Fit, Posed, ranked
+from tiswarm.localization.mixture.mixture import mixed
+from tiswarm.localization.mixture.outliers import without_outlier_robots
 from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.settings import ChiSquareParams, JointParams
 from tiswarm.measurements.contacts import untied_directions
@@ -40,9 +41,8 @@ def reannealed(
         there to the mean of all likely ends of chains [R], shape (N, 3); and the standard deviation
         of that [R], shape (N,).
     """
-    warm = _as_joint(params)
-    problem, chains = _chains(log, warm, state)
-    ends = ranked(log, warm, problem, chains, failed(problem, chains))
+    fit = _fitted(log, params, state)
+    problem, ends = fit.problem, ranked(fit)
     cost = Cost(
         log,
         problem.rows,
@@ -85,12 +85,10 @@ def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuratio
     An estimate that is not to be trusted, or that gives up what ties robots to the anchor, gives
     way to that of `joint`, if that is trusted.
     """
-    warm = _as_joint(params)
-    problem, chains = _chains(log, warm, state)
-    estimate = mixed(log, warm, problem, chains, failed(problem, chains))
-    estimate = without_outlier_robots(log, warm, problem, chains, estimate)
+    fit = _fitted(log, params, state)
+    estimate = without_outlier_robots(fit, mixed(fit))
     is_trusted = estimate.convergence is None or estimate.convergence.trusted
-    if is_trusted and not _is_torn(problem, estimate):
+    if is_trusted and not _is_torn(fit.problem, estimate):
         return estimate
     other = _searched(log, params)
     is_better = other.convergence is not None and other.convergence.trusted
@@ -137,14 +135,12 @@ def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
     return estimate
 
 
-def _chains(log: SensingLog, warm: JointParams, state: Configuration) -> tuple[Problem, Annealed]:
+def _fitted(log: SensingLog, params: OnlineParams, state: Configuration) -> Fit:
+    """Anneal a structure from where it is."""
+    names = [*(field.name for field in fields(ChiSquareParams)), *_ANNEALER]
+    warm = JointParams(**{name: getattr(params, name) for name in names})
     problem = pose_problem(log, warm)
     # All chains begin at one place; their kicks differ.
     start = np.tile(set_apart(problem, state.position), (warm.chains_for(log.robot_count), 1, 1))
-    return problem, anneal([log], [warm], [problem], start=[start])[0]
-
-
-def _as_joint(params: OnlineParams) -> JointParams:
-    """Return the settings of `joint` with the same cues and chains."""
-    names = [*(field.name for field in fields(ChiSquareParams)), *_ANNEALER]
-    return JointParams(**{name: getattr(params, name) for name in names})
+    chains = anneal([log], [warm], [problem], start=[start])[0]
+    return Fit.of(Posed(log, warm, problem), chains)

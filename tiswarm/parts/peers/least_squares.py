@@ -15,8 +15,8 @@ from tiswarm.compute.math import normal
 from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.initialization import set_apart
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.joint import mixed
-from tiswarm.localization.mixture.ends import further_starts, settled
+from tiswarm.localization.mixture.ends import Fit, Posed, further_starts, settled
+from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.settings import DOCKS_UNKNOWN
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING
@@ -41,16 +41,16 @@ def localize(
         residual is the root mean square over contacts, ranges, and the components of measured
         offsets.
     """
-    problem = pose_problem(log, params)
+    posed = Posed(log, params, pose_problem(log, params))
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     rows = measure(
         log, [cue for cue in params.cues if cue not in DOCKS_UNKNOWN], precision=precision
     )
     placed = place(log, rows, non_overlap=params.non_overlap)
-    position = set_apart(problem, placed.position)
+    position = set_apart(posed.problem, placed.position)
     ends = [
-        settled(log, params, problem, start, 0.0, params.rounds)
-        for start in [*_starts(position, placed.sd, params), *further_starts(log, params, problem)]
+        settled(posed, start, 0.0, params.rounds)
+        for start in [*_starts(position, placed.sd, params), *further_starts(posed)]
     ]
     end, yaw = (np.array([each[k] for each in ends]) for k in (0, 1))
     still = Annealed(
@@ -68,7 +68,8 @@ def localize(
     # Measurements decide where robots are that they determine; partners, where others are.
     extent = float(np.sqrt(position.var(axis=0).sum() + SPACING**2))
     prior_sd = np.where(placed.is_located, extent, placed.sd)
-    return mixed(log, params, problem, still, np.zeros(len(end), np.bool_), prior_sd=prior_sd)
+    fit = Fit(log, params, posed.problem, still, np.zeros(len(end), np.bool_))
+    return mixed(fit, prior_sd=prior_sd)
 
 
 def _starts(position: Reals, sd: Reals, params: LeastSquaresParams) -> Reals:
