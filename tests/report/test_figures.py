@@ -493,6 +493,18 @@ def test_conditions_that_differ_in_two_numbers_are_no_grades(run_folder):
     assert "grades" not in table_figures.painters(load_run(run_folder))
 
 
+def test_conditions_that_differ_in_whole_settings_are_no_grades(run_folder):
+    """A condition may replace the settings of a method at once."""
+    rows = [[f"method-{number}", 4, 1.0, 0.1] for number in (1, 2, 3)]
+    write_table(run_folder / "table.csv", "condition,cases,rmse_R_mean,rmse_R_ci95", rows)
+    (run_folder / "scenario.yaml").write_text(
+        "conditions:\n"
+        + "".join(f"  method-{n}: {{localization: {{iterations: {n}}}}}\n" for n in (1, 2, 3))
+    )
+
+    assert "grades" not in table_figures.painters(load_run(run_folder))
+
+
 def test_shapes_are_compared_in_accuracy_and_structure(tmp_path):
     """A row for each robot; properties of the structure are the same for all conditions."""
     measures = ["rmse_R", "floppy_modes", "contacts_per_robot", "height_R"]

@@ -308,9 +308,12 @@ def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
     for keys, members in alike.items():
         varied = [key for key in keys if len({repr(each[key]) for each in members.values()}) > 1]
         numbers = {name: [each[key] for key in varied] for name, each in members.items()}
-        grades = {of[0]: name for name, of in numbers.items() if len({*map(repr, of)}) == 1}
-        are_numbers = all(type(grade) in {int, float} for grade in grades)
-        if are_numbers and len(grades) == len(members) >= _FEWEST_GRADES:
+        grades = {
+            of[0]: name
+            for name, of in numbers.items()
+            if len({*map(repr, of)}) == 1 and type(of[0]) in {int, float}
+        }
+        if len(grades) == len(members) >= _FEWEST_GRADES:
             title = next(iter(members)).rstrip("-_ .0123456789")
             families.append(_Family(title, varied, dict(sorted(grades.items()))))
     return families
