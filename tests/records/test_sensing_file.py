@@ -15,7 +15,14 @@ from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.parts.formats.mcap import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import line_schema
-from tiswarm.records.sensing_log import LISTS, SensingLog, SensingNoise, Stances, canonical_contacts
+from tiswarm.records.sensing_log import (
+    KEYS,
+    LISTS,
+    SensingLog,
+    SensingNoise,
+    Stances,
+    canonical_contacts,
+)
 
 NEW_LISTS = [name for name, key in LISTS.items() if key.version == 2]
 
@@ -494,3 +501,13 @@ def test_examples_of_the_page_are_logs(tmp_path, example):
     path.write_text(header + example)
 
     assert read_sensing_log(path).robot_count == example.count('{"robot"')
+
+
+@pytest.mark.parametrize("name", KEYS)
+def test_each_key_is_on_the_page(name):
+    """A reader of the page knows every key, the version that it needs, and its noise."""
+    key = KEYS[name]
+    version = f"version {key.version}: " if key.version > 1 else ""
+
+    assert f"\n| `{name}` | {version}" in PAGE.read_text()
+    assert not key.noise or f"`{key.noise}`" in PAGE.read_text()

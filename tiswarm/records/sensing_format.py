@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import (
     AfterValidator,
     BaseModel,
+    ConfigDict,
     Field,
     GetCoreSchemaHandler,
     GetPydanticSchema,
@@ -111,6 +112,9 @@ _PYTHON: dict[str, Any] = {
     "dock": int, "dock or null": int | None, "robot": int, "source": str | None,
 }  # fmt: skip
 """Types of numbers that are not real."""
+
+_WHEN_USED = ConfigDict(**STRICT, defer_build=True)
+"""Config of models whose validators are built when a line is read, not at start."""
 
 _STATED = "contacts"
 """List that each robot states; a stance may leave it out."""
@@ -221,7 +225,7 @@ class HeaderLine(BaseModel):
 
 
 class _StanceFields(BaseModel):
-    model_config = STRICT
+    model_config = _WHEN_USED
 
     orientation_wxyz: _Quaternion
     pivot_dock: int
@@ -229,7 +233,7 @@ class _StanceFields(BaseModel):
 
 
 class _RobotFields(BaseModel):
-    model_config = STRICT
+    model_config = _WHEN_USED
 
     robot: Name
     """Name, an integer that no other robot has."""
