@@ -7,6 +7,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
+from tiswarm.localization.cost.settings import EXTENSION
 from tiswarm.measurements.cues import cue_names, switched
 
 LARGE = 3000
@@ -362,7 +363,7 @@ class JointParams(ChiSquareParams):
     suffice and are sharp, up to 0.025 where they are fewer than the coordinates by a twentieth, or
     that uncertain."""
 
-    extension_prior: Annotated[float, Field(ge=0.0, le=3.0)] = 1.5
+    extension_prior: Annotated[float, Field(ge=0.0, le=3.0)] = EXTENSION
     """Prior that robots extend outward: gain in log-likelihood for each R more between the centers
     of two robots in contact [R^-1], shared among the contacts of the robot that has fewer. Robots
     climb as far as they can before they stay; most configurations that fit their measurements are

@@ -8,17 +8,7 @@ robot's final orientation are noise here, which is in several of its rows. Lengt
 import numpy as np
 
 from tiswarm.base.aliases import Reals
-from tiswarm.localization.cost.kernels import (
-    ARM,
-    KIND,
-    OFFSET,
-    OTHER_ARM,
-    TURN,
-    TURN_SD,
-    VALUE,
-    VARIANCE,
-    descend,
-)
+from tiswarm.localization.cost.kernels import OFFSET, RobotState, RowLabel, RowValue, descend
 from tiswarm.localization.cost.neighborhood import (
     Block,
     Configuration,
@@ -27,7 +17,7 @@ from tiswarm.localization.cost.neighborhood import (
     scratch_for,
     table_of,
 )
-from tiswarm.localization.cost.settings import CANDIDATES
+from tiswarm.localization.cost.settings import CANDIDATES, EXTENSION
 from tiswarm.measurements.model import SPACING
 
 _AXES = 3
@@ -50,13 +40,14 @@ def candidates(
     """
     robots = robots_at(state, shapes)
     # Its own turn is noise of its rows.
-    robots.state[block.members[-1], TURN:TURN_SD] = 0.0
+    robots.state[block.members[-1], RobotState.TURN : RobotState.TURN_SD] = 0.0
     table = table_of([block])._replace(noise=block.with_final_noise().ravel())
     place = _starts(block, state)
     cost, count = np.empty(len(place)), np.empty(1, np.int32)
     descend(
-        int(non_overlap), shapes.reach, *table, *robots, *scratch_for([block]), place, cost, count
-    )
+        int(non_overlap), shapes.reach, *table, *robots, *scratch_for([block]),
+        np.empty((_AXES + 1, _AXES + 1)), place, cost, count,
+    )  # fmt: skip
     ends, square = place[: count[0]], cost[: count[0]]
     return _distinct(ends, square - extension(block, state, ends))
 
@@ -65,7 +56,7 @@ def extension(block: Block, state: Configuration, place: Reals) -> Reals:
     """Compute what a robot at some places (n, 3) gains by its extension [1], shape (n,)."""
     touched = state.position[block.partners]
     apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
-    gain: Reals = CANDIDATES.extension * apart
+    gain: Reals = 2.0 * EXTENSION * apart
     return gain
 
 
@@ -87,12 +78,12 @@ def _starts(block: Block, state: Configuration) -> Reals:
     Where only vectors are measured, the sphere is that of the sharpest of them.
     """
     pairs = len(block.rows.other)
-    sharpest = int(block.real[:pairs, VARIANCE].argmin())
+    sharpest = int(block.real[:pairs, RowValue.VARIANCE].argmin())
     row = block.real[sharpest]
     at = state.position[block.members[block.rows.other[sharpest]]]
-    center = at + row[OTHER_ARM : OTHER_ARM + _AXES] - row[ARM : ARM + _AXES]
+    center = at + row[RowValue.OTHER_ARM : RowValue.VALUE] - row[RowValue.ARM : RowValue.TAIL]
     # A vector has the distance, too: that of two docks in contact.
-    radius = row[VALUE] if block.number[sharpest, KIND] < OFFSET else SPACING
+    radius = row[RowValue.VALUE] if block.number[sharpest, RowLabel.KIND] < OFFSET else SPACING
     start: Reals = center + radius * SPHERE
     return start
 

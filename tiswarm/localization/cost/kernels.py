@@ -1,59 +1,123 @@
 """Rows of a block in kernels, the normal equations of a neighborhood, and steps of one robot.
 
-The equations are those of `Measurements`. Arrays come in bundles that the host allocates and
-kernels hand on. A table has a name for each of its columns, or for the first of several that form a
-vector. One thread does all of it: a neighborhood is as much work as starting a few threads. So sums
-have one order. Lengths in R.
+The equations are those of `Measurements`. One thread does all of it: a neighborhood is as much work
+as starting a few threads. So sums have one order. Lengths in R.
 """
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import F64, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
+from tiswarm.compute.lang import (
+    F64,
+    I32,
+    Columns,
+    Ints1,
+    Ints2,
+    Reals1,
+    Reals2,
+    Reals3,
+    Ref,
+    ti,
+)  # fmt: skip
 from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
 from tiswarm.localization.cost.settings import CANDIDATES, OVERLAP_SD
 from tiswarm.measurements.model import KNOWN, SPACING
 
-ROW, NOISE, MEMBERS = range(3)
-"""Columns of `Table.block`: where the rows, the noise and the members of a block begin."""
-
-KIND, MEMBER, FIRST = range(3)
-"""Columns of `Table.number`: kind of a row, the other robot's place among the members, and the
-row of the block in which its measurement begins."""
-
 DISTANCE, HINGE, OFFSET, COORDINATE = range(4)
 """Kinds of rows; only distances that are too short count of a hinge."""
 
-AXIS, ARM, TAIL, OTHER_ARM, VALUE, OWN_VARIANCE, VARIANCE = 0, 3, 6, 9, 12, 13, 14
-"""Columns of `Table.real`: what a row measures along, the arm, the part of it that the final
-orientation turns, the other arm, the measured value, and variances [R^2]."""
 
-REALS = 15
-"""Columns of `Table.real`."""
+class BlockStart(Columns):
+    """Columns of `Table.block`: where the rows, the noise and the members of a block begin."""
 
-POSITION, TURN, TURN_SD, STAYS, GONE, STATE = 0, 3, 6, 9, 10, 11
-"""Columns of `BelievedRobots.state`: the center, the error of the orientation in standard
-deviations, these [rad], the sd of each coordinate of a robot that does not move [R], and 1 for a
-robot that has left; then how many they are."""
+    ROW = 1
+    NOISE = 1
+    MEMBERS = 1
 
-DIRECTION, ITS_DIRECTION, RESIDUAL, WIDENED, SEEN = 0, 3, 6, 7, 8
-"""Columns of `Scratch.row`: the derivative by the robot's center and by its turn [R], what is
-missed, the row's own variance as far as it gives way, and how many these are."""
+
+class RowLabel(Columns):
+    """Columns of `Table.number`."""
+
+    KIND = 1
+    """Kind of the row."""
+
+    MEMBER = 1
+    """Place of the other robot among the members."""
+
+    FIRST = 1
+    """Row of the block in which its measurement begins."""
+
+
+class RowValue(Columns):
+    """Columns of `Table.real`."""
+
+    AXIS = 3
+    """Unit vector that it measures along; 0 of a distance."""
+
+    ARM = 3
+    """From the center of its robot to the dock [R]."""
+
+    TAIL = 3
+    """Part of this arm that the final orientation turns [R]."""
+
+    OTHER_ARM = 3
+    """From the center of the other robot to its dock [R]."""
+
+    VALUE = 1
+    """Measured distance or coordinate [R]."""
+
+    OWN_VARIANCE = 1
+    """Variance without noise of orientations [R^2]."""
+
+    VARIANCE = 1
+    """Variance if it were independent of all others [R^2]."""
+
+
+class RobotState(Columns):
+    """Columns of `BelievedRobots.state`."""
+
+    POSITION = 3
+    """Center [R]."""
+
+    TURN = 3
+    """Error of the orientation in standard deviations."""
+
+    TURN_SD = 3
+    """These standard deviations [rad]."""
+
+    STAYS = 1
+    """Standard deviation of each coordinate of a robot that does not move [R]."""
+
+    GONE = 1
+    """1 for a robot that has left."""
+
+
+class RowState(Columns):
+    """Columns of `Scratch.row`."""
+
+    DIRECTION = 3
+    """Derivative by the robot's center."""
+
+    RESIDUAL = 1
+    """What is missed [R]."""
+
+    WIDENED = 1
+    """The row's own variance, as far as it gives way [R^2]."""
 
 
 class Table(NamedTuple):
     """The rows of B blocks, one after the other: E rows, M members."""
 
     block: Ints2
-    """ROW, NOISE and MEMBERS of each block, and where the last one ends, shape (B + 1, 3)."""
+    """`BlockStart` of each block, and where the last one ends, shape (B + 1, 3)."""
 
     member: Ints1
     """BelievedRobots of each block: its own, then its partners ascending, shape (M,)."""
 
     number: Ints2
-    """Columns from KIND on, shape (E, 3)."""
+    """`RowLabel`, shape (E, 3)."""
 
     real: Reals2
-    """Columns from AXIS on, shape (E, REALS)."""
+    """`RowValue`, shape (E, 15)."""
 
     noise: Reals1
     """As in `Block`, block after block."""
@@ -63,7 +127,7 @@ class BelievedRobots(NamedTuple):
     """N robots."""
 
     state: Reals2
-    """Columns from POSITION on, shape (N, STATE)."""
+    """`RobotState`, shape (N, 11)."""
 
     arm: Reals3
     """Center to dock at the final stance, as sensed [R], shape (N, docks, 3)."""
@@ -82,7 +146,7 @@ class Scratch(NamedTuple):
     """Covariance, then its Cholesky factor, shape (m, m)."""
 
     row: Reals2
-    """Columns from DIRECTION on, shape (m, SEEN)."""
+    """`RowState`, shape (m, 5)."""
 
     value: Reals2
     """Derivatives by each unknown, then what `Linearized.of_others` is of, then the residual: a
@@ -118,7 +182,7 @@ def undone(arm, turn):
 @ti.func
 def turn_of(i, robots: Ref):
     """Read the error of the orientation of robot i as a rotation vector [rad]."""
-    return part_at(robots.state, i, TURN) * part_at(robots.state, i, TURN_SD)
+    return part_at(robots.state, i, RobotState.TURN) * part_at(robots.state, i, RobotState.TURN_SD)
 
 
 @ti.func
@@ -128,17 +192,17 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
     Returns:
         The part of its arm that the final orientation turns, and the other robot's arm.
     """
-    e = table.block[b, ROW] + a
-    kind = table.number[e, KIND]
-    own = table.member[table.block[b, MEMBERS]]
-    tail = undone(part_at(table.real, e, TAIL), turn_of(own, robots))
-    point = at + part_at(table.real, e, ARM) + tail - part_at(table.real, e, TAIL)
+    e = table.block[b, BlockStart.ROW] + a
+    kind = table.number[e, RowLabel.KIND]
+    own = table.member[table.block[b, BlockStart.MEMBERS]]
+    tail = undone(part_at(table.real, e, RowValue.TAIL), turn_of(own, robots))
+    point = at + part_at(table.real, e, RowValue.ARM) + tail - part_at(table.real, e, RowValue.TAIL)
     its = ti.Vector([0.0, 0.0, 0.0])
-    axis, value = part_at(table.real, e, AXIS), table.real[e, VALUE]
+    axis, value = part_at(table.real, e, RowValue.AXIS), table.real[e, RowValue.VALUE]
     if kind != COORDINATE:
-        other = table.member[table.block[b, MEMBERS] + table.number[e, MEMBER]]
-        its = undone(part_at(table.real, e, OTHER_ARM), turn_of(other, robots))
-        point -= part_at(robots.state, other, POSITION) + its
+        other = table.member[table.block[b, BlockStart.MEMBERS] + table.number[e, RowLabel.MEMBER]]
+        its = undone(part_at(table.real, e, RowValue.OTHER_ARM), turn_of(other, robots))
+        point -= part_at(robots.state, other, RobotState.POSITION) + its
     residual = point.dot(axis) - value
     if kind < OFFSET:
         # A distance measures along the line between its ends, which moves with the robots.
@@ -150,9 +214,9 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
         if kind == HINGE and residual >= 0.0:
             axis, residual = 0.0 * axis, 0.0
     for c in ti.static(range(_AXES)):
-        scratch.row[a, DIRECTION + c] = axis[c]
-    scratch.row[a, RESIDUAL] = residual
-    scratch.row[a, WIDENED] = table.real[e, OWN_VARIANCE]
+        scratch.row[a, RowState.DIRECTION + c] = axis[c]
+    scratch.row[a, RowState.RESIDUAL] = residual
+    scratch.row[a, RowState.WIDENED] = table.real[e, RowValue.OWN_VARIANCE]
     return tail, its
 
 
@@ -165,19 +229,20 @@ def give_way(b, robust_square, table: Ref, scratch: Ref):
     Args:
         robust_square: Square of the width of the loss [1].
     """
-    start = table.block[b, ROW]
+    start = table.block[b, BlockStart.ROW]
     excess = 0.0
-    for a in range(table.block[b + 1, ROW] - start):
+    for a in range(table.block[b + 1, BlockStart.ROW] - start):
         # The three rows of a vector give way together.
-        parts = _AXES if table.number[start + a, KIND] == OFFSET else 1
-        first = table.number[start + a, FIRST]
+        parts = _AXES if table.number[start + a, RowLabel.KIND] == OFFSET else 1
+        first = table.number[start + a, RowLabel.FIRST]
+        of_row = table.real[start + a, RowValue.VARIANCE]
         missed = 0.0
         for k in range(first, first + parts):
-            variance = table.real[start + k, VARIANCE]
-            missed += scratch.row[k, RESIDUAL] ** 2 / (robust_square * variance)
-        if table.number[start + a, KIND] == COORDINATE and table.real[start + a, VARIANCE] <= KNOWN:
+            variance = table.real[start + k, RowValue.VARIANCE]
+            missed += scratch.row[k, RowState.RESIDUAL] ** 2 / (robust_square * variance)
+        if table.number[start + a, RowLabel.KIND] == COORDINATE and of_row <= KNOWN:
             missed = 0.0
-        scratch.row[a, WIDENED] += table.real[start + a, VARIANCE] * missed
+        scratch.row[a, RowState.WIDENED] += of_row * missed
         excess += robust_square * (ti.log(1.0 + missed) - missed / (1.0 + missed)) / parts
     return excess
 
@@ -189,20 +254,20 @@ def factor_covariance(b, noise: Ref, table: Ref, scratch: Ref):
     Args:
         noise: As `Table.noise`.
     """
-    rows = table.block[b + 1, ROW] - table.block[b, ROW]
-    start = table.block[b, NOISE]
+    rows = table.block[b + 1, BlockStart.ROW] - table.block[b, BlockStart.ROW]
+    start = table.block[b, BlockStart.NOISE]
     for a in range(rows):
-        way = part_at(scratch.row, a, DIRECTION)
+        way = part_at(scratch.row, a, RowState.DIRECTION)
         for k in range(a + 1):
             # d N e, less the part that earlier columns of the factor explain.
-            its = part_at(scratch.row, k, DIRECTION)
+            its = part_at(scratch.row, k, RowState.DIRECTION)
             total = 0.0
             for c in ti.static(range(_AXES)):
                 here = start + ((_AXES * a + c) * rows + k) * _AXES
                 through = ti.Vector([noise[here], noise[here + 1], noise[here + 2]])
                 total += way[c] * through.dot(its)
             if a == k:
-                total += scratch.row[a, WIDENED]
+                total += scratch.row[a, RowState.WIDENED]
             for c in range(k):
                 total -= scratch.covariance[a, c] * scratch.covariance[k, c]
             if a == k:
@@ -222,23 +287,22 @@ def whiten(u, rows, scratch: Ref):
 
 
 @ti.func
-def is_touching(later, dock, earlier, its, robots: Ref):
-    """Whether two docks are in contact."""
-    found = False
-    for t in range(robots.touch_start[later], robots.touch_start[later + 1]):
-        if (
-            robots.touch[t, 0] == dock
-            and robots.touch[t, 1] == earlier
-            and robots.touch[t, 2] == its
-        ):
-            found = True
-    return found
+def overlap_of(robot, dock, other, its, apart, robots: Ref):
+    """How far docks that are apart by a vector reach into each other [R]; 0 if they touch.
 
-
-@ti.func
-def overlap_of(apart):
-    """How far docks whose centers are apart by a vector reach into each other [R]."""
-    return ti.max(SPACING - apart.norm(), 0.0)
+    Docks in contact are nearer than D as often as farther.
+    """
+    deep = ti.max(SPACING - apart.norm(), 0.0)
+    if deep > 0.0:
+        # The later robot lists a contact.
+        later, first, earlier, second = robot, dock, other, its
+        if robot < other:
+            later, first, earlier, second = other, its, robot, dock
+        for t in range(robots.touch_start[later], robots.touch_start[later + 1]):
+            is_dock = robots.touch[t, 0] == first and robots.touch[t, 2] == second
+            if is_dock and robots.touch[t, 1] == earlier:
+                deep = 0.0
+    return deep
 
 
 @ti.func
@@ -257,7 +321,7 @@ def center_of(i, robots: Ref):
 def _number_places(b, moving, table: Ref, column: Ref, scratch: Ref):
     """Number the unknowns of the members of block b; return how many values a row has."""
     used = 0
-    for k in range(table.block[b, MEMBERS], table.block[b + 1, MEMBERS]):
+    for k in range(table.block[b, BlockStart.MEMBERS], table.block[b + 1, BlockStart.MEMBERS]):
         if column[table.member[k]] >= 0:
             # All shifts come before all turns, as in `Linearized`.
             for c in range(_PARTS):
@@ -273,7 +337,7 @@ def _number_places(b, moving, table: Ref, column: Ref, scratch: Ref):
 @ti.func
 def _slot_of(b, member, table: Ref, column: Ref):
     """First value of a member of block b, -1 if it does not move."""
-    start = table.block[b, MEMBERS]
+    start = table.block[b, BlockStart.MEMBERS]
     slot = -1
     if column[table.member[start + member]] >= 0:
         slot = 0
@@ -294,24 +358,25 @@ def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, 
     """Write the derivatives of row a of block b, and its residual."""
     for u in range(values):
         scratch.value[u, a] = 0.0
-    e, start = table.block[b, ROW] + a, table.block[b, MEMBERS]
-    way, own = part_at(scratch.row, a, DIRECTION), table.member[start]
+    e, start = table.block[b, BlockStart.ROW] + a, table.block[b, BlockStart.MEMBERS]
+    way, own = part_at(scratch.row, a, RowState.DIRECTION), table.member[start]
     slot = _slot_of(b, 0, table, column)
     if slot >= 0:
         _store(slot, a, way, scratch)
-        _store(slot + _AXES, a, way.cross(tail) * part_at(robots.state, own, TURN_SD), scratch)
+        across = way.cross(tail) * part_at(robots.state, own, RobotState.TURN_SD)
+        _store(slot + _AXES, a, across, scratch)
     # Two robots that stay share their error, as far as both have it.
-    stays = robots.state[own, STAYS]
-    if table.number[e, KIND] != COORDINATE:
-        other = table.member[start + table.number[e, MEMBER]]
-        slot = _slot_of(b, table.number[e, MEMBER], table, column)
+    stays = robots.state[own, RobotState.STAYS]
+    if table.number[e, RowLabel.KIND] != COORDINATE:
+        other = table.member[start + table.number[e, RowLabel.MEMBER]]
+        slot = _slot_of(b, table.number[e, RowLabel.MEMBER], table, column)
         if slot >= 0:
             _store(slot, a, -way, scratch)
-            across = its.cross(way) * part_at(robots.state, other, TURN_SD)
+            across = its.cross(way) * part_at(robots.state, other, RobotState.TURN_SD)
             _store(slot + _AXES, a, across, scratch)
-        stays -= robots.state[other, STAYS]
+        stays -= robots.state[other, RobotState.STAYS]
     _store(values - _SHARED - 1, a, stays * way, scratch)
-    scratch.value[values - 1, a] = scratch.row[a, RESIDUAL]
+    scratch.value[values - 1, a] = scratch.row[a, RowState.RESIDUAL]
 
 
 @ti.func
@@ -336,7 +401,8 @@ def _fill_side(used, robot, pull, arm, moving, robots: Ref, column: Ref, scratch
     after = used
     if column[robot] >= 0:
         _store(used, 0, pull, scratch)
-        _store(used + _AXES, 0, pull.cross(arm) * part_at(robots.state, robot, TURN_SD), scratch)
+        across = pull.cross(arm) * part_at(robots.state, robot, RobotState.TURN_SD)
+        _store(used + _AXES, 0, across, scratch)
         for c in range(_PARTS):
             turns = moving if c >= _AXES else 0
             scratch.place[used + c] = _AXES * (turns + column[robot]) + c % _AXES
@@ -351,9 +417,9 @@ def _add_overlap(robot, other, arm, its, apart, moving, robots: Ref, column: Ref
     way = apart.normalized() / OVERLAP_SD
     used = _fill_side(0, robot, way, arm, moving, robots, column, scratch)
     used = _fill_side(used, other, -way, its, moving, robots, column, scratch)
-    stays = robots.state[robot, STAYS] - robots.state[other, STAYS]
+    stays = robots.state[robot, RobotState.STAYS] - robots.state[other, RobotState.STAYS]
     _store(used, 0, stays * way, scratch)
-    scratch.value[used + _SHARED, 0] = -overlap_of(apart) / OVERLAP_SD
+    scratch.value[used + _SHARED, 0] = (apart.norm() - SPACING) / OVERLAP_SD
     for c in range(_SHARED + 1):
         scratch.place[used + c] = _PARTS * moving + c
     _add_products(1, used + _SHARED + 1, scratch, total_out)
@@ -370,23 +436,18 @@ def _note_overlap(k, deep, overlap_out: Ref):
 def _add_overlaps(robot, other, moving, robots: Ref, column: Ref, scratch: Ref, total_out: Ref,
                   overlap_out: Ref):  # fmt: skip
     """Add the overlaps of docks of two robots that do not touch."""
-    later, earlier = ti.max(robot, other), ti.min(robot, other)
     between = center_of(robot, robots) - center_of(other, robots)
     for dock in range(robots.arm.shape[1]):
         arm = dock_arm(robot, dock, robots)
         for its in range(robots.arm.shape[1]):
             other_arm = dock_arm(other, its, robots)
             apart = between + arm - other_arm
-            deep = overlap_of(apart)
+            deep = overlap_of(robot, dock, other, its, apart, robots)
             if deep > 0.0 and deep < SPACING:
-                first = dock if robot > other else its
-                second = its if robot > other else dock
-                # Docks in contact are nearer than D as often as farther.
-                if not is_touching(later, first, earlier, second, robots):
-                    _add_overlap(robot, other, arm, other_arm, apart, moving, robots, column,
-                                 scratch, total_out)  # fmt: skip
-                    _note_overlap(column[robot], deep, overlap_out)
-                    _note_overlap(column[other], deep, overlap_out)
+                _add_overlap(robot, other, arm, other_arm, apart, moving, robots, column,
+                             scratch, total_out)  # fmt: skip
+                _note_overlap(column[robot], deep, overlap_out)
+                _note_overlap(column[other], deep, overlap_out)
 
 
 @ti.kernel
@@ -420,8 +481,8 @@ def sum_equations(
         moving, blocks = mover.shape[0], block.shape[0] - 1
         if b == 0:
             square_out[blocks] = 0.0
-        rows = block[b + 1, ROW] - block[b, ROW]
-        at = center_of(member[block[b, MEMBERS]], robots)
+        rows = block[b + 1, BlockStart.ROW] - block[b, BlockStart.ROW]
+        at = center_of(member[block[b, BlockStart.MEMBERS]], robots)
         values = _number_places(b, moving, table, column, scratch)
         for a in range(rows):
             tail, its = measure_row(b, a, at, table, robots, scratch)
@@ -446,45 +507,41 @@ def sum_equations(
             # A pair that may both move is listed once.
             is_listed = other != robot and (other < robot or column[other] < 0)
             # Docks of robots that have left are in nobody's way.
-            is_listed = is_listed and state[robot, GONE] + state[other, GONE] == 0.0
+            gone = state[robot, RobotState.GONE] + state[other, RobotState.GONE]
+            is_listed = is_listed and gone == 0.0
             if is_listed and (here - center_of(other, robots)).norm_sqr() < reach * reach:
                 _add_overlaps(robot, other, mover.shape[0], robots, column, scratch, total_out,
                               overlap_out)  # fmt: skip
 
 
 @ti.func
-def _whiten_rows(at, noise: Ref, table: Ref, robots: Ref, scratch: Ref):
-    """Divide derivatives and residuals of the rows by the factor of their covariance at a place."""
-    rows = table.block[1, ROW]
+def _sum_at(at, noise: Ref, table: Ref, robots: Ref, scratch: Ref, total_out: Ref):
+    """Add up the squares of the rows of one robot at a place, as `sum_equations` does."""
+    rows = table.block[1, BlockStart.ROW]
     for a in range(rows):
         measure_row(0, a, at, table, robots, scratch)
         for c in ti.static(range(_AXES)):
-            scratch.value[c, a] = scratch.row[a, DIRECTION + c]
-        scratch.value[_AXES, a] = scratch.row[a, RESIDUAL]
+            scratch.value[c, a] = scratch.row[a, RowState.DIRECTION + c]
+        scratch.value[_AXES, a] = scratch.row[a, RowState.RESIDUAL]
     factor_covariance(0, noise, table, scratch)
     for u in range(_VALUES):
         whiten(u, rows, scratch)
+        scratch.place[u] = u
+        for v in range(_VALUES):
+            total_out[u, v] = 0.0
+    _add_products(rows, _VALUES, scratch, total_out)
 
 
 @ti.func
-def _product(u, v, rows, scratch: Ref):
-    """Add up the products of two values over all rows."""
-    total = 0.0
-    for a in range(rows):
-        total += scratch.value[u, a] * scratch.value[v, a]
-    return total
-
-
-@ti.func
-def _step(rows, scratch: Ref):
+def _step(total: Ref):
     """Solve for the damped step to the minimum [R]."""
     known = ti.Matrix.zero(ti.f64, _AXES, _AXES)
     slope = ti.Vector([0.0, 0.0, 0.0])
     for u in ti.static(range(_AXES)):
         for v in ti.static(range(_AXES)):
-            known[u, v] = _product(u, v, rows, scratch)
+            known[u, v] = total[max(u, v), min(u, v)]
         known[u, u] += CANDIDATES.damping
-        slope[u] = _product(u, _AXES, rows, scratch)
+        slope[u] = total[_AXES, u]
     return -(known.inverse() @ slope)
 
 
@@ -511,14 +568,13 @@ def _overlaps_at(at, own, reach, robots: Ref):
     total = 0.0
     for other in range(robots.state.shape[0]):
         between = at - center_of(other, robots)
-        is_there = other != own and robots.state[other, GONE] == 0.0
+        is_there = other != own and robots.state[other, RobotState.GONE] == 0.0
         if is_there and between.norm_sqr() < reach * reach:
             for its in range(robots.arm.shape[1]):
                 apart = between - dock_arm(other, its, robots)
                 for dock in range(robots.arm.shape[1]):
-                    deep = overlap_of(apart + dock_arm(own, dock, robots))
-                    if deep > 0.0 and not is_touching(own, dock, other, its, robots):
-                        total += (deep / OVERLAP_SD) ** 2
+                    away = apart + dock_arm(own, dock, robots)
+                    total += (overlap_of(own, dock, other, its, away, robots) / OVERLAP_SD) ** 2
     return total
 
 
@@ -528,13 +584,14 @@ def descend(
     block: Ints2, member: Ints1, number: Ints2, real: Reals2, noise: Reals1,  # Table
     state: Reals2, arm: Reals3, touch: Ints2, touch_start: Ints1,  # BelievedRobots
     covariance: Reals2, row: Reals2, value: Reals2, place: Ints1,  # Scratch
-    place_out: Reals2, cost_out: Reals1, count_out: Ints1,
+    total_out: Reals2, place_out: Reals2, cost_out: Reals1, count_out: Ints1,
 ):  # fmt: skip
     """Step from all starts to minima of the chi-square of one block.
 
     Args:
         non_overlap: Whether docks that do not touch must not overlap.
         reach: Distance of centers beyond which no docks overlap [R].
+        total_out: Room for products of three shifts and the residual, in pairs, shape (4, 4).
         place_out: Starts, then the places that they led to [R], shape (starts, 3).
         cost_out: Chi-square of the rows and squares of overlaps at each place, shape (starts,).
         count_out: How many places are left, shape (1,).
@@ -544,16 +601,15 @@ def descend(
     scratch = ti.static(Scratch(covariance, row, value, place))
     ti.loop_config(serialize=True)
     for once in range(1):
-        rows, own = block[1, ROW], member[once]
-        count = place_out.shape[0]
+        own, count = member[once], place_out.shape[0]
         taken, farthest = 0, CANDIDATES.settled
         while taken < CANDIDATES.rounds and farthest >= CANDIDATES.settled:
             farthest = 0.0
             # Each start goes on by itself: a merge drops starts, and moves none.
             for n in range(count):
                 at = vector_at(place_out, n)
-                _whiten_rows(at, noise, table, robots, scratch)
-                step = _step(rows, scratch)
+                _sum_at(at, noise, table, robots, scratch, total_out)
+                step = _step(total_out)
                 far = step.norm()
                 farthest = ti.max(farthest, far)
                 at += step * ti.min(1.0, CANDIDATES.longest_step / ti.max(far, CANDIDATES.settled))
@@ -566,8 +622,8 @@ def descend(
         for n in range(count):
             at = vector_at(place_out, n)
             # The covariance depends on where the robot is.
-            _whiten_rows(at, noise, table, robots, scratch)
-            cost_out[n] = _product(_AXES, _AXES, rows, scratch)
+            _sum_at(at, noise, table, robots, scratch, total_out)
+            cost_out[n] = total_out[_AXES, _AXES]
             if non_overlap:
                 cost_out[n] += _overlaps_at(at, own, reach, robots)
         count_out[0] = count

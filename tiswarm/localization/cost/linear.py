@@ -20,6 +20,9 @@ _FLOPPY = 1e-9
 NOMINAL = 1e-6
 """Precision of an unknown that only other rows constrain, for which a prior is a formality."""
 
+_CHECKED = 1e-3
+"""Share of a row's variance that other rows must leave open, for the row to be checked by them."""
+
 _LEAST_DAMPING = 1e-12
 """Precision, relative to the largest one, that stops motions that no measurement resists."""
 
@@ -236,6 +239,41 @@ class Linear:
         shifted = np.where(says, self.precision, 0.0) - _FLOPPY * self._largest
         known = int((self._factored(shifted, self.information - held).U.diagonal() > 0.0).sum())
         return int((overlap == 0.0).sum()) + int(says.sum()) - known
+
+    def gain_without(self, rows: Ints, columns: Ints) -> tuple[float, int]:
+        """Predict by how much the cost falls without some rows and the priors of some unknowns.
+
+        Without rows D it is lower by e^T (C - J P J^T)^-1 e, with their residuals e, covariance C
+        and derivatives J, and the covariance P of all unknowns. A prior counts as such a row.
+
+        Args:
+            rows: Measurements, shape (k,).
+            columns: Free unknowns, shape (l,).
+
+        Returns:
+            The gain [1], and how many of these k + l rows others check.
+        """
+        first, size = len(rows), len(rows) + len(columns)
+        if not size:
+            return 0.0, 0
+        prior = first + np.arange(len(columns))
+        derivative, covariance = np.zeros((size, len(self.precision))), np.zeros((size, size))
+        derivative[:first] = csc_array(self.jacobian)[rows, :].toarray()
+        derivative[prior, columns] = 1.0
+        covariance[:first, :first] = (
+            np.diag(1.0 / self.inverse[rows])
+            if isinstance(self.inverse, np.ndarray)
+            else np.linalg.inv(csc_array(self.inverse)[rows, :][:, rows].toarray())
+        )
+        covariance[prior, prior] = 1.0 / self.precision[columns]
+        scale = 1.0 / np.sqrt(covariance.diagonal())
+        left = covariance - derivative @ self.undamped.solve(derivative.T)
+        value, vector = np.linalg.eigh(left * scale[:, None] * scale)
+        residual = np.concatenate([self.residual[rows], self.off[columns]])
+        part = vector.T @ (residual * scale)
+        # A row that nothing else checks fits anything: leaving it out gains nothing.
+        is_checked = value > _CHECKED
+        return float((part[is_checked] ** 2 / value[is_checked]).sum()), int(is_checked.sum())
 
     def variance(self, free: Reals | None = None, draws: int = _DRAWS) -> Reals:
         """Compute the mean square error of positions from draws of all errors [R^2], shape (N,).

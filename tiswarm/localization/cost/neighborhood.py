@@ -18,29 +18,15 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.cost.kernels import (
-    ARM,
-    AXIS,
     COORDINATE,
     DISTANCE,
-    FIRST,
-    GONE,
     HINGE,
-    KIND,
-    MEMBER,
     OFFSET,
-    OTHER_ARM,
-    OWN_VARIANCE,
-    POSITION,
-    REALS,
-    SEEN,
-    STATE,
-    STAYS,
-    TAIL,
-    TURN,
-    TURN_SD,
-    VALUE,
-    VARIANCE,
     BelievedRobots,
+    RobotState,
+    RowLabel,
+    RowState,
+    RowValue,
     Scratch,
     Table,
     sum_equations,
@@ -123,11 +109,15 @@ def robots_at(state: Configuration, shapes: Shapes, stays: Reals | float = 0.0) 
         shapes: All N robots.
         stays: Standard deviation of each coordinate of those that do not move [R], shape (N,).
     """
-    columns = np.empty((len(shapes.arm), STATE))
-    columns[:, POSITION:TURN], columns[:, TURN:TURN_SD] = state
-    columns[:, TURN_SD:STAYS], columns[:, STAYS] = shapes.turn_sd, stays
-    columns[:, GONE] = 0.0
-    columns[[*shapes.gone], GONE] = 1.0
+    gone = np.zeros(len(shapes.arm))
+    gone[[*shapes.gone]] = 1.0
+    columns = RobotState.pack(
+        POSITION=state.position,
+        TURN=state.turn,
+        TURN_SD=shapes.turn_sd,
+        STAYS=np.broadcast_to(stays, len(gone)),
+        GONE=gone,
+    )
     return BelievedRobots(columns, shapes.arm, shapes.touch, shapes.touch_start)
 
 
@@ -143,10 +133,10 @@ class Block:
     the rows, and the robot itself, shape (M,)."""
 
     number: NDArray[np.int32]
-    """The rows as kernels take them: columns of `Table.number`, shape (m, 3)."""
+    """The rows as kernels take them: `Table.number`, shape (m, 3)."""
 
     real: Reals
-    """The same: columns of `Table.real`, shape (m, REALS)."""
+    """The same: `Table.real`, shape (m, 15)."""
 
     noise: Reals
     """N: covariance of rows a and b by noise of earlier stances, for unit derivatives along axes
@@ -172,7 +162,7 @@ class Block:
 
     def with_final_noise(self) -> Reals:
         """Return `noise` with that of the robot's final orientation, shape (m, 3, m, 3)."""
-        tail = self.real[:, TAIL : TAIL + _AXES]
+        tail = self.real[:, RowValue.TAIL : RowValue.OTHER_ARM]
         return self.noise + _products(_turns(tail, self.turn_sd)[:, :, None])
 
 
@@ -215,19 +205,26 @@ def block_of(rows: Measurements, members: Ints) -> Block:
 def _columns(rows: Measurements, place: Ints, tail: Reals) -> tuple[NDArray[np.int32], Reals]:
     """Write rows as `Table` has them; the other robot of each pair has a place among partners."""
     d, o, p = rows.distances, rows.offsets, rows.places
-    first, pairs = len(d.stance), len(place)
-    number, real = np.zeros((len(rows), 3), np.int32), np.zeros((len(rows), REALS))
-    number[:, KIND] = COORDINATE
-    number[:first, KIND] = np.where(d.is_hinge, HINGE, DISTANCE)
-    number[first:pairs, KIND] = OFFSET
-    number[:pairs, MEMBER] = 1 + place
-    number[:, FIRST] = np.arange(len(rows))
-    number[first:pairs, FIRST] -= np.arange(pairs - first, dtype=np.int32) % _AXES
-    real[first:, AXIS : AXIS + _AXES] = np.concatenate([o.axis, p.direction])
-    real[:, ARM : ARM + _AXES], real[:, TAIL : TAIL + _AXES] = rows.arm, tail
-    real[:pairs, OTHER_ARM : OTHER_ARM + _AXES] = rows.other_arm
-    real[:first, VALUE], real[pairs:, VALUE] = d.length, p.value
-    real[:, OWN_VARIANCE], real[:, VARIANCE] = rows.own_variance, rows.variance()
+    offsets, every = len(o.stance), np.arange(len(rows))
+    kind = np.repeat([DISTANCE, OFFSET, COORDINATE], [len(d.stance), offsets, len(p.stance)])
+    kind[: len(d.stance)] = np.where(d.is_hinge, HINGE, DISTANCE)
+    # The three rows of a vector are one measurement.
+    part = np.where(kind == OFFSET, (every - len(d.stance)) % _AXES, 0)
+    alone = np.zeros((len(p.stance), _AXES))
+    number = RowLabel.pack(
+        KIND=kind,
+        MEMBER=np.concatenate([1 + place, alone[:, 0].astype(np.int64)]),
+        FIRST=every - part,
+    ).astype(np.int32)
+    real = RowValue.pack(
+        AXIS=np.concatenate([np.zeros((len(d.stance), _AXES)), o.axis, p.direction]),
+        ARM=rows.arm,
+        TAIL=tail,
+        OTHER_ARM=np.concatenate([rows.other_arm, alone]),
+        VALUE=np.concatenate([d.length, np.zeros(offsets), p.value]),
+        OWN_VARIANCE=rows.own_variance,
+        VARIANCE=rows.variance(),
+    )
     return number, real
 
 
@@ -264,7 +261,7 @@ def scratch_for(blocks: list[Block]) -> Scratch:
     values = _PARTS * max(2, *(1 + len(b.about) for b in blocks)) + 1 + _AXES
     return Scratch(
         covariance=np.empty((rows, rows)),
-        row=np.empty((rows, SEEN)),
+        row=np.empty((rows, RowState.TOTAL)),
         value=np.empty((values, rows)),
         place=np.empty(values, np.int32),
     )

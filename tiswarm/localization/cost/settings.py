@@ -9,6 +9,10 @@ from dataclasses import dataclass
 OVERLAP_SD = 0.05
 """Overlap of two docks that counts like a measurement missed by one standard deviation [R]."""
 
+EXTENSION = 1.5
+"""Gain in log-likelihood for each R more between robots in contact [R^-1]: robots climb as far as
+they can, so that most configurations that fit are folded closer than what they build."""
+
 ROBUST_SD = 3.0
 """Width of the robust loss [standard deviations]: where a measurement begins to give way."""
 
@@ -40,10 +44,6 @@ class CandidateSettings:
 
     distinct: float = 0.25
     """Distance from which on two ends are two candidates [R]."""
-
-    extension: float = 3.0
-    """Gain of a candidate for each R more to the robots that it touches, in the mean [R^-1]: robots
-    climb as far as they can."""
 
     worst: float = 80.0
     """Cost beyond the best one's up to which a candidate is kept [1]."""

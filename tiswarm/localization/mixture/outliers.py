@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
@@ -29,9 +28,6 @@ from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog
-
-_DETERMINED = 1e-3
-"""Share of a row's variance that other rows must leave open, for the row to be checked by them."""
 
 _TRIAL_TURN = 1.5
 """Turn about each axis, in both directions, from which an orientation is searched [rad]."""
@@ -286,9 +282,7 @@ def _significance(gain: Reals, freed: Ints, trial: _Trial) -> Reals:
 def _gains(trial: _Trial) -> tuple[Reals, Ints]:
     """Predict by how much the cost falls without the orientations of each robot.
 
-    Without rows D the cost of a linear problem is lower by e^T (C - J P J^T)^-1 e, with their
-    residuals e, covariance C and derivatives J, and the covariance P of all unknowns. The prior of
-    a final orientation counts as three such rows.
+    The prior of a final orientation counts as three rows.
 
     Returns:
         Gains [1], and how many rows others check, (N,) both.
@@ -299,33 +293,8 @@ def _gains(trial: _Trial) -> tuple[Reals, Ints]:
     for robot in range(rows.robots):
         own = walked[rows.robot[walked] == robot]
         turn = linear.column[3 * (rows.robots + robot) + _AXES]
-        gain[robot], freed[robot] = _gain(linear, own, turn[turn >= 0])
+        gain[robot], freed[robot] = linear.gain_without(own, turn[turn >= 0])
     return gain, freed
-
-
-def _gain(linear: Linear, rows: Ints, columns: Ints) -> tuple[float, int]:
-    """Predict the gain without some rows and the priors of some columns, as `_gains` has it."""
-    first, size = len(rows), len(rows) + len(columns)
-    if not size:
-        return 0.0, 0
-    prior = first + np.arange(len(columns))
-    derivative, covariance = np.zeros((size, len(linear.precision))), np.zeros((size, size))
-    derivative[:first] = csc_array(linear.jacobian)[rows, :].toarray()
-    derivative[prior, columns] = 1.0
-    covariance[:first, :first] = (
-        np.diag(1.0 / linear.inverse[rows])
-        if isinstance(linear.inverse, np.ndarray)
-        else np.linalg.inv(csc_array(linear.inverse)[rows, :][:, rows].toarray())
-    )
-    covariance[prior, prior] = 1.0 / linear.precision[columns]
-    scale = 1.0 / np.sqrt(covariance.diagonal())
-    left = covariance - derivative @ linear.undamped.solve(derivative.T)
-    value, vector = np.linalg.eigh(left * scale[:, None] * scale)
-    residual = np.concatenate([linear.residual[rows], linear.off[columns]])
-    part = vector.T @ (residual * scale)
-    # A row that nothing else checks fits anything: leaving it out gains nothing.
-    is_checked = value > _DETERMINED
-    return float((part[is_checked] ** 2 / value[is_checked]).sum()), int(is_checked.sum())
 
 
 def _turned(trial: _Trial) -> SensingLog:

@@ -11,34 +11,21 @@ from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.chains.subtrees import find_subtrees
 from tiswarm.localization.chains.views import ChainView, Links, cooled, plane_rows
 from tiswarm.localization.cost.kernels import (
-    ARM,
-    AXIS,
     COORDINATE,
-    FIRST,
-    KIND,
-    MEMBER,
-    MEMBERS,
     OFFSET,
-    OTHER_ARM,
-    ROW,
-    VALUE,
-    VARIANCE,
+    BlockStart,
+    RowLabel,
+    RowValue,
     Table,
-)  # fmt: skip
+)
 from tiswarm.localization.cost.neighborhood import Block, Configuration, Neighborhood
 from tiswarm.localization.cost.planes import Planes
-from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.cost.settings import EXTENSION, ROBUST_SD
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.online.layers import LocalLayers
 
 _AXES = 3
-_PRIOR = JointParams().extension_prior
-_TEMPERED = 4.0
-"""Divisor of costs by which ends of chains weigh in standard deviations [1]: few chains meet few of
-the likely minima. Chosen on towers and cantilevers of the seeds 1000 to 1007, which no result is
-reported on."""
 
 
 class NearAnnealed(NamedTuple):
@@ -89,7 +76,7 @@ def _gain(layers: LocalLayers, moving: Ints, state: Configuration, reach: float)
         if len(partners):
             apart = np.linalg.norm(state.position[partners] - state.position[k], axis=1)
             # Beyond its reach a contact would give way, and the robot would gain by that.
-            total += 2.0 * _PRIOR * float(np.minimum(apart, reach).mean())
+            total += 2.0 * EXTENSION * float(np.minimum(apart, reach).mean())
     return total
 
 
@@ -124,12 +111,12 @@ def view_near(
 
 def _links_of(blocks: list[Block], table: Table, robots: int) -> Links:
     """Lay out the pairs of some blocks, which are those of the table."""
-    count = np.diff(table.block[:, ROW])
-    first = np.repeat(table.block[:-1, MEMBERS], count)
-    row = np.arange(len(first)) - np.repeat(table.block[:-1, ROW], count)
-    kind = table.number[:, KIND]
+    count = np.diff(table.block[:, BlockStart.ROW])
+    first = np.repeat(table.block[:-1, BlockStart.MEMBERS], count)
+    row = np.arange(len(first)) - np.repeat(table.block[:-1, BlockStart.ROW], count)
+    kind = table.number[:, RowLabel.KIND]
     is_pair = kind != COORDINATE
-    begins = (table.number[:, FIRST] == row)[is_pair]
+    begins = (table.number[:, RowLabel.FIRST] == row)[is_pair]
     at = np.flatnonzero(is_pair)[begins]
     tables = [each for b in blocks for each in (b.rows.distances, b.rows.offsets)]
     final = np.repeat(
@@ -143,9 +130,9 @@ def _links_of(blocks: list[Block], table: Table, robots: int) -> Links:
     vector = np.zeros((len(at), _AXES))
     vector[is_offset] = np.concatenate([b.rows.offsets.vector[::_AXES] for b in blocks])
     real = table.real[at]
-    total = np.bincount(np.cumsum(begins) - 1, table.real[is_pair, VARIANCE], len(at))
+    total = np.bincount(np.cumsum(begins) - 1, table.real[is_pair, RowValue.VARIANCE], len(at))
     robot = table.member[first[at]].astype(np.int64)
-    other = table.member[first[at] + table.number[at, MEMBER]].astype(np.int64)
+    other = table.member[first[at] + table.number[at, RowLabel.MEMBER]].astype(np.int64)
     share = is_final / fewest_contacts(np.column_stack([robot, other]), is_final, robots)
     return Links(
         robot=robot,
@@ -153,11 +140,13 @@ def _links_of(blocks: list[Block], table: Table, robots: int) -> Links:
         is_final=is_final,
         is_offset=is_offset,
         is_touch=np.zeros(len(at), np.bool_),
-        arms=real[:, ARM : ARM + _AXES] - real[:, OTHER_ARM : OTHER_ARM + _AXES] - vector,
-        length=real[:, VALUE],
-        variance=real[:, VARIANCE],
-        across=np.where(is_offset, 0.5 * (total - real[:, VARIANCE]), 0.0),
-        extension=np.where(is_offset, 0.0, _PRIOR * share),
+        arms=real[:, RowValue.ARM : RowValue.TAIL]
+        - real[:, RowValue.OTHER_ARM : RowValue.VALUE]
+        - vector,
+        length=real[:, RowValue.VALUE],
+        variance=real[:, RowValue.VARIANCE],
+        across=np.where(is_offset, 0.5 * (total - real[:, RowValue.VARIANCE]), 0.0),
+        extension=np.where(is_offset, 0.0, EXTENSION * share),
         levers=np.zeros((len(at), 4)),
         vector=vector,
         candidates=np.empty((0, blocks[0].arm.shape[0], 2 * _AXES)),
@@ -166,15 +155,19 @@ def _links_of(blocks: list[Block], table: Table, robots: int) -> Links:
 
 def _planes_of(table: Table) -> Planes:
     """Turn the coordinates of a table into planes."""
-    at = np.flatnonzero(table.number[:, KIND] == COORDINATE)
-    own = np.repeat(table.member[table.block[:-1, MEMBERS]], np.diff(table.block[:, ROW]))
+    at = np.flatnonzero(table.number[:, RowLabel.KIND] == COORDINATE)
+    own = np.repeat(
+        table.member[table.block[:-1, BlockStart.MEMBERS]], np.diff(table.block[:, BlockStart.ROW])
+    )
     real = table.real[at]
-    direction = real[:, AXIS : AXIS + _AXES]
-    value = real[:, VALUE] - (direction * real[:, ARM : ARM + _AXES]).sum(axis=1)
+    direction = real[:, RowValue.AXIS : RowValue.ARM]
+    value = real[:, RowValue.VALUE] - (direction * real[:, RowValue.ARM : RowValue.TAIL]).sum(
+        axis=1
+    )
     return Planes(
         robot=own[at].astype(np.int64),
         direction=direction,
         point=direction * value[:, None],
         walk=np.zeros((len(at), 2)),
-        precision=1.0 / real[:, VARIANCE],
+        precision=1.0 / real[:, RowValue.VARIANCE],
     )

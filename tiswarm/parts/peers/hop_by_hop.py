@@ -28,6 +28,7 @@ from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
+from tiswarm.localization.cost.settings import EXTENSION, OVERLAP_SD
 from tiswarm.localization.mixture.verdict import assess, rms
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import measure
@@ -46,13 +47,6 @@ from tiswarm.records.sensing_log import SensingLog
 
 _CERTAIN = 9.0
 """Chi-square by which the worse one of two points must exceed the other to be excluded."""
-
-_OVERLAP_SD = 0.05
-"""Overlap of docks that counts like a row missed by one standard deviation [R]. Two points nearer
-than that along each axis count as one."""
-
-_EXTENSION = 1.5
-"""Gain in log-likelihood for each R more between robots in contact [R^-1], as in `joint`."""
 
 _SHARP = 2.0
 """Robots become located at once if their sd is within this factor of the least [1]. Others wait for
@@ -227,7 +221,8 @@ class _HopByHopSwarm:
             start = np.where(can_cross[:, None, None], rows.crossings(), start)
         point, misfit = rows.descend(start)
         apart = point[:, 1] - point[:, 0]
-        differs = np.abs(apart) > _OVERLAP_SD
+        # Points that are nearer than this along each axis count as one.
+        differs = np.abs(apart) > OVERLAP_SD
         # Where both starts lead to one point, nothing can prefer either.
         favor = np.zeros_like(misfit)
         if differs.any():
@@ -274,7 +269,7 @@ class _HopByHopSwarm:
         away = length(point[rows.of] - rows.partner[:, None])
         contacts = np.maximum(rows.sum(touches), 1.0)
         mean: Reals = rows.sum(touches[:, None] * away) / contacts[:, None]
-        return 2.0 * _EXTENSION * mean
+        return 2.0 * EXTENSION * mean
 
     def _overlap(self, robots: Ints, point: Reals) -> Reals:
         """Compute the chi-square of docks in the way at points (n, K, 3), shape (n, K)."""
@@ -284,6 +279,6 @@ class _HopByHopSwarm:
         there = (self.position[:-1, None] + self.docks)[is_there].reshape(-1, 3)
         dock = point[:, :, None] + self.docks[robots][:, None]
         overlap = np.maximum(SPACING - cKDTree(there).query(dock)[0], 0.0)
-        square: Reals = ((overlap / _OVERLAP_SD) ** 2).sum(axis=2)
+        square: Reals = ((overlap / OVERLAP_SD) ** 2).sum(axis=2)
         square[self.is_gone[robots]] = 0.0
         return square
