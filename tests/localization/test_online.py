@@ -80,17 +80,29 @@ def test_blocks_sum_to_the_normal_equations_of_the_refinement(towers, kind, robu
     none = np.zeros(len(position))
     whole = cost.linearized(State(position, none, every, np.zeros(0)), cost.precision)
 
-    every_robot = tracker.neighborhood(np.arange(len(position)))
-    summed = every_robot.linearized(Configuration(position - log.anchor_position, turn))
+    robots = np.arange(len(position))
+    state = Configuration(position - log.anchor_position, turn)
+    every_robot = tracker.neighborhood(robots)
+    summed = every_robot.linearized(state)
+    some = robots[3::2]
+    few = tracker.neighborhood(some).linearized(state)
 
     known = whole.information.toarray() + np.diag(whole.precision)
     assert len(known) == 6 * len(position) - 3
     assert summed.overlap.max() > 0.0
     assert summed.cost == pytest.approx(whole.cost, rel=1e-9)
-    scale = np.abs(known).max()
-    np.testing.assert_allclose(summed.information[3:, 3:], known, rtol=0.0, atol=1e-9 * scale)
-    scale = np.abs(whole.slope).max()
-    np.testing.assert_allclose(summed.slope[3:], whole.slope, rtol=0.0, atol=1e-9 * scale)
+    close = {"rtol": 0.0, "atol": 1e-9 * np.abs(known).max()}
+    steep = {"rtol": 0.0, "atol": 1e-9 * np.abs(whole.slope).max()}
+    np.testing.assert_allclose(summed.information[3:, 3:], known, **close)
+    np.testing.assert_allclose(summed.slope[3:], whole.slope, **steep)
+    # Robots that stay are constants: theirs are the rows and columns that are left out.
+    shift = 3 * some[:, None] - 3 + np.arange(3)
+    moved = np.concatenate([shift, shift + 3 * len(robots)]).ravel()
+    np.testing.assert_allclose(few.information, known[np.ix_(moved, moved)], **close)
+    np.testing.assert_allclose(few.slope, whole.slope[moved], **steep)
+    stays = np.where(np.isin(robots, some), 0.0, tracker.sd / np.sqrt(3.0))[1:]
+    others = known[moved][:, : 3 * len(stays)] @ np.kron(stays[:, None], np.eye(3))
+    np.testing.assert_allclose(few.of_others, others, **close)
 
 
 def test_estimates_do_not_depend_on_later_lines(towers, lines):

@@ -149,7 +149,7 @@ class Scratch(NamedTuple):
     """`RowState`, shape (m, 5)."""
 
     value: Reals2
-    """Derivatives by each unknown, then what `Linearized.of_others` is of, then the residual: a
+    """Derivatives by each unknown, then what `NearLinear.of_others` is of, then the residual: a
     row for each, shape (U, m)."""
 
     place: Ints1
@@ -323,7 +323,7 @@ def _number_places(b, moving, table: Ref, column: Ref, scratch: Ref):
     used = 0
     for k in range(table.block[b, BlockStart.MEMBERS], table.block[b + 1, BlockStart.MEMBERS]):
         if column[table.member[k]] >= 0:
-            # All shifts come before all turns, as in `Linearized`.
+            # All shifts come before all turns, as in `NearLinear`.
             for c in range(_PARTS):
                 turns = moving if c >= _AXES else 0
                 place = _AXES * (turns + column[table.member[k]]) + c % _AXES

@@ -109,7 +109,8 @@ def measured_planes(rows: Measurements, variance: Reals, *, is_solved: bool) -> 
     # A turn about the vertical changes no height: walks of heights need not turn.
     is_level = np.any(direction[:, :2] != 0.0, axis=1, keepdims=True)
     level = arm * np.array([1.0, 1.0, 0.0]) * (is_level & is_solved)
-    value = rows.places.value - (direction * arm).sum(axis=1) + (direction * level).sum(axis=1)
+    # The coordinate that would be measured of a center, yaw taken as sensed.
+    value = -rows.residual(np.zeros((rows.robots, 3)))[links:] + (direction * level).sum(axis=1)
     return Planes(
         robot=rows.robot[links:],
         direction=direction,

@@ -63,7 +63,7 @@ def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
     """Turn and shift a shape about its anchor to fit measured coordinates, shape (N, 3)."""
     rows, links = problem.rows, len(problem.rows.other)
     robot, direction = rows.robot[links:], rows.places.direction
-    value = rows.places.value - (direction * (rows.arm[links:] + anchor)).sum(axis=1)
+    value = -rows.residual(np.tile(anchor, (rows.robots, 1)))[links:]
     # n . A x = value, with nine unknowns
     matrix = (direction[:, :, None] * shape[robot][:, None, :]).reshape(-1, _AXES**2)
     ridge = _RIDGE * max(float((matrix**2).sum()), 1.0) * np.eye(_AXES**2)

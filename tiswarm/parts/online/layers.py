@@ -16,12 +16,12 @@ from tiswarm.localization.cost.candidates import candidates, extension
 from tiswarm.localization.cost.neighborhood import (
     Block,
     Configuration,
-    Linearized,
-    Neighborhood,
+    NearCost,
+    NearLinear,
     Shapes,
     block_of,
 )
-from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
+from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS, ROBUST_SD
 from tiswarm.localization.methods import centered
 from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.odometry import Odometry
@@ -150,7 +150,7 @@ class LocalLayers:
             return False
         problem = self.neighborhood(near)
         # Robots nearby may give way to one place more than to another.
-        found = [problem.solved(Configuration(start, turn)) for start in starts]
+        found = [problem.refine(Configuration(start, turn)) for start in starts]
         state, linear, weight = self._weighed(found, number)
         spread = 0.0
         if surprised := self._is_surprise(problem, linear, number):
@@ -162,7 +162,7 @@ class LocalLayers:
             self.shift[number] = mean - state.position[number]
             spread = float(weight @ ((at - mean) ** 2).sum(axis=1))
         self.state = state
-        self._revise_means(near, problem.sd(linear), number, is_new=is_new)
+        self._revise_means(near, linear.sd(), number, is_new=is_new)
         self.sd[number] = np.hypot(self.sd[number], np.sqrt(spread))
         return surprised
 
@@ -186,15 +186,15 @@ class LocalLayers:
         linear = problem.linearized(self.state)
         return [self._is_surprise(problem, linear, robot) for robot in robots.tolist()]
 
-    def neighborhood(self, robots: Ints) -> Neighborhood:
+    def neighborhood(self, robots: Ints) -> NearCost:
         """Gather the cost of some robots, ascending by join order, all others where they are."""
-        return Neighborhood(
-            robots,
+        return NearCost(
             self.blocks_about(robots),
-            self._shapes,
-            robust=self._params.robust,
+            robots,
+            self.sd,
+            shapes=self._shapes,
+            robust_sd=ROBUST_SD if self._params.robust else None,
             non_overlap=self._params.non_overlap,
-            sd=self.sd,
         )
 
     def _near(self, number: int) -> Ints:
@@ -208,8 +208,8 @@ class LocalLayers:
         return np.sort([*near][: NEIGHBORS.most])
 
     def _weighed(
-        self, found: list[tuple[Configuration, Linearized]], number: int
-    ) -> tuple[Configuration, Linearized, Reals]:
+        self, found: list[tuple[Configuration, NearLinear]], number: int
+    ) -> tuple[Configuration, NearLinear, Reals]:
         """Choose the likeliest of the places of a robot, and weigh all, shape (k,)."""
         block = self.blocks[number]
         score = np.zeros(len(found))
@@ -227,7 +227,7 @@ class LocalLayers:
             chosen |= {later for later in self._sharing[robot] if later > robot}
         return [self.blocks[robot] for robot in sorted(chosen) if len(self.blocks[robot])]
 
-    def _is_surprise(self, problem: Neighborhood, linear: Linearized, number: int) -> bool:
+    def _is_surprise(self, problem: NearCost, linear: NearLinear, number: int) -> bool:
         """Judge whether chance explains the rows and the overlaps of a robot."""
         if not (rows := len(self.blocks[number])):
             return False
@@ -236,8 +236,8 @@ class LocalLayers:
         return bool(square > chance or overlap > NEIGHBORS.overlap_sd)
 
     def _exchanged(
-        self, problem: Neighborhood, state: Configuration, linear: Linearized, number: int
-    ) -> tuple[Configuration, Linearized]:
+        self, problem: NearCost, state: Configuration, linear: NearLinear, number: int
+    ) -> tuple[Configuration, NearLinear]:
         """Try other places of the robot and of those it shares rows with, one after the other."""
         tried = 0
         for robot in [number, *sorted(self._sharing[number], reverse=True)]:
@@ -251,7 +251,7 @@ class LocalLayers:
                 if np.linalg.norm(touched + place - position[robot]) < SPACING / 2.0:
                     continue
                 position[robot], turn[robot] = touched + place, 0.0
-                other, there = problem.solved(Configuration(position, turn))
+                other, there = problem.refine(Configuration(position, turn))
                 tried += 1
                 if there.cost < linear.cost - NEIGHBORS.gain:
                     state, linear = other, there

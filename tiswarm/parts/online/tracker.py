@@ -17,7 +17,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost.neighborhood import Neighborhood
+from tiswarm.localization.cost.neighborhood import NearCost
 from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.verdict import Assessment, assess, rms
 from tiswarm.localization.settings import MethodParams
@@ -200,7 +200,7 @@ class Tracker:
         annealed = self._measured_anew(owners, sorted(owners))
         return self._change(before, annealed=annealed)
 
-    def neighborhood(self, robots: Ints) -> Neighborhood:
+    def neighborhood(self, robots: Ints) -> NearCost:
         """Gather the cost of some robots, ascending by join order, all others where they are."""
         return self._layers.neighborhood(robots)
 
