@@ -20,7 +20,7 @@ reported on.
 
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -49,7 +49,6 @@ from tiswarm.parts.between.wire import (
     write_place,
 )
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
-from tiswarm.parts.online.settings import OnlineParams
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import (
     HeaderLine,
@@ -80,8 +79,6 @@ ANSWERS = AnswerSettings()
 
 
 _AXES = 3
-_STEPS = 2
-"""Steps of "shares a row" to the robots that move."""
 OF_ROW = 40
 """Operations for the residual of a row and its derivatives [1]."""
 OF_PAIR = 10
@@ -178,7 +175,6 @@ class LocalSwarm:
         self._index = {number: k for k, number in enumerate(self.numbers.tolist())}
         self._program, self._params = program, _precise(program, known)
         self.layers = LocalLayers(program.docks, self._params)
-        self._sharing: list[set[int]] = [set() for _ in self.numbers]
         position, turn, sd = (np.zeros((len(held) + 1, _AXES)) for _ in range(3))
         for number, k in self._index.items():
             each = held.get(number, Known())
@@ -187,9 +183,6 @@ class LocalSwarm:
             is_whole = each.place is None or each.sharing <= held.keys()
             block = self._block(number, lines, None if is_whole or not number else each.place)
             self.layers.append(Joiner(block, self._touching(program, each.line)))
-            for partner in block.partners.tolist():
-                self._sharing[partner].add(k)
-                self._sharing[k].add(partner)
             self.layers.places[k] = each.candidates
             if each.place is not None:
                 position[k], turn[k], sd[k, 0] = each.place
@@ -210,7 +203,7 @@ class LocalSwarm:
         # A robot that has a place keeps it, unless those near it move.
         layers.solve_near(k, layers.place(k) if anew else None)
         if self._program.params.chains:
-            moving = np.arange(len(self.numbers)) if everywhere else self._near(k)
+            moving = np.arange(len(self.numbers)) if everywhere else self.layers.near(k)
             found = annealed(layers, moving, self._program.params, number)
             layers.state, layers.sd[moving] = found.state, found.sd
         state = layers.state
@@ -234,17 +227,9 @@ class LocalSwarm:
             self._operations(k, anew=anew),
         )
 
-    def _near(self, k: int) -> Ints:
-        """List the robots within two steps of sharing rows with one, ascending."""
-        near, ring = {k}, {k}
-        for _ in range(_STEPS):
-            ring = {other for each in ring for other in self._sharing[each]} - near
-            near |= ring
-        return np.array(sorted(near), np.int64)
-
     def _operations(self, k: int, *, anew: bool) -> float:
         """Count what a search for candidates, linear problems and chains take, about."""
-        params, near = self._program.params, self._near(k)
+        params, near = self._program.params, self.layers.near(k)
         own, rows = len(self.layers.blocks[k]), [len(self.layers.blocks[j]) for j in near.tolist()]
         search = CANDIDATES.starts * CANDIDATES.rounds * OF_ROW * own**2 if anew else 0
         linear = sum(OF_ROW * m**2 for m in rows) + (2 * _AXES * len(near)) ** 3 / 3
@@ -273,24 +258,16 @@ class LocalSwarm:
         }
 
 
-def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
-    """Return the settings of the layers, in which rounding of what was sent counts as noise."""
+def _precise(program: Program, known: Mapping[int, Known]) -> DistributedParams:
+    """Return the settings for layers, in which rounding of what was sent counts as noise."""
     params = program.params
     places = [each.place.position for each in known.values() if each.place is not None]
     farthest = float(np.abs(places).max()) if places else 1.0
     rounding = rounding_sd(farthest, params.bits)
-    names = {field.name for field in fields(OnlineParams)} & {
-        field.name for field in fields(params)
-    }
-    shared = {
-        name: getattr(params, name) for name in names - {"method", "chains", "steps", "start_sigma"}
-    }
-    return OnlineParams(
-        **shared
-        | {
-            "contact_sd": float(np.hypot(params.contact_sd, rounding)),
-            "height_sd": float(np.hypot(params.height_sd, rounding)),
-        }
+    return replace(
+        params,
+        contact_sd=float(np.hypot(params.contact_sd, rounding)),
+        height_sd=float(np.hypot(params.height_sd, rounding)),
     )
 
 
@@ -308,7 +285,7 @@ _ANCHOR = RobotLine.model_validate({"robot": -1, "orientation_wxyz": _LEVEL, "co
 @lru_cache(maxsize=20_000)
 def _measured(
     program: Program,
-    params: OnlineParams,
+    params: DistributedParams,
     lines: tuple[bytes, ...],
     stays: tuple[float, ...] | None,
 ) -> Block:

@@ -23,9 +23,9 @@ from tiswarm.localization.cost.neighborhood import (
 )
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS, ROBUST_SD
 from tiswarm.localization.methods import centered
+from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.odometry import Odometry
-from tiswarm.parts.online.settings import OnlineParams
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 
@@ -44,7 +44,7 @@ class Joiner(NamedTuple):
     """Its docks in contact: its own, an earlier robot, and the dock of that one."""
 
 
-def measured(log: SensingLog, members: Ints, params: OnlineParams) -> Joiner:
+def measured(log: SensingLog, members: Ints, params: ChiSquareParams) -> Joiner:
     """Measure what one robot sensed.
 
     Args:
@@ -62,7 +62,7 @@ def measured(log: SensingLog, members: Ints, params: OnlineParams) -> Joiner:
 class LocalLayers:
     """N robots with the rows of each, and where they are by now."""
 
-    def __init__(self, docks: int, params: OnlineParams) -> None:
+    def __init__(self, docks: int, params: ChiSquareParams) -> None:
         """Begin without robots; each is to have so many docks."""
         self._params = params
         self.blocks: list[Block] = []
@@ -138,7 +138,7 @@ class LocalLayers:
             places: Where it may be [R], shape (k, 3); where it is if None. The state is that of the
                 likeliest one, and what is reported is the mean.
         """
-        near, is_new = self._near(number), places is not None
+        near, is_new = self.near(number, NEIGHBORS.most), places is not None
         position, turn = self.state
         # Each solution has an array of its own: the best one may be where steps begin.
         starts = np.tile(position, (len(places) if places is not None else 1, 1, 1))
@@ -197,15 +197,20 @@ class LocalLayers:
             non_overlap=self._params.non_overlap,
         )
 
-    def _near(self, number: int) -> Ints:
-        """List robots within two steps of sharing rows, as many as may move, ascending."""
+    def near(self, number: int, most: int | None = None) -> Ints:
+        """List robots within two steps of sharing rows with one, ascending.
+
+        Args:
+            number: The robot.
+            most: Number of robots at most; as many as there are if None.
+        """
         near, ring = {number: None}, [number]
         for _ in range(2):
             further = {other for robot in ring for other in self._sharing[robot]} - near.keys()
             # If not all may move, those nearest in steps do.
             ring = sorted(further, reverse=True)  # the last that joined are the least known
             near |= dict.fromkeys(ring)
-        return np.sort([*near][: NEIGHBORS.most])
+        return np.sort([*near][:most])
 
     def _weighed(
         self, found: list[tuple[Configuration, NearLinear]], number: int
