@@ -1,4 +1,4 @@
-"""Want of memory: found before libraries load, and else one error for all of them."""
+"""Refuse before libraries load where memory is short; later, report every shortage as one error."""
 
 import errno
 import re

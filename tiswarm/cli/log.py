@@ -198,7 +198,7 @@ def advise(
         ),
     ] = "",
 ) -> None:
-    """List which further measurements would determine most.
+    """List the measurements to make next, best first.
 
     Candidates are contacts, heights and known positions. The expected RMSE is computed for up to
     1,000 robots. More are ranked by floppy modes. Without ESTIMATE, solutions of joint count, too:

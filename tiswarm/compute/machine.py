@@ -1,6 +1,7 @@
 """The machine that this process runs on, and its graphics cards.
 
-The kernel library does not pass on what drivers say of their cards, so we ask these ourselves.
+Asks the driver which graphics card runs and how much memory is free, since the kernel library
+does not pass that on.
 """
 
 import ctypes

@@ -1,4 +1,4 @@
-"""The joint method: measurements, annealing, and one estimate from all chains."""
+"""Place all robots together: anneal the log's rows from several starts, weigh the ends."""
 
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
@@ -36,8 +36,8 @@ def localize_batch(
     """Localize structures side by side, and report the share that is annealed.
 
     Returns:
-        One estimate a log: the mean over the end of all chains that converged, refined where that
-        is of use. `sd` follows from the variance within and between chains, or from the refined
+        One estimate a log: the mean of the solutions that the ends of its chains lead to, each with
+        its weight. `sd` follows from the variance within and between chains, or from the refined
         problem. The residual is the root mean square over the contacts of the distance of their
         docks less D, or of the components of measured offsets.
     """

@@ -112,8 +112,8 @@ class ChiSquareParams(CueParams):
     solve_yaw: Annotated[
         bool,
         Field(
-            description="Solve for each robot's bias of yaw where the log states one; else it "
-            "widens equations."
+            description="Solve for each robot's bias of yaw if the log states its standard "
+            "deviation; false: measurements count less."
         ),
     ] = True
 
@@ -339,12 +339,12 @@ class JointParams(ChiSquareParams):
     """Name of the method."""
 
     refine: bool | None = None
-    """Let errors that equations of walks share count once, by generalized least squares from where
-    the chains ended; never where a bias of yaw of more than 0.2 rad is to be solved for. If null
-    up to 3,000 robots, beyond which it would take longer than the chains."""
+    """Fit once more at the end, with errors that steps of a walk share counted once; never where a
+    bias of yaw of more than 0.2 rad is to be solved for. If null up to 3,000 robots, beyond which
+    it would take longer than the chains."""
 
     chains: Annotated[int, Field(ge=1, le=1000)] | None = None
-    """Annealings from different starts; the estimate is made of their mean. If null 8,
+    """Annealings from different starts; their ends, weighed by fit, make the estimate. If null 8,
     or 4 for more than 3,000 robots, where time counts more than the little that others add."""
 
     steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
@@ -359,9 +359,8 @@ class JointParams(ChiSquareParams):
     measurements may be missed then [R]. At least 2 where ranges alone tie robots to each other."""
 
     end_sigma: Annotated[float, Field(gt=0.0)] | None = None
-    """Square root of the temperature at which annealing ends [R]. If null 0.01 where measurements
-    suffice and are sharp, up to 0.025 where they are fewer than the coordinates by a twentieth, or
-    that uncertain."""
+    """By how much measurements may be missed at the end, the square root of the temperature [R]. If
+    null 0.01, or up to 0.025 where they are few or vague."""
 
     extension_prior: Annotated[float, Field(ge=0.0, le=3.0)] = EXTENSION
     """Prior that robots extend outward: gain in log-likelihood for each R more between the centers

@@ -11,8 +11,8 @@ class ConvergenceTest:
     """Which chains count and whether they meet the measurements. Chosen on generated structures."""
 
     chance_sd: float = 5.0
-    """Excess of a chi-square that chance explains [standard deviations of a chi-square]. A chain
-    whose chi-square exceeds the best one's by more is trapped."""
+    """Excess of a chi-square that chance explains [standard deviations of a chi-square]. A
+    solution whose chi-square exceeds the best one's by more has no weight."""
 
     outlier_sd: float = 5.0
     """Miss from which on a measurement is an outlier [standard deviations], if every converged
