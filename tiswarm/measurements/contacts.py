@@ -7,8 +7,23 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
-from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog
+
+
+def stand_across(shift: Reals, *, is_contact: Bools | bool = True) -> Reals:
+    """Guess how robots lie from those whose docks theirs touch: on one line with both docks.
+
+    Args:
+        shift: Arm of one dock less that of the dock that it touches [R], shape (C, 3).
+        is_contact: Where docks touch; elsewhere robots lie as far apart as the arms say, (C,).
+
+    Returns:
+        From the center of one robot to that of the other [R], shape (C, 3).
+    """
+    length = np.maximum(np.linalg.norm(shift, axis=1), SPACING)
+    across: Reals = shift * (1.0 + SPACING * is_contact / length)[:, None]
+    return across
 
 
 def hops(log: SensingLog, start: Ints) -> Reals:

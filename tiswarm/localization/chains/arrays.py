@@ -91,28 +91,20 @@ class RobotLabel(Columns):
 
     STRUCTURE = 1
     """Structure that the robot is of."""
-
     NUMBER = 1
     """Join number within it."""
-
     MOVES = 1
     """Whether the robot moves; anchors do not."""
-
     NON_OVERLAP = 1
     """Whether docks that do not touch repel; those of a robot that has left never do."""
-
     SUBTREE = 1
     """Subtree that the robot belongs to."""
-
     CONTACT = 1
     """First entry of its contacts."""
-
     CONTACT_END = 1
     """The one after their last."""
-
     PLANE = 1
     """First of its planes."""
-
     PLANE_END = 1
     """The one after the last."""
 
@@ -122,10 +114,8 @@ class RobotWeight(Columns):
 
     ROBUST = 1
     """One over the squared width of the robust loss of links, 0 for none [1]."""
-
     YAW_PRECISION = 1
     """Precision of the sensed yaw, 0 where robots do not turn [rad^-2]."""
-
     LIGHTEST = 1
     """Factor of every mass; 4 halves the steps [1]."""
 
@@ -145,40 +135,27 @@ class LinkLabel(Columns):
 
     PARTNER = 1
     """Robot on the other side."""
-
     IS_FINAL = 1
     """Whether the robots touch at their final stances."""
-
     IS_OWN = 1
     """Whether the robot measured the offset, not its partner."""
-
     TOUCH = 1
     """Row of a touch in `candidates`, -1 of other entries."""
 
 
 class LinkValue(Columns):
-    """Columns of `Contacts.value`; the last two only where robots turn or there are offsets."""
+    """Columns of `Contacts.value`, as `Links` has them; of its other robot, signs are opposite.
+
+    The last two are there only where robots turn or there are offsets.
+    """
 
     ARMS = 3
-    """Arm of the robot's dock less that of the partner's, as sensed [R]."""
-
     LENGTH = 1
-    """Measured distance of the docks [R]."""
-
     VARIANCE = 1
-    """Its variance, or that along an offset [R^2]."""
-
     ACROSS = 1
-    """The variance across an offset, 0 of other entries [R^2]."""
-
     EXTENSION = 1
-    """Gain in log-likelihood for each R more between the two centers [R^-1]."""
-
     LEVERS = 4
-    """Horizontal arms, which turn: the robot's x and y and the partner's [R]."""
-
     VECTOR = 3
-    """The measured vector from the robot's dock to the partner's, as sensed [R]."""
 
 
 class Contacts(NamedTuple):
@@ -199,25 +176,14 @@ class Contacts(NamedTuple):
 
 
 class PlaneValue(Columns):
-    """Columns of `MeasuredColumns.plane`; see `PlaneRows`."""
+    """Columns of `MeasuredColumns.plane`, as `PlaneRows` has them."""
 
     POINT = 3
-    """A point of the plane [R]."""
-
     DIRECTION = 3
-    """The unit vector perpendicular to it."""
-
     WALK = 2
-    """The part of the point which turns with the robot [R]."""
-
     PRECISION = 1
-    """Precision of the distance from the plane [R^-2]."""
-
     CROWD = 1
-    """1 where other planes of the robot are perpendicular to it, 3 elsewhere."""
-
     ROBUST = 1
-    """One over the squared width of the robust loss, 0 for none [1]."""
 
 
 class MeasuredColumns(NamedTuple):
@@ -239,19 +205,14 @@ class SubtreeLabel(Columns):
 
     OWN = 1
     """First own robot."""
-
     OWN_END = 1
     """The one after the last of these."""
-
     END = 1
     """The one after the last that moves with it."""
-
     PARENT = 1
     """Subtree that it grows out of."""
-
     MOVES = 3
     """Whether it moves along x, y and z."""
-
     ORDINAL = 1
     """Its number within the structure."""
 
@@ -261,10 +222,8 @@ class BodyMotion(Columns):
 
     FORCE = 3
     """Force of this step."""
-
     MASS = 1
     """Mass."""
-
     VELOCITY = 3
     """Velocity."""
 
@@ -274,10 +233,8 @@ class SubtreeMotion(BodyMotion):
 
     SHIFT = 3
     """Shift in this step, its ancestors' included [R]."""
-
     OWN_SHIFT = 3
     """The same without its ancestors', written on graphics cards [R]."""
-
     WEIGHT = 1
     """Mass, in masses of its own robots."""
 
@@ -297,22 +254,16 @@ class Heading(Columns):
 
     COS = 1
     """Cosine of the turn so far."""
-
     SIN = 1
     """Its sine."""
-
     YAW = 1
     """Its angle [rad]."""
-
     SPIN = 1
     """Velocity of the turn."""
-
     TORQUE = 1
     """Its force."""
-
     INERTIA = 1
     """Its mass."""
-
     SUM = 1
     """Sum of the angles that are averaged [rad]."""
 
@@ -322,7 +273,6 @@ class Moments(Columns):
 
     POSITION = 3
     """Positions [R]."""
-
     SQUARE = 1
     """Their squares, all axes together [R^2]."""
 
@@ -351,22 +301,16 @@ class BlockProgress(Columns):
 
     TREE = 1
     """First copy of a subtree."""
-
     TREE_END = 1
     """The one after the last."""
-
     TAKEN = 1
     """Steps taken so far."""
-
     AGE = 1
     """Steps that the rows have served, or `STALE`."""
-
     IS_THIN = 1
     """Whether the rows that are built next have the thin skin."""
-
     HAS_STRAYED = 1
     """Whether a robot is beyond half the skin in this step; on graphics cards, first block only."""
-
     IS_FAST = 1
     """Whether a robot is beyond a quarter of the thick skin; the same."""
 

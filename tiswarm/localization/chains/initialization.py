@@ -7,7 +7,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.measurements.model import SPACING
+from tiswarm.measurements.contacts import stand_across
 from tiswarm.records.sensing_log import SensingLog
 
 _TINY = 1e-9
@@ -137,8 +137,4 @@ def _across(problem: Problem) -> Reals:
 
     Of an offset it is measured.
     """
-    shift = problem.shift
-    length = np.maximum(np.linalg.norm(shift, axis=1), SPACING)
-    is_guess = problem.is_final & ~problem.is_offset
-    across: Reals = shift * (1.0 + SPACING * is_guess / length)[:, None]
-    return across
+    return stand_across(problem.shift, is_contact=problem.is_final & ~problem.is_offset)

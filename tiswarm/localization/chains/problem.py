@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.chains.settings import DISREGARDED_SD
 from tiswarm.localization.cost.planes import Planes, measured_planes
-from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.consistency import ALLOWED_SD, are_known, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
@@ -270,7 +270,7 @@ def pose_problem(
     is_solved = params.solve_yaw and bias > 0.0
     odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if is_solved else noise)
     if len(disregarded):
-        odometry = odometry.widened(disregarded, OUTLIER_ROBOTS.turn_sd)
+        odometry = odometry.widened(disregarded, DISREGARDED_SD)
     rows, inconsistent = chosen_rows(log, params, odometry, disregarded)
     variance = rows.variance()
     problem = Problem(

@@ -70,3 +70,7 @@ class AnnealSchedule:
 
 
 ANNEALING = AnnealSchedule()
+
+DISREGARDED_SD = 1.0
+"""Standard deviation of an orientation that does not count, about each axis [rad]: a drift of 3 deg
+a stance over a walk of twenty stances."""

@@ -18,6 +18,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.chains.annealed import Annealed
 from tiswarm.localization.chains.annealer import anneal
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.settings import DISREGARDED_SD
 from tiswarm.localization.cost.cost import State
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.cost.settings import ROBUST_SD
@@ -236,7 +237,7 @@ def _searched(trial: _Trial, robot: int) -> _Trial:
     for axis in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         turn = state.turn.copy()
         # States hold turns in standard deviations.
-        turn[final] += axis * _TRIAL_TURN / OUTLIER_ROBOTS.turn_sd
+        turn[final] += axis * _TRIAL_TURN / DISREGARDED_SD
         start = state.position, state.yaw
         found.append(_fitted(robots, posed, start, turn, sd=_TRIAL_SD))
     best = min(found, key=lambda each: each.linear.cost).state

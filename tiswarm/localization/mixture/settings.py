@@ -179,10 +179,6 @@ class OutlierRobotSettings:
     rounds: int = 8
     """Steps toward each minimum [1]."""
 
-    turn_sd: float = 1.0
-    """Standard deviation of an orientation that does not count, about each axis [rad]: a drift of
-    3 deg a stance over a walk of twenty stances."""
-
 
 CONVERGENCE = ConvergenceTest()
 MIXTURE = MixtureSettings()

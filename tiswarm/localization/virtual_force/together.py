@@ -24,7 +24,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.engine.relax import SMALL, PreparedSwarm
 from tiswarm.localization.mixture.verdict import assess
 from tiswarm.localization.settings import VirtualForceParams
-from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach
+from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach, stand_across
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import Estimate
@@ -181,9 +181,9 @@ def _chained(log: SensingLog, is_planar: Bools) -> Reals:
     contact = contact[hop[contact[:, 2]] > hop[contact[:, 0]]]
     nearer, dock, robot, own = contact[np.lexsort((contact[:, 2], hop[contact[:, 2]]))].T
     shift = arm[nearer, dock] - arm[robot, own]
-    length = np.linalg.norm(shift, axis=1)
-    across = shift * (1.0 + SPACING / np.maximum(length, SPACING))[:, None]
-    across[length < _TINY] = SPACING * _UP  # docks in one place would have no direction to part in
+    across = stand_across(shift)
+    # Docks in one place would have no direction to part in.
+    across[np.linalg.norm(shift, axis=1) < _TINY] = SPACING * _UP
     levels = np.flatnonzero(np.diff(hop[robot], prepend=0.0, append=np.inf))
     for begin, end in pairwise(levels.tolist()):
         met = position[nearer[begin:end]] + across[begin:end]
