@@ -20,7 +20,7 @@ from tiswarm.report.curve_figures import (
     draw_scaling,
 )
 from tiswarm.report.error_figures import draw_convergence, draw_errors
-from tiswarm.report.figure_style import png
+from tiswarm.report.figure_style import Panels, png
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import draw_accuracy
@@ -45,22 +45,19 @@ def test_every_figure_is_drawn(run_folder):
 
 def test_a_narrow_figure_has_a_panel_below_the_other():
     """A phone shows it at its size: five points of a letter remain five."""
-    panels = 3
-
-    figure, axes = figure_style.new_panels(
-        7.0, 2.0, panels, panels, share="y", most=figure_style.COLUMN_WIDTH
-    )
-    axes[0].plot([1.0, 2.0], [3.0, 4.0], label="a condition with a name as long as a sentence")
-    axes[0].plot([1.0, 2.0], [4.0, 5.0], label="another condition")
-    figure_style.add_key(figure, axes[0], "mean", 2)
+    panels = Panels(2.0, 3, 3, share="y", most=figure_style.COLUMN_WIDTH)
+    panels.first.plot([1.0, 2.0], [3.0, 4.0], label="a condition with a name as long as a sentence")
+    panels.first.plot([1.0, 2.0], [4.0, 5.0], label="another condition")
+    panels.legend("mean", structures=2)
+    figure = panels.finish()
     figure_style.svg(figure)
 
     assert figure.get_size_inches()[0] == figure_style.COLUMN_WIDTH
-    places = [panel.get_position() for panel in axes]
+    places = [panel.get_position() for panel in panels.axes]
     assert all(low.y1 < high.y0 for high, low in pairwise(places))
-    assert all(panel.yaxis.get_tick_params()["labelleft"] for panel in axes)
+    assert all(panel.yaxis.get_tick_params()["labelleft"] for panel in panels.axes)
     assert len(figure.legends) == 1
-    assert figure.get_size_inches()[1] > panels * 2.0  # the legend has two lines
+    assert figure.get_size_inches()[1] > 3 * 2.0  # the legend has two lines
 
 
 def test_names_of_users_are_text(run_folder):
@@ -68,7 +65,8 @@ def test_names_of_users_are_text(run_folder):
     from matplotlib import rc_context
 
     with rc_context(figure_style.STYLE):
-        figure, [axes] = figure_style.new_panels(2.0, 2.0, 1, 1)
+        figure = figure_style.new_figure(2.0, 2.0)
+        axes = figure.subplots()
         axes.set_title(r"a $\nonsense{ b$")
         drawn = figure_style.svg(figure).decode()
 
@@ -176,16 +174,17 @@ def test_errors_of_an_accurate_method_are_seen_beside_others(run_folder, monkeyp
 
 def test_panels_above_an_empty_place_have_numbers(run_folder):
     """Panels share axes, and numbers are written below the last panel of each column."""
-    _, panels = figure_style.new_panels(3.0, 3.0, 5, 3, share="x")
+    panels = Panels(3.0, 5, 3, share="x")
 
-    assert [panel.xaxis.get_tick_params()["labelbottom"] for panel in panels] == [
+    assert [panel.xaxis.get_tick_params()["labelbottom"] for panel in panels.axes] == [
         False, False, True, True, True,
     ]  # fmt: skip
 
 
 def test_a_figure_is_laid_out_once(monkeypatch):
     """The layout is half of the work; saving would repeat it."""
-    figure, _ = figure_style.new_panels(2.0, 2.0, 1, 1)
+    figure = figure_style.new_figure(2.0, 2.0)
+    figure.subplots()
     done = []
     engine = type(figure.get_layout_engine())
     lay_out = engine.execute
@@ -481,13 +480,14 @@ def test_grades_of_a_sensor_are_a_curve(run_folder):
 def test_conditions_that_differ_in_two_numbers_are_no_grades(run_folder):
     """Nor are those of which only names have numbers."""
     measures = "rmse_R_mean,rmse_R_ci95"
-    rows = [[f"noise-{number}", 4, 1.0, 0.1] for number in (1, 2, 3)]
+    rows = [[f"{name}-{number}", 4, 1.0, 0.1] for name in ("noise", "m") for number in (1, 2, 3)]
     write_table(run_folder / "table.csv", f"condition,cases,{measures}", rows)
     (run_folder / "scenario.yaml").write_text(
         "conditions:\n"
         "  noise-1: {sensing.tilt_noise_deg: 1, sensing.yaw_noise_deg: 1}\n"
         "  noise-2: {sensing.tilt_noise_deg: 2, sensing.yaw_noise_deg: 2}\n"
         "  noise-3: {sensing.tilt_noise_deg: 2, sensing.yaw_noise_deg: 5}\n"
+        + "".join(f"  m-{n}: {{localization: {{method: joint, chains: {n}}}}}\n" for n in (1, 2, 3))
     )
 
     assert "grades" not in table_figures.painters(load_run(run_folder))
@@ -597,7 +597,8 @@ def test_last_digits_of_a_layout_change_no_byte():
     from matplotlib import rc_context
 
     def drawn(noise):
-        figure, [axes] = figure_style.new_panels(3.0, 2.0, 1, 1)
+        figure = figure_style.new_figure(3.0, 2.0)
+        axes = figure.subplots()
         axes.plot([0.0, 1.0], [0.0, 1.0])
         engine = figure.get_layout_engine()
         execute = engine.execute

@@ -113,7 +113,7 @@ def test_no_point_lies_outside_its_axes(tmp_path, kind, width):
     comparison = table_figures.draw_rows(read_frame(tmp_path / "comparison.csv", ["run"]))
 
     errors = "error-against-height" if kind == "tower" else "error-along-growth"
-    several = ["scaling", "accuracy", "shape", "price-and-error", "back-propagation", "profiles"]
+    several = ["accuracy", "shape", "scaling", "back-propagation", "profiles", "price-and-error"]
     assert [*drawn] == ["convergence", errors, *several]
     assert {name: outside(figure) for name, figure in drawn.items()} == {name: [] for name in drawn}
     assert outside(comparison) == []

@@ -13,19 +13,17 @@ from tiswarm.records.messages import three_digits
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     MOST_BANDS,
-    PAGE_WIDTH,
     Painter,
-    add_legend,
+    Panels,
     entries_of,
     fit_axis,
-    label_left,
+    left_out,
     marker_style,
-    new_panels,
     set_log,
     set_title,
     shortened,
 )
-from tiswarm.report.run_data import RunData, swept_columns, swept_words
+from tiswarm.report.run_data import RunData, swept_columns, swept_words, with_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,14 +90,12 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     numbers = ["cases", RMSE.mean, RMSE.ci95, STEPS.mean]
     numbers += ["round_every", "round_recent", "round_sweeps"]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
-    swept = swept_words(table).columns[1:]
-    points = [*table.groupby([*swept], sort=False)] if len(swept) else [((), table)]
+    points = [*with_points(table).groupby("point", sort=False)]
     shown = points[:_MOST_POINTS]
     one_length = len(set(table["round_sweeps"].dropna())) == 1
-    figure, panels = new_panels(
-        PAGE_WIDTH, 0.6 + 3.2 * -(-len(shown) // 2), len(shown), 2, share="x", most=most
-    )
-    for axes, (point, part) in zip(panels, shown, strict=True):
+    height = 0.6 + 3.2 * -(-len(shown) // 2)
+    panels = Panels(height, len(shown), 2, share="x", most=most)
+    for axes, (point, part) in panels.each(shown):
         has_rounds = part["round_every"].notna()
         levels = part.loc[~has_rounds, ["condition", RMSE.mean, RMSE.ci95]]
         for place, level in enumerate(levels.itertuples(index=False)):
@@ -110,19 +106,17 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
             name = f"last {recent:g}" if np.isfinite(recent) else "all"
             name += "" if one_length else f", {sweeps:g} steps"
             _draw_family(axes, family, {"label": name, **marker_style(place)})
-        title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
-        set_title(axes, shortened(title))
+        set_title(axes, shortened(point))
         axes.set_xlabel(STEPS.axis)
         axes.set_ylim(bottom=0.0)
     steps = table.loc[table["round_every"].notna(), STEPS.mean]
-    label_left(panels, RMSE.axis)
-    set_log(panels[0], "x", 2.0 * steps.max() / steps.min())
-    panels[0].set_xlim(0.7 * steps.min(), 1.4 * steps.max())
+    panels.label_left(RMSE.axis)
+    set_log(panels.first, "x", 2.0 * steps.max() / steps.min())
+    panels.first.set_xlim(0.7 * steps.min(), 1.4 * steps.max())
     words = "robots moved in a round; mean and 95 % CI"
-    figure_style.add_key(figure, panels[0], words, int(table["cases"].max()))
-    more = figure_style.left_out(len(points) - len(shown), "table.csv")
-    figure_style.add_note(figure, "numbers: joins between two rounds", more, run.note)
-    return figure
+    panels.legend(words, structures=int(table["cases"].max()))
+    more = left_out(len(points) - len(shown), "table.csv")
+    return panels.finish("numbers: joins between two rounds", more, run.note)
 
 
 def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) -> None:
@@ -185,9 +179,9 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
     if len(table[swept].drop_duplicates()) > len(figure_style.PALETTE):
         return _draw_small_profiles(run, table, swept, most)
-    figure, panels = new_panels(PAGE_WIDTH, 3.6, len(PROFILED), 3, most=most)
+    panels = Panels(3.6, len(PROFILED), 3, most=most)
     bands = len(table[swept].drop_duplicates()) <= MOST_BANDS
-    for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
+    for axes, (name, label) in panels.each(PROFILED.items()):
         part = table[table["by"] == name]
         for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):
             look = figure_style.line_style(place)
@@ -213,13 +207,13 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
     ticks = sorted(set(part["low"]))
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    if figure.axes[-1] in panels:
-        add_legend(figure, entries_of([axes]))
+    unused = panels.figure.axes[-1]
+    if unused in panels.axes:
+        panels.legend(entries=entries_of(axes))
     else:
-        figure.axes[-1].legend(*axes.get_legend_handles_labels(), loc="center left")
+        unused.legend(*axes.get_legend_handles_labels(), loc="center left")
     opened = "" if table["many"].all() else f"open: fewer than {_FEWEST_ROBOTS}"
-    figure_style.add_note(figure, "above: robots or pairs of a point", opened, run.note)
-    return figure
+    return panels.finish("above: robots or pairs of a point", opened, run.note)
 
 
 def _draw_small_profiles(
@@ -239,27 +233,22 @@ def _draw_small_profiles(
     part = part[part["many"] | ~part.groupby("point")["many"].transform("any")]
     panels_of = dict(list(part.groupby("point", sort=False)))
     shown = dict(list(panels_of.items())[:_MOST_SMALL])
-    figure, panels = new_panels(
-        PAGE_WIDTH, 0.6 + 1.15 * -(-len(shown) // _SMALL_COLUMNS), len(shown), _SMALL_COLUMNS,
-        share="xy", most=most,
-    )  # fmt: skip
+    height = 0.6 + 1.15 * -(-len(shown) // _SMALL_COLUMNS)
+    panels = Panels(height, len(shown), _SMALL_COLUMNS, share="xy", most=most)
     first = next(iter(shown.values()))
-    for axes, (point, rows) in zip(panels, shown.items(), strict=True):
+    for axes, (point, rows) in panels.each(shown.items()):
         for _, line in first.groupby("condition", sort=False):
             axes.plot(line["at"], line[RMSE.column], color="0.8", linewidth=1.0)
         for place, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
             look: dict[str, Any] = {"color": figure_style.PALETTE[place], "markersize": 2.0}
             axes.plot(line["at"], line[RMSE.column], "o-", linewidth=1.0, label=condition, **look)
         set_title(axes, shortened(str(point)), 6.5)
-    fit_axis(panels[0], "y", part[RMSE.column].to_numpy(float))
-    figure.supxlabel(PROFILED[_SMALL], fontsize=8.0)
-    figure.supylabel(RMSE.axis, fontsize=8.0)
-    entries = entries_of(panels[:1])
-    if len(entries) > 1:
-        add_legend(figure, entries)
-    more = figure_style.left_out(len(panels_of) - len(shown), "profiles.csv")
-    figure_style.add_note(figure, "gray: first panel", more, run.note)
-    return figure
+    fit_axis(panels.first, "y", part[RMSE.column].to_numpy(float))
+    panels.label_once(PROFILED[_SMALL], RMSE.axis)
+    if len(entries_of(panels.first)) > 1:
+        panels.legend()
+    more = left_out(len(panels_of) - len(shown), "profiles.csv")
+    return panels.finish("gray: first panel", more, run.note)
 
 
 def _count(axes: "Axes", places: "pd.Series[float]", counts: "pd.Series[float]") -> None:
@@ -280,12 +269,12 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     """
     numbers = ["robots", "mean", "exponent", "slope"]
     table = run.table("scaling.csv", ["series", "measure"], numbers, after="measure")
-    figure, panels = new_panels(PAGE_WIDTH, 4.4, len(SCALING_PANELS), 3, most=most)
+    panels = Panels(4.4, len(SCALING_PANELS), 3, most=most)
     sizes = sorted(set(table["robots"]))
     labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k
     names = list(dict.fromkeys(table["series"]))
     legend = {}
-    for axes, (measure, label) in zip(panels, SCALING_PANELS.items(), strict=True):
+    for axes, (measure, label) in panels.each(SCALING_PANELS.items()):
         rows = table[(table["measure"] == measure) & (table["mean"] > 0.0)]
         parts = [rows[rows["series"] == name] for name in names]
         means = {tuple(part["mean"]) for part in parts}
@@ -309,11 +298,10 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
         else:
             fit_axis(axes, "y", rows["mean"].to_numpy(float))
     shown = [name for name in (*names, "all series") if name in legend]
-    add_legend(figure, {name: legend[name] for name in shown}, loc="outside upper right")
+    panels.legend(entries={name: legend[name] for name in shown}, loc="outside upper right")
     powers = "powers of N are fitted to all sizes, then to the two largest"
     fitted = table["exponent"].notna().any()
-    figure_style.add_note(figure, powers if fitted else "", run.note)
-    return figure
+    return panels.finish(powers if fitted else "", run.note)
 
 
 def _powers(part: "pd.DataFrame") -> str:

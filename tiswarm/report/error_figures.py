@@ -19,13 +19,12 @@ from tiswarm.report.figure_style import (
     PAGE_WIDTH,
     TRUE_BLUE,
     Painter,
-    add_legend,
+    Panels,
+    columns_of,
     fit_axis,
     is_narrow,
-    label_left,
     line_style,
     new_figure,
-    new_panels,
     set_log,
     set_title,
     shortened,
@@ -92,26 +91,25 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
     seeds = max(map(len, run.series.values()))
     drawn = {name for of_point in shown.values() for name in of_point}
     bands = len(drawn) <= MOST_BANDS and seeds > 1
-    columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
+    columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
     width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
-    figure, panels = new_panels(width, 0.8 + 1.9 * rows, len(shown), columns, share="y", most=most)
+    panels = Panels(0.8 + 1.9 * rows, len(shown), columns, width=width, share="y", most=most)
     legend: dict[str, Artist] = {}
     top = 0.0
-    for axes, (title, of_point) in zip(panels, shown.items(), strict=True):
+    for axes, (title, of_point) in panels.each(shown.items()):
         top = max(top, _plot_convergence(axes, of_point, names, bands=bands))
         set_title(axes, title)
         legend |= {str(line.get_label()): line for line in axes.lines}
-    lines = [np.asarray(line.get_ydata(), float) for axes in panels for line in axes.lines]
+    lines = [np.asarray(line.get_ydata(), float) for axes in panels.axes for line in axes.lines]
     ends = np.array([line[-1] for line in lines])
-    panels[0].set_ylim(top=1.05 * top or 1.0)
-    fit_axis(panels[0], "y", ends, others=np.concatenate([np.empty(0), *lines]))
-    figure.supylabel(RMSE.axis, fontsize=8.0)
-    add_legend(figure, legend, f"mean{' ± 1 sd' * bands}, {counted(seeds, 'structure')}")
+    panels.first.set_ylim(top=1.05 * top or 1.0)
+    fit_axis(panels.first, "y", ends, others=np.concatenate([np.empty(0), *lines]))
+    panels.label_once(y=RMSE.axis)
+    panels.legend(f"mean{' ± 1 sd' * bands}", legend, structures=seeds)
     left = len(points) - len(shown)
     more = f"{counted(left, 'more sweep point')} not shown" if left else ""
-    figure_style.add_note(figure, more, run.note)
-    return figure
+    return panels.finish(more, run.note)
 
 
 def _legible(points: dict[str, Series]) -> list[str]:
@@ -198,24 +196,20 @@ def draw_errors(run: RunData, most: float = np.inf) -> "Figure":
     ways = [_way(cases) for _, cases in shown]
     alike = len(set(ways)) == 1
     share = "xy" if alike else "y"
-    figure, panels = new_panels(width, height, len(shown), columns, share=share, most=most)
+    panels = Panels(height, len(shown), columns, width=width, share=share, most=most)
     tables = [_errors_at(cases, way[0]) for (_, cases), way in zip(shown, ways, strict=True)]
     _scatter(panels, tables)
     notes = [run.note]
-    for axes, (name, _), table in zip(panels, shown, tables, strict=True):
+    for axes, ((name, _), table) in panels.each(zip(shown, tables, strict=True)):
         if len(table) > _MAX_POINTS:
             notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
         set_title(axes, shortened(name).replace(", ", ",\n"), 7.0)
-    if alike:
-        figure.supxlabel(ways[0][1], fontsize=8.0)
-    else:
-        for axes, (_, label) in zip(panels, ways, strict=True):
-            axes.set_xlabel(label)
-    figure.supylabel("Error [R]", fontsize=8.0)
+    panels.label_once(ways[0][1] if alike else "", "Error [R]")
+    for axes, (_, label) in panels.each(ways):
+        axes.set_xlabel("" if alike else label)
     if len(shown) < len(run.series):
         notes.append(f"{len(run.series) - len(shown)} more series not shown")
-    figure_style.add_note(figure, *notes)
-    return figure
+    return panels.finish(*notes)
 
 
 def _draw_error_along_growth(run: RunData, most: float = np.inf) -> "Figure":
@@ -224,15 +218,14 @@ def _draw_error_along_growth(run: RunData, most: float = np.inf) -> "Figure":
     Each kind of structure has a panel with the first condition.
     """
     kinds = _first_by_kind(run.series)
-    figure, panels = new_panels(PAGE_WIDTH, 2.6, len(kinds), len(kinds), share="y", most=most)
+    panels = Panels(2.6, len(kinds), len(kinds), share="y", most=most)
     _scatter(panels, [_errors_at(cases, _way(cases)[0]) for cases in kinds.values()])
-    for axes, (kind, cases) in zip(panels, kinds.items(), strict=True):
+    for axes, (kind, cases) in panels.each(kinds.items()):
         axes.set_xlabel(_way(cases)[1])
         many = counted(len(cases), "structure")
         set_title(axes, f"{kind}, {cases[0].condition}, {many}")
-    label_left(panels, "Error [R]")
-    figure_style.add_note(figure, run.note)
-    return figure
+    panels.label_left("Error [R]")
+    return panels.finish(run.note)
 
 
 def _first_by_kind(series: Series) -> Series:
@@ -259,7 +252,7 @@ def _errors_at(cases: list[StoredCase], column: str) -> Reals:
     return finite
 
 
-def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
+def _scatter(panels: Panels, tables: list[Reals]) -> None:
     """Draw a table of `_errors_at` in each panel, colored by join index.
 
     Where methods differ much, the axis of errors is logarithmic; less is drawn at its lower edge.
@@ -271,11 +264,11 @@ def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
     colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
     errors = [table[:, 1] for table in tables if len(table)]
     typical = np.concatenate([[0.0], *(np.quantile(each, _LOW_AND_MIDDLE) for each in errors)])
-    fit_axis(panels[0], "y", typical)
-    low = panels[0].get_ylim()[0]
+    fit_axis(panels.first, "y", typical)
+    low = panels.first.get_ylim()[0]
     many = sum(min(len(table), _MAX_POINTS) for table in tables) > _MOST_VECTORS
     top = 0.0
-    for axes, table in zip(panels, tables, strict=True):
+    for axes, table in panels.each(tables):
         x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
         area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
         dots = axes.scatter(
@@ -283,12 +276,12 @@ def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
             linewidths=0.0, clip_on=False, rasterized=many,
         )  # fmt: skip
         top = max(top, float(y.max(initial=0.0)))
-    panels[0].set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)
-    figure: Any = panels[0].figure
-    look: dict[str, Any] = {"aspect": 25 * -(-len(panels) // 3)}
-    if is_narrow(figure) and len(panels) > 1:
+    panels.first.set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)
+    figure, count = panels.figure, len(panels.axes)
+    look: dict[str, Any] = {"aspect": 25 * -(-count // 3)}
+    if is_narrow(figure) and count > 1:
         look = {"aspect": 40, "location": "top"}
-    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", pad=0.02, **look)
+    bar: Any = figure.colorbar(dots, ax=figure.axes, label="Join index", pad=0.02, **look)
     bar.locator = MaxNLocator("auto", integer=True)
     bar.ax.spines["outline"].set_visible(False)
 

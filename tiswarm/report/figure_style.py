@@ -1,10 +1,10 @@
-"""Colors, sizes and file formats that all figures share; renders and the page use these colors."""
+"""Panels, legend, note, colors and file formats of all figures; pictures and page share colors."""
 
 import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from textwrap import fill
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tiswarm.report.run_data import RunData
+
+
+_Item = TypeVar("_Item")
 
 
 class Painter(Protocol):
@@ -65,6 +69,8 @@ _TITLE_SIZE, _NOTE_SIZE = 7.0, 5.5  # letters of a legend's title and of a note 
 _MANY_PANELS = 4  # panels with common axes beyond which two fit into a row of a column
 _EXACT = (1e-3, 1e4)  # numbers of an axis that have no power of ten
 _MOST_LINEAR = 12.0  # greatest ratio of values that a linear axis shows well
+_NORMAL_95 = 1.96  # half width of an interval [standard errors]
+_LABEL_SIZE = 8.0  # letters of a label beside all panels [pt]
 _MOST_LABELS = 60.0  # greatest ratio with three labels a decade
 
 STYLE: dict[Any, Any] = {
@@ -109,34 +115,111 @@ def new_figure(width: float, height: float) -> "Figure":
     return Figure(figsize=(width, height), dpi=300, layout="constrained")
 
 
-def new_panels(
-    width: float,
-    height: float,
-    count: int,
-    columns: int,
-    *,
-    share: str = "",
-    most: float = np.inf,
-) -> "tuple[Figure, list[Axes]]":
-    """Make a figure of a size [inch] with `count` panels, `columns` in a row.
+class Panels:
+    """The panels of a figure, with their axis labels, one legend and one note."""
 
-    Panels have the axes named in `share`, such as "xy", in common. Where the figure may be at most
-    so wide [inch], panels keep their size as far as they can, and get more rows.
-    """
-    rows = -(-count // columns)
-    if most < width:
-        fitting = 2 if share and count > _MANY_PANELS else 1
-        columns = max(fitting, int(columns * most / width))
-        height *= -(-count // columns) / rows
-        rows, width = -(-count // columns), most
-    figure = new_figure(width, height)
-    x, y = "x" in share, "y" in share
-    grid = figure.subplots(rows, columns, sharex=x, sharey=y, squeeze=False).ravel()
-    for unused in grid[count:]:
-        unused.set_axis_off()
-    for lowest in grid[max(0, count - columns) : count]:
-        lowest.tick_params(labelbottom=True)  # above an unused place, too
-    return figure, list(grid[:count])
+    def __init__(
+        self,
+        height: float,
+        count: int,
+        columns: int,
+        *,
+        width: float = PAGE_WIDTH,
+        share: str = "",
+        most: float = np.inf,
+    ) -> None:
+        """Make a figure of a size [inch] with `count` panels, `columns` in a row.
+
+        Panels have the axes named in `share`, such as "xy", in common. Where the figure may be at
+        most so wide [inch], panels keep their size as far as they can, and get more rows.
+        """
+        rows = -(-count // columns)
+        if most < width:
+            fitting = 2 if share and count > _MANY_PANELS else 1
+            columns = max(fitting, int(columns * most / width))
+            height *= -(-count // columns) / rows
+            rows, width = -(-count // columns), most
+        self.figure = new_figure(width, height)
+        x, y = "x" in share, "y" in share
+        grid = self.figure.subplots(rows, columns, sharex=x, sharey=y, squeeze=False).ravel()
+        for unused in grid[count:]:
+            unused.set_axis_off()
+        for lowest in grid[max(0, count - columns) : count]:
+            lowest.tick_params(labelbottom=True)  # above an unused place, too
+        self.axes: list[Axes] = list(grid[:count])
+
+    @property
+    def first(self) -> "Axes":
+        """The first panel, whose limits others may share."""
+        return self.axes[0]
+
+    def each(self, items: Iterable[_Item]) -> "Iterator[tuple[Axes, _Item]]":
+        """Pair each panel with what it shows."""
+        return zip(self.axes, items, strict=True)
+
+    def label_left(self, label: str) -> None:
+        """Label the vertical axis of the first panel of each row."""
+        for axes in self.axes:
+            spec = axes.get_subplotspec()
+            if spec is not None and spec.is_first_col():
+                axes.set_ylabel(label)
+
+    def label_once(self, x: str = "", y: str = "") -> None:
+        """Label axes beside all panels, where these share them."""
+        for label, write in ((x, self.figure.supxlabel), (y, self.figure.supylabel)):
+            if label:
+                write(label, fontsize=_LABEL_SIZE)
+
+    def entries(self) -> "dict[str, Artist]":
+        """Gather what a legend of all panels lists, by label in the order of drawing."""
+        return {label: artist for axes in self.axes for label, artist in entries_of(axes).items()}
+
+    def legend(
+        self,
+        title: str = "",
+        entries: "Mapping[str, Artist] | None" = None,
+        *,
+        structures: int = 0,
+        loc: str = "outside upper center",
+    ) -> None:
+        """Add a legend on top, in as many columns as fit, and enlarge the figure by further lines.
+
+        Args:
+            title: What the markers mean.
+            entries: Artists by label; by default those of the first panel.
+            structures: Structures behind each marker, which the title states unless 0.
+            loc: Place.
+        """
+        entries = entries_of(self.first) if entries is None else entries
+        width, height = map(float, self.figure.get_size_inches())
+        columns = legend_columns([*entries], width)
+        title = f"{title}, {counted(structures, 'structure')}" if structures else title
+        title = _filled(title, width, _TITLE_SIZE)
+        lines = -(-len(entries) // columns) + title.count("\n")
+        self.figure.set_size_inches(width, height + _LEGEND_LINE * max(0, lines - 1))
+        self.figure.legend(
+            entries.values(), entries.keys(), loc=loc, ncols=columns,
+            title=title or None, title_fontsize=_TITLE_SIZE,
+        )  # fmt: skip
+
+    def finish(self, *notes: str) -> "Figure":
+        """Write small lines below the figure, at the right, unless all are empty; return it."""
+        note = "; ".join(filter(None, notes))
+        if note:
+            width, height = map(float, self.figure.get_size_inches())
+            note = _filled(note, width, _NOTE_SIZE)
+            room = _NOTE_LINE * (1 + note.count("\n")) / height
+            engine: Any = self.figure.get_layout_engine()
+            engine.set(rect=(0.0, room, 1.0, 1.0 - room))
+            self.figure.text(
+                0.995, 0.0, note, fontsize=_NOTE_SIZE, color="0.35", ha="right", va="bottom"
+            )
+        return self.figure
+
+
+def columns_of(count: int) -> int:
+    """Return how many of some panels stand in a row."""
+    return 2 if count == 4 else min(3, count)  # noqa: PLR2004 - a square
 
 
 def is_narrow(figure: "Figure") -> bool:
@@ -150,14 +233,6 @@ def label_rows(axes: "Axes", names: Sequence[str]) -> None:
     if is_narrow(figure):
         names = [fill(name, _LONG_LABEL) for name in names]
     axes.set_yticks(np.arange(len(names)), names)
-
-
-def label_left(panels: "Iterable[Axes]", label: str) -> None:
-    """Label the vertical axis of the first panel of each row."""
-    for axes in panels:
-        spec = axes.get_subplotspec()
-        if spec is not None and spec.is_first_col():
-            axes.set_ylabel(label)
 
 
 def set_title(axes: "Axes", title: str, size: float = 8.0) -> None:
@@ -192,6 +267,17 @@ def marker_style(place: int) -> dict[str, Any]:
     """
     turn, color = divmod(place, len(PALETTE))
     return {"color": PALETTE[color], "marker": "osD^vPX"[(color + turn) % 7]}
+
+
+def dot_style(place: int, size: float = 3.5) -> dict[str, Any]:
+    """Choose the look of points without a line, of a size [pt]."""
+    return {**marker_style(place), "linestyle": "", "markersize": size}
+
+
+def half_width(values: "pd.Series[float]") -> float:
+    """Return half of the normal 95 % confidence interval of a mean; 0 of a single value."""
+    count = values.count()
+    return float(_NORMAL_95 * values.std() / np.sqrt(count)) if count > 1 else 0.0
 
 
 def fit_axis(
@@ -277,53 +363,10 @@ def shortened(name: str) -> str:
     return re.sub(r"(?:[a-z_]+\.)+(?=[a-z_]+=)", "", name)
 
 
-def add_note(figure: "Figure", *notes: str) -> None:
-    """Write small lines below the figure, at the right, unless all notes are empty."""
-    note = "; ".join(filter(None, notes))
-    if not note:
-        return
-    width, height = map(float, figure.get_size_inches())
-    note = _filled(note, width, _NOTE_SIZE)
-    room = _NOTE_LINE * (1 + note.count("\n")) / height
-    engine: Any = figure.get_layout_engine()
-    engine.set(rect=(0.0, room, 1.0, 1.0 - room))
-    figure.text(0.995, 0.0, note, fontsize=_NOTE_SIZE, color="0.35", ha="right", va="bottom")
-
-
-def entries_of(panels: "Iterable[Axes]") -> "dict[str, Artist]":
-    """Gather what a legend of some panels lists, by label in the order of drawing."""
-    return {
-        label: handle
-        for axes in panels
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-
-
-def add_legend(
-    figure: "Figure",
-    entries: "Mapping[str, Artist]",
-    title: str = "",
-    *,
-    loc: str = "outside upper center",
-) -> None:
-    """Add a legend on top, in as many columns as fit, and enlarge the figure by further lines."""
-    width, height = map(float, figure.get_size_inches())
-    columns = legend_columns([*entries], width)
-    title = _filled(title, width, _TITLE_SIZE)
-    lines = -(-len(entries) // columns) + title.count("\n")
-    figure.set_size_inches(width, height + _LEGEND_LINE * max(0, lines - 1))
-    figure.legend(
-        entries.values(), entries.keys(), loc=loc, ncols=columns,
-        title=title or None, title_fontsize=_TITLE_SIZE,
-    )  # fmt: skip
-
-
-def add_key(
-    figure: "Figure", axes: "Axes", words: str, structures: int, loc: str = "outside upper center"
-) -> None:
-    """Add the legend of the lines of a panel, under what they mean and the number of structures."""
-    title = f"{words}, {counted(structures, 'structure')}"
-    add_legend(figure, entries_of([axes]), title, loc=loc)
+def entries_of(axes: "Axes") -> "dict[str, Artist]":
+    """Gather what the legend of a panel lists, by label in the order of drawing."""
+    handles, labels = axes.get_legend_handles_labels()
+    return dict(zip(labels, handles, strict=True))
 
 
 def left_out(points: int, file: str) -> str:

@@ -232,6 +232,16 @@ def swept_words(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
     return words.replace({"True": "true", "False": "false"}).replace(r"[{}']", "", regex=True)
 
 
+def with_points(table: pd.DataFrame, *, without: Collection[str] = ()) -> pd.DataFrame:
+    """Add a column `point`: the values of the sweep in each row, as `key=value, key=value`.
+
+    Conditions are not part of it, nor are columns of words that are left out.
+    """
+    words = swept_words(table).drop(columns=["condition", *without])
+    rows = [zip(words.columns, row, strict=True) for row in words.to_numpy().tolist()]
+    return table.assign(point=[", ".join(f"{key}={value}" for key, value in row) for row in rows])
+
+
 def measured_words(names: str, *, without: Collection[str] = ()) -> str:
     """Write cues, as tables list them, in words; leave some of them out.
 

@@ -29,20 +29,22 @@ from tiswarm.records.run_folder import LABEL
 from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
 from tiswarm.report.figure_style import (
-    PAGE_WIDTH,
     PALETTE,
     Painter,
-    add_legend,
+    Panels,
+    columns_of,
+    dot_style,
     entries_of,
     fit_axis,
+    half_width,
     label_rows,
+    left_out,
     marker_style,
-    new_panels,
     set_log,
     set_title,
     shortened,
 )
-from tiswarm.report.run_data import RunData, stated_conditions, swept_words
+from tiswarm.report.run_data import RunData, stated_conditions, swept_words, with_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,20 +98,18 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     """
     published = [measure.published for measure in MAIN]
     table = run.table("table.csv", ["condition"], ["cases", *published, *_DRAWN], after="cases")
-    swept = swept_words(table).drop(columns="condition")
-    values = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
-    table["point"] = [", ".join(f"{key}={value}" for key, value in row) for row in values]
+    table = with_points(table)
     names = list(dict.fromkeys(table["condition"]))
     points = list(dict.fromkeys(table["point"]))
     shown = points[: max(1, _MOST_ROWS // len(names))]
     few = table["cases"].max() < FEWEST
     height = 0.9 + 0.12 * len(names) * (1 + len(shown))
-    figure, panels = new_panels(PAGE_WIDTH, height, len(MAIN), len(MAIN), share="y", most=most)
-    for axes, measure in zip(panels, MAIN, strict=True):
+    panels = Panels(height, len(MAIN), len(MAIN), share="y", most=most)
+    for axes, measure in panels.each(MAIN):
         for index, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition").reindex(names)
             place = np.arange(len(names)) + (index - 0.5 * (len(shown) - 1)) / (1 + len(shown))
-            look = {**marker_style(index), "linestyle": "", "markersize": 3.5}
+            look = dot_style(index)
             mean, ci95 = rows[measure.mean], rows[measure.ci95].fillna(0.0)
             error = None if few else ci95
             axes.errorbar(mean, place, xerr=error, label=shortened(point) or "mean", **look)
@@ -120,19 +120,17 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
                 axes.plot(each, place[rows_of], **{**look, "markersize": 1.8, "alpha": 0.6})
     _finish_rows(panels, names, MAIN)
     if table[published].notna().any(axis=None):
-        panels[0].plot(
+        panels.first.plot(
             [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
             label=_PUBLISHED,
         )  # fmt: skip
-    entries = entries_of(panels[:1])
+    entries = entries_of(panels.first)
     if _PUBLISHED in entries:  # matplotlib lists lines before error bars
         entries[_PUBLISHED] = entries.pop(_PUBLISHED)
     number = counted(int(table["cases"].max()), "structure")
     title = f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}"
-    add_legend(figure, entries, title, loc="outside upper right")
-    more = figure_style.left_out(len(points) - len(shown), "table.csv")
-    figure_style.add_note(figure, more, run.note)
-    return figure
+    panels.legend(title, entries, loc="outside upper right")
+    return panels.finish(left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
 def _each_structure(run: RunData, measure: str, point: str) -> "pd.Series[float]":
@@ -161,8 +159,8 @@ def draw_rows(table: pd.DataFrame) -> "Figure":
     words = words.where(shown[words.columns].notna(), "")
     labels = [", ".join(filter(None, row)) for row in words.to_numpy()]
     height = 0.9 + 0.17 * len(shown)
-    figure, panels = new_panels(PAGE_WIDTH, height, len(MAIN), len(MAIN), share="y")
-    for axes, measure in zip(panels, MAIN, strict=True):
+    panels = Panels(height, len(MAIN), len(MAIN), share="y")
+    for axes, measure in panels.each(MAIN):
         for index, run in enumerate(shown["run"].unique()):
             rows = (shown["run"] == run).to_numpy()
             axes.errorbar(
@@ -171,10 +169,9 @@ def draw_rows(table: pd.DataFrame) -> "Figure":
                 color=marker_style(index)["color"], label=run, linewidth=1.0,
             )  # fmt: skip
     _finish_rows(panels, labels, MAIN)
-    add_legend(figure, entries_of(panels[:1]), "mean and 95 % CI", loc="outside upper right")
+    panels.legend("mean and 95 % CI", loc="outside upper right")
     left = len(table) - len(shown)
-    figure_style.add_note(figure, f"{left} more rows are in comparison.csv" if left else "")
-    return figure
+    return panels.finish(f"{left} more rows are in comparison.csv" if left else "")
 
 
 def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
@@ -189,13 +186,11 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     points = list(dict.fromkeys(table["point"]))
     shown = points[:_MOST_ROWS]
     series = dict(list(table.groupby("condition", sort=False)))
-    figure, panels = new_panels(
-        PAGE_WIDTH, 0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most
-    )
-    for axes, measure in zip(panels, _OF_SHAPES, strict=True):
+    panels = Panels(0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most)
+    for axes, measure in panels.each(_OF_SHAPES):
         alike = table.groupby("point")[measure.mean].nunique().max() <= 1
         for index, (condition, rows) in enumerate(series.items()):
-            look = {**marker_style(index), "linestyle": "", "markersize": 3.0, "linewidth": 0.8}
+            look = {**dot_style(index, 3.0), "linewidth": 0.8}
             look |= {"color": "0.4", "marker": "o"} if alike else {}
             part = rows.set_index("point").reindex(shown)
             axes.errorbar(
@@ -203,31 +198,28 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
                 xerr=part[measure.ci95].fillna(0.0), **look,
             )  # fmt: skip
     _finish_rows(panels, shown, _OF_SHAPES)
-    for axes, measure in list(zip(panels, _OF_SHAPES, strict=True))[1:]:
+    for axes, measure in [*panels.each(_OF_SHAPES)][1:]:
         end = (table[measure.mean] + table[measure.ci95].fillna(0.0)).max()
         top = float(np.nan_to_num(end)) or 1.0
         axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
-    for axes in panels:
+    for axes in panels.axes:
         axes.tick_params(axis="x", labelsize=6.0)
     meaning = f"{', '.join(map(str, words))}; mean and 95 % CI"
-    structures = int(table["cases"].max())
-    figure_style.add_key(figure, panels[0], meaning, structures, loc="outside upper right")
-    more = figure_style.left_out(len(points) - len(shown), "table.csv")
-    figure_style.add_note(figure, more, run.note)
-    return figure
+    panels.legend(meaning, structures=int(table["cases"].max()), loc="outside upper right")
+    return panels.finish(left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
-def _finish_rows(panels: "list[Axes]", names: Sequence[str], measures: Sequence[Measure]) -> None:
+def _finish_rows(panels: Panels, names: Sequence[str], measures: Sequence[Measure]) -> None:
     """Label rows, from the top, and axes."""
-    for axes, measure in zip(panels, measures, strict=True):
+    for axes, measure in panels.each(measures):
         axes.set_xlabel(measure.axis)
         means = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
         axes.locator_params(axis="x", nbins=6)
         fit_axis(axes, "x", means, nonpositive="clip")
         axes.grid(axis="y", color="0.92", linewidth=0.5)
         axes.set_axisbelow(True)
-    label_rows(panels[0], names)
-    panels[0].set_ylim(len(names) - 0.5, -0.5)
+    label_rows(panels.first, names)
+    panels.first.set_ylim(len(names) - 0.5, -0.5)
 
 
 _FEWEST_GRADES = 3
@@ -256,17 +248,15 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     table = run.table("table.csv", ["condition"], ["cases", RMSE.mean, RMSE.ci95], after="cases")
     table = table[table[RMSE.mean].notna()]
     families = _families(run, table)
-    swept = swept_words(table).drop(columns="condition")
-    words = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
-    table["point"] = [", ".join(f"{key}={value}" for key, value in row) for row in words]
+    table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
     shown = points[: len(PALETTE)]
     graded = {name for family in families for name in family.names.values()}
     plain = next((name for name in table["condition"] if name not in graded), "")
-    columns = min(2 if len(families) in {2, 4} else 3, len(families))
+    columns = columns_of(len(families))
     height = 0.6 + 2.1 * -(-len(families) // columns)
-    figure, panels = new_panels(PAGE_WIDTH, height, len(families), columns, share="y", most=most)
-    for axes, family in zip(panels, families, strict=True):
+    panels = Panels(height, len(families), columns, share="y", most=most)
+    for axes, family in panels.each(families):
         for place, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition")
             look = {"label": shortened(point) or "mean", **marker_style(place)}
@@ -278,14 +268,12 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
         axes.set_xticks([*family.names], [f"{grade:g}" for grade in family.names])
         axes.minorticks_off()
     means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
-    fit_axis(panels[0], "y", means, nonpositive="clip")
-    figure.supylabel(RMSE.axis, fontsize=8.0)
+    fit_axis(panels.first, "y", means, nonpositive="clip")
+    panels.label_once(y=RMSE.axis)
     level = f"; dashed: {plain}" if plain else ""
     number = counted(int(table["cases"].max()), "structure")
-    add_legend(figure, entries_of(panels[:1]), f"mean and 95 % CI, {number}{level}")
-    more = figure_style.left_out(len(points) - len(shown), "table.csv")
-    figure_style.add_note(figure, more, run.note)
-    return figure
+    panels.legend(f"mean and 95 % CI, {number}{level}")
+    return panels.finish(left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
 class _Family(NamedTuple):
@@ -307,12 +295,11 @@ def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
     families = []
     for keys, members in alike.items():
         varied = [key for key in keys if len({repr(each[key]) for each in members.values()}) > 1]
-        numbers = {name: [each[key] for key in varied] for name, each in members.items()}
-        grades = {
-            of[0]: name
-            for name, of in numbers.items()
-            if len({*map(repr, of)}) == 1 and type(of[0]) in {int, float}
-        }
+        grades: dict[float, str] = {}
+        for name, entries in members.items():
+            values = [entries[key] for key in varied]
+            if {*map(type, values)} <= {int, float} and len({*values}) == 1:
+                grades[values[0]] = name
         if len(grades) == len(members) >= _FEWEST_GRADES:
             title = next(iter(members)).rstrip("-_ .0123456789")
             families.append(_Family(title, varied, dict(sorted(grades.items()))))
@@ -351,8 +338,6 @@ _PANELS = {
 }
 """By measure: the kind of structure that a panel shows, all if empty; its axis."""
 
-_NORMAL_95 = 1.96
-
 
 def _building_painters(run: RunData) -> dict[str, Painter]:
     """List the figure by file name, if some robots of a run navigate by estimates."""
@@ -375,18 +360,17 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
         if _of_kind(rows, panel[0])[measure.column].any()
     }
     height = 0.9 + len(names) * (0.16 + 0.07 * len(kinds))
-    figure, panels = new_panels(PAGE_WIDTH, height, len(shown), len(shown), share="y", most=most)
-    for axes, (column, (kind, label)) in zip(panels, shown.items(), strict=True):
+    panels = Panels(height, len(shown), len(shown), share="y", most=most)
+    for axes, (column, (kind, label)) in panels.each(shown.items()):
         _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
         axes.set_xlabel(label)
         axes.set_xlim(left=0.0)
-    label_rows(panels[0], names)
-    panels[0].invert_yaxis()
-    structures = counted(int(rows.groupby(["by", "structure"]).size().max()), "structure")
-    title = f"mean and 95 % CI, {structures}"
-    add_legend(figure, entries_of(panels), title, loc="outside upper right")
-    figure_style.add_note(figure, run.note)
-    return figure
+    label_rows(panels.first, names)
+    panels.first.invert_yaxis()
+    structures = int(rows.groupby(["by", "structure"]).size().max())
+    entries = panels.entries()
+    panels.legend("mean and 95 % CI", entries, structures=structures, loc="outside upper right")
+    return panels.finish(run.note)
 
 
 def _navigation(done: pd.DataFrame) -> "pd.Series[str]":
@@ -412,9 +396,8 @@ def _draw_panel(
     """Draw the mean of a column for each name, a marker for each kind of structure."""
     for index, kind in enumerate(kinds):
         mine = rows[rows["structure"] == kind]
-        found = mine.groupby("by")[column].agg(["mean", "std", "count"]).reindex(names)
+        found = mine.groupby("by")[column].agg(["mean", half_width]).reindex(names)
         place = np.arange(len(names)) + 0.16 * (index - 0.5 * (len(kinds) - 1))
-        half = _NORMAL_95 * found["std"].fillna(0.0) / np.sqrt(found["count"])
         if found["mean"].notna().any():
-            look = {**marker_style(index), "linestyle": "", "markersize": 3.5}
-            axes.errorbar(found["mean"], place, xerr=half, label=kind, **look)
+            half = found["half_width"]
+            axes.errorbar(found["mean"], place, xerr=half, label=kind, **dot_style(index))

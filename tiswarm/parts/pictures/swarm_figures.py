@@ -7,17 +7,14 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.records.measures import RMSE, RMSE_AT_JOIN, SENT
-from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
-    PAGE_WIDTH,
     Painter,
-    add_legend,
-    entries_of,
+    Panels,
+    dot_style,
     fit_axis,
-    label_left,
+    half_width,
+    lay_out,
     line_style,
-    marker_style,
-    new_panels,
     set_title,
 )
 from tiswarm.report.run_data import RunData, StoredCase
@@ -29,7 +26,6 @@ if TYPE_CHECKING:
 
 _SENT, _ERROR = SENT.column, RMSE.column
 _TICKS = {"x": (1.0, 3.0), "y": (1.0, 2.0, 5.0)}
-_NORMAL_95 = 1.96
 _CLEAR = 8.0
 """Distance of a number from markers and other numbers at which it is easy to read [pt]."""
 _DIRECTIONS, _RINGS = 12, 5
@@ -71,21 +67,19 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     names = list(dict.fromkeys(done["condition"]))
     columns = min(len(groups), 2)
     rows = -(-len(groups) // columns)
-    figure, panels = new_panels(
-        PAGE_WIDTH, 1.0 + 3.0 * rows, len(groups), columns, share="xy", most=most
-    )
-    for axes, ((kind, robots), cases) in zip(panels, groups, strict=True):
+    panels = Panels(1.0 + 3.0 * rows, len(groups), columns, share="xy", most=most)
+    for axes, ((kind, robots), cases) in panels.each(groups):
         for place, name in enumerate(names):
             _draw_condition(axes, cases[cases["condition"] == name], name, place)
         set_title(axes, f"{kind}, {robots} robots")
         axes.set_xlabel(SENT.axis)
-    label_left(panels, RMSE.axis)
-    _set_scale(panels[0])
-    add_legend(figure, entries_of(panels))
-    figure_style.add_note(figure, run.note)
+    panels.label_left(RMSE.axis)
+    _set_scale(panels.first)
+    panels.legend(entries=panels.entries())
+    figure = panels.finish(run.note)
     # Numbers keep apart on paper, so panels need their final size.
-    figure_style.lay_out(figure)
-    for axes in panels:
+    lay_out(figure)
+    for axes in panels.axes:
         _number_markers(axes)
     return figure
 
@@ -150,22 +144,20 @@ def _draw_condition(axes: "Axes", cases: pd.DataFrame, name: str, place: int) ->
     """Draw the mean of a condition with its 95 % CI: a marker, or a line if nobody sends."""
     if cases.empty:
         return
-    mean, half = float(cases[_ERROR].mean()), _half(cases[_ERROR])
+    mean, half = float(cases[_ERROR].mean()), half_width(cases[_ERROR])
     if cases[_SENT].isna().all():
         look = line_style(place)
         axes.axhline(mean, label=name, **look)
         axes.axhspan(max(mean - half, 0.5 * mean), mean + half, alpha=0.12, color=look["color"])
         return
-    across = [[min(_half(cases[_SENT]), 0.5 * cases[_SENT].mean())], [_half(cases[_SENT])]]
+    across = [
+        [min(half_width(cases[_SENT]), 0.5 * cases[_SENT].mean())],
+        [half_width(cases[_SENT])],
+    ]
     up = [[min(half, 0.5 * mean)], [half]]
-    look = {**marker_style(place), "linestyle": "", "markersize": 3.0, "elinewidth": 0.6}
+    look = {**dot_style(place, 3.0), "elinewidth": 0.6}
     label = f"{place + 1} {name}"
     axes.errorbar(cases[_SENT].mean(), mean, xerr=across, yerr=up, label=label, **look)
-
-
-def _half(values: "pd.Series[float]") -> float:
-    """Half of the 95 % confidence interval of a mean; 0 for a single value."""
-    return 0.0 if len(values) < 2 else _NORMAL_95 * float(values.std()) / np.sqrt(len(values))  # noqa: PLR2004
 
 
 def _set_scale(axes: "Axes") -> None:
@@ -206,9 +198,9 @@ def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
     names = list(dict.fromkeys(case.condition for case in done))
     sizes = sorted({case.robots for case in done})
     online, last = _at_join(run), max(sizes[0] // _SHARE, 1)
-    figure, panels = new_panels(PAGE_WIDTH, 3.2, len(kinds), len(kinds), share="y", most=most)
+    panels = Panels(3.2, len(kinds), len(kinds), share="y", most=most)
     drawn = []
-    for axes, kind in zip(panels, kinds, strict=True):
+    for axes, kind in panels.each(kinds):
         for place, name in enumerate(names):
             mine = [case for case in done if (case.kind, case.condition) == (kind, name)]
             joins = any(case.name in online for case in mine)
@@ -223,11 +215,10 @@ def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
                 axes.plot(sizes, later, marker="o", markersize=3.0, label=f"{name}, later", **look)
                 drawn += later
         axes.set(xlabel="Robots by then", title=kind, xticks=sizes)
-    label_left(panels, f"RMSE of the last {last} robots [R]")
-    fit_axis(panels[0], "y", np.array(drawn))
-    add_legend(figure, entries_of(panels[:1]))
-    figure_style.add_note(figure, run.note)
-    return figure
+    panels.label_left(f"RMSE of the last {last} robots [R]")
+    fit_axis(panels.first, "y", np.array(drawn))
+    panels.legend()
+    return panels.finish(run.note)
 
 
 def _at_join(run: RunData) -> set[str]:

@@ -7,20 +7,19 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.records.measures import RMSE
-from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
 from tiswarm.report.figure_style import (
-    PAGE_WIDTH,
     Painter,
+    Panels,
+    dot_style,
     fit_axis,
-    label_left,
     label_plainly,
+    left_out,
     marker_style,
-    new_panels,
     set_title,
     shortened,
 )
-from tiswarm.report.run_data import RunData, swept_words
+from tiswarm.report.run_data import RunData, with_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,32 +56,26 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     table = table[table["cases"] > 0]
     # Of fewer structures, the interval says nothing.
     table[_HALF] = table[_HALF].where(table["cases"] >= FEWEST, 0.0)
-    swept = [name for name in swept_words(table) if name not in {"condition", "suite", "way"}]
-    swept.remove("needs")
-    points = [*table.groupby(swept, sort=False)] if swept else [((), table)]
+    pointed = with_points(table, without=["suite", "way", "needs"])
+    points = [*pointed.groupby("point", sort=False)]
     shown = points[:_MOST_PANELS]
     ways = list(dict.fromkeys(table["way"]))
     columns = min(2, len(shown))
-    figure, panels = new_panels(
-        PAGE_WIDTH, 0.6 + 4.4 * -(-len(shown) // columns), len(shown), columns, share="xy",
-        most=most,
-    )  # fmt: skip
-    fit_axis(panels[0], "y", table[_ERROR].to_numpy(float))
-    panels[0].set_xscale("symlog", linthresh=_CHEAPEST, linscale=0.4)
-    label_plainly(panels[0].xaxis)
-    panels[0].set_xlim(-0.3 * _CHEAPEST, 4.0 * table[_PRICE].max())
-    panels[0].set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
-    for axes, (point, rows) in zip(panels, shown, strict=True):
+    height = 0.6 + 4.4 * -(-len(shown) // columns)
+    panels = Panels(height, len(shown), columns, share="xy", most=most)
+    fit_axis(panels.first, "y", table[_ERROR].to_numpy(float))
+    panels.first.set_xscale("symlog", linthresh=_CHEAPEST, linscale=0.4)
+    label_plainly(panels.first.xaxis)
+    panels.first.set_xlim(-0.3 * _CHEAPEST, 4.0 * table[_PRICE].max())
+    panels.first.set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
+    for axes, (point, rows) in panels.each(shown):
         _draw_panel(axes, rows, ways)
-        title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
-        set_title(axes, shortened(title))
+        set_title(axes, shortened(point))
         axes.set_xlabel("Price of 100 robots [USD]")
-    label_left(panels, "RMSE of all robots [R]")
+    panels.label_left("RMSE of all robots [R]")
     words = "mean and 95 % CI" if table[_HALF].any() else "mean"
-    figure_style.add_key(figure, panels[0], words, int(table["cases"].max()))
-    more = figure_style.left_out(len(points) - len(shown), "suites.csv")
-    figure_style.add_note(figure, more, run.note)
-    return figure
+    panels.legend(words, structures=int(table["cases"].max()))
+    return panels.finish(left_out(len(points) - len(shown), "suites.csv"), run.note)
 
 
 def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
@@ -92,7 +85,7 @@ def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
         mine = (rows["way"] == way).to_numpy()
         axes.errorbar(
             price[mine], error[mine], yerr=rows.loc[mine, _HALF], label=way,
-            linestyle="", markersize=4.0, elinewidth=0.6, **marker_style(place),
+            elinewidth=0.6, **dot_style(place, 4.0),
         )  # fmt: skip
     anchors = (axes.transScale + axes.transLimits).transform(np.column_stack([price, error]))
     names = rows["suite"].tolist()
