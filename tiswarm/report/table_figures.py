@@ -4,6 +4,7 @@ They have a row or a marker for each condition: accuracy, shapes, grades and wha
 """
 
 from collections.abc import Mapping, Sequence
+from os.path import commonprefix
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -301,7 +302,7 @@ def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
             if {*map(type, values)} <= {int, float} and len({*values}) == 1:
                 grades[values[0]] = name
         if len(grades) == len(members) >= _FEWEST_GRADES:
-            title = next(iter(members)).rstrip("-_ .0123456789")
+            title = commonprefix([*members]).rstrip("-_ .0123456789")  # noqa: RUF071 - no paths
             families.append(_Family(title, varied, dict(sorted(grades.items()))))
     return families
 
