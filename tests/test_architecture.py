@@ -4,7 +4,7 @@ import ast
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
@@ -36,11 +36,7 @@ MODULES = {
 }
 """By file, the syntax tree of each module."""
 
-[CONTRACT] = (
-    contract
-    for contract in PROJECT["tool"]["importlinter"]["contracts"]
-    if contract["name"] == "the spine imports no optional part"
-)
+ADDRESS = re.compile(r"tiswarm(\.\w+)+:\w+")
 
 
 _Node = TypeVar("_Node", bound=ast.AST)
@@ -102,20 +98,27 @@ def _imported(tree: ast.Module) -> Iterator[str]:
                 yield f"{node.module}.{name.name}".removeprefix("tiswarm.")
 
 
-def _parts_that_the_spine_imports() -> int:
-    spine, parts = CONTRACT["source_modules"], CONTRACT["forbidden_modules"]
-    imported = {
-        f"tiswarm.{name}."
+def _core_files_that_name_a_part() -> int:
+    """Count files that import from `tiswarm.parts`, for types too, or have its name in a text."""
+    naming = {
+        file
         for file, tree in MODULES.items()
-        for name in _imported(tree)
-        if f"{file.removesuffix('.py').replace('/', '.')}.".startswith(_dotted(spine))
+        for name in [*_imported(tree), *_texts(tree)]
+        if name.removeprefix("tiswarm.").startswith("parts.")
     }
-    return sum(any(name.startswith(_dotted([part])) for name in imported) for part in parts)
+    return len({file for file in naming if not file.startswith("tiswarm/parts/")})
 
 
-def _dotted(modules: Iterable[str]) -> tuple[str, ...]:
-    """Return prefixes that a module's full name has if it is, or is in, one of the modules."""
-    return tuple(f"{module}." for module in modules)
+def _texts(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield from re.findall(r"tiswarm\.[\w.]+", node.value)
+
+
+def _doors() -> int:
+    """Count files of the core with a text `module:attribute`, which something imports."""
+    files = {file for file, node in _nodes(ast.Constant) if ADDRESS.fullmatch(str(node.value))}
+    return len({file for file in files if not file.startswith("tiswarm/parts/")})
 
 
 def _entries() -> int:
@@ -129,7 +132,8 @@ def _names_that_cross_rooms() -> int:
         name
         for file, tree in MODULES.items()
         for name in _imported(tree)
-        if name.split(".")[0] != file.removesuffix(".py").split("/")[1] != "parts"
+        if name.split(".")[0] not in {file.removesuffix(".py").split("/")[1], "parts"}
+        and not file.startswith("tiswarm/parts/")
     }
     return len(crossing)
 
@@ -187,7 +191,8 @@ def _files_that_name_a_key() -> int:
 MEASURES: dict[str, Callable[[], float]] = {
     "files of the tour": lambda: len(stops()),
     "lines of these files": _tour_lines,
-    "optional parts that the spine imports": _parts_that_the_spine_imports,
+    "files of the core that name a part": _core_files_that_name_a_part,
+    "doors to what is named as text": _doors,
     "entries at the top of the package": _entries,
     "names that modules of the core import from other rooms": _names_that_cross_rooms,
     "class names with two meanings": _names_with_two_meanings,

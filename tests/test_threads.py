@@ -26,10 +26,11 @@ from tests.sensing.test_sight import cloud, views
 from tests.structures import NOISY, silent
 from tests.world.test_growth import FIREANT, KINDS
 from tiswarm import relax, study
+from tiswarm.base.parts import PARTS
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend
 from tiswarm.localization.chains.card_kernels import STEPS_A_LAUNCH
-from tiswarm.localization.methods import METHODS, localize_many
+from tiswarm.localization.methods import localize_many
 from tiswarm.localization.settings import Together
 from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.parts.suites.senses import in_sight
@@ -229,7 +230,7 @@ def test_threads_change_no_bit(found, name):
     assert one == two
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PARTS["method"])
 def test_every_method_is_among_them(method):
     """A new method brings a work of its own."""
     assert any(f"{name} ".startswith(f"{method} ") for name in WORKS)

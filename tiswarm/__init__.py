@@ -1,113 +1,74 @@
 """Grow large swarms of modular robots and localize them by their contacts.
 
-    run(scenario, overrides)         grow, sense, localize, evaluate and draw a scenario
-    open_run(folder)                 results of an earlier run: data frames and figures
-    compare(runs)                    runs side by side, and differences on the structures they share
-    render(run), export(run, "ply")  3D pictures, and files for other programs; of a log, too
-    read_log(path)                   read a sensing log
-    import_poses(table)              make a log from robot poses of any simulator
-    localize(log)                    estimate the positions of a log's robots
-    track(stream)                    estimate them while the robots join
-    advise(log, estimate)            which further measurement would help most
-    view(log, estimate)              show an estimate on a page
-    score(truth, estimate)           errors of an estimate
-    check(path)                      mistakes in a scenario or log
-    method(name)                     make a function of yours a localization method
-    sensor(name, fills=...)          make a function of yours a sensor suite
-    export_format(name, suffix)      make a function of yours a format to export to
-    Localizer(header)                Algorithm 1 of the paper, one robot at a time
-    Tracker(header)                  estimates of all robots as they join, one robot at a time
-    relax(...)                       the step that moves a whole swarm
+    run = tiswarm.run("tower", {"robots": 20})          grow, sense, localize, evaluate, draw
+    run.table, run.figures["convergence"]               its results: data frames and figures
+    log = tiswarm.read_log("sensing.jsonl")             what a swarm sensed
+    estimate = log.localize("joint")                    where its robots are
+    estimate.view(), tiswarm.advise(log, estimate)      a page, and what to measure next
 
 A run, a log and an estimate have `view`, `render` and `export` of their own, and what a call
 returns prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is
-an `InputError`.
+an `InputError`. Functions of yours become methods, sensors, figures and formats by `tiswarm.method`
+and the like. All names:
 """
 
 import random
+import re
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 from tiswarm.base.version import __version__
 
-if TYPE_CHECKING:
-    from tiswarm.api import (
-        advise,
-        check,
-        compare,
-        export,
-        import_poses,
-        localize,
-        read_log,
-        render,
-        run,
-        score,
-        track,
-        view,
-    )
-    from tiswarm.app.exports import export_format
-    from tiswarm.app.results import Run, open_run
-    from tiswarm.base.errors import EnvironmentTroubleError, InputError
-    from tiswarm.base.robot import RobotGeometry
-    from tiswarm.engine.relax import RelaxResult, relax
-    from tiswarm.localization.methods import method
-    from tiswarm.localization.virtual_force.method import Localizer
-    from tiswarm.parts.online.tracker import Tracker
-    from tiswarm.sensing.plugins import sensor
-
-__all__ = [
-    "EnvironmentTroubleError",
-    "InputError",
-    "Localizer",
-    "RelaxResult",
-    "RobotGeometry",
-    "Run",
-    "Tracker",
-    "__version__",
-    "advise",
-    "check",
-    "compare",
-    "explain",
-    "export",
-    "export_format",
-    "import_poses",
-    "localize",
-    "method",
-    "open_run",
-    "read_log",
-    "relax",
-    "render",
-    "run",
-    "score",
-    "sensor",
-    "track",
-    "view",
-]
+if TYPE_CHECKING:  # the one list of all names: the rest is read from it
+    from tiswarm.api import advise as advise
+    from tiswarm.api import check as check
+    from tiswarm.api import compare as compare
+    from tiswarm.api import explain as explain
+    from tiswarm.api import export as export
+    from tiswarm.api import import_poses as import_poses
+    from tiswarm.api import localize as localize
+    from tiswarm.api import read_log as read_log
+    from tiswarm.api import render as render
+    from tiswarm.api import run as run
+    from tiswarm.api import score as score
+    from tiswarm.api import track as track
+    from tiswarm.api import view as view
+    from tiswarm.app.formats import export_format as export_format
+    from tiswarm.app.formats import import_format as import_format
+    from tiswarm.app.results import Run as Run
+    from tiswarm.app.results import open_run as open_run
+    from tiswarm.base.errors import EnvironmentTroubleError as EnvironmentTroubleError
+    from tiswarm.base.errors import InputError as InputError
+    from tiswarm.base.parts import Tracker as Tracker
+    from tiswarm.base.robot import RobotGeometry as RobotGeometry
+    from tiswarm.engine.relax import RelaxResult as RelaxResult
+    from tiswarm.engine.relax import relax as relax
+    from tiswarm.localization.methods import method as method
+    from tiswarm.localization.virtual_force.method import Localizer as Localizer
+    from tiswarm.report.figures import figure as figure
+    from tiswarm.sensing.plugins import sensor as sensor
 
 _HOME = {
-    "EnvironmentTroubleError": "tiswarm.base.errors",
-    "InputError": "tiswarm.base.errors",
-    "Localizer": "tiswarm.localization.virtual_force.method",
-    "RelaxResult": "tiswarm.engine.relax",
-    "RobotGeometry": "tiswarm.base.robot",
-    "Run": "tiswarm.app.results",
-    "Tracker": "tiswarm.parts.online.tracker",
-    "export_format": "tiswarm.app.exports",
-    "method": "tiswarm.localization.methods",
-    "open_run": "tiswarm.app.results",
-    "relax": "tiswarm.engine.relax",
-    "sensor": "tiswarm.sensing.plugins",
+    name: module
+    for module, name in re.findall(
+        r"^    from (\S+) import \w+ as (\w+)$",
+        __spec__.loader.get_source(__name__),  # type: ignore[union-attr]
+        re.MULTILINE,
+    )
 }
-"""Module of each name that is not in `tiswarm.api`."""
+"""Module of each name, as the list above has it."""
+
+__all__ = ["__version__", *sorted(_HOME)]  # noqa: PLE0604 - names are texts
+__doc__ = "\n    ".join([__doc__ or "", *sorted(_HOME)])
 
 
 def __getattr__(name: str) -> object:
     """Import a name when it is used; `import tiswarm` alone loads no kernel compiler."""
-    if name not in __all__:
+    if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     drawn = random.getstate()
     try:
-        return getattr(import_module(_HOME.get(name, "tiswarm.api")), name)
+        return getattr(import_module(_HOME[name]), name)
     finally:
         random.setstate(drawn)  # rich draws numbers as it is imported
 

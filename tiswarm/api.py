@@ -37,17 +37,14 @@ from tiswarm.app.showing import view as view  # noqa: PLC0414
 from tiswarm.app.tracking import track as track  # noqa: PLC0414
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyMovie, AnyPrecision
-from tiswarm.base.parts import load
-from tiswarm.base.plugins import load_plugins
+from tiswarm.base.parts import find, load_plugins
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
+    from tiswarm.base.parts import AdviceTable, Explanation, Imported, Kind
     from tiswarm.evaluation.tables import Scores
-    from tiswarm.parts.advice.explanation import Explanation
-    from tiswarm.parts.advice.further import AdviceTable, Kind
-    from tiswarm.parts.formats.imports import Imported
     from tiswarm.scenario.model import Scenario
     from tiswarm.study.forecast import Forecast
 
@@ -246,6 +243,7 @@ def import_poses(
     *,
     docks: File | None = None,
     out: File | None = None,
+    plugins: Sequence[File] = (),
     overwrite: bool = False,
     **assumed: Any,  # noqa: ANN401 - types of their own
 ) -> "dict[str, Imported]":
@@ -256,8 +254,9 @@ def import_poses(
             `time`; a GSD file; a folder of TUM trajectories; or an export of motion capture.
         docks: Table `dock,x,y,z` of the docks in the body frame, in place of `dock_offset_body`.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
+        plugins: Python files that register formats, see `tiswarm.import_format`.
         overwrite: Whether to replace files that no tiswarm command wrote.
-        assumed: Fields of `tiswarm.parts.formats.poses.Assumptions`, such as `dock_radius`.
+        assumed: What the poses do not state, such as `dock_radius`.
 
     Returns:
         Log, positions and notes of each structure by its name in the column `run`, or by "".
@@ -267,7 +266,8 @@ def import_poses(
         InputError: the table is malformed, there is no such field, or an output would replace
             another file.
     """
-    convert = load("tiswarm.parts.formats.imports:convert", "import")
+    load_plugins(plugins)
+    convert = find("command", "import")
     found: dict[str, Imported] = convert(
         as_path(poses, "poses"), assumed,
         docks=None if docks is None else as_path(docks, "docks"),

@@ -24,7 +24,7 @@ import tiswarm
 from benchmarks.logs.grade import Bound, Grade, grade, refused, summary
 from benchmarks.logs.limit import tied_robots
 from tiswarm.base.errors import TiswarmError
-from tiswarm.base.plugins import load_plugins
+from tiswarm.base.parts import load_plugins
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_log import SensingLog

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from tiswarm.base import version
-from tiswarm.localization import methods
+from tiswarm.base.parts import PARTS
 from tiswarm.study import provenance
 from tiswarm.study.provenance import all_code, case_code, method_code, structure_code
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
-METHODS = tuple(methods.METHODS)
+METHODS = tuple(PARTS["method"])
 trial = partial(pytest.param, marks=pytest.mark.trial)
 
 
@@ -81,7 +81,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
         trial("localization/methods.py", {*METHODS, "all"}),
         (
             "localization/mixture/ends.py",
-            {"joint", "least-squares", "online", "all"},
+            {"joint", "least-squares", "online", "distributed", "all"},
         ),
         ("parts/peers/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
         ("localization/virtual_force/together.py", {"virtual-force", "distributed", "all"}),

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from tests.runs import REPOSITORY
-from tiswarm.app.exports import export_view
+from tiswarm.app.formats import export_view
 from tiswarm.base.progress import Progress
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.figure_style import JOIN_COLORS, rgb

@@ -15,7 +15,7 @@ import pytest
 
 import tiswarm as library
 from tests.runs import REPOSITORY
-from tiswarm.base import plugins
+from tiswarm.base import parts as plugins
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.localization.methods import all_params
 from tiswarm.scenario.model import scenario_schema
@@ -23,7 +23,7 @@ from tiswarm.scenario.validation import localization_params
 from tiswarm.study import runner
 
 PAGE = (REPOSITORY / "docs" / "own-method.md").read_text()
-CHAIN, RADAR, XYZ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+CHAIN, RADAR, XYZ, READ, DRAW = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 [STUDY] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 ORIGIN = """
 import numpy as np
@@ -261,7 +261,9 @@ def test_localize_prints_a_line_or_with_debug_the_traceback(tiswarm, files, log)
         (CHAIN.replace("gap: float", "gap: np.ndarray"), "own.py:.* use types like float or str"),
         (RADAR.replace('"radar"', '"atron"'), "own.py:6: sensor atron is taken by tiswarm itself"),
         (RADAR.replace('"ranges"', '"smells"'), "own.py:6: fills: the log has no list smells"),
-        (XYZ.replace('"xyz"', '"ply"'), "own.py:4: format ply is taken by tiswarm itself"),
+        (XYZ.replace('"xyz"', '"ply"'), "own.py:4: export format ply is taken by tiswarm itself"),
+        (READ.replace('"poses"', '"gsd"'), "own.py:6: import format gsd is taken by tiswarm"),
+        (DRAW.replace('"cases"', '"error"'), "own.py:6: figure error is taken by tiswarm itself"),
     ],
 )
 def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
@@ -271,7 +273,7 @@ def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
     with pytest.raises(InputError, match=problem):
         library.check("own.yaml", plugins=["own.py"])
 
-    assert plugins.registered("method") == plugins.registered("format") == {}
+    assert plugins.registered("method") == plugins.registered("export_format") == {}
 
 
 def test_a_plugin_that_is_missing_is_a_line(tiswarm, files):
@@ -467,7 +469,42 @@ def test_a_format_of_a_plugin_is_written(tiswarm, files, log):
     assert done.returncode == 0, done.stderr
     assert (files / "export" / "case.xyz").read_text().startswith("5\n")
     assert unknown.returncode == 2
-    assert "--format: there is no format xyz" in unknown.stderr
+    assert "--format: there is no export format xyz" in unknown.stderr
+
+
+def test_a_format_of_a_plugin_is_imported(tiswarm, files):
+    """The example of the page reads poses in mm; a line that is wrong names the file."""
+    (files / "poses.py").write_text(READ)
+    (files / "two.poses").write_text("0 0 0 49.7 1 0 0 0\n7 165.4 0 49.7 1 0 0 0\n")
+    (files / "bad.poses").write_text("0 0 0 far 1 0 0 0\n")
+
+    command = ("--plugin", "poses.py", "--dock-radius", "33", "--out", "imported")
+    done = tiswarm("import", "two.poses", *command, cwd=files)
+    wrong = tiswarm("import", "bad.poses", *command, cwd=files)
+
+    assert done.returncode == 0, done.stderr
+    log = library.read_log(files / "imported" / "sensing.jsonl")
+    assert (log.robot_id.tolist(), log.length_unit) == ([0, 7], "mm")
+    assert wrong.returncode == 2
+    assert re.match(r"tiswarm: error: bad\.poses:2: z_mm: ", wrong.stderr)
+
+
+def test_a_figure_of_a_plugin_is_on_the_page(tiswarm, files, whole):
+    """The example of the page draws an earlier run; a figure that fails is a line."""
+    run = shutil.copytree(whole, files / "run")
+    (files / "figure.py").write_text(DRAW)
+    (files / "wrong.py").write_text(DRAW.replace('"rmse_R"', '"smell"'))
+
+    given = ("--plugin", "own.py", "--plugin")
+    done = tiswarm("report", run, *given, "figure.py", cwd=files)
+    plugins.forget()
+    wrong = tiswarm("report", run, *given, "wrong.py", cwd=files)
+
+    assert done.returncode == 0, done.stderr
+    assert (run / "figures" / "cases.png").is_file()
+    assert "Error of each case against the number of robots." in (run / "report.html").read_text()
+    assert wrong.returncode == 1
+    assert re.search(r"error: .*wrong\.py:\d+: cases failed: KeyError", wrong.stderr)
 
 
 @pytest.mark.parametrize("workers", [None, pytest.param(1, marks=pytest.mark.trial)])

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.robustness.mutations import Random, damaged
 from tests.structures import exact_estimate
-from tiswarm.app.exports import FORMATS, export_view
+from tiswarm.app.formats import export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.parts import PARTS
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.parts.formats.mcap import encode_messages
@@ -119,7 +120,7 @@ def test_a_robot_without_a_pose_is_left_out(view, tmp_path):
     ]
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", PARTS["export_format"])
 def test_a_structure_without_contacts_is_exported(view, tmp_path, form):
     """Robots that only heights, fixes or ranges locate are a structure, too."""
     log = replace(view.log, contacts=view.log.contacts[:0])

@@ -12,7 +12,8 @@ import trimesh
 from mcap.reader import make_reader
 
 from tests.structures import Rule, exact_estimate, structure
-from tiswarm.app.exports import FORMATS, export_view
+from tiswarm.app.formats import export_view
+from tiswarm.base.parts import PARTS
 from tiswarm.base.progress import Progress
 from tiswarm.report.swarm_view import view_log
 
@@ -90,7 +91,7 @@ READERS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", PARTS["export_format"])
 def test_every_format_resolves_robots_at_map_coordinates(form, tmp_path):
     """All points of each file move with the anchor, exact to 1e-6 R: float32 steps 0.5 m there."""
     read = READERS[form]

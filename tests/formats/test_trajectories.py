@@ -10,7 +10,7 @@ import pytest
 
 from tests.formats.test_stances import BODY, assert_same_stances, rows_of, sampled
 from tests.structures import exact_estimate
-from tiswarm.app.exports import export_view
+from tiswarm.app.formats import export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.parts.formats.imports import import_poses

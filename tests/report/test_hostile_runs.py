@@ -14,7 +14,7 @@ from PIL import Image
 
 from tests.report.conftest import write_table
 from tiswarm import study
-from tiswarm.app.exports import export_view
+from tiswarm.app.formats import export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.parts.pictures import animation, pictures

@@ -12,7 +12,7 @@ import trimesh
 
 from tests.browser import probe
 from tiswarm.app.drawing import draw_log, render_log
-from tiswarm.app.exports import export_view
+from tiswarm.app.formats import export_view
 from tiswarm.app.inspection import Findings
 from tiswarm.app.logs import Log
 from tiswarm.base.progress import Progress

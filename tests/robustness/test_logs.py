@@ -17,10 +17,11 @@ from tests.structures import (
     with_heights,
     with_ranges,
 )
-from tiswarm.app.exports import FORMATS, export_view
+from tiswarm.app.formats import export_view
 from tiswarm.app.inspection import inspect
 from tiswarm.app.logs import Log
 from tiswarm.base.errors import InputError
+from tiswarm.base.parts import PARTS
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
@@ -135,7 +136,7 @@ def _assert_exported(folder, log, estimate):
     """Every format takes what a method made of the log."""
     true = np.where(np.isfinite(estimate.position), estimate.position + 0.5, 0.0)
     for shown in (view_log(log, estimate), view_log(log, estimate, true)):
-        for form in FORMATS:
+        for form in PARTS["export_format"]:
             export_view(shown, form, folder, Progress())
     assert all(file.stat().st_size for file in folder.iterdir())
 

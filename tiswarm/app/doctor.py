@@ -21,7 +21,7 @@ import numpy as np
 from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import ARCHS, Arch
-from tiswarm.base.parts import load
+from tiswarm.base.parts import find, has
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import machine
 
@@ -70,7 +70,7 @@ def examine() -> Iterator[Finding]:
     yield Finding("kernel cache", *_in_child(start_cache, "cpu"))
     for arch in ARCHS:
         yield Finding(f"backend {arch}", *_in_child(try_backend, arch))
-    for renderer in _renderers("TRACERS"):
+    for renderer in find("command", "renderer").TRACERS if has("command", "renderer") else ():
         yield Finding(f"renderer {renderer}", *_in_child(draw_test_picture, renderer))
     if packages := missing_packages():
         detail = f"apt-get install {' '.join(packages)}"
@@ -150,12 +150,7 @@ def start_cache(arch: Arch) -> str:
 
 def draw_test_picture(renderer: str) -> str:
     """Draw one robot in a small picture; return the time it took in words."""
-    return str(_renderers("draw_test_picture")(renderer))
-
-
-def _renderers(name: str) -> Any:  # noqa: ANN401 - of many types
-    """Load a name of the optional part that draws."""
-    return load(f"tiswarm.parts.pictures.raycast:{name}", "a renderer")
+    return str(find("command", "renderer").draw_test_picture(renderer))
 
 
 def missing_packages() -> list[str]:
@@ -167,9 +162,9 @@ def missing_packages() -> list[str]:
     if sys.platform != "linux":
         return []
     needed = set(_TAICHI_LIBRARIES) if importlib.util.find_spec("taichi") else set()
-    if importlib.util.find_spec("open3d"):
+    if importlib.util.find_spec("open3d") and has("command", "renderer"):
         try:
-            _renderers("import_open3d")()
+            find("command", "renderer").import_open3d()
         except (ImportError, OSError):
             needed |= _LIBRARIES.keys()
     missing = [

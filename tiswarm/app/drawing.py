@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.params import AnyMovie
-from tiswarm.base.parts import load
+from tiswarm.base.parts import find, has
 from tiswarm.base.progress import Progress
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from tiswarm.study.run import RunResult
 
 PAGE = "report.html"
-_PICTURES = "tiswarm.parts.pictures.pictures"
-_ANIMATION = "tiswarm.parts.pictures.animation:animate_run"
 
 
 def draw_all(
@@ -48,9 +46,10 @@ def draw_all(
     drawn = pictures and (pdf or not whole)
     if drawn:  # what another command drew is not drawn again, and no longer checked
         write_manifest(result.folder, replace(manifest, drawn={}))
+    renders = drawn and some_done and has("command", "render")
     if drawn or movie:
         draw(
-            load_run(result.folder), progress, figures=drawn, renders=drawn and some_done, pdf=pdf,
+            load_run(result.folder), progress, figures=drawn, renders=renders, pdf=pdf,
             movie=movie if some_done else None,
         )  # fmt: skip
 
@@ -83,8 +82,8 @@ def draw(
         EnvironmentTroubleError: the folder is not writable, or the renderer does not work.
     """
     manifest = read_manifest(run.folder)
-    render_run = load(f"{_PICTURES}:render_run", "a picture") if renders else None
-    animate_run = load(_ANIMATION, "an animation") if movie else None
+    render_run = find("command", "render").render_run if renders else None
+    animate_run = find("command", "animate").animate_run if movie else None
     if renders:  # matplotlib looks at IPython, and fails while open3d imports it
         with contextlib.suppress(ImportError):
             importlib.import_module("IPython")
@@ -179,7 +178,7 @@ def render_log(
         InputError: the renderer is unknown, or a picture would replace another file.
         EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
     """
-    render_view = load(f"{_PICTURES}:render_view", "a picture")
+    render_view = find("command", "render").render_view
     near = replace(
         view, pose=view.from_origin(view.pose), estimated_pose=view.from_origin(view.estimated_pose)
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import load
+from tiswarm.base.parts import find
 from tiswarm.measurements.consistency import contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
@@ -34,7 +34,7 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import NUMBERS, SensingLog
 
 if TYPE_CHECKING:
-    from tiswarm.parts.advice.further import AdviceTable, Kind
+    from tiswarm.base.parts import AdviceTable, Kind
 
 _MARGIN = 20
 """Robots in a row that a spawn position may be beyond all others."""
@@ -117,7 +117,7 @@ class Findings:
         Raises:
             InputError: the budget is not positive, a kind is unknown, or there are too many robots.
         """
-        tabulate = load("tiswarm.parts.advice.further:tabulate", "advice")
+        tabulate = find("command", "advise")
         found: AdviceTable = tabulate(
             self.log, self._cues or cue_names(), self.estimate, budget, kinds
         )

@@ -18,7 +18,7 @@ from tiswarm.app.results import Figures, File, Overrides, PageFile, as_path, as_
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyPrecision
-from tiswarm.base.parts import load
+from tiswarm.base.parts import find, has
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
@@ -26,9 +26,8 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
+    from tiswarm.base.parts import AdviceTable, Explanation
     from tiswarm.localization.methods import LocalizationParams
-    from tiswarm.parts.advice.explanation import Explanation
-    from tiswarm.parts.advice.further import AdviceTable
     from tiswarm.report.swarm_view import SwarmView
 
 Truth = Reals | File | None
@@ -172,8 +171,7 @@ class Localized(Estimate):
 
     def explain(self, robot: int) -> "Explanation":
         """Say how the measurements of one robot, by its name, narrow the places it may have."""
-        explain = load("tiswarm.parts.advice.explanation:explain", "explain")
-        found: Explanation = explain(self.log, self, robot)
+        found: Explanation = find("command", "explain").explain(self.log, self, robot)
         return found
 
     def __str__(self) -> str:
@@ -218,11 +216,12 @@ class Localized(Estimate):
         page = as_path(out, "out")
         outputs.check({"out": page}, self._inputs(truth), overwrite=overwrite)
         findings = self.findings
-        show_one = load("tiswarm.parts.advice.explanation:show_one", "explain")
+        can_explain, can_advise = has("command", "explain"), has("command", "advise")
+        figures = find("command", "explain").show_one(self.log, self) if can_explain else ()
         draw_log(
             page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
-            advice=findings.advice, figures=show_one(self.log, self), overwrite=overwrite,
+            advice=findings.advice if can_advise else (), figures=figures, overwrite=overwrite,
         )  # fmt: skip
         return PageFile(page)
 
@@ -276,7 +275,7 @@ class Localized(Estimate):
         Returns:
             The folder with the files.
         """
-        from tiswarm.app.exports import export_view  # noqa: PLC0415 - slow to import
+        from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
 
         folder = as_path(out, "out")
         export_view(

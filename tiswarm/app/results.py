@@ -12,10 +12,10 @@ from urllib.parse import quote
 import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import AnyMovie
 from tiswarm.records.measures import DISPARITY, RMSE
-from tiswarm.records.messages import counted, did_you_mean
+from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -200,7 +200,7 @@ class Run:
         Returns:
             The folder with the files.
         """
-        from tiswarm.app.exports import export_view  # noqa: PLC0415 - slow to import
+        from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 

@@ -8,7 +8,7 @@ from tiswarm.app.logs import Log, Truth, open_log
 from tiswarm.app.results import Figures, File, PageFile, Run, as_path, open_run
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyMovie
-from tiswarm.base.plugins import load_plugins
+from tiswarm.base.parts import load_plugins
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from tiswarm.app.logs import method_params
 from tiswarm.app.results import File, Overrides, as_path
 from tiswarm.base.errors import warn
-from tiswarm.base.parts import load
+from tiswarm.base.parts import find
 from tiswarm.records import outputs
 from tiswarm.records.positions import write_estimate
 from tiswarm.records.sensing_file import log_lines
@@ -17,7 +17,7 @@ from tiswarm.records.sensing_file import log_lines
 if TYPE_CHECKING:
     from typing import BinaryIO, TextIO
 
-    from tiswarm.parts.online.tracker import Tracker
+    from tiswarm.base.parts import Tracker
 
 _NAME = (str, PathLike)
 
@@ -52,7 +52,7 @@ def track(
         InputError: the input cannot be read, its header or a setting is invalid, or an output is an
             input, or a file that no tiswarm command wrote.
     """
-    follow = load("tiswarm.parts.online.method:follow", "track")
+    follow = find("command", "track").follow
     file, terminal = (as_path(out, "out"), None) if isinstance(out, _NAME) else (None, out)
     table = None if estimate is None else as_path(estimate, "estimate")
     outputs.check({"out": file, "estimate": table}, [source], overwrite=overwrite)

@@ -2,6 +2,7 @@
 
 import sys
 import warnings
+from collections.abc import Collection
 from pathlib import Path
 
 _LONGEST = 1000
@@ -103,3 +104,11 @@ def warn(text: str) -> None:
     while frame.f_back and frame.f_globals["__name__"].startswith("tiswarm."):
         depth, frame = depth + 1, frame.f_back
     warnings.warn(text, ResultWarning, stacklevel=depth)
+
+
+def did_you_mean(name: object, names: Collection[str]) -> str:
+    """Return the name that is nearest to a wrong one as the end of a message, or nothing."""
+    import difflib  # noqa: PLC0415 - few need it
+
+    near = difflib.get_close_matches(str(name), names, n=1)
+    return f"; did you mean {near[0]}?" if near else ""

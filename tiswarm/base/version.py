@@ -11,8 +11,14 @@ _NAME = __name__.partition(".")[0]
 _IMPORT = re.compile(
     rf"^[ \t]*(?:from ({_NAME}[\w.]*) import (\([^)]*\)|.*)|import ({_NAME}[\w.]*))", re.MULTILINE
 )
+_FOUND = re.compile(r'\bfind\("(\w+)", (?:"([^"]+)"\))?')
+"""A kind, and a name if it is constant, of what is imported by the table of `base.parts`."""
+
 _NAMED = re.compile(rf'"({_NAME}(?:\.\w+)+)(?::\w+)?"')
-"""A module as a registry names it, see `base.parts`."""
+"""A module as settings of a method name it."""
+
+_TYPES = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t].*\n|\n)+", re.MULTILINE)
+"""Imports that no running code needs."""
 
 
 def code_digest(
@@ -48,9 +54,18 @@ def code_digest(
 
 def _imports(file: Path, package: Path) -> frozenset[str]:
     """List the modules of the package that a file imports, within functions too, or registers."""
+    from tiswarm.base.parts import PARTS  # noqa: PLC0415 - slow, and `tiswarm` imports this module
+
     text = file.read_text(encoding="utf-8")
-    names = set[str](_NAMED.findall(text))
-    for origin, parts, module in _IMPORT.findall(text):
+    names = {
+        place.partition(":")[0]
+        for kind, name in _FOUND.findall(text)
+        for part, place in PARTS[kind].items()
+        if name in {"", part}
+    }
+    if file != package / "base" / "parts.py":  # the table itself
+        names |= {*_NAMED.findall(text)}
+    for origin, parts, module in _IMPORT.findall(_TYPES.sub("", text)):
         names |= {module or origin, *(f"{origin}.{part}" for part in re.findall(r"\w+", parts))}
     return frozenset(name for name in names - {_NAME} if _file(name, package) is not None)
 

@@ -19,8 +19,7 @@ from tiswarm.app.console import fail
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
 from tiswarm.base.memory import naming_shortage, require_address_space
 from tiswarm.base.params import AnyArch, AnyMovie
-from tiswarm.base.parts import lacking, load
-from tiswarm.base.plugins import PluginError
+from tiswarm.base.parts import PluginError, find, lacking
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
@@ -114,8 +113,7 @@ def chosen_movie(movie: AnyMovie | None, *, animate: bool) -> AnyMovie | None:
     """Return the file format of an animation, the best one if none was chosen; None without one."""
     if movie or not animate:
         return movie
-    best_movie = load("tiswarm.parts.pictures.animation:best_movie", "an animation")
-    found: AnyMovie = best_movie()
+    found: AnyMovie = find("command", "animate").best_movie()
     return found
 
 

@@ -168,12 +168,11 @@ def view(
     cases of a run that is still computed, and the 3D view of one. Ctrl-C ends the command.
     """
     if live:
-        from tiswarm.base.parts import load
-        from tiswarm.base.plugins import load_plugins
+        from tiswarm.base.parts import find, load_plugins
 
         refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
         load_plugins(plugins)
-        serve = load("tiswarm.parts.live:serve", "view --live")
+        serve = find("command", "view --live")
         serve(log, port or 0, lambda page: show_page(page, opened=opened))
         return
     from tiswarm import api
@@ -294,6 +293,7 @@ def import_(
     length_unit: Annotated[
         str, Option(help="Length unit, unless columns name it, such as x_mm.")
     ] = "unit",
+    plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
     heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
     conjugate: Annotated[
@@ -307,6 +307,7 @@ def import_(
         bool, Option("--drop-incomplete", help="Drop rows with empty cells or NaN.")
     ] = False,
     overwrite: Overwrite = False,
+    debug: Debug = False,
     quiet: Quiet = False,
 ) -> None:
     """Convert poses of any simulator to a sensing log and a truth.
@@ -325,28 +326,30 @@ def import_(
         problem = f"{anchor!r} is not a list of robots; write it like 0,5"
         raise InputError(problem, argument="anchor") from None
     body = None if dock_offset is None else docks_in_plane(dock_offset)
-    found = api.import_poses(
-        poses,
-        out=out,
-        overwrite=overwrite,
-        dock_radius=dock_radius,
-        dock_offset_body=body,
-        docks=docks,
-        gap=gap,
-        overlap=overlap,
-        contacts=contacts,
-        anchors=anchors,
-        up=up,
-        conjugate=conjugate,
-        ground_z=ground_z,
-        heights=heights,
-        drop_disconnected=drop_disconnected,
-        drop_incomplete=drop_incomplete,
-        glitch_frames=glitch_frames,
-        tilt_deg=tilt_deg,
-        yaw_deg=yaw_deg,
-        length_unit=length_unit,
-    )
+    with showing_traceback(debug=debug):
+        found = api.import_poses(
+            poses,
+            out=out,
+            plugins=plugins,
+            overwrite=overwrite,
+            dock_radius=dock_radius,
+            dock_offset_body=body,
+            docks=docks,
+            gap=gap,
+            overlap=overlap,
+            contacts=contacts,
+            anchors=anchors,
+            up=up,
+            conjugate=conjugate,
+            ground_z=ground_z,
+            heights=heights,
+            drop_disconnected=drop_disconnected,
+            drop_incomplete=drop_incomplete,
+            glitch_frames=glitch_frames,
+            tilt_deg=tilt_deg,
+            yaw_deg=yaw_deg,
+            length_unit=length_unit,
+        )
     if not quiet:
         for run, imported in found.items():
             typer.echo("\n".join(imported.notes) + f" -> {out / run}")

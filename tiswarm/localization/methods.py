@@ -37,12 +37,14 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import STRICT, AnyArch, AnyPrecision
-from tiswarm.base.parts import load
-from tiswarm.base.plugins import (
+from tiswarm.base.parts import (
+    PARTS,
     Plugin,
     PluginError,
     fault_of_numbers,
+    find,
     guarded,
+    load,
     register,
     registered,
 )
@@ -56,25 +58,6 @@ from tiswarm.records.sensing_log import FARTHEST, SensingLog, moved
 if TYPE_CHECKING:
     from tiswarm.compute.backend import Backend
 
-METHODS = {
-    "virtual-force": "tiswarm.localization.settings:VirtualForceParams",
-    "least-squares": "tiswarm.parts.peers.settings:LeastSquaresParams",
-    "joint": "tiswarm.localization.settings:JointParams",
-    "hop-by-hop": "tiswarm.parts.peers.settings:HopByHopParams",
-    "online": "tiswarm.parts.online.settings:OnlineParams",
-    "distributed": "tiswarm.parts.between.settings:DistributedParams",
-}
-"""Classes of settings, in the order of the schema; their `module` is imported when it is used.
-
-A module has `localize`. It takes a log whose anchor is at the origin, settings, and a function that
-it calls with the share of its work that is done [1]; it returns an estimate. A module whose logs
-share launches has `batch_key` and `localize_batch` instead, see `joint`: all logs of a batch have,
-with their settings, the same key.
-"""
-
-KIND = "method"
-"""What plug-ins register here."""
-
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _TAKEN = ("method", "cues", "settings")
 _USUAL = tuple(name for name in all_cues() if name not in DOCKS_UNKNOWN)
@@ -83,23 +66,28 @@ _Locate = TypeVar("_Locate", bound=Callable[..., Any])
 
 
 def settings_of(name: str) -> type[MethodParams]:
-    """Return the class of settings of a method of this package.
+    """Return the class of settings of a method of this package, which names its module.
+
+    A module has `localize`. It takes a log whose anchor is at the origin, settings, and a function
+    that it calls with the share of its work that is done [1]; it returns an estimate. A module
+    whose logs share launches has `batch_key` and `localize_batch` instead, see `joint`: all logs of
+    a batch have, with their settings, the same key.
 
     Raises:
         EnvironmentTroubleError: this copy of the package lacks the method.
     """
-    found: type[MethodParams] = load(METHODS[name], f"method {name}")
+    found: type[MethodParams] = find("method", name)
     return found
 
 
 def all_params() -> Any:  # noqa: ANN401 - a type
     """Return the type of the settings of any method that is here, those of plug-ins included."""
-    kinds = (*_built_in(), *(found.value.params for found in registered(KIND).values()))
+    kinds = (*_built_in(), *(found.value.params for found in registered("method").values()))
     return Annotated[Union[kinds], pydantic.Field(discriminator="method")]  # noqa: UP007
 
 
 def _built_in() -> Iterator[type[MethodParams]]:
-    for name in METHODS:
+    for name in PARTS["method"]:
         try:
             yield settings_of(name)
         except EnvironmentTroubleError:  # a copy of the package without this part
@@ -116,7 +104,7 @@ else:
 def modules(name: str) -> set[str]:
     """List the modules with the settings and the code of a method; none if it is not here."""
     try:
-        return {METHODS[name].partition(":")[0], settings_of(name).module}
+        return {PARTS["method"][name].partition(":")[0], settings_of(name).module}
     except EnvironmentTroubleError:
         return set()
 
@@ -127,7 +115,7 @@ def joining(params: MethodParams) -> Any | None:  # noqa: ANN401 - a class
     It is made of a log's header and the settings, and has `join`, which takes the line of a robot,
     and `positions`.
     """
-    return load(params.joining, f"method {params.method}") if params.joining else None
+    return getattr(_module_of(params), params.joining) if params.joining else None
 
 
 def require_use(
@@ -353,7 +341,7 @@ class OwnParams(MethodParams):
         Raises:
             PluginError: the function failed, or returned something else.
         """
-        own, plugin = _own(params.method), registered(KIND)[params.method].plugin
+        own, plugin = _own(params.method), registered("method")[params.method].plugin
         settings = () if own.settings is None else (params.settings,)
 
         def locate() -> tuple[Any, NDArray[Any]]:
@@ -374,7 +362,7 @@ class OwnParams(MethodParams):
 
     def __reduce__(self) -> tuple[Callable[..., "OwnParams"], tuple[Plugin, str, dict[str, Any]]]:
         """Send the plug-in ahead, so that a worker loads it before it needs the class."""
-        plugin = registered(KIND)[self.method].plugin
+        plugin = registered("method")[self.method].plugin
         return _received, (plugin, self.method, self._values())
 
 
@@ -398,8 +386,6 @@ def method(
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"{name!r} names no method; use words like my-method")
-    if name in METHODS:
-        raise InputError(f"method {name} is taken by tiswarm itself; choose another name")
     for cue in cues:
         if cue not in all_cues():
             raise InputError(f"{cue} is not a cue; use {', '.join(all_cues())}")
@@ -409,7 +395,7 @@ def method(
         own = OwnMethod(
             name=name, locate=locate, settings=settings, cues=tuple(cues), params=section
         )
-        register(KIND, name, own, locate)
+        register("method", name, own, locate)
         return locate
 
     return add
@@ -447,7 +433,7 @@ def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:
 
 
 def _own(name: str) -> OwnMethod:
-    found: OwnMethod = registered(KIND)[name].value
+    found: OwnMethod = registered("method")[name].value
     return found
 
 

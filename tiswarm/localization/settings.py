@@ -41,7 +41,7 @@ class MethodParams:
 
     @property
     def joining(self) -> str:
-        """Class that places robots as they join, as `module:class`; empty if it needs all."""
+        """Class, of its module, that places robots as they join; empty if it needs all."""
         return ""
 
     @property
@@ -308,7 +308,7 @@ class VirtualForceParams(MethodParams):
     def joining(self) -> str:
         """Class that places robots as they join; empty if settings let robots move afterwards."""
         moves_all = self.is_parallel or self.back_propagation is not None
-        return "" if moves_all else "tiswarm.localization.virtual_force.method:Localizer"
+        return "" if moves_all else "Localizer"
 
     @property
     def title(self) -> str:

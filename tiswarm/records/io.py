@@ -243,10 +243,12 @@ class CsvFile:
     a decimal comma, the same in all cells of a column. Lines that start with # are comments.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Read the header."""
+    def __init__(self, path: Path, text: str | None = None) -> None:
+        """Read the header; `text` is the content of the file if another reader made it."""
         self.path = path
-        lines = numbered_lines(path, MAX_TABLE_BYTES)
+        lines: Iterable[tuple[int, str]] = numbered_lines(path, MAX_TABLE_BYTES)
+        if text is not None:
+            lines = enumerate(text.splitlines(), start=1)
         self._lines = ((line, text) for line, text in lines if not text.startswith("#"))
         first, header = next(self._lines, (1, ""))
         self._separator = max(",;\t", key=header.count)

@@ -7,6 +7,8 @@ from collections.abc import Collection, Sequence
 
 from pydantic_core import ErrorDetails
 
+from tiswarm.base.errors import did_you_mean
+
 Part = str | int
 """One step of the path to a value: a key, or an index into a list."""
 
@@ -56,12 +58,6 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
     if kind == "too_long" and [type(item) for item in list(error["input"])[-2:]] == [str, str]:
         message += "; name one source, and add the variance of the other to the sd"
     return message.replace(" after validation", "")
-
-
-def did_you_mean(name: object, names: Collection[str]) -> str:
-    """Return the name that is nearest to a wrong one as the end of a message, or nothing."""
-    near = difflib.get_close_matches(str(name), names, n=1)
-    return f"; did you mean {near[0]}?" if near else ""
 
 
 def shown(value: object) -> str:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import load
+from tiswarm.base.parts import find
 from tiswarm.records.io import Opener, at_line, decode, raw_lines, replacing
 from tiswarm.records.messages import shown
 from tiswarm.records.sensing_format import (
@@ -551,9 +551,7 @@ def log_lines(path: Path, source: BinaryIO | None = None) -> Iterator[tuple[int,
         InputError: the file cannot be read, or a line is too long.
     """
     if source is None and path.suffix == ".mcap":
-        lines: Iterator[tuple[int, bytes]] = load(
-            "tiswarm.parts.formats.mcap:sensing_lines", path.name
-        )(path)
+        lines: Iterator[tuple[int, bytes]] = find("log_format", "mcap")(path)
         return lines
     return raw_lines(path, source=source)
 

@@ -28,9 +28,9 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import STRICT
-from tiswarm.records.messages import did_you_mean, dotted, explain, shown
+from tiswarm.records.messages import dotted, explain, shown
 from tiswarm.records.sensing_log import FARTHEST, KEYS, LISTS, NUMBERS, Key, SensingNoise
 
 FORMAT = "tiswarm-sensing"

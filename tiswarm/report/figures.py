@@ -1,16 +1,15 @@
 """Draws the figures of a run, whose kinds have modules of their own, and captions all pictures."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.base.parts import load
+from tiswarm.base.errors import EnvironmentTroubleError, InputError, did_you_mean
+from tiswarm.base.parts import find, guarded, names, register, registered
 from tiswarm.base.progress import Progress
 from tiswarm.records import outputs
-from tiswarm.records.messages import did_you_mean
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     COLUMN_WIDTH,
@@ -29,18 +28,54 @@ if TYPE_CHECKING:
 
 _FORMS = ("png", "pdf", "svg")
 
-FIGURES = (
-    "tiswarm.report.error_figures",
-    "tiswarm.report.table_figures",
-    "tiswarm.report.curve_figures",
-    "tiswarm.parts.pictures.swarm_figures",
-    "tiswarm.parts.suites.suite_figure",
-)
-"""Modules that draw figures.
+_Draw = TypeVar("_Draw", bound=Callable[[RunData], "Figure"])
 
-Each has a function `painters` of a run, which returns, by file name, the functions that draw those
-figures that the run has. Its `CAPTIONS` are by file name, too; a longer name adds a sweep point.
-"""
+
+class OwnFigure(NamedTuple):
+    """A figure that a plug-in registered, with the names of a module of figures."""
+
+    name: str
+    caption: str
+    draw: Callable[[RunData], "Figure"]
+
+    @property
+    def CAPTIONS(self) -> dict[str, str]:  # noqa: N802 - as a module has it
+        """What the figure shows, by its name."""
+        return {self.name: self.caption}
+
+    def painters(self, run: RunData) -> dict[str, Painter]:  # noqa: ARG002 - any run has it
+        """Return what draws the figure, by its name."""
+        return {self.name: self._paint}
+
+    def _paint(self, run: RunData, most: float = math.inf) -> "Figure":
+        """Draw the figure, `most` inches wide at most."""
+        plugin = registered("figure")[self.name].plugin
+        figure: Figure = guarded(plugin, self.name, lambda: self.draw(run))
+        figure.set_figwidth(min(most, figure.get_figwidth()))
+        if figure.get_layout_engine() is None:
+            figure.set_layout_engine("constrained")
+        return figure
+
+
+def figure(name: str, caption: str) -> Callable[[_Draw], _Draw]:
+    """Register a function as a figure, which each run then has.
+
+    The function takes a `tiswarm.report.run_data.RunData`, whose `summary` has a row for each
+    sweep point and condition, and returns a figure of matplotlib.
+
+    Args:
+        name: Name of the figure and of its file.
+        caption: What it shows, in sentences.
+
+    Raises:
+        InputError: the name is taken.
+    """
+
+    def add(draw: _Draw) -> _Draw:
+        register("figure", name, OwnFigure(name, caption, draw), draw)
+        return draw
+
+    return add
 
 
 def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> list[Path]:
@@ -105,11 +140,11 @@ def painters_of(run: RunData) -> dict[str, Painter]:
     return painters
 
 
-def _modules() -> Iterator[ModuleType]:
-    """Import the modules of `FIGURES`; a copy of the package may lack optional ones."""
-    for name in FIGURES:
+def _modules() -> Iterator[Any]:
+    """Import what draws figures; a copy of the package may lack optional modules."""
+    for name in names("figure"):
         with suppress(EnvironmentTroubleError):
-            yield load(name, "a figure")
+            yield find("figure", name)
 
 
 _RENDERS = {

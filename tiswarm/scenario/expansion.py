@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.plugins import load_plugins, watch
+from tiswarm.base.parts import load_plugins, watch
 from tiswarm.records.messages import Part, counted, dotted
 from tiswarm.records.run_folder import LABEL, variant_name
 from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain

@@ -12,12 +12,12 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from pydantic_core import ErrorDetails, InitErrorDetails
 
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import STRICT
-from tiswarm.base.plugins import load_plugins, watch
-from tiswarm.localization.methods import METHODS, LocalizationParams, all_params, settings_of
+from tiswarm.base.parts import PARTS, load_plugins, watch
+from tiswarm.localization.methods import LocalizationParams, all_params, settings_of
 from tiswarm.localization.settings import SWITCHES
-from tiswarm.records.messages import UNKNOWN_KEY, Part, did_you_mean, dotted, explain, shown
+from tiswarm.records.messages import UNKNOWN_KEY, Part, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
 
 Plain = dict[str, Any]
@@ -90,7 +90,7 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
     except ValidationError as found:
         errors = found.errors(include_url=False)
         for error in errors:
-            if error["type"] == "union_tag_invalid" and error["ctx"]["tag"] in METHODS:
+            if error["type"] == "union_tag_invalid" and error["ctx"]["tag"] in PARTS["method"]:
                 settings_of(error["ctx"]["tag"])  # raises what this copy of the package lacks
         return [_mistake(error, adapter) for error in errors if not _follows(error, errors)]
 

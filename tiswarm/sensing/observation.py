@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.base.parts import load
+from tiswarm.base.parts import find
 from tiswarm.records.sensing_log import SensingLog, Stances
 from tiswarm.sensing.failures import failed_orientation, failing, sensed_part
 from tiswarm.sensing.noise import (
@@ -23,9 +23,6 @@ from tiswarm.sensing.noise import (
 from tiswarm.sensing.params import SensingParams
 from tiswarm.sensing.plugins import COLUMNS, own_rows
 from tiswarm.world.history import History
-
-SENSE = "tiswarm.parts.suites.senses:sense_{}"
-"""By list of the log, a function of history and settings that returns rows of it."""
 
 _Lists = dict[str, NDArray[Any]]
 """Rows of (robot, stance, ...) by the name of their list in the log."""
@@ -57,7 +54,10 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     lists["contacts"] = sensed_contacts(history, params)
     lists["ground_docks"] = history.table("ground_docks")
     lists["fixes"] = np.unique(np.concatenate([planes(history), anchors(history)]), axis=0)
-    added = ((name, load(SENSE.format(name), name)(history, params)) for name in params.added)
+    added = (
+        (name, getattr(find("command", "sense"), f"sense_{name}")(history, params))
+        for name in params.added
+    )
     for filled, every in chain(added, own_rows(history, params)):
         rows = every[~is_mute[every[:, 0].astype(np.int64)]]
         lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)

@@ -1,20 +1,23 @@
 """Settings of what robots sense, and with which noise."""
 
 from dataclasses import fields, replace
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, Strict, model_validator
 from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
 from tiswarm.base.params import STRICT
-from tiswarm.base.parts import load
-from tiswarm.base.plugins import Plugin, registered, watch
+from tiswarm.base.parts import Plugin, find, names, registered, watch
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
-from tiswarm.sensing.plugins import SuiteName
 
-SUITE_OF = "tiswarm.parts.suites.systems:suite_of"
-"""Function that returns a suite by its name."""
+USUAL = "fireant-v3"
+"""Name of the suite that has the defaults."""
+
+if TYPE_CHECKING:
+    _SuiteName = str
+else:
+    _SuiteName = Literal[names("sensor")]
 
 _Coordinate = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]
 # A setting of a suite passes through Python, where strict checks accept no list for a tuple.
@@ -45,7 +48,7 @@ class SensingParams:
     orientation: it has the noise of tilt about the normal of the plane, and no noise of yaw.
     """
 
-    suite: SuiteName = "fireant-v3"
+    suite: _SuiteName = USUAL
     """Sensors of a system in the paper's Table I."""
 
     touch: bool = False
@@ -175,11 +178,9 @@ class SensingParams:
         """Put a suite's settings beneath those that are given."""
         given = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
         name = given.get("suite") if isinstance(given, dict) else None
-        if own := registered("sensor").get(str(name)):
-            return {**own.value.settings, **given}
-        if name not in get_args(SuiteName)[1:]:
+        if name == USUAL or name not in names("sensor"):
             return data
-        return {**load(SUITE_OF, f"suite {name}")(name).settings, **given}
+        return {**find("sensor", name).settings, **given}
 
     def __reduce_ex__(self, protocol: Any) -> Any:  # noqa: ANN401 - of any version
         """Send the plug-in of a suite ahead, so that a worker loads it first."""
@@ -233,9 +234,8 @@ def _received(plugin: Plugin, values: dict[str, Any]) -> SensingParams:  # noqa:
 
 def _take_suites() -> None:
     """Let settings name the suites of plug-ins, too."""
-    names = (*get_args(SuiteName), *registered("sensor"))
     section: Any = SensingParams
-    section.__dataclass_fields__["suite"].type = Literal[names]
+    section.__dataclass_fields__["suite"].type = Literal[names("sensor")]
 
 
 watch(_take_suites, SensingParams)

@@ -8,16 +8,15 @@ def sense(history, sensing):
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.plugins import (
+from tiswarm.base.parts import (
     PluginError,
-    Registered,
     fault_of_numbers,
     guarded,
     register,
@@ -26,30 +25,51 @@ from tiswarm.base.plugins import (
 from tiswarm.records.sensing_log import FARTHEST, LISTS
 from tiswarm.world.history import History
 
-KIND = "sensor"
-"""What plug-ins register here."""
-
 COLUMNS = {name: 2 + len(key.columns) for name, key in LISTS.items() if not key.is_whole}
 """Numbers in a row of each list of the log that a sensor may fill, with robot and stance."""
 
-SuiteName = Literal[
-    "fireant-v3", "coachbot-v1", "coachbot-v2", "zooids", "kilobot", "freesn", "m-blocks", "atron",
-    "swarmbang",
-]  # fmt: skip
-"""Names of all suites of the package; `fireant-v3` has the defaults."""
+TOUCH_USD = 20.0
+"""Price of the sensors of a FireAntV3 by Table I of the paper [USD]."""
 
 _Sense = TypeVar("_Sense", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnSuite:
-    """A sensor suite that a plug-in registered."""
+class Suite:
+    """Sensors of one system and their price."""
 
     name: str
+    senses: str
+    """What robots sense."""
+
+    settings: Mapping[str, Any]
+    """Settings of `sensing.*` that differ from the defaults."""
+
+    robot_usd: float
+    """Price of the sensors of a robot by Table I of the paper [USD]."""
+
+    infrastructure_usd: float | None = 0.0
+    """Price of what stands around the robots by Table I; None if it states none [USD]."""
+
+    needs: str = "nothing"
+    """What has to stand around the robots."""
+
+    def price(self, robots: int, *, touch: bool = False) -> float:
+        """Compute the price of the sensors of a swarm, and of what stands around it, if stated.
+
+        `touch` adds the sensors of FireAntV3 to robots without them [USD].
+        """
+        has_touch = not self.settings
+        added = TOUCH_USD if touch and not has_touch else 0.0
+        return robots * (self.robot_usd + added) + (self.infrastructure_usd or 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnSuite(Suite):
+    """A sensor suite that a plug-in registered; its price has no source."""
+
     fills: str
     sense: Callable[..., Any]
-    settings: Mapping[str, Any]
-    robot_usd: float
 
 
 def sensor(
@@ -62,7 +82,7 @@ def sensor(
     """Register a function as a sensor, which scenarios choose as `sensing.suite`.
 
     The function takes the history of a structure, `tiswarm.world.history.History`, and the settings
-    of `sensing`. It returns rows of (robot, stance, ...) as `tiswarm.parts.suites` has them.
+    of `sensing`. It returns rows of (robot, stance, ...) as the lists of a log have them.
     Random numbers should depend on `history.seed` alone.
 
     Args:
@@ -74,16 +94,15 @@ def sensor(
     Raises:
         InputError: the name is taken, or the log has no such list.
     """
-    if name in get_args(SuiteName):
-        raise InputError(f"sensor {name} is taken by tiswarm itself; choose another name")
     if fills not in COLUMNS:
         raise InputError(f"fills: the log has no list {fills}; use {', '.join(COLUMNS)}")
 
     def add(sense: _Sense) -> _Sense:
         suite = OwnSuite(
-            name=name, fills=fills, sense=sense, settings=dict(settings), robot_usd=robot_usd
-        )
-        register(KIND, name, suite, sense)
+            name=name, senses=fills, settings=dict(settings), robot_usd=robot_usd, needs="unknown",
+            fills=fills, sense=sense,
+        )  # fmt: skip
+        register("sensor", name, suite, sense)
         return sense
 
     return add
@@ -99,7 +118,7 @@ def own_rows(history: History, params: Any) -> Iterator[tuple[str, Reals]]:  # n
     Raises:
         PluginError: the sensor failed, or returned something else than rows.
     """
-    found: Registered | None = registered(KIND).get(params.suite)
+    found = registered("sensor").get(params.suite)
     if found is None:
         return
     suite: OwnSuite = found.value

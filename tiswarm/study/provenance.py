@@ -17,11 +17,11 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
-from tiswarm.base.plugins import registered
+from tiswarm.base.parts import PARTS, names, registered
 from tiswarm.base.version import __version__, code_digest
 from tiswarm.compute import machine, numerics
 from tiswarm.compute.backend import Backend
-from tiswarm.localization import methods, settings
+from tiswarm.localization import methods
 from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -38,7 +38,7 @@ def case_code(method: str, suite: str = "") -> str:
     unknown method is empty.
     """
     own = [registered("method").get(method), registered("sensor").get(suite)]
-    if method not in methods.METHODS and own[0] is None:
+    if method not in names("method"):
         return ""
     code = method_code(method)
     return "+".join([code, *(found.plugin.digest for found in own if found)])
@@ -47,10 +47,12 @@ def case_code(method: str, suite: str = "") -> str:
 @cache
 def method_code(method: str) -> str:
     """Return the digest of the code that computes cases of a method, without that of plug-ins."""
-    modules = {name: methods.modules(name) for name in methods.METHODS}
+    modules = {name: methods.modules(name) for name in PARTS["method"]}
     own = modules.get(method, set())
     others = set().union(*modules.values()) - own
-    apart = dict.fromkeys((methods.__name__, settings.__name__), others)
+    # Settings name the modules of their methods, and some stand in one file.
+    naming = {place.partition(":")[0] for place in PARTS["method"].values()}
+    apart = dict.fromkeys({methods.__name__, *naming}, others)
     return code_digest([_COMPOSES, *own], apart)
 
 

@@ -19,7 +19,7 @@ from tiswarm.base.errors import (
     TiswarmError,
 )
 from tiswarm.base.params import AnyArch, Arch
-from tiswarm.base.plugins import PluginError
+from tiswarm.base.parts import PluginError
 from tiswarm.base.progress import Progress
 from tiswarm.localization import methods
 from tiswarm.records.io import run_file

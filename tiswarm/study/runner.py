@@ -11,8 +11,7 @@ import numpy as np
 
 from tiswarm.base.memory import naming_shortage
 from tiswarm.base.params import AnyPrecision, Arch
-from tiswarm.base.parts import load
-from tiswarm.base.plugins import registered
+from tiswarm.base.parts import find, registered
 from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Backend
@@ -97,8 +96,6 @@ def batch(
 
 KEPT_FROM_S = 10.0
 """Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
-
-_NAVIGATION = "tiswarm.parts.navigation:believe_by"
 
 SAMPLE_ROBOTS, SAMPLE_SEED = 4, 2**31 - 1
 """Size and seed of the structure that warms up the kernels."""
@@ -220,7 +217,7 @@ class _CaseRunner:
         self._warm_up_growth()
         believe = None
         if settings.structure.navigate_by == "estimate":
-            believe = load(_NAVIGATION, "structure.navigate_by: estimate")(settings)
+            believe = find("command", "navigate")(settings)
         with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
             grown = grow(
                 settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,

@@ -19,7 +19,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import STRICT
-from tiswarm.base.plugins import registered
+from tiswarm.base.parts import registered
 from tiswarm.base.progress import Progress
 from tiswarm.base.version import __version__
 from tiswarm.compute import backend, numerics

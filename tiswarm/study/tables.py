@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import load
+from tiswarm.base.parts import find
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.metrics import (
     error_profile,
@@ -55,7 +55,6 @@ from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
-from tiswarm.sensing.params import SUITE_OF
 from tiswarm.study.cases import Group, Plan
 from tiswarm.study.provenance import Cost
 from tiswarm.study.store import CaseRecord, RunFolder
@@ -307,10 +306,10 @@ def suites(
     located whose positions its cues determine. Means are over structures.
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
-    suite_of, shown, rows = load(SUITE_OF, "suites.csv"), PAGE["suites"], []
+    shown, rows = PAGE["suites"], []
     for group in _grouped(records, lambda record: record.series):
         first, setting = group[0], setting_of[group[0].case]
-        suite, touch = suite_of(setting.sensing.suite), setting.sensing.touch
+        suite, touch = find("sensor", setting.sensing.suite), setting.sensing.touch
         done = [
             {**record.scores, **_located(cases / record.case)} for record in group if record.is_done
         ]

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import load
 from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
@@ -53,15 +52,15 @@ from tiswarm.records.sensing_format import (
 from tiswarm.records.sensing_log import LISTS, NUMBERS, SensingLog, moved
 
 _WORLD_UP = np.array([[0.0, 0.0, 1.0]])
-_TOGETHER = "tiswarm.localization.virtual_force.together"
 _NO_SWEEPS = BackPropagation(sweeps=0)
 
 
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
     """Name what logs must share to be localized in one launch."""
     if params.schedule == "together":
-        key: Hashable = load(_TOGETHER, "schedule together").batch_key(log, params)
-        return key
+        from tiswarm.localization.virtual_force import together  # noqa: PLC0415 - slow to import
+
+        return together.batch_key(log, params)
     rounds = params.back_propagation or _NO_SWEEPS
     schedule = (params.iterations, params.trace_every, rounds.every, rounds.sweeps, rounds.recent)
     return (len(log.dock_offset_body), *schedule)
@@ -81,11 +80,9 @@ def localize_batch(
     if params[0].schedule == "together":
         heights = [_heights(log, p) for log, p in zip(logs, params, strict=True)]
         in_plane_only = [_planar(log) for log in logs]
-        together = load(_TOGETHER, "schedule together")
-        stepped: list[Estimate] = together.localize_batch(
-            logs, params[0], heights, in_plane_only, on_progress
-        )
-        return stepped
+        from tiswarm.localization.virtual_force import together  # noqa: PLC0415 - slow to import
+
+        return together.localize_batch(logs, params[0], heights, in_plane_only, on_progress)
     iterations, every = params[0].iterations, params[0].trace_every
     rounds = params[0].back_propagation or _NO_SWEEPS
     swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []

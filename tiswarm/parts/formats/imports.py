@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from pydantic import ValidationError
 
 from tiswarm.app.results import choose
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.base.parts import PARTS, find, guarded, registered
 from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.parts.formats.docks import (
     few_contacts,
@@ -118,20 +120,45 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
 
 
 def _read(path: Path, assumed: Assumptions) -> PoseTable:
-    """Read poses in the format that the name of their file or folder says."""
-    if path.is_dir() or path.suffix == ".tum":
-        return read_tum(
-            path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete
-        )
-    if path.suffix == ".gsd":
-        return read_gsd(path, dock_radius=assumed.dock_radius)
-    if exported := read_mocap(path, dock_radius=assumed.dock_radius):
-        return exported
+    """Read poses in the first format that their file or folder has."""
+    for name, own in registered("import_format").items():
+        if path.name.endswith(own.value.suffix):
+            columns = guarded(own.plugin, name, partial(own.value.read, path))
+            return _read_table(path, assumed, pd.DataFrame(columns).to_csv(index=False))
+    readers = (find("import_format", name) for name in PARTS["import_format"])
+    found: Iterator[PoseTable | None] = (read(path, assumed) for read in readers)
+    return next(table for table in found if table)
+
+
+def read_tum_files(path: Path, assumed: Assumptions) -> PoseTable | None:
+    """Read a file or folder of trajectories."""
+    if not path.is_dir() and path.suffix != ".tum":
+        return None
+    return read_tum(path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete)
+
+
+def read_gsd_file(path: Path, assumed: Assumptions) -> PoseTable | None:
+    """Read the frames of a GSD file."""
+    return read_gsd(path, dock_radius=assumed.dock_radius) if path.suffix == ".gsd" else None
+
+
+def read_mocap_export(path: Path, assumed: Assumptions) -> PoseTable | None:
+    """Read an export of motion capture."""
+    return read_mocap(path, dock_radius=assumed.dock_radius)
+
+
+def read_table_file(path: Path, assumed: Assumptions) -> PoseTable:
+    """Read a table, as any other file is."""
+    return _read_table(path, assumed)
+
+
+def _read_table(path: Path, assumed: Assumptions, text: str | None = None) -> PoseTable:
     return read_table(
         path,
         dock_radius=assumed.dock_radius,
         drop_incomplete=assumed.drop_incomplete,
         length_unit=assumed.length_unit,
+        text=text,
     )
 
 

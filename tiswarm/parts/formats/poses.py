@@ -160,7 +160,12 @@ class PoseTable(NamedTuple):
 
 
 def read_table(
-    path: Path, *, dock_radius: float, drop_incomplete: bool, length_unit: str = _NO_UNIT
+    path: Path,
+    *,
+    dock_radius: float,
+    drop_incomplete: bool,
+    length_unit: str = _NO_UNIT,
+    text: str | None = None,
 ) -> PoseTable:
     """Read a table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order of columns.
 
@@ -172,32 +177,33 @@ def read_table(
         dock_radius: Radius of a dock sphere.
         drop_incomplete: Whether to leave out rows that lack a number, instead of refusing them.
         length_unit: A unit of length that columns may name beside the usual ones.
+        text: The table as text, if it is not in the file.
 
     Raises:
         InputError: the table is malformed, or lacks a column.
     """
-    text = CsvFile(path)
-    columns, unit = _columns(text.columns, path, length_unit)
-    notes = _without_incomplete(text, columns.values(), drop=drop_incomplete)
-    time = _find(text.columns, "time")
-    single = [name for name in ("run",) if name in text.columns] + [
+    table = CsvFile(path, text)
+    columns, unit = _columns(table.columns, path, length_unit)
+    notes = _without_incomplete(table, columns.values(), drop=drop_incomplete)
+    time = _find(table.columns, "time")
+    single = [name for name in ("run",) if name in table.columns] + [
         columns[name] for name in ("robot", "sphere") if name in columns
     ]
-    cells = zip(*(text.words(name).tolist() for name in single), strict=True)
-    if time and len({*cells}) < len(text.rows):
-        notes += _without_incomplete(text, [time], drop=drop_incomplete)
+    cells = zip(*(table.words(name).tolist() for name in single), strict=True)
+    if time and len({*cells}) < len(table.rows):
+        notes += _without_incomplete(table, [time], drop=drop_incomplete)
         columns["time"] = time
     numbers = {
-        name: text.integers(column) if name in _WHOLE else text.numbers(column)
+        name: table.integers(column) if name in _WHOLE else table.numbers(column)
         for name, column in columns.items()
         if column.lower() != _ROBOT_NAME
     }
     if columns["robot"].lower() == _ROBOT_NAME:
-        numbers["robot"] = _numbers_in(text, columns["robot"])
-    rows = pd.DataFrame(numbers | {"line": [*text.rows], "run": _runs(text)})
+        numbers["robot"] = _numbers_in(table, columns["robot"])
+    rows = pd.DataFrame(numbers | {"line": [*table.rows], "run": _runs(table)})
     refuse_far(rows, path, dock_radius, columns)
     turned = sorted(
-        QUATERNION, key=lambda name: text.columns.index(columns.get(name, columns["x"]))
+        QUATERNION, key=lambda name: table.columns.index(columns.get(name, columns["x"]))
     )
     return PoseTable(rows, unit, () if "sphere" in columns else turned, notes)
 

@@ -52,7 +52,7 @@ class OnlineParams(ChiSquareParams):
     @property
     def joining(self) -> str:
         """Class that places robots as they join."""
-        return "tiswarm.parts.online.tracker:Tracker"
+        return "Tracker"
 
     def seconds(self, robots: int) -> float:
         """Estimate the processor time of so many joins [s]."""

@@ -5,12 +5,7 @@ another system stands for FireAntV3 robots that carry its sensors. Lengths in R;
 gives millimeters, 33 mm are 1 R. `docs/suites.md` has the source of each number.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
-
-from tiswarm.base.plugins import registered
-from tiswarm.sensing.plugins import KIND
+from tiswarm.sensing.plugins import TOUCH_USD, Suite
 
 Point = tuple[float, float, float]
 
@@ -31,42 +26,12 @@ STATIONS: tuple[Point, ...] = ((100.0, 100.0, 90.0), (-100.0, -100.0, 90.0))
 _NO_TOUCH = {"contacts": False, "ground_docks": False, "heights": False, "stances": False}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Suite:
-    """Sensors of one system and their price."""
-
-    name: str
-    senses: str
-    """What robots sense."""
-
-    settings: Mapping[str, Any]
-    """Settings of `sensing.*` that differ from the defaults."""
-
-    robot_usd: float
-    """Price of the sensors of a robot by Table I of the paper [USD]."""
-
-    infrastructure_usd: float | None = 0.0
-    """Price of what stands around the robots by Table I; None if it states none [USD]."""
-
-    needs: str = "nothing"
-    """What has to stand around the robots."""
-
-    def price(self, robots: int, *, touch: bool = False) -> float:
-        """Compute the price of the sensors of a swarm, and of what stands around it, if stated.
-
-        `touch` adds the sensors of FireAntV3 to robots without them [USD].
-        """
-        has_touch = not self.settings
-        added = SUITES["fireant-v3"].robot_usd if touch and not has_touch else 0.0
-        return robots * (self.robot_usd + added) + (self.infrastructure_usd or 0.0)
-
-
 _SUITES = (
     Suite(
         name="fireant-v3",
         senses="contacts with docks, docks on the ground, orientation, flips",
         settings={},
-        robot_usd=20.0,
+        robot_usd=TOUCH_USD,
     ),
     Suite(
         name="coachbot-v1",
@@ -142,13 +107,3 @@ _SUITES = (
 
 SUITES: dict[str, Suite] = {suite.name: suite for suite in _SUITES}
 """Every suite by its name."""
-
-
-def suite_of(name: str) -> Suite:
-    """Return a suite by its name; that of a plug-in has no source of its price."""
-    if found := SUITES.get(name):
-        return found
-    own = registered(KIND)[name].value
-    return Suite(
-        name=name, senses=own.fills, settings=own.settings, robot_usd=own.robot_usd, needs="unknown"
-    )

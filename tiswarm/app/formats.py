@@ -1,4 +1,4 @@
-"""Exports structures and estimates; each format is a function of its own.
+"""Formats of other programs: what plug-ins add, and the files of an export.
 
 Solids and particles have float32 numbers, relative to the place of the anchor: files state it as
 the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
@@ -6,17 +6,12 @@ the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
-from tiswarm.base.errors import InputError
-from tiswarm.base.parts import load
-from tiswarm.base.plugins import guarded, register, registered
+from tiswarm.base.parts import find, guarded, register, registered
 from tiswarm.base.progress import Progress
 from tiswarm.records import outputs
-from tiswarm.records.messages import did_you_mean
 from tiswarm.report.swarm_view import SwarmView
-
-_KIND = "format"
 
 
 class OwnFormat(NamedTuple):
@@ -26,19 +21,8 @@ class OwnFormat(NamedTuple):
     encode: Callable[[SwarmView], bytes]
 
 
-FORMATS: dict[str, str] = {
-    "csv": "tiswarm.parts.formats.exports:encode_csv",
-    "gltf": "tiswarm.parts.pictures.solids:encode_gltf",
-    "gsd": "tiswarm.parts.formats.exports:encode_gsd",
-    "mcap": "tiswarm.parts.formats.exports:encode_mcap",
-    "parquet": "tiswarm.parts.formats.exports:encode_parquet",
-    "ply": "tiswarm.parts.pictures.solids:encode_ply",
-    "pyfg": "tiswarm.parts.formats.exports:encode_pyfg",
-    "tum": "tiswarm.parts.formats.exports:encode_tum",
-}
-"""By name of a format, a function of a view that returns bytes by name of file."""
-
 _Encode = TypeVar("_Encode", bound=Callable[[SwarmView], bytes])
+_Read = TypeVar("_Read", bound=Callable[[Path], Any])
 
 
 def export_format(name: str, suffix: str) -> Callable[[_Encode], _Encode]:
@@ -54,12 +38,38 @@ def export_format(name: str, suffix: str) -> Callable[[_Encode], _Encode]:
     Raises:
         InputError: the name is taken.
     """
-    if name in FORMATS:
-        raise InputError(f"format {name} is taken by tiswarm itself; choose another name")
 
     def add(encode: _Encode) -> _Encode:
-        register(_KIND, name, OwnFormat(f"case{suffix}", encode), encode)
+        register("export_format", name, OwnFormat(f"case{suffix}", encode), encode)
         return encode
+
+    return add
+
+
+class OwnImport(NamedTuple):
+    """A format to import that a plug-in registered."""
+
+    suffix: str
+    read: Callable[[Path], Any]
+
+
+def import_format(name: str, suffix: str) -> Callable[[_Read], _Read]:
+    """Register a function as a format to import poses from.
+
+    The function takes the path of a file and returns a data frame, or a dictionary of columns, as a
+    table of poses has them: `robot,x,y,z,qw,qx,qy,qz`, in motion with a column `time`.
+
+    Args:
+        name: Name of the format.
+        suffix: End of the names of its files, such as ".xyz".
+
+    Raises:
+        InputError: the name is taken.
+    """
+
+    def add(read: _Read) -> _Read:
+        register("import_format", name, OwnImport(suffix, read), read)
+        return read
 
     return add
 
@@ -89,16 +99,10 @@ def export_view(
         EnvironmentTroubleError: `out` cannot be made or a library is missing.
         PluginError: a format of a plug-in failed.
     """
-    own = registered(_KIND)
-    if form in FORMATS:
-        files = load(FORMATS[form], f"format {form}")(view)
-    elif form in own:
-        file, encode = own[form].value
-        files = {file: guarded(own[form].plugin, form, lambda: bytes(encode(view)))}
+    if own := registered("export_format").get(form):
+        file, encode = own.value
+        files = {file: guarded(own.plugin, form, lambda: bytes(encode(view)))}
     else:
-        names = (*FORMATS, *own)
-        problem = did_you_mean(form, names) or f"; use {', '.join(names)}"
-        problem = f"there is no format {form}{problem}"
-        raise InputError(problem, argument="form")
+        files = find("export_format", form, "form")(view)
     for path in outputs.write_folder(out, files, inputs, overwrite=overwrite):
         progress.info(str(path))
