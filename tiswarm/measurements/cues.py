@@ -23,7 +23,7 @@ from tiswarm.measurements.model import (
     Offsets,
 )
 from tiswarm.measurements.odometry import CENTER, LINK_SD, UNKNOWN, Odometry, with_orientations
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import LISTS, SensingLog
 
 _UP = np.array([0.0, 0.0, 1.0])
 _FLIPS_ASSUMED = 10
@@ -59,8 +59,7 @@ def _contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Dist
 
 def _walk_contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
     """Docks that touched at an earlier stance were D apart; the flips since then are known."""
-    rows = np.empty((0, 4), np.int64) if log.stances is None else log.stances.contacts
-    stance, b, i, a = rows.T
+    stance, b, i, a = log.earlier.contacts.T
     at, final = odometry.row[stance], odometry.final
     return Distances.of(at, b, final[i], a, length=SPACING, sd=precision.contact)
 
@@ -73,8 +72,7 @@ def _ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordi
 
 def _walk_ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A dock that stood on flat ground at an earlier stance was one dock radius above it."""
-    rows = np.empty((0, 2), np.int64) if log.stances is None else log.stances.ground_docks
-    stance, dock = rows.T
+    stance, dock = log.earlier.ground_docks.T
     return _on_ground(log, odometry.row[stance], dock, precision)
 
 
@@ -91,7 +89,7 @@ def _height(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordi
 
 def _odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A robot that knows where it started went as far as its flips say."""
-    stated = None if log.noise is None else log.noise.spawn
+    stated = log.stated("spawn")
     sd = precision.spawn if stated is None else stated / log.dock_radius
     first = np.repeat(odometry.first, 3)
     return Coordinates.of(
@@ -165,7 +163,7 @@ def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Of
     if not len(rows):
         return NO_OFFSETS
     own, other, its = rows[:, :3].T.astype(np.int64)
-    stated = None if log.noise is None else log.noise.direction_deg
+    stated = log.stated(LISTS["directions"].noise)
     sd = LINK_SD if stated is None else math.radians(stated)
     unit = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
     body_axes = dock_offsets(odometry.orientation_wxyz[stance], np.eye(3))
@@ -198,7 +196,7 @@ def _touches(log: SensingLog, odometry: Odometry, precision: Precision) -> Dista
 def _of_all_stances(key: str, log: SensingLog, odometry: Odometry) -> tuple[Ints, Reals]:
     """Take rows of final and earlier stances: the stance of each, and its other columns."""
     final: Reals = getattr(log, key)
-    earlier = final[:0] if log.stances is None else getattr(log.stances, key)
+    earlier = getattr(log.earlier, key)
     stance = [odometry.final[final[:, 0].astype(int)], odometry.row[earlier[:, 0].astype(int)]]
     return np.concatenate(stance), np.concatenate([final, earlier])[:, 1:]
 

@@ -97,7 +97,7 @@ def connections_of(log: SensingLog) -> Connections:
     robot, other = log.connections[:, [0, 2]].astype(np.int64).T
     found = Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
     turn = Rotation.from_quat(log.connections[:, 4:], scalar_first=True)
-    stated = None if log.noise is None else log.noise.connection_deg
+    stated = log.stated(LISTS["connections"].noise)
     sd = LINK_SD if stated is None else math.radians(stated)
     left = (found[robot] * turn * found[other].inv()).as_rotvec()
     chained = np.zeros((len(found), 2)) if log.orientation_sd is None else log.orientation_sd
@@ -198,7 +198,7 @@ class Odometry:
             noise: Noise of the orientations; that of the log, or `ASSUMED`, if None.
         """
         log = with_orientations(log)
-        stances = log.stances or _no_stances(log.robot_count)
+        stances = log.earlier
         noise = noise or log.noise or ASSUMED
         robots = log.robot_count
         owner = np.concatenate([_owners(stances), np.arange(robots)])
@@ -389,13 +389,3 @@ def displacements(log: SensingLog, stances: Stances) -> Reals:
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
     moved: Reals = walked[:-1] - walked[stances.start[1:]][_owners(stances)]
     return moved
-
-
-def _no_stances(robots: int) -> Stances:
-    return Stances(
-        start=np.zeros(robots + 1, np.int64),
-        orientation_wxyz=np.empty((0, 4)),
-        pivot_dock=np.empty(0, np.int32),
-        contacts=np.empty((0, 4), np.int32),
-        ground_docks=np.empty((0, 2), np.int32),
-    )

@@ -158,7 +158,7 @@ def solution_name(estimate: Estimate, number: int) -> str:
 def describe_outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
     """Name each outlier with its line of the log; none where the method looks for none."""
     name = log.robot_id.tolist()
-    flips = np.zeros(log.robot_count) if log.stances is None else np.diff(log.stances.start)
+    flips = np.diff(log.earlier.start)
     rows = [*_outlier_pairs(log, estimate), *_outlier_places(log, estimate)]
     for robot, stance, key, what in rows:
         of_robot = key in NUMBERS or stance == flips[robot]

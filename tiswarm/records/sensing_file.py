@@ -646,15 +646,14 @@ def _version(log: SensingLog) -> int:
     has_null = bool(np.isnan(log.orientation_wxyz).any())
     found = [2 if has_null or log.source_name else 1]
     for name, key in LISTS.items():
-        is_stated = getattr(log.noise, key.noise, None) is not None if key.noise else False
-        if is_stated or _is_used(name, log):
+        if log.stated(key.noise) is not None or _is_used(name, log):
             found.append(key.version)
     return max(found)
 
 
 def _is_used(key: str, log: SensingLog) -> bool:
     """Whether any stance has items in a list."""
-    return any(len(getattr(part, key)) for part in (log, log.stances) if part is not None)
+    return any(len(getattr(part, key)) for part in (log, log.earlier))
 
 
 def _lists(

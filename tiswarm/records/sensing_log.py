@@ -317,6 +317,20 @@ class SensingLog(Sensed):
         return f"SensingLog({self.size}, lengths in {self.length_unit})"
 
     @property
+    def earlier(self) -> Stances:
+        """Stances before the final ones; none where the log has no flip history."""
+        return self.stances or Stances(
+            start=np.zeros(self.robot_count + 1, np.int64),
+            orientation_wxyz=np.empty((0, 4)),
+            pivot_dock=np.empty(0, np.int32),
+        )
+
+    def stated(self, noise: str) -> float | None:
+        """Return a number of `noise`; None where the log states none."""
+        number: float | None = getattr(self.noise, noise, None)
+        return number
+
+    @property
     def robot_count(self) -> int:
         """N."""
         return len(self.robot_id)
@@ -364,7 +378,7 @@ class SensingLog(Sensed):
     @property
     def size(self) -> str:
         """Numbers of robots, contacts and stances, in words."""
-        stances = 0 if self.stances is None else len(self.stances.pivot_dock)
+        stances = len(self.earlier.pivot_dock)
         sizes = {"robot": self.robot_count, "contact": len(self.contacts), "stance": stances}
         return ", ".join(counted(number, noun) for noun, number in sizes.items())
 
@@ -376,7 +390,7 @@ class SensingLog(Sensed):
     @property
     def yaw_bias(self) -> float:
         """Standard deviation of the robots' biases of yaw [rad]; 0 where the log states none."""
-        return math.radians((self.noise and self.noise.yaw_bias_deg) or 0.0)
+        return math.radians(self.stated("yaw_bias_deg") or 0.0)
 
 
 LISTS: dict[str, Key] = {each.name: each.metadata["key"] for each in fields(Sensed)}
