@@ -41,8 +41,8 @@ def run(run_folder):
     write_table(run_folder / "table.csv", TABLE, [["baseline", 2, 1.0, 0.1, 0.5, 0.2, "", ""]])
     header = "condition,against,measure,structures,difference_mean,smaller,wilcoxon_p"
     write_table(run_folder / "paired.csv", header, [["no-z", "baseline", "rmse_R", 2, 0.1, 1, 0.5]])
-    (run_folder / "figures").mkdir()
-    Image.new("RGB", (4, 4)).save(run_folder / "figures" / "accuracy.png")
+    (run_folder / "renders").mkdir()
+    Image.new("RGB", (4, 4)).save(run_folder / "renders" / "error.png")
     return run_folder
 
 
@@ -180,8 +180,8 @@ KINDS = {
         (page, "table.csv", lines(0, 1), ":2: there are no rows"),
         (page, "table.csv", without("cases"), ":1: cases: there is no such column"),
         (page, "paired.csv", without("smaller"), ":1: smaller: there is no such column"),
-        (page, "figures/accuracy.png", written("no picture"), ": is no PNG picture"),
-        (page, "figures/accuracy.png", large_picture, ": is no PNG picture"),
+        (page, "renders/error.png", written("no picture"), ": is no PNG picture"),
+        (page, "renders/error.png", large_picture, ": is no PNG picture"),
         (scenes, ROBOTS, Path.unlink, ": cannot be read"),
         (scenes, ROBOTS, lines(0, 8), ":9: has 7 robots, the log 12"),
         (scenes, ROBOTS, lines(0, 1), ":2: there are no rows"),
@@ -196,7 +196,7 @@ KINDS = {
                 (page, "scenario.yaml"),
                 (page, "manifest.json"),
                 (page, "summary.csv"),
-                (page, "figures/accuracy.png"),
+                (page, "renders/error.png"),
                 (page, ROBOTS),
                 (scenes, LOG),
             ]
