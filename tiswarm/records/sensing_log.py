@@ -75,7 +75,8 @@ Column = Literal[
     "dock", "dock or null", "robot", "source", "normal", "value", "distance", "vector", "direction",
     "quaternion", "sd", "height", "coordinate",
 ]  # fmt: skip
-"""What a number of an item is. Checks, units and moves of the anchor follow from it."""
+"""What a number of an item is. Checks, units and moves of the anchor follow from it. Heights and
+coordinates are numbers of a robot, not of an item in a list."""
 
 WHOLE = ("dock", "dock or null", "robot")
 _OF_BODY = ("dock", "dock or null", "vector")
