@@ -81,7 +81,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
         trial("localization/methods.py", {*METHODS, "all"}),
         (
             "localization/mixture/ends.py",
-            {"joint", "least-squares", "online", "distributed", "all"},
+            {"joint", "least-squares", "online", "all"},
         ),
         ("parts/peers/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
         ("localization/virtual_force/together.py", {"virtual-force", "distributed", "all"}),
