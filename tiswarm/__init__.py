@@ -6,9 +6,9 @@
     estimate = log.localize("joint")                    where its robots are
     estimate.view(), tiswarm.advise(log, estimate)      a page, and what to measure next
 
-A run, a log and an estimate have `view`, `render` and `export` of their own, and what a call
-returns prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is
-an `InputError`. Functions of yours become methods, sensors, figures and formats by `tiswarm.method`
+A run and an estimate have `view`, `render` and `export` of their own, and what a call returns
+prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is an
+`InputError`. Functions of yours become methods, sensors, figures and formats by `tiswarm.method`
 and the like. All names:
 """
 

@@ -15,35 +15,43 @@ run.export("ply")
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import fields
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Inspection, inspect
-from tiswarm.app.logs import Localized, Log, method_params, open_log
+from tiswarm.app.logs import Localized, Log, Truth, method_params, open_log
 from tiswarm.app.results import (
     Comparison,
+    Figures,
     File,
     Overrides,
+    PageFile,
     Run,
     as_path,
     as_texts,
     choose,
+    open_run,
     plain,
 )
-from tiswarm.app.showing import export as export  # noqa: PLC0414 - a call of this module, too
-from tiswarm.app.showing import render as render  # noqa: PLC0414
-from tiswarm.app.showing import view as view  # noqa: PLC0414
-from tiswarm.app.tracking import track as track  # noqa: PLC0414
-from tiswarm.base.errors import warn
+from tiswarm.base.errors import InputError, warn
 from tiswarm.base.params import AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.parts import find, load_plugins
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.positions import write_estimate
+from tiswarm.records.sensing_file import log_lines
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
-    from tiswarm.base.parts import AdviceTable, Explanation, Imported, Kind
+    from typing import BinaryIO, TextIO
+
+    from tiswarm.base.parts import AdviceTable, Explanation, Imported, Kind, Tracker
     from tiswarm.evaluation.tables import Scores
     from tiswarm.scenario.model import Scenario
     from tiswarm.study.forecast import Forecast
@@ -429,3 +437,216 @@ def _load(scenario: File | Mapping[str, object], overrides: Overrides | None) ->
 
     given = plain(scenario) if isinstance(scenario, Mapping) else as_path(scenario, "scenario")
     return load_scenario(given, as_texts(overrides or ()))
+
+
+Source = Run | SensingLog | File
+"""What can be shown: a run or its folder, or a log or its file."""
+
+
+def open_source(
+    source: Source,
+    *,
+    of_log: Mapping[str, object] = MappingProxyType({}),
+    of_run: Mapping[str, object] = MappingProxyType({}),
+) -> Run | Log:
+    """Open a run or a log, unless it is open.
+
+    Args:
+        source: Run or its folder, or a log or its file.
+        of_log: Arguments by name that only a log takes; None where they are not given.
+        of_run: Arguments by name that only a run takes.
+
+    Raises:
+        InputError: the source does not take an argument, is not the folder of a run, or cannot be
+            read.
+    """
+    if isinstance(source, Run):
+        _refuse("a run has its own", of_log)
+        return source
+    if not isinstance(source, SensingLog) and as_path(source, "source").is_dir():
+        _refuse("a run has its own", of_log)
+        return open_run(source)
+    _refuse("a log is no run", of_run)
+    return open_log(source)
+
+
+def view(
+    source: Source,
+    estimate: Estimate | File | None = None,
+    truth: Truth = None,
+    *,
+    out: File | None = None,
+    overwrite: bool = False,
+    quiet: bool = True,
+) -> PageFile:
+    """Show an estimate on a page with a 3D view, its uncertainty and what the log leaves open.
+
+    Args:
+        source: Sensing log or its file, or a run or its folder.
+        estimate: Estimate of a log, or its table; `joint` localizes the log if None.
+        truth: True positions of a log, or their table, if there are any.
+        out: Page to write for a log; `view.html` if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
+        quiet: Whether to hide progress.
+
+    Returns:
+        The page, which a notebook shows; that of a run is its `report.html`.
+
+    Raises:
+        InputError: a file is malformed, or a table has other robots than the log.
+    """
+    of_log = {"estimate": estimate, "truth": truth, "out": out}
+    shown = open_source(source, of_log=of_log)
+    if isinstance(shown, Run):
+        return shown.view(quiet=quiet)
+    page = as_path(out or "view.html", "out")
+    outputs.check({"out": page}, [shown.path, estimate, truth], overwrite=overwrite)
+    shown.positions(truth)  # a mistake in it is found before the log is localized
+    found = shown.with_estimate(estimate, quiet=quiet)
+    return found.view(truth, out=page, overwrite=overwrite)
+
+
+def render(
+    source: Source,
+    estimate: Estimate | File | None = None,
+    truth: Truth = None,
+    *,
+    renderer: str | None = None,
+    case: str | None = None,
+    movie: AnyMovie | None = None,
+    out: File | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
+) -> Figures:
+    """Draw 3D pictures of a run, which its report.html shows too, or of a log and its estimate.
+
+    Args:
+        source: Run or its folder, or a sensing log or its file.
+        estimate: Estimate of a log, or its table; `joint` localizes the log if None.
+        truth: True positions of a log, or their table, if there are any.
+        renderer: "open3d" or "taichi"; the first that works if None.
+        case: Case of a run; the largest if None.
+        movie: File format of an animation of a run's growth; none if None.
+        out: Folder for pictures of a log; `renders` if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
+        quiet: Whether to hide progress.
+
+    Returns:
+        Figures and renders of the run, or pictures of the log, by name.
+    """
+    of_log = {"estimate": estimate, "truth": truth, "out": out}
+    shown = open_source(source, of_log=of_log, of_run={"case": case, "movie": movie})
+    if isinstance(shown, Run):
+        return shown.render(renderer=renderer, case=case, movie=movie, quiet=quiet)
+    shown.positions(truth)
+    return shown.with_estimate(estimate, quiet=quiet).render(
+        truth, renderer=renderer, out=out or "renders", overwrite=overwrite, quiet=quiet
+    )
+
+
+def export(
+    source: Source,
+    form: str = "gltf",
+    estimate: Estimate | File | None = None,
+    truth: Truth = None,
+    *,
+    out: File | None = None,
+    case: str | None = None,
+    plugins: Sequence[File] = (),
+    overwrite: bool = False,
+    quiet: bool = False,
+) -> Path:
+    """Export structure, contacts and estimate of a case, or of a log, for other programs.
+
+    Args:
+        source: Run or its folder, or a sensing log or its file.
+        form: File format.
+        estimate: Estimate of a log, or its table; `joint` localizes the log if None.
+        truth: True positions of a log, or their table, if there are any.
+        out: Folder to write to; `export`, in the run's folder if there is one, if None.
+        case: Case of a run; the largest if None.
+        plugins: Python files that register formats, see `tiswarm.export_format`.
+        overwrite: Whether to replace files that no tiswarm command wrote.
+        quiet: Whether to hide progress.
+
+    Returns:
+        The folder with the files.
+    """
+    load_plugins(plugins)
+    of_log = {"estimate": estimate, "truth": truth}
+    shown = open_source(source, of_log=of_log, of_run={"case": case})
+    if isinstance(shown, Run):
+        return shown.export(form, out=out, case=case, overwrite=overwrite, quiet=quiet)
+    shown.positions(truth)
+    return shown.with_estimate(estimate, quiet=quiet).export(
+        form, truth, out=out or "export", overwrite=overwrite, quiet=quiet
+    )
+
+
+def _refuse(reason: str, given: Mapping[str, object]) -> None:
+    """Refuse the first argument that has a value."""
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"{reason}; leave it out", argument=name)
+
+
+_NAME = (str, PathLike)
+
+
+def track(
+    source: "File | BinaryIO",
+    *,
+    out: "File | TextIO | None" = None,
+    estimate: File | None = None,
+    overrides: Overrides = (),
+    overwrite: bool = False,
+    **settings: object,
+) -> "Tracker":
+    """Estimate robots' positions from a stream of a log's lines, as `tiswarm track` does.
+
+    A line that is malformed is skipped, with a warning.
+
+    Args:
+        source: Sensing file, or an open binary input.
+        out: Open text output that receives the answer of each line, a JSON object, before the next
+            line is read; or file for all answers, which appears at the end of the input; none if
+            None.
+        estimate: Table of positions to write at the end, of the final answer; none if None.
+        overrides: Settings of the method `online`, as for `localize`.
+        overwrite: Whether to replace files that no tiswarm command wrote.
+        settings: Settings of the method by name.
+
+    Returns:
+        The tracker, with the positions of all robots.
+
+    Raises:
+        InputError: the input cannot be read, its header or a setting is invalid, or an output is an
+            input, or a file that no tiswarm command wrote.
+    """
+    follow = find("command", "track").follow
+    file, terminal = (as_path(out, "out"), None) if isinstance(out, _NAME) else (None, out)
+    table = None if estimate is None else as_path(estimate, "estimate")
+    outputs.check({"out": file, "estimate": table}, [source], overwrite=overwrite)
+    outputs.refuse_same(terminal, source)
+    params = method_params("online", None, overrides, settings)
+    if isinstance(source, _NAME):
+        path = as_path(source, "source")
+        lines = log_lines(path)
+    else:
+        path = Path("-")
+        lines = log_lines(path, source)
+    opened = partial(outputs.opened, overwrite=overwrite)
+    with opened(file) if file else nullcontext() as whole:
+
+        def answer(text: str) -> None:
+            if whole is not None:
+                whole.write(text.encode())
+            elif terminal is not None:
+                terminal.write(text)
+                terminal.flush()
+
+        tracker: Tracker = follow(lines, path, params=params, on_answer=answer, on_refused=warn)
+        final = None if table is None else tracker.estimate(final=True)
+    if table is not None and final is not None:
+        write_estimate(table, final, opened=opened)
+    return tracker

@@ -330,4 +330,4 @@ def test_the_calls_are_listed():
     assert {"run", "open_run", "localize", "score", "view", "advise", "Localizer"} <= {*names}
     assert all(getattr(library, name).__doc__ for name in names)
     for name in ("run", "open_run", "localize", "score", "view", "advise", "check", "relax"):
-        assert f"{name}(" in library.__doc__
+        assert f"\n    {name}\n" in f"{library.__doc__}\n"

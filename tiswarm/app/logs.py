@@ -91,54 +91,6 @@ class Log(SensingLog):
             estimate = read_estimate(self, table)
         return Localized(**_fields(Estimate, estimate), log=self, table=table)
 
-    def view(
-        self,
-        estimate: Estimate | File | None = None,
-        truth: Truth = None,
-        *,
-        out: File = "view.html",
-        overwrite: bool = False,
-        quiet: bool = True,
-    ) -> PageFile:
-        """Write a page with a 3D view of an estimate; `joint` localizes the log if None."""
-        page = as_path(out, "out")
-        outputs.check({"out": page}, [self.path, estimate, truth], overwrite=overwrite)
-        self.positions(truth)  # a mistake in it is found before the log is localized
-        return self.with_estimate(estimate, quiet=quiet).view(truth, out=page, overwrite=overwrite)
-
-    def render(
-        self,
-        estimate: Estimate | File | None = None,
-        truth: Truth = None,
-        *,
-        renderer: str | None = None,
-        out: File = "renders",
-        overwrite: bool = False,
-        quiet: bool = False,
-    ) -> Figures:
-        """Draw 3D pictures of an estimate; `joint` localizes the log if None."""
-        self.positions(truth)
-        found = self.with_estimate(estimate, quiet=quiet)
-        return found.render(truth, renderer=renderer, out=out, overwrite=overwrite, quiet=quiet)
-
-    def export(
-        self,
-        form: str = "gltf",
-        estimate: Estimate | File | None = None,
-        truth: Truth = None,
-        *,
-        out: File = "export",
-        overwrite: bool = False,
-        quiet: bool = False,
-    ) -> Path:
-        """Write structure, contacts and an estimate for other programs.
-
-        `joint` localizes the log if there is no estimate.
-        """
-        self.positions(truth)
-        found = self.with_estimate(estimate, quiet=quiet)
-        return found.export(form, truth, out=out, overwrite=overwrite, quiet=quiet)
-
     def positions(self, truth: Truth) -> Reals | None:
         """Read true centers [log unit] in join order, shape (N, 3), unless they are an array."""
         if truth is None or isinstance(truth, np.ndarray):
