@@ -24,9 +24,10 @@ from tiswarm.localization.cost.cost import SETTLED
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.starts import images
-from tiswarm.localization.mixture.verdict import misfit_by_robot, rms
+from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms
+from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.measurements.model import Measurements
-from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, Solution
+from tiswarm.records.estimate import Convergence, Estimate, Solution
 
 _LEAST_CHAINS = 1.5
 """Effective number of chains below which their spread says nothing."""
@@ -56,11 +57,8 @@ class Minimum(NamedTuple):
     chi_square: float
     """Squared residuals in variances, and priors of turns, without overlaps [1]."""
 
-    spare: int | None
-    """Measurements beyond the unknowns that they determine; None where they were not counted."""
-
     freedom: int
-    """Degrees of freedom of the chi-square: those, or what stands for them where they are few."""
+    """Measurements beyond the unknowns that they determine; all where these were not counted."""
 
     square: Reals
     """Part of the chi-square that each measurement carries [1], shape (E,)."""
@@ -139,7 +137,7 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
     # The variance of a mixture: the mean within its parts, and that between their means.
     between = share @ ((at - np.tensordot(share, at, 1)) ** 2).sum(axis=2)
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
-    verdict = _convergence(ends, outlier, best)
+    verdict = judge(_evidence(ends, outlier, best))
     sd = np.sqrt((verdict.sd_factor * sd) ** 2 + loose[0])
     gap = problem.residual(placed[1:], np.array([each.yaw for each in minima]))
     width = np.sqrt(problem.variance + annealed.sigma**2)
@@ -179,6 +177,7 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
     outliers = problem.rows.select(mixture.outlier)
     places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
     unit, found = fit.log.dock_radius, mixture.convergence.converged
+    stuck = stuck_robots(fit.log)
     return Estimate(
         robot_id=fit.log.robot_id,
         position=position * unit,
@@ -188,6 +187,7 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
         convergence=replace(mixture.convergence, restarted=restarted),
         outlier_contacts=np.unique(outliers.sensed_contacts, axis=0) if found else None,
         outlier_places=places if found else None,
+        outlier_robots=stuck if len(stuck) else None,
         misfit=mixture.misfit,
         mirrored=mixture.mirrored,
         free_frame=mixture.free_frame,
@@ -224,7 +224,6 @@ def _unrefined(ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
     """Take the mean of all chains of a structure that is too large to be refined."""
     annealed = ends.fit.annealed
     square = np.where(inlier, ends.missed[int(ends.cost.argmin())], 0.0)
-    least = MIXTURE.spare * 3.0 * (len(sd) - 1)
     position = np.asarray(np.tensordot(ends.weight, annealed.mean, 1), np.float64)
     return Minimum(
         configuration=position,
@@ -234,8 +233,7 @@ def _unrefined(ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
         is_held=np.zeros(len(sd), np.bool_),
         cost=float(square.sum()),
         chi_square=float(square.sum()),
-        spare=None,
-        freedom=max(int(inlier.sum()), int(least)),
+        freedom=int(inlier.sum()),
         square=square,
         log_volume=0.0,
         chains=int((ends.weight > 0.0).sum()),
@@ -312,42 +310,25 @@ def _outliers(ends: Ends) -> Bools:
     return outlier
 
 
-def _convergence(ends: Ends, outlier: Bools, best: Minimum) -> Convergence:
-    """Give the verdicts, and the first reason for a bad one."""
-    problem, has_failed = ends.fit.problem, ends.fit.has_failed
-    test, links = CONVERGENCE, len(problem.variance)
+def _evidence(ends: Ends, outlier: Bools, best: Minimum) -> Evidence:
+    """Gather what chains and the likeliest solution say of an estimate."""
+    problem, links = ends.fit.problem, len(ends.fit.problem.variance)
     chance = MIXTURE.alike * np.sqrt(2.0 * len(problem.rows))
     alike = ends.cost <= ends.cost.min() + chance
-    first = int(ends.cost.argmin())
-    torn = int((ends.missed[first, :links][~outlier[:links]] > test.outlier_sd**2).sum())
-    width = np.sqrt(2.0 * max(best.freedom, 1))
-    misfit_sd = float((best.chi_square - best.freedom) / width)
-    is_consistent = misfit_sd <= MOST_MISFIT_SD
-    reasons = {
-        "all chains ended out of reach of their contacts, or ran hot": has_failed.all(),
-        "no two chains ended at the same least cost": len(alike) > 1 and alike.sum() == 1,
-        f"the best chain misses {torn} contacts or ranges": (
-            torn > test.torn_anyway + test.most_torn * links
-        ),
-        f"{outlier[:links].sum()} of {links} contacts and ranges are outliers": (
-            outlier[:links].sum() > test.most_outliers * links
-        ),
-    }
-    reason = next((text for text, applies in reasons.items() if applies), "")
-    converged = not reason
-    if not reason and not is_consistent:
-        reason = f"chi-square exceeds its expectation by {misfit_sd:.0f} sd"
-    factor = 1.0 if is_consistent else float(np.sqrt(best.chi_square / max(best.freedom, 1)))
-    return Convergence(
-        converged=converged,
-        consistent=is_consistent,
-        testable=not is_consistent or best.spare in {None, best.freedom},
-        spare=best.spare,
-        misfit_sd=misfit_sd,
-        sd_factor=factor,
-        reason=reason,
+    is_missed = ends.missed[int(ends.cost.argmin()), :links] > CONVERGENCE.outlier_sd**2
+    return Evidence(
+        log=ends.fit.log,
+        rows=problem.rows,
+        outlier=outlier,
+        is_guess=problem.untied,
+        chi_square=best.chi_square,
+        unknowns=3 * (len(problem.part) - 1),
+        freedom=best.freedom,
+        is_counted=ends.fit.is_refined,
         chains=int((ends.weight > 0.0).sum()),
-        restarted=0,
+        all_failed=bool(ends.fit.has_failed.all()),
+        is_alone=len(alike) > 1 and int(alike.sum()) == 1,
+        missed=int(is_missed[~outlier[:links]].sum()),
     )
 
 
@@ -391,8 +372,7 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         is_held=is_held,
         cost=linear.cost,
         chi_square=linear.chi_square,
-        spare=(spare := linear.freedom()),
-        freedom=max(spare, int(MIXTURE.spare * 3 * (len(sd) - 1))),
+        freedom=linear.freedom(),
         square=square,
         log_volume=linear.log_volume,
         chains=int(members.sum()),

@@ -69,7 +69,6 @@ def without_outlier_robots(fit: Fit, estimate: Estimate) -> Estimate:
     as uncertain, and as little to be trusted, as the misfit of all measurements says.
     """
     found = disregard(fit, estimate)
-    estimate = warned(fit.log, estimate)
     if found is None:
         return estimate
     posed = found.posed
@@ -139,30 +138,6 @@ def _posed(posed: Posed, disregarded: Ints) -> Posed:
     return Posed(posed.log, posed.params, problem)
 
 
-def warned(log: SensingLog, estimate: Estimate) -> Estimate:
-    """Distrust an estimate where sensors are stuck, whose robots it names, or many robots are mute.
-
-    Of a mute robot neither the orientation nor anything that chains it is known. Others lose their
-    contacts with it, and the sd of those that are left has been too small.
-    """
-    verdict, stuck = estimate.convergence, stuck_robots(log)
-    unsensed = False if log.orientation_sd is None else ~np.isnan(log.orientation_sd[:, 0])
-    mute = int((estimate.disconnected & unsensed).sum())
-    reasons = {
-        f"orientation sensors of {counted(len(stuck), 'robot')} are stuck": len(stuck) > 0,
-        f"{counted(mute, 'robot')} sensed nothing that shows their orientation": (
-            mute > OUTLIER_ROBOTS.most_mute * log.robot_count
-        ),
-    }
-    reason = next((text for text, applies in reasons.items() if applies), "")
-    if verdict is None or not reason:
-        return estimate
-    if verdict.trusted:
-        verdict = replace(verdict, consistent=False, testable=True, reason=reason)
-    named = stuck if len(stuck) else None
-    return replace(estimate, convergence=verdict, outlier_robots=named)
-
-
 def explains(before: Convergence, after: Convergence) -> bool:
     """Judge whether outlier robots explain a misfit, if there was one: without them it is small.
 
@@ -170,7 +145,7 @@ def explains(before: Convergence, after: Convergence) -> bool:
     misfit is left.
     """
     if before.misfit_sd <= MOST_MISFIT_SD:
-        return after.trusted
+        return after.converged and after.misfit_sd <= MOST_MISFIT_SD
     return after.converged and after.misfit_sd <= OUTLIER_ROBOTS.most_left * before.misfit_sd
 
 

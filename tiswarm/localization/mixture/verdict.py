@@ -6,7 +6,8 @@ that value by a chi-square with one degree of freedom for each coordinate that m
 determine; an estimate that exceeds it by more did not converge. Lengths in R.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +16,13 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import SETTLED, Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
+from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
 from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
-from tiswarm.measurements.consistency import are_known
+from tiswarm.measurements.consistency import are_known, stuck_robots
+from tiswarm.measurements.contacts import untied_directions
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence
+from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog
 
 _ROUNDS = 8
@@ -35,6 +38,153 @@ _NINE_OF_TEN = 0.9
 """Share of robots that should be within `MOST_WITHIN` sd [1]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What a method knows of an estimate of N robots by E measurements.
+
+    What it does not know speaks for the estimate.
+    """
+
+    log: SensingLog
+
+    rows: Measurements
+    """Measurements that count."""
+
+    outlier: Bools
+    """Which of them are outliers, shape (E,)."""
+
+    is_guess: Bools
+    """Robots whose positions the method only guesses, shape (N,)."""
+
+    chi_square: float
+    """Squared residuals of all others in variances, and priors [1]."""
+
+    unknowns: int
+    """Unknown coordinates."""
+
+    freedom: int
+    """Measurements beyond the unknowns that they determine."""
+
+    is_counted: bool = True
+    """Whether these were counted; else all coordinates count as determined."""
+
+    has_sd: bool = True
+    """Whether the method states standard deviations."""
+
+    chains: int = 1
+    """Chains, or other starts, whose ends count."""
+
+    all_failed: bool = False
+    """Whether no chain ended where its measurements can be met."""
+
+    is_alone: bool = False
+    """Whether there are several chains, and no two ended at the same least cost."""
+
+    missed: int = 0
+    """Contacts and ranges that the best end misses though they are no outliers."""
+
+    excess: float = 0.0
+    """Chi-square of the estimate beyond that of the nearest minimum [1]."""
+
+    is_within: bool = True
+    """Whether the stated sd explains how far the estimate is from that minimum."""
+
+    is_unsearched: bool = False
+    """Whether the robots are too many to search for that minimum."""
+
+    @property
+    def chance(self) -> float:
+        """Excess of a chi-square that noise explains [1]."""
+        return float(self.unknowns + CONVERGENCE.chance_sd * np.sqrt(2.0 * self.unknowns))
+
+
+def judge(known: Evidence) -> Convergence:
+    """Give the verdicts on an estimate, by all rules, and the first reason for a bad one.
+
+    Near 0 degrees of freedom, what a search leaves would look like a misfit: they count as at least
+    `MIXTURE.spare` of the unknown coordinates.
+    """
+    freedom = max(known.freedom, int(MIXTURE.spare * known.unknowns))
+    misfit_sd = float((known.chi_square - freedom) / np.sqrt(2.0 * max(freedom, 1)))
+    is_explained = misfit_sd <= MOST_MISFIT_SD
+    failures, wrong = [*_failures(known, is_explained=is_explained)], [*_wrong_sensors(known)]
+    if not is_explained:
+        wrong.insert(0, "noise as stated does not explain all rows")
+    factor = 1.0
+    if not is_explained and known.has_sd:
+        factor = float(np.sqrt(known.chi_square / max(freedom, 1)))
+    return Convergence(
+        converged=not failures,
+        consistent=not wrong,
+        testable=bool(wrong) or not known.is_counted or known.freedom == freedom > 0,
+        spare=known.freedom if known.is_counted else None,
+        misfit_sd=misfit_sd,
+        sd_factor=factor,
+        reason=next(iter([*failures, *wrong]), ""),
+        chains=known.chains,
+        restarted=0,
+    )
+
+
+def _failures(known: Evidence, *, is_explained: bool) -> Iterator[str]:
+    """Say why no minimum was found, or not the right one."""
+    links = len(known.rows.other)
+    outliers = int(known.outlier[:links].sum())
+    if known.all_failed:
+        yield "all chains ended out of reach of their contacts, or ran hot"
+    if known.is_alone:
+        yield "no two chains ended at the same least cost"
+    if known.is_guess[1:].all() and len(known.is_guess) > 1:
+        yield "all positions are guesses"
+    if known.missed > CONVERGENCE.torn_anyway + CONVERGENCE.most_torn * links:
+        yield f"the best chain misses {known.missed} contacts or ranges"
+    if outliers > CONVERGENCE.most_outliers * links:
+        yield f"{outliers} of {links} contacts and ranges are outliers"
+    if (torn := _torn(known)) > 0:
+        yield f"outliers alone tie {counted(torn, 'robot')} to the anchor"
+    if known.excess > known.chance and not known.is_within:
+        yield (
+            "positions nearby fit the measurements better: their chi-square is "
+            f"{known.excess:.3g} less, and noise explains {known.chance:.3g}"
+        )
+    if known.is_unsearched and not is_explained:
+        yield (
+            f"of more than {LARGE} robots only the estimate itself is judged, and noise does not "
+            "explain its chi-square"
+        )
+
+
+def _torn(known: Evidence) -> int:
+    """Count the robots that contacts and ranges tie to the anchor, but outliers alone.
+
+    Chains cannot bring a part of many robots to where a contact says that is far away.
+    """
+    links = len(known.rows.other)
+    if not known.outlier[:links].any():
+        return 0
+    counts = np.ones(len(known.rows), np.bool_)
+    counts[:links] = ~known.outlier[:links]
+    before, after = (
+        untied_directions(rows).any(axis=(1, 2)) for rows in (known.rows, known.rows.select(counts))
+    )
+    return int((after & ~before).sum())
+
+
+def _wrong_sensors(known: Evidence) -> Iterator[str]:
+    """Say which sensors are wrong, or mute, in too many robots.
+
+    Of a mute robot neither the orientation nor anything that chains it is known. Others lose their
+    contacts with it, and the sd of those that are left has been too small.
+    """
+    log, stuck = known.log, len(stuck_robots(known.log))
+    unsensed = False if log.orientation_sd is None else ~np.isnan(log.orientation_sd[:, 0])
+    mute = int((known.is_guess & unsensed).sum())
+    if stuck:
+        yield f"orientation sensors of {counted(stuck, 'robot')} are stuck"
+    if mute > OUTLIER_ROBOTS.most_mute * log.robot_count:
+        yield f"{counted(mute, 'robot')} sensed nothing that shows their orientation"
+
+
 class Assessment(NamedTuple):
     """What the measurements say of an estimate of N robots; fields of `Estimate`."""
 
@@ -42,6 +192,11 @@ class Assessment(NamedTuple):
     misfit: Reals | None
     outlier_contacts: Ints | None
     outlier_places: Ints | None
+
+    def doubted(self, reason: str) -> "Assessment":
+        """Take a method's own doubts of its search; whether noise explains rows stands."""
+        verdict = replace(self.convergence, converged=False, reason=reason)
+        return Assessment(verdict, self.misfit, None, None)
 
 
 class _NearestMinimum(NamedTuple):
@@ -98,48 +253,29 @@ def assess(
     counts = ~is_guess[problem.rows.robot]
     counts[: len(problem.rows.other)] &= ~is_guess[problem.rows.other]
     rows = problem.rows.select(counts)
-    unknowns = 3 * int((~is_guess[1:]).sum())
     state = position, np.zeros(log.robot_count) if yaw is None else yaw
+    unknowns = 3 * int((~is_guess[1:]).sum())
     if is_large:
         found = _itself(rows, state, unknowns)
     else:
         found = _minimum(log, chosen, problem, rows, state, is_guess)
-    # Near 0 degrees of freedom, what the search leaves would look like a misfit.
-    freedom = max(found.freedom, int(MIXTURE.spare * unknowns), 1)
-    misfit_sd = float((found.chi_square - freedom) / np.sqrt(2.0 * freedom))
-    is_consistent = misfit_sd <= MOST_MISFIT_SD
-    chance = unknowns + CONVERGENCE.chance_sd * np.sqrt(2.0 * unknowns)
-    is_near = found.excess <= chance
-    links = len(rows.other)
-    torn = int(found.outlier[:links].sum())
-    reasons = {
-        "all positions are guesses": is_guess[1:].any() and not unknowns,
-        f"{torn} of {links} contacts and ranges are outliers": (
-            torn > CONVERGENCE.most_outliers * links
-        ),
-        "positions nearby fit the measurements better: "
-        f"their chi-square is {found.excess:.3g} less, and noise explains {chance:.3g}": not is_near
-        and not _is_within(found.position - position, sd, is_guess),
-        f"of more than {LARGE} robots only the estimate itself is judged, and noise does not "
-        "explain its chi-square": is_large and not is_consistent,
-    }
-    reason = next((text for text, applies in reasons.items() if applies), "")
-    factor = 1.0
-    if not is_consistent and sd is not None:
-        factor = float(np.sqrt(found.chi_square / freedom))
-    verdicts = Convergence(
-        converged=not reason,
-        consistent=is_consistent,
-        testable=not is_consistent or is_large or found.freedom == freedom,
-        spare=None if is_large else found.freedom,
-        misfit_sd=misfit_sd,
-        sd_factor=factor,
-        reason=reason or ("" if is_consistent else "noise as stated does not explain all rows"),
-        chains=1,
-        restarted=0,
+    known = Evidence(
+        log=log,
+        rows=rows,
+        outlier=found.outlier,
+        is_guess=is_guess,
+        chi_square=found.chi_square,
+        unknowns=unknowns,
+        freedom=found.freedom,
+        is_counted=not is_large,
+        has_sd=sd is not None,
+        excess=found.excess,
+        is_within=_is_within(found.position - position, sd, is_guess),
+        is_unsearched=is_large,
     )
+    verdicts = judge(known)
     misfit = misfit_by_robot(rows, found.square)
-    if not (verdicts.trusted and is_near):
+    if not (verdicts.trusted and known.excess <= known.chance):
         return Assessment(verdicts, misfit, None, None)
     outliers = rows.select(found.outlier)
     places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
@@ -194,9 +330,9 @@ def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
 
     The sd of others excuses no robot that is farther off than `CONVERGENCE.outlier_sd` of its own.
     """
-    if sd is None:
-        return False
     counts = ~is_guess[1:]
+    if sd is None or not counts.any():
+        return False
     off, allowed = np.linalg.norm(away, axis=1)[1:][counts], sd[1:][counts]
     is_near = off <= MOST_WITHIN * allowed
     return bool(

@@ -1,6 +1,6 @@
 """What robots found out by themselves, as an estimate."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.mixture.verdict import assess, rms
 from tiswarm.parts.between.settings import DistributedParams
-from tiswarm.records.estimate import Convergence, Estimate
+from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 
@@ -49,14 +49,17 @@ def estimate_of(log: SensingLog, params: DistributedParams, found: Found) -> Est
     sd[found.lost] = np.linalg.norm(position, axis=1).max(initial=0.0)
     gap = problem.residual(position[None], np.zeros((1, len(position))))
     is_guess = problem.untied | found.lost
-    verdicts = assess(log, params.cues, position, is_guess=is_guess, sd=sd)._asdict()
-    verdicts["convergence"] = _verdict(verdicts["convergence"], found)
+    verdicts = assess(log, params.cues, position, is_guess=is_guess, sd=sd)
+    robots, doubtful = len(found.doubtful), int(found.doubtful.sum())
+    if robots > 1:
+        doubts = f"{doubtful} of {robots} robots doubt their positions"
+        verdicts = verdicts.doubted(doubts if doubtful else found.reason)
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit,
         disconnected=is_guess,
         sd=sd * unit,
-        **verdicts,
+        **verdicts._asdict(),
         iteration=np.array([found.steps]),
         trace=position[None] * unit,
         at_join=found.at_join * unit,
@@ -64,12 +67,3 @@ def estimate_of(log: SensingLog, params: DistributedParams, found: Found) -> Est
         doubtful=found.doubtful,
         traffic=found.traffic,
     )
-
-
-def _verdict(assessed: Convergence, found: Found) -> Convergence:
-    """Say why the search is not to be relied on; whether noise explains rows stands."""
-    robots, doubtful = len(found.doubtful), int(found.doubtful.sum())
-    if robots == 1:
-        return assessed
-    reason = f"{doubtful} of {robots} robots doubt their positions" if doubtful else found.reason
-    return replace(assessed, converged=False, reason=reason)

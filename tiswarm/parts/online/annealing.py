@@ -7,7 +7,7 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.annealer import anneal
 from tiswarm.localization.chains.initialization import place_disconnected, set_apart
-from tiswarm.localization.chains.problem import Problem, pose_problem
+from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
@@ -17,7 +17,6 @@ from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
 from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.settings import ChiSquareParams, JointParams
-from tiswarm.measurements.contacts import untied_directions
 from tiswarm.parts.online.settings import TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -82,13 +81,11 @@ def reannealed(
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:
     """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`.
 
-    An estimate that is not to be trusted, or that gives up what ties robots to the anchor, gives
-    way to that of `joint`, if that is trusted.
+    An estimate that is not to be trusted gives way to that of `joint`, if that is trusted.
     """
     fit = _fitted(log, params, state)
     estimate = without_outlier_robots(fit, mixed(fit))
-    is_trusted = estimate.convergence is None or estimate.convergence.trusted
-    if is_trusted and not _is_torn(fit.problem, estimate):
+    if estimate.convergence is None or estimate.convergence.trusted:
         return estimate
     other = _searched(log, params)
     is_better = other.convergence is not None and other.convergence.trusted
@@ -110,21 +107,6 @@ def elsewhere(log: SensingLog, params: OnlineParams, position: Reals, sd: Reals)
         away = np.linalg.norm(solution.position / log.dock_radius - position, axis=1)
         share += np.where(away > allowed, solution.weight, 0.0)
     return share > CANDIDATES.rival
-
-
-def _is_torn(problem: Problem, estimate: Estimate) -> bool:
-    """Judge whether contacts that are taken for outliers alone tie some robots to the anchor.
-
-    Chains cannot bring a part of many robots to where a contact says that is far away.
-    """
-    if estimate.outlier_contacts is None or not len(estimate.outlier_contacts):
-        return False
-    outliers = {*map(tuple, estimate.outlier_contacts.tolist())}
-    counts = np.ones(len(problem.rows), np.bool_)
-    sensed = problem.rows.sensed_contacts.tolist()
-    counts[: len(sensed)] = [tuple(contact) not in outliers for contact in sensed]
-    left = untied_directions(problem.rows.select(counts)).any(axis=(1, 2))
-    return bool((left & ~problem.untied).any())
 
 
 def _searched(log: SensingLog, params: OnlineParams) -> Estimate:

@@ -8,7 +8,6 @@ in R, and relative to the anchor.
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -261,9 +260,7 @@ class Tracker:
         away = elsewhere(log, self._params, self._layers.mean, self._layers.sd) & is_tied
         if not away.any():
             return found
-        reason = f"a search puts {counted(int(away.sum()), 'robot')} elsewhere"
-        verdict = replace(found.convergence, converged=False, reason=reason)
-        return found._replace(convergence=verdict, outlier_contacts=None, outlier_places=None)
+        return found.doubted(f"a search puts {counted(int(away.sum()), 'robot')} elsewhere")
 
     def _joined(self, line: RobotLine) -> Change:
         """Add a robot, and solve for what is near."""
