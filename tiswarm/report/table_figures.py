@@ -258,6 +258,11 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     height = 0.6 + 2.1 * -(-len(families) // columns)
     panels = Panels(height, len(families), columns, share="y", most=most)
     for axes, family in panels.each(families):
+        low, high = min(family.names), max(family.names)
+        if low > 0.0:
+            set_log(axes, "x")
+            margin = (high / low) ** 0.05
+            axes.set_xlim(low / margin, high * margin)  # dashed lines would widen it to 1
         for place, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition")
             look = {"label": shortened(point) or "mean", **marker_style(place)}
@@ -317,13 +322,10 @@ def _meaning(keys: Sequence[str]) -> str:
 def _draw_line(
     axes: "Axes", rows: pd.DataFrame, grades: Mapping[float, str], look: dict[str, Any]
 ) -> None:
-    """Draw the means of graded conditions with their intervals, on a logarithmic axis."""
+    """Draw the means of graded conditions with their intervals."""
     part = rows.reindex([*grades.values()])
     half = part[RMSE.ci95].fillna(0.0)
-    at = np.array([*grades])
-    axes.errorbar(at, part[RMSE.mean], yerr=half, markersize=3.0, elinewidth=0.6, **look)
-    if at.min() > 0.0:
-        set_log(axes, "x")
+    axes.errorbar([*grades], part[RMSE.mean], yerr=half, markersize=3.0, elinewidth=0.6, **look)
 
 
 def _dashed(look: dict[str, Any]) -> dict[str, Any]:
