@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests import foreign
 from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.chains.annealed import Annealed
+from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize, localize_many

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from tiswarm.localization.chains.subtrees import find_subtrees
+from tiswarm.localization.chains.views import find_subtrees
 from tiswarm.measurements.contacts import touching
 
 ROBOTS = 12

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from tiswarm.base.progress import ignore
-from tiswarm.localization.chains.annealed import Annealed
-from tiswarm.localization.chains.annealer import anneal
+from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import Columns, DeviceArray, Ints2, Reals1, Reals2, Reals3
-from tiswarm.localization.chains.subtrees import weights
-from tiswarm.localization.chains.views import ChainView, Links, PlaneRows
+from tiswarm.localization.chains.views import ChainView, Links, PlaneRows, weights
 
 
 class Traits(Flag):

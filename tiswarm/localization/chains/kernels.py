@@ -59,8 +59,12 @@ _SUBTREE_KICKS = 2**30
 
 
 @ti.func
-def _moved(table: Ref, i, column, force, mass, sigma, kick):
-    """Change a velocity, a column of a table; return how far it leads."""
+def _thermostat(table: Ref, i, column, force, mass, sigma, kick):
+    """Change a velocity, a column of a table, by any force; return how far it leads.
+
+    A step of the force and friction, then a kick that keeps the temperature (Langevin). Robots,
+    their turns and subtrees all move so.
+    """
     # s = sigma sqrt((1 - a^2) / m)
     heat = sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass)
     # v' = v + F h / m
@@ -90,7 +94,7 @@ def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     )[0]
     heading = ti.static(swarm.heading)
     sigma = sigma_of(r % count, step, robots)
-    turn = _moved(
+    turn = _thermostat(
         heading,
         r,
         Heading.SPIN,
@@ -173,7 +177,7 @@ def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
         motion[k, shift + c] = 0.0
         if trees.table[n, SubtreeLabel.MOVES + c] == 1:
             force, mass = motion[k, BodyMotion.FORCE + c], motion[k, BodyMotion.MASS]
-            motion[k, shift + c] = _moved(
+            motion[k, shift + c] = _thermostat(
                 motion, k, BodyMotion.VELOCITY + c, force, mass, sigma, kick[c]
             )
 
@@ -210,7 +214,7 @@ def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: R
     for c in ti.static(range(3)):
         if robots.label[i, RobotLabel.MOVES] == 1:
             force, mass = motion[r, BodyMotion.FORCE + c], motion[r, BodyMotion.MASS]
-            alone = _moved(motion, r, BodyMotion.VELOCITY + c, force, mass, sigma, kick[c])
+            alone = _thermostat(motion, r, BodyMotion.VELOCITY + c, force, mass, sigma, kick[c])
             position[r, c] += alone + trees.motion[k, SubtreeMotion.SHIFT + c]
         strayed += (position[r, c] - blocks.listed[4 * r + c]) ** 2
     if ti.static(variant.turning) and robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0:

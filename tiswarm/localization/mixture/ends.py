@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.chains.annealed import Annealed
+from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.cost.cost import Cost

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
-from tiswarm.localization.chains.annealed import Annealed
+from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.settings import ANNEALING

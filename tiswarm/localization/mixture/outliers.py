@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization.chains.annealed import Annealed
-from tiswarm.localization.chains.annealer import anneal
+from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.settings import DISREGARDED_SD
 from tiswarm.localization.cost.cost import State

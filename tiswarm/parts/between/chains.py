@@ -8,8 +8,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import fewest_contacts
 from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.chains.subtrees import find_subtrees
-from tiswarm.localization.chains.views import ChainView, Links, cooled, plane_rows
+from tiswarm.localization.chains.views import ChainView, Links, cooled, find_subtrees, plane_rows
 from tiswarm.localization.cost.kernels import (
     COORDINATE,
     OFFSET,

@@ -12,7 +12,7 @@ import numpy as np
 from tiswarm.base.aliases import Reals
 from tiswarm.base.progress import ignore
 from tiswarm.compute.math import normal
-from tiswarm.localization.chains.annealed import Annealed
+from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.initialization import set_apart
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts, settled
