@@ -190,6 +190,8 @@ class Annealer:
         self.order = np.concatenate(
             [a + v.forest.order for v, a in zip(views, offsets, strict=True)]
         )
+        self.place = np.argsort(self.order)
+        self.taken = 0  # steps, by the slowest block
         position = np.concatenate([v.begin for v in views], axis=1)[:, self.order].reshape(-1, 3)
         running.require_memory(len(position) * _BYTES, len(self.order))
         arm = np.concatenate([v.arm for v in views])[self.order]
@@ -271,16 +273,17 @@ class Annealer:
 
     def advance(self, until: int) -> None:
         """Take steps until so many have been taken."""
-        rows, before = self.neighbors, -1
-        while (taken := self._taken()) < until:
-            if not self.by_block and taken == before:
-                raise backend.faulty_driver()
-            before = taken
+        rows = self.neighbors
+        while self.taken < until:
             if not self.by_block and self.blocks.progress[0, BlockProgress.AGE] == STALE:
                 self._build_rows()
             self._take_steps(until)
+            before, self.taken = self.taken, self._taken()
+            if not self.by_block and self.taken == before:
+                raise backend.faulty_driver()
             # A kernel counts entries that found no room and takes no step with them.
-            if self.by_block and (entries := rows.fullest()) > rows.capacity:
+            is_held = self.by_block and self.taken < until
+            if is_held and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
                 self.forget_rows()
 
@@ -359,7 +362,7 @@ class Annealer:
     def by_robot(self, array: DeviceArray) -> Reals:
         """Read an array of every copy as logs number robots, shape (chains, N, ...)."""
         value: Reals = self.memory.download(array).astype(np.float64)
-        return value.reshape(self.chains, -1, *value.shape[1:])[:, np.argsort(self.order)]
+        return value.reshape(self.chains, -1, *value.shape[1:])[:, self.place]
 
 
 def grown(steps: int, sigma: Reals) -> Reals:
