@@ -16,7 +16,7 @@ LARGE = 3000
 SWITCHES = tuple(cue.name for cue in switched())
 """Cues that settings have a switch for."""
 
-DOCKS_UNKNOWN = tuple(cue.name for cue in switched() if cue.docks_unknown)
+DOCKS_UNKNOWN = tuple(cue.name for cue in switched() if cue.unless_found)
 """Cues that only `joint` can use: it finds the docks of their rows."""
 
 
@@ -96,6 +96,19 @@ class CueParams(_Switches, MethodParams):  # type: ignore[misc]
     carry their text as a description, for the JSON Schema does not find the docstrings of a base
     class.
     """
+
+
+DocksNamed: Any = make_dataclass(
+    "DocksNamed",
+    [
+        (cue.name, Annotated[Literal[False], Field(description=cue.unless_found)], False)
+        for cue in switched()
+        if cue.unless_found
+    ],
+    frozen=True,
+    kw_only=True,
+)
+"""Settings of methods that cannot find the docks of a contact; a base before `CueParams`."""
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -239,8 +239,9 @@ class Cue:
     """What a row is, of `other` robot, `own` dock and `dock` of the other, or `along` an axis, `at`
     a coordinate."""
 
-    docks_unknown: bool = False
-    """Whether a method must find the docks of its rows."""
+    unless_found: str = ""
+    """Description of the setting, which is off, of methods that cannot find the docks of its rows;
+    empty of a cue that names docks or needs none."""
 
 
 CUES: list[Cue] = [
@@ -305,7 +306,8 @@ CUES: list[Cue] = [
     Cue(
         name="touches", rows=_touches, key="touches", item="touch of robot {other}",
         switch="Contacts whose docks are unknown count.", place=10,
-        words="contacts of unknown docks", said=1, docks_unknown=True,
+        words="contacts of unknown docks", said=1,
+        unless_found="Touches do not count: only `joint` finds their docks.",
     ),
     Cue(
         name="displacements", rows=_displacements,

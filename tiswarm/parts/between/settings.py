@@ -7,7 +7,12 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
-from tiswarm.localization.settings import BackPropagation, ChiSquareParams, VirtualForceParams
+from tiswarm.localization.settings import (
+    BackPropagation,
+    ChiSquareParams,
+    DocksNamed,
+    VirtualForceParams,
+)
 
 _JOIN_S = 0.01
 """Processor time of a join by messages, without annealing [s]."""
@@ -26,7 +31,7 @@ _OF_SCHEME = {
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class DistributedParams(ChiSquareParams):
+class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     """What robots send each other to find out where they are, and by which channel.
 
     A robot computes from its own rows and from what it was sent. By default one robot, the anchor,
@@ -37,9 +42,6 @@ class DistributedParams(ChiSquareParams):
 
     method: Literal["distributed"] = "distributed"
     """Name of the method."""
-
-    touches: Literal[False] = False
-    """Touches do not count: only `joint` finds their docks."""
 
     solve_yaw: Literal[False] = False
     """No bias of yaw is solved for."""

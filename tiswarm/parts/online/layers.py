@@ -24,6 +24,7 @@ from tiswarm.localization.cost.neighborhood import (
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS, ROBUST_SD
 from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import ChiSquareParams
+from tiswarm.measurements.cues import CUES
 from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
@@ -292,6 +293,7 @@ def refuse_line(line: RobotLine) -> None:
     if line.orientation_wxyz is None:
         problem = "null follows from the lines of later robots, too; choose method joint"
         raise InputError(problem, key="orientation_wxyz")
-    if line.touches or any(entry.touches for entry in line.stances or []):
-        problem = "online cannot find docks that are unknown; leave touches out, or choose joint"
-        raise InputError(problem, key="touches")
+    for key in {cue.key for cue in CUES if cue.unless_found}:
+        if any(getattr(entry, key) for entry in (line, *(line.stances or []))):
+            remedy = f"leave {key} out, or choose joint"
+            raise InputError(f"online cannot find docks that are unknown; {remedy}", key=key)

@@ -11,23 +11,20 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from tiswarm.base.params import STRICT
-from tiswarm.localization.settings import ChiSquareParams
+from tiswarm.localization.settings import ChiSquareParams, DocksNamed
 
 _JOIN_S = 0.07
 """Processor time of a join [s]."""
 
 
 @checked_dataclass(frozen=True, kw_only=True, config=STRICT)
-class OnlineParams(ChiSquareParams):
+class OnlineParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     """What a tracker does at a join, beside solving for the robots near the one that joined."""
 
     module: ClassVar = "tiswarm.parts.online.method"
 
     method: Literal["online"] = "online"
     """Name of the method."""
-
-    touches: Literal[False] = False
-    """Touches do not count: only `joint` finds their docks."""
 
     solve_yaw: Literal[False] = False
     """No bias of yaw is solved for."""
