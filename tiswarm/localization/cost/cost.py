@@ -71,6 +71,21 @@ class State(NamedTuple):
     """Error of each source of measurements, in standard deviations, shape (K,)."""
 
 
+def weights(cost: Reals, temperature: float = 1.0) -> Reals:
+    """Weigh configurations by their Boltzmann factors, exp(-cost / (2 T)).
+
+    Args:
+        cost: Their costs [1], shape (k,).
+        temperature: T, by which costs are divided [1].
+
+    Returns:
+        Weights that add up to 1, shape (k,).
+    """
+    weight = np.exp(-0.5 * (cost - cost.min()) / temperature)
+    total: Reals = weight / weight.sum()
+    return total
+
+
 class Cost:
     """The cost of configurations of N robots with E measurements of K sources.
 

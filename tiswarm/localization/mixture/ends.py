@@ -13,7 +13,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.cost import Cost, weights
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.frames import HELD, Frame, align, free_frame
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
@@ -245,11 +245,9 @@ def _weights(cost: Reals, measurements: int) -> Reals:
     up to the width of the chi-square, its cost says little about the whole: costs are divided by
     what leaves `MIXTURE.fewest` ends in the mixture, where that is in reach.
     """
-    excess = cost - cost.min()
     hottest = max(1.0, np.sqrt(2.0 * measurements) / MIXTURE.chance)
     for heat in np.geomspace(1.0, hottest, MIXTURE.heats):
-        weight = np.exp(-0.5 * excess / heat)
-        weight /= weight.sum()
+        weight = weights(cost, heat)
         if 1.0 / (weight**2).sum() >= MIXTURE.fewest:
             break
     weight[weight < MIXTURE.least_weight] = 0.0

@@ -9,6 +9,7 @@ from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import fewest_contacts
 from tiswarm.localization.chains.settings import ANNEALING
 from tiswarm.localization.chains.views import ChainView, Links, cooled, find_subtrees, plane_rows
+from tiswarm.localization.cost.cost import weights
 from tiswarm.localization.cost.kernels import (
     COORDINATE,
     OFFSET,
@@ -64,8 +65,7 @@ def annealed(
     best = int(score.argmin())
     state, linear = found[best]
     # Ends that are nearly as likely as the best one make its position uncertain.
-    weight = np.exp(-0.5 * (score - score[best]) / _TEMPERED)
-    weight /= weight.sum()
+    weight = weights(score, _TEMPERED)
     away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
     spread = weight @ np.array(away)
     return NearAnnealed(state, np.sqrt(linear.sd() ** 2 + spread))

@@ -13,6 +13,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost.candidates import candidates, extension
+from tiswarm.localization.cost.cost import weights
 from tiswarm.localization.cost.neighborhood import (
     Block,
     Configuration,
@@ -222,8 +223,7 @@ class LocalLayers:
         if len(found) > 1:
             for k, (state, linear) in enumerate(found):
                 score[k] = linear.cost - extension(block, state, state.position[number, None])[0]
-        weight = np.exp(-0.5 * (score - score.min()))
-        return *found[int(score.argmin())], weight / weight.sum()
+        return *found[int(score.argmin())], weights(score)
 
     def blocks_about(self, robots: Ints) -> list[Block]:
         """List the blocks with rows about some robots."""
