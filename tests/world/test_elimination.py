@@ -9,10 +9,10 @@ from tests import frames
 from tiswarm.compute import backend
 from tiswarm.compute.lang import Ints1, Ints2, Ints3, Reals2, Reals3, ti
 from tiswarm.world.frame_kernels import (
-    HALF_COLUMNS,
-    NODE_COLUMNS,
-    ORDER_COLUMNS,
     EliminationArrays,
+    HalfEdge,
+    Node,
+    NodeList,
     clear,
     edge_between,
     solve,
@@ -59,9 +59,9 @@ def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
     dense[np.arange(nodes), np.arange(nodes)] = 50.0 * np.eye(SIDE) * (1.0 + degree)
     load, blocks = rng.normal(size=(nodes, SIDE)), nodes * (nodes + 1) // 2
     work = EliminationArrays(
-        node=np.empty((1, nodes, NODE_COLUMNS), np.int32),
-        order=np.empty((1, nodes + 1, ORDER_COLUMNS), np.int32),
-        half=np.empty((1, 2 * blocks, HALF_COLUMNS), np.int32),
+        node=np.empty((1, nodes, Node.TOTAL), np.int32),
+        order=np.empty((1, nodes + 1, NodeList.TOTAL), np.int32),
+        half=np.empty((1, 2 * blocks, HalfEdge.TOTAL), np.int32),
         block_count=np.zeros(1, np.int32),
         block=np.empty((1, blocks, SIDE**2)),
         motion=load[None].copy(),
@@ -85,7 +85,7 @@ def _filled(structures, params, *, cramped=False):
     if cramped:
         nodes = built.work.motion.shape[1]
         built.work = built.work._replace(
-            half=np.empty((len(structures), 2 * nodes, HALF_COLUMNS), np.int32),
+            half=np.empty((len(structures), 2 * nodes, HalfEdge.TOTAL), np.int32),
             block=np.empty((len(structures), nodes, SIDE**2)),
         )
         few = {name: getattr(built.frame, name)[:, :1] for name in ("ends", "stiffness", "span")}

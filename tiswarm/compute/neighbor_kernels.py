@@ -23,15 +23,14 @@ some unit of length, which is that of the cutoff then. `grid` is a struct:
 - buckets: size of the hash table, a power of two
 - table, slot: where the structure starts in `Cells.begin`, and in `Cells.dock`
 
-Where one thread lists a whole structure, `structure` is a table of S structures, whose columns are
-named below; the last two are written.
+Where one thread lists a whole structure, `structure` has the columns of `StructureTable`.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.compute.lang import I32, Float, Ints1, Ints2, Reals1, Ref, Static, ti
+from tiswarm.compute.lang import I32, Columns, Float, Ints1, Ints2, Reals1, Ref, Static, ti
 
 _STRIDE_Y, _STRIDE_Z = 1_640_531_527, 1_013_904_223
 _MIN_BUCKETS = 128
@@ -248,10 +247,30 @@ def sort_docks(
         sort_bucket(grid, base, bucket, dock, cells)
 
 
-FIRST, END, TABLE, BUCKETS, STRIDE_Y, STRIDE_Z, ROW, ROOM, LONGEST, BUILDS = range(10)
-"""Columns of a structure: its first robot and the one after its last; where its table starts in
-`Cells.begin`, and the numbers of `grid` for it; its first entry in `Rows.entry`, and how many fit;
-the most entries that its rows needed, and how often they were made."""
+class StructureTable(Columns):
+    """Columns of structures that one thread lists, S rows."""
+
+    FIRST = 1
+    """First robot of the structure."""
+    END = 1
+    """The one after its last."""
+    TABLE = 1
+    """Where its table starts in `Cells.begin`."""
+    BUCKETS = 1
+    """Size of its hash table, as `grid` has it."""
+    STRIDE_Y = 1
+    """Stride along y, as `grid` has it."""
+    STRIDE_Z = 1
+    """Stride along z, as `grid` has it."""
+    ROW = 1
+    """Its first entry in `Rows.entry`."""
+    ROOM = 1
+    """Entries that fit."""
+    LONGEST = 1
+    """Most entries that its rows needed; written."""
+    BUILDS = 1
+    """How often its rows were made; written."""
+
 
 LONGEST_RUN = 10
 """Most cells along x that the ball around a dock reaches."""
@@ -441,14 +460,14 @@ def _fill_rows_of(
 @ti.func
 def begin_structure(s, structure: Ref):
     """Begin to count for structure s: its rows were never made."""
-    structure[s, LONGEST] = 0
-    structure[s, BUILDS] = 0
+    structure[s, StructureTable.LONGEST] = 0
+    structure[s, StructureTable.BUILDS] = 0
 
 
 @ti.func
 def fits(s, structure: Ref):
     """Whether all rows of structure s fitted so far."""
-    return structure[s, LONGEST] <= structure[s, ROOM]
+    return structure[s, StructureTable.LONGEST] <= structure[s, StructureTable.ROOM]
 
 
 @ti.func
@@ -456,7 +475,7 @@ def list_structure(
     grid: Ref, s, base, dock: Ref, cells: Ref, connections: Ref, rows: Ref, structure: Ref
 ):
     """Sort the docks of one small structure and write its rows, on one thread; see above."""
-    first, last = structure[s, FIRST], structure[s, END]
+    first, last = structure[s, StructureTable.FIRST], structure[s, StructureTable.END]
     for k in range(grid.buckets + 2):
         cells.begin[grid.table + k] = 0
     for m in range(first * grid.docks, last * grid.docks):
@@ -467,10 +486,10 @@ def list_structure(
         scatter_dock(grid, base, m, dock, cells)
     for bucket in range(grid.buckets):
         sort_bucket(grid, base, bucket, dock, cells)
-    space = ti.Vector([structure[s, ROW], structure[s, ROOM]])
+    space = ti.Vector([structure[s, StructureTable.ROW], structure[s, StructureTable.ROOM]])
     used = _fill_rows_of(False, grid, base, first, last, dock, cells, connections, rows, space)
-    structure[s, LONGEST] = ti.max(structure[s, LONGEST], used)
-    structure[s, BUILDS] += 1
+    structure[s, StructureTable.LONGEST] = ti.max(structure[s, StructureTable.LONGEST], used)
+    structure[s, StructureTable.BUILDS] += 1
 
 
 @ti.kernel

@@ -16,7 +16,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.compute import neighbor_kernels as kernels
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
-from tiswarm.compute.neighbor_kernels import ConnectedDocks, Rows
+from tiswarm.compute.neighbor_kernels import ConnectedDocks, Rows, StructureTable
 
 MOST_ITEMS = 2**31 - 1
 """Largest number that the kernels' integers can hold."""
@@ -152,9 +152,11 @@ class NeighborList:
         self.capacity = _FIRST_CAPACITY * row_docks * (2 if self.on_card else 1)
         bounds = np.array([0, robots]) if start is None else start
         tables = _layout(position, bounds, docks=docks, reach=reach, cutoff=cutoff)
-        self.table_size = int(tables[-1, kernels.TABLE] + tables[-1, kernels.BUCKETS] + 2)
+        self.table_size = int(
+            tables[-1, StructureTable.TABLE] + tables[-1, StructureTable.BUCKETS] + 2
+        )
         self._check_size()
-        strides = tables[0, [kernels.STRIDE_Y, kernels.STRIDE_Z]]
+        strides = tables[0, [StructureTable.STRIDE_Y, StructureTable.STRIDE_Z]]
         self.stride_y, self.stride_z = (int(stride) for stride in strides)
         seldom = memory.for_few_launches()
         self.structure = memory.upload(np.pad(tables, ((0, 0), (0, 4))))
@@ -219,8 +221,8 @@ class NeighborList:
     def fullest(self) -> float:
         """Count the entries a robot that rows need, in the structure that needs most."""
         table = self.memory.download(self.structure)
-        robots = table[:, kernels.END] - table[:, kernels.FIRST]
-        return float((table[:, kernels.LONGEST] / robots).max())
+        robots = table[:, StructureTable.END] - table[:, StructureTable.FIRST]
+        return float((table[:, StructureTable.LONGEST] / robots).max())
 
     def make_room(self, entries: float) -> None:
         """Make room for `entries` a row, and some more.
@@ -236,9 +238,9 @@ class NeighborList:
     def _share_room(self) -> None:
         """Share the room for entries among structures, by their robots."""
         table = self.memory.download(self.structure)
-        first, end = table[:, kernels.FIRST], table[:, kernels.END]
-        table[:, kernels.ROW] = first * self.capacity + np.arange(len(table))
-        table[:, kernels.ROOM] = (end - first) * self.capacity
+        first, end = table[:, StructureTable.FIRST], table[:, StructureTable.END]
+        table[:, StructureTable.ROW] = first * self.capacity + np.arange(len(table))
+        table[:, StructureTable.ROOM] = (end - first) * self.capacity
         self.memory.refill(self.structure, table)
 
     def _row_size(self) -> int:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from tiswarm.compute.lang import (
     GRAIN,
     I32,
+    Columns,
     Float,
     Ints1,
     Ints2,
@@ -26,15 +27,10 @@ from tiswarm.compute.lang import (
 )  # fmt: skip
 from tiswarm.compute.math_kernels import rotate, vector_at
 from tiswarm.compute.neighbor_kernels import (
-    BUCKETS,
-    END,
-    FIRST,
-    STRIDE_Y,
-    STRIDE_Z,
-    TABLE,
     Cells,
     ConnectedDocks,
     Rows,
+    StructureTable,
     begin_structure,
     fits,
     list_structure,
@@ -50,14 +46,29 @@ OUT_OF_REACH = 1e36
 """Squared step that stands for one beyond the WALL, or too long for its square to fit in an f32."""
 _LONGEST_F32 = 1e18
 
-TAKEN, STALE, STRAYED, LONGEST, CONTROL_COLUMNS = range(5)
-"""Columns of `control`: steps taken; whether rows are stale or no step is left; on cards, whether a
-robot strayed too far, and the bits of the longest squared step as an f32."""
+
+class Control(Columns):
+    """Columns of what a call of several steps leaves to the next one."""
+
+    TAKEN = 1
+    """Steps taken."""
+    STALE = 1
+    """Whether rows are stale or no step is left."""
+    STRAYED = 1
+    """On cards, whether a robot strayed too far."""
+    LONGEST = 1
+    """On cards, the bits of the longest squared step as an f32."""
 
 
-ATTRACTION, REPULSION, PARTING, STRENGTH_COLUMNS = range(4)
-"""Columns of `strength`, the gains in a step as the ramp has them: A a, B (1 - a) [R^-3], and the
-stiffness with which connected docks nearer than D part in a guided swarm."""
+class Strength(Columns):
+    """Columns of the gains in a step, as the ramp a has them."""
+
+    ATTRACTION = 1
+    """A a of Eq. (1) [1]."""
+    REPULSION = 1
+    """B (1 - a) of Eqs. (1) and (2) [R^-3]."""
+    PARTING = 1
+    """Stiffness with which connected docks nearer than D part, in a guided swarm [1]."""
 
 
 class Constants(NamedTuple):
@@ -121,7 +132,7 @@ def _in_places(length, unit, places: Ref):
 @ti.func
 def _strength_at(strength: Ref, t):
     """Read the gains of a step, as a vector of columns."""
-    return ti.Vector([strength[t, c] for c in range(STRENGTH_COLUMNS)])
+    return ti.Vector([strength[t, c] for c in range(Strength.TOTAL)])
 
 
 @ti.func
@@ -132,14 +143,14 @@ def attract_or_repel(distance, connected, strength, spacing):
     """
     gap = distance - spacing
     square = gap * gap  # a name, so that strict arithmetic multiplies twice, not three times
-    pull = ti.select(connected, strength[ATTRACTION] * gap, 0.0)
-    return ti.select(gap > 0.0, pull, -strength[REPULSION] * square * square)
+    pull = ti.select(connected, strength[Strength.ATTRACTION] * gap, 0.0)
+    return ti.select(gap > 0.0, pull, -strength[Strength.REPULSION] * square * square)
 
 
 @ti.func
 def part_connected(distance, connected, strength, spacing):
     """Compute the magnitude of Eqs. (1) and (2), and of a spring that parts connected docks."""
-    spring = ti.select(connected, strength[PARTING] * ti.min(distance - spacing, 0.0), 0.0)
+    spring = ti.select(connected, strength[Strength.PARTING] * ti.min(distance - spacing, 0.0), 0.0)
     return attract_or_repel(distance, connected, strength, spacing) + spring
 
 
@@ -306,8 +317,8 @@ def step_robots(
         stray_limit: Distance of a robot from its reference at which rows are stale [R].
         unit: What whole centers and docks are numbers of [R]; unused if they are real.
         first_t: Which step comes first.
-        strength: Gains in each step, columns as ATTRACTION and others name them, (T, 3).
-        control_out: Columns as TAKEN and others name them; read, too.
+        strength: Gains in each step, columns of `Strength`, shape (T, 3).
+        control_out: Columns of `Control`; read, too.
         largest_move_out: Longest step of a robot in step t [R], shape (T,) or longer.
     """
     rows = ti.static(Rows(entry, row_first, row_count))
@@ -327,7 +338,7 @@ def step_robots(
         moved = 0.0
         strayed = 0.0
         for robot in range(position_out.shape[0]):
-            if control_out[STALE] == 0:
+            if control_out[Control.STALE] == 0:
                 base = (first_t + k) % 2 * half
                 moved_by, way = step_robot(
                     on_card, dynamics, grid, constants, _strength_at(strength, first_t + k), base,
@@ -335,21 +346,21 @@ def step_robots(
                 )  # fmt: skip
                 if ti.static(on_card):
                     if way > stray_limit * stray_limit:
-                        control_out[STRAYED] = 1
+                        control_out[Control.STRAYED] = 1
                     bits = ti.bit_cast(ti.cast(moved_by, ti.f32), ti.i32)
-                    if bits > control_out[LONGEST]:
-                        ti.atomic_max(control_out[LONGEST], bits)
+                    if bits > control_out[Control.LONGEST]:
+                        ti.atomic_max(control_out[Control.LONGEST], bits)
                 else:
                     ti.atomic_max(moved, moved_by)
                     ti.atomic_max(strayed, way)
-        if control_out[STALE] == 0:
-            control_out[TAKEN] = t + 1
+        if control_out[Control.STALE] == 0:
+            control_out[Control.TAKEN] = t + 1
             gone = strayed > stray_limit * stray_limit or t + 1 == strength.shape[0]
             if ti.static(on_card):
-                gone = gone or control_out[STRAYED] == 1
-                moved = ti.bit_cast(control_out[LONGEST], ti.f32)
-                control_out[LONGEST] = 0
-            control_out[STALE] = ti.cast(gone, ti.i32)
+                gone = gone or control_out[Control.STRAYED] == 1
+                moved = ti.bit_cast(control_out[Control.LONGEST], ti.f32)
+                control_out[Control.LONGEST] = 0
+            control_out[Control.STALE] = ti.cast(gone, ti.i32)
             largest_move_out[t] = ti.sqrt(moved)
 
 
@@ -395,8 +406,8 @@ def start_interval(position: Reals2, reference_out: Reals2, control_out: Ints1):
     """Note where robots are as their rows are made; arguments as for `step_robots`."""
     for robot, c in ti.ndrange(position.shape[0], 3):
         reference_out[robot, c] = position[robot, c]
-    control_out[STALE] = 0
-    control_out[STRAYED] = 0
+    control_out[Control.STALE] = 0
+    control_out[Control.STRAYED] = 0
 
 
 @ti.kernel
@@ -420,7 +431,7 @@ def relax_structures(
         own_bits: First number of `grid`.
         stray_limit: As for `step_robots`, like `unit`.
         strength: As for `step_robots`.
-        structure_out: Columns as `neighbor_kernels` names them, shape (S, 10).
+        structure_out: Columns of `StructureTable`, shape (S, 10).
         largest_move_out: Longest step of a robot by structure and step [R], shape (S, T).
     """
     cells = ti.static(Cells(begin_out, sorted_dock_out, sorted_place_out))
@@ -436,11 +447,12 @@ def relax_structures(
     half = dock_out.shape[0] // 2
     for s, idle in ti.ndrange(table.shape[0], GRAIN):
         if idle == 0:
-            first, end = table[s, FIRST], table[s, END]
+            first, end = table[s, StructureTable.FIRST], table[s, StructureTable.END]
             grid = ti.Struct(
-                docks=docks, own_bits=own_bits, cutoff=cutoff, table=table[s, TABLE],
-                buckets=table[s, BUCKETS], stride_y=table[s, STRIDE_Y],
-                stride_z=table[s, STRIDE_Z], slot=first * docks, entry_stride=1, unit=unit,
+                docks=docks, own_bits=own_bits, cutoff=cutoff, slot=first * docks,
+                table=table[s, StructureTable.TABLE], buckets=table[s, StructureTable.BUCKETS],
+                stride_y=table[s, StructureTable.STRIDE_Y],
+                stride_z=table[s, StructureTable.STRIDE_Z], entry_stride=1, unit=unit,
             )  # fmt: skip
             begin_structure(s, table)
             stale = 1

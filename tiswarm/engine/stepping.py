@@ -18,7 +18,7 @@ from tiswarm.base.robot import Robot
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import DeviceArray
-from tiswarm.compute.neighbor_kernels import BUILDS
+from tiswarm.compute.neighbor_kernels import StructureTable
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import (
@@ -27,7 +27,9 @@ from tiswarm.engine.kernels import (
     OUT_OF_REACH,
     UNKNOWN,
     Constants,
+    Control,
     Dynamics,
+    Strength,
     SwarmState,
     relax_structures,
 )
@@ -279,7 +281,7 @@ class Stepper:
     """Rows of neighbors."""
 
     control: DeviceArray
-    """Columns as `kernels.TAKEN` and others name them."""
+    """Columns of `Control`."""
 
     moves: DeviceArray
     """Longest step of any robot in each step, kept for calls of as many, shape (T,)."""
@@ -339,8 +341,8 @@ class Stepper:
             mobility=memory.upload(share),
             last_step=memory.reals(*share.shape),
         )
-        self.control = memory.ints(kernels.CONTROL_COLUMNS)
-        self.moves, self.strength = memory.reals(1), memory.reals(1, kernels.STRENGTH_COLUMNS)
+        self.control = memory.ints(Control.TOTAL)
+        self.moves, self.strength = memory.reals(1), memory.reals(1, Strength.TOTAL)
         seldom = memory.for_few_launches()
         self.structure = seldom.upload(swarm.structure[order])
         turns, body = swarm.orientation_wxyz[order], swarm.dock_offset_body
@@ -354,7 +356,7 @@ class Stepper:
         Args:
             state: Where the robots start.
             constants: Numbers that all steps share.
-            strength: Gains in each step, columns as `kernels.ATTRACTION` names them, shape (T, 3).
+            strength: Gains in each step, columns of `Strength`, shape (T, 3).
 
         Returns:
             Longest step of any robot, shape (T,), and how often rows were made.
@@ -409,7 +411,7 @@ class Stepper:
         while taken < steps:
             neighbors.build(robots.dock, taken % 2 * half)
             kernels.start_interval(robots.position, robots.reference, control)
-            while not control[kernels.STALE]:
+            while not control[Control.STALE]:
                 with backend.fast_arithmetic():
                     for t in range(taken, taken + calls * most, most):
                         kernels.step_robots(
@@ -418,7 +420,7 @@ class Stepper:
                             self.stray_limit, self.places.scale, t, self.strength,
                             *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
-                before, taken = taken, int(control[kernels.TAKEN])
+                before, taken = taken, int(control[Control.TAKEN])
                 # Fresh rows always allow a step, unless the device did not run the kernel.
                 if taken == before:
                     raise backend.faulty_driver()
@@ -439,7 +441,7 @@ class Stepper:
         if (entries := neighbors.fullest()) > neighbors.capacity:
             neighbors.make_room(entries)
             return None
-        builds = int(neighbors.structure[:, BUILDS].max())
+        builds = int(neighbors.structure[:, StructureTable.BUILDS].max())
         return moves.max(axis=0).astype(np.float64), builds
 
 

@@ -14,37 +14,58 @@ Positive Definite Systems, 1981).
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import F64, GRAIN, I32, Ints1, Ints3, Reals2, Reals3, Ref, ti
+from tiswarm.compute.lang import F64, GRAIN, I32, Columns, Ints1, Ints3, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import vector_in
+
+
+class Node(Columns):
+    """Columns of `EliminationArrays.node`."""
+
+    FIRST = 1
+    """First half-edge of the node."""
+    DEGREE = 1
+    """Its neighbors that are left."""
+    LEFT = 1
+    """Node before it in the list of those of its degree, or -1."""
+    RIGHT = 1
+    """Node after it in that list, or -1."""
+    MARKED_BY = 1
+    """Node that marked it as a neighbor last, or -1."""
+    MARK = 1
+    """Half-edge by which that node did."""
+
+
+class NodeList(Columns):
+    """Columns of `EliminationArrays.order`."""
+
+    LEAST = 1
+    """First node of those with as many neighbors as the row says, or -1."""
+    PIVOT = 1
+    """Node that was eliminated in the step that the row says."""
+    NEAR = 1
+    """Half-edges to the neighbors of the pivot, one a row."""
+
+
+class HalfEdge(Columns):
+    """Columns of `EliminationArrays.half`."""
+
+    NEXT = 1
+    """Next half-edge of its node, or -1."""
+    OTHER = 1
+    """Node at the other end."""
 
 
 class EliminationArrays(NamedTuple):
     """S systems with room for M nodes and L blocks: those of the nodes, then those of edges."""
 
     node: Ints3
-    """Shape (S, M, NODE_COLUMNS); columns:
-
-    FIRST: First half-edge of the node.
-    DEGREE: Its neighbors that are left.
-    LEFT, RIGHT: Nodes before and after it in the list of those of its degree, or -1.
-    MARKED_BY: Node that marked it as a neighbor last, or -1.
-    MARK: Half-edge by which it did.
-    """
+    """Columns of `Node`, shape (S, M, 6)."""
 
     order: Ints3
-    """Lists, whose rows are no nodes, shape (S, M + 1, ORDER_COLUMNS); columns:
-
-    LEAST: First node of the list of those with as many neighbors as the row says, or -1.
-    PIVOT: Node that was eliminated in the step that the row says.
-    NEAR: Half-edges to the neighbors of the pivot, one a row.
-    """
+    """Columns of `NodeList`, whose rows are no nodes, shape (S, M + 1, 3)."""
 
     half: Ints3
-    """Half-edges, shape (S, 2 L, HALF_COLUMNS); the edge with block e has 2 e and 2 e + 1. Columns:
-
-    NEXT: Next half-edge of its node, or -1.
-    OTHER: Node at the other end.
-    """
+    """Columns of `HalfEdge`; the edge with block e has 2 e and 2 e + 1, shape (S, 2 L, 2)."""
 
     block_count: Ints1
     """Blocks that the elimination needed so far; it stops where they exceed L, shape (S,)."""
@@ -56,19 +77,14 @@ class EliminationArrays(NamedTuple):
     """f of each node; then u, shape (S, M, 6)."""
 
 
-_FIRST, _DEGREE, _LEFT, _RIGHT, _MARKED_BY, _MARK, NODE_COLUMNS = range(7)
-_LEAST, _PIVOT, _NEAR, ORDER_COLUMNS = range(4)
-_NEXT, _OTHER, HALF_COLUMNS = range(3)
-
-
 @ti.func
 def clear(work: Ref, s, nodes):
     """Start a system of so many nodes that nothing joins; `motion` is left as it is."""
     work.block_count[s] = nodes
     for a in range(nodes):
-        work.node[s, a, _FIRST] = -1
-        work.node[s, a, _DEGREE] = 0
-        work.node[s, a, _MARKED_BY] = -1
+        work.node[s, a, Node.FIRST] = -1
+        work.node[s, a, Node.DEGREE] = 0
+        work.node[s, a, Node.MARKED_BY] = -1
         for c in range(36):
             work.block[s, a, c] = 0.0
 
@@ -76,9 +92,9 @@ def clear(work: Ref, s, nodes):
 @ti.func
 def edge_between(work: Ref, s, a, b):
     """Find the block of the edge between two nodes, or add it; return -1 without room."""
-    half = work.node[s, a, _FIRST]
-    while half >= 0 and work.half[s, half, _OTHER] != b:
-        half = work.half[s, half, _NEXT]
+    half = work.node[s, a, Node.FIRST]
+    while half >= 0 and work.half[s, half, HalfEdge.OTHER] != b:
+        half = work.half[s, half, HalfEdge.NEXT]
     if half < 0:
         half = _add_edge(work, s, a, b)
     return half // 2 if half >= 0 else -1
@@ -94,14 +110,14 @@ def _add_edge(work: Ref, s, a, b):
         half = 2 * edge
         for c in range(36):
             work.block[s, edge, c] = 0.0
-        work.half[s, half, _OTHER] = b
-        work.half[s, half, _NEXT] = work.node[s, a, _FIRST]
-        work.node[s, a, _FIRST] = half
-        work.half[s, half + 1, _OTHER] = a
-        work.half[s, half + 1, _NEXT] = work.node[s, b, _FIRST]
-        work.node[s, b, _FIRST] = half + 1
-        work.node[s, a, _DEGREE] += 1
-        work.node[s, b, _DEGREE] += 1
+        work.half[s, half, HalfEdge.OTHER] = b
+        work.half[s, half, HalfEdge.NEXT] = work.node[s, a, Node.FIRST]
+        work.node[s, a, Node.FIRST] = half
+        work.half[s, half + 1, HalfEdge.OTHER] = a
+        work.half[s, half + 1, HalfEdge.NEXT] = work.node[s, b, Node.FIRST]
+        work.node[s, b, Node.FIRST] = half + 1
+        work.node[s, a, Node.DEGREE] += 1
+        work.node[s, b, Node.DEGREE] += 1
     return half
 
 
@@ -109,26 +125,26 @@ def _add_edge(work: Ref, s, a, b):
 def _enter(work: Ref, s, a):
     """Put a node in front of those of its degree."""
     node = ti.static(work.node)
-    degree = node[s, a, _DEGREE]
-    first = work.order[s, degree, _LEAST]
-    node[s, a, _LEFT] = -1
-    node[s, a, _RIGHT] = first
+    degree = node[s, a, Node.DEGREE]
+    first = work.order[s, degree, NodeList.LEAST]
+    node[s, a, Node.LEFT] = -1
+    node[s, a, Node.RIGHT] = first
     if first >= 0:
-        node[s, first, _LEFT] = a
-    work.order[s, degree, _LEAST] = a
+        node[s, first, Node.LEFT] = a
+    work.order[s, degree, NodeList.LEAST] = a
 
 
 @ti.func
 def _leave(work: Ref, s, a, degree):
     """Take a node out from those of a degree."""
     node = ti.static(work.node)
-    left, right = node[s, a, _LEFT], node[s, a, _RIGHT]
+    left, right = node[s, a, Node.LEFT], node[s, a, Node.RIGHT]
     if left >= 0:
-        node[s, left, _RIGHT] = right
+        node[s, left, Node.RIGHT] = right
     else:
-        work.order[s, degree, _LEAST] = right
+        work.order[s, degree, NodeList.LEAST] = right
     if right >= 0:
-        node[s, right, _LEFT] = left
+        node[s, right, Node.LEFT] = left
 
 
 @ti.func
@@ -157,15 +173,15 @@ def _eliminate(work: Ref, s, k):
             value -= work.block[s, k, 6 * i + c] * work.motion[s, k, c]
         work.motion[s, k, i] = value / work.block[s, k, 7 * i]
     near = 0
-    half = work.node[s, k, _FIRST]
+    half = work.node[s, k, Node.FIRST]
     while half >= 0:
-        work.order[s, near, _NEAR] = half
+        work.order[s, near, NodeList.NEAR] = half
         near += 1
-        a, edge = work.half[s, half, _OTHER], half // 2
-        _leave(work, s, a, work.node[s, a, _DEGREE])
-        work.node[s, a, _DEGREE] -= 1
+        a, edge = work.half[s, half, HalfEdge.OTHER], half // 2
+        _leave(work, s, a, work.node[s, a, Node.DEGREE])
+        work.node[s, a, Node.DEGREE] -= 1
         _forward(work, s, k, a, edge)
-        half = work.half[s, half, _NEXT]
+        half = work.half[s, half, HalfEdge.NEXT]
     return near
 
 
@@ -208,30 +224,30 @@ def _subtract(block: Ref, s, target, one, other):
 def _join_neighbors(work: Ref, s, k, near):
     """Subtract Z_a' Z_b for all pairs of neighbors of `k`, each with itself too."""
     for n in range(near):
-        from_k = work.order[s, n, _NEAR]
-        a = work.half[s, from_k, _OTHER]
+        from_k = work.order[s, n, NodeList.NEAR]
+        a = work.half[s, from_k, HalfEdge.OTHER]
         # Mark the neighbors of `a`, and drop `k` from them.
         before = -1
-        half = work.node[s, a, _FIRST]
+        half = work.node[s, a, Node.FIRST]
         while half >= 0:
-            other, following = work.half[s, half, _OTHER], work.half[s, half, _NEXT]
+            other, following = work.half[s, half, HalfEdge.OTHER], work.half[s, half, HalfEdge.NEXT]
             if other != k:
-                work.node[s, other, _MARKED_BY] = a
-                work.node[s, other, _MARK] = half
+                work.node[s, other, Node.MARKED_BY] = a
+                work.node[s, other, Node.MARK] = half
                 before = half
             elif before < 0:
-                work.node[s, a, _FIRST] = following
+                work.node[s, a, Node.FIRST] = following
             else:
-                work.half[s, before, _NEXT] = following
+                work.half[s, before, HalfEdge.NEXT] = following
             half = following
         for m in range(near):
-            to_b = work.order[s, m, _NEAR]
-            b = work.half[s, to_b, _OTHER]
+            to_b = work.order[s, m, NodeList.NEAR]
+            b = work.half[s, to_b, HalfEdge.OTHER]
             if a <= b:
-                half = work.node[s, b, _MARK]
+                half = work.node[s, b, Node.MARK]
                 if a == b:
                     half = 2 * a
-                elif work.node[s, b, _MARKED_BY] != a:
+                elif work.node[s, b, Node.MARKED_BY] != a:
                     half = _add_edge(work, s, a, b)
                 # K_ab -= Z_a' Z_b
                 if half >= 0:
@@ -243,13 +259,13 @@ def _back(work: Ref, s, k):
     """Find the motion of `k` from those that were eliminated later."""
     # y - sum_a Z_a u_a
     rest = ti.Vector([work.motion[s, k, i] for i in range(6)])
-    half = work.node[s, k, _FIRST]
+    half = work.node[s, k, Node.FIRST]
     while half >= 0:
-        a, edge = work.half[s, half, _OTHER], half // 2
+        a, edge = work.half[s, half, HalfEdge.OTHER], half // 2
         for j in range(6):
             moved = work.motion[s, a, j]
             rest -= moved * ti.Vector([work.block[s, edge, 6 * i + j] for i in range(6)])
-        half = work.half[s, half, _NEXT]
+        half = work.half[s, half, HalfEdge.NEXT]
     for c in ti.static(range(6)):
         work.motion[s, k, c] = rest[c]
     # u_k = C^-T of that, from the last row to the first
@@ -265,32 +281,43 @@ def _back(work: Ref, s, k):
 def solve(work: Ref, s, nodes):
     """Solve a system; return whether there was room for the edges."""
     for degree in range(nodes + 1):
-        work.order[s, degree, _LEAST] = -1
+        work.order[s, degree, NodeList.LEAST] = -1
     for a in range(nodes):
         _enter(work, s, a)
     least = 0
     for step in range(nodes):
         if work.block_count[s] <= work.block.shape[1]:
-            while work.order[s, least, _LEAST] < 0:
+            while work.order[s, least, NodeList.LEAST] < 0:
                 least += 1
-            k = work.order[s, least, _LEAST]
-            work.order[s, step, _PIVOT] = k
+            k = work.order[s, least, NodeList.LEAST]
+            work.order[s, step, NodeList.PIVOT] = k
             _leave(work, s, k, least)
             near = _eliminate(work, s, k)
             _join_neighbors(work, s, k, near)
             for n in range(near):
-                _enter(work, s, work.half[s, work.order[s, n, _NEAR], _OTHER])
+                _enter(work, s, work.half[s, work.order[s, n, NodeList.NEAR], HalfEdge.OTHER])
             # Neighbors lose no more than the pivot, so that the least degree falls by one at most.
             least = ti.max(least - 1, 0)
     has_room = work.block_count[s] <= work.block.shape[1]
     if has_room:
         for step in range(nodes):
-            _back(work, s, work.order[s, nodes - 1 - step, _PIVOT])
+            _back(work, s, work.order[s, nodes - 1 - step, NodeList.PIVOT])
     return has_room
 
 
-NODE_A, NODE_B, DOCK_A, DOCK_B, END_COLUMNS = range(5)
-"""Columns of a beam: nodes that its ends move with, and docks that it joins, if it is a contact."""
+class BeamEnds(Columns):
+    """Columns of `FrameArrays.ends`."""
+
+    NODE_A = 1
+    """Node that the first end moves with."""
+    NODE_B = 1
+    """Node that the second end moves with, or GROUND."""
+    DOCK_A = 1
+    """Dock that a contact joins at its first end, or NO_DOCK."""
+    DOCK_B = 1
+    """Dock that it joins at its second end, GROUND or NO_DOCK."""
+
+
 GROUND, NO_DOCK = -1, -2
 _Z = 2
 
@@ -305,7 +332,7 @@ class FrameArrays(NamedTuple):
     """Beams in use, shape (S,)."""
 
     ends: Ints3
-    """What each beam joins, columns NODE_A to DOCK_B, shape (S, B, END_COLUMNS)."""
+    """What each beam joins, columns of `BeamEnds`, shape (S, B, 4)."""
 
     stiffness: Reals3
     """Of each beam between its nodes, a 12 x 12 matrix row by row, shape (S, B, 144)."""
@@ -343,7 +370,7 @@ def _assemble(frame: Ref, work: Ref, s):
     for a, c in ti.ndrange(frame.node_count[s], 6):
         work.motion[s, a, c] = frame.weight[s, a, c]
     for beam in range(frame.beam_count[s]):
-        a, b = frame.ends[s, beam, NODE_A], frame.ends[s, beam, NODE_B]
+        a, b = frame.ends[s, beam, BeamEnds.NODE_A], frame.ends[s, beam, BeamEnds.NODE_B]
         for i, j in ti.ndrange(6, 6):
             work.block[s, a, 6 * i + j] += frame.stiffness[s, beam, 12 * i + j]
         if b >= 0:
@@ -372,7 +399,7 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
     and bending and tau from shear and torsion. The section is halfway between two docks, and at
     the ground.
     """
-    a, b = frame.ends[s, beam, NODE_A], frame.ends[s, beam, NODE_B]
+    a, b = frame.ends[s, beam, BeamEnds.NODE_A], frame.ends[s, beam, BeamEnds.NODE_B]
     both = ti.Vector.zero(F64, 12)
     for j in range(6):
         moved = motion[s, a, j]
@@ -383,7 +410,7 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
             both += moved * ti.Vector([frame.stiffness[s, beam, 12 * i + 6 + j] for i in range(12)])
     span = vector_in(frame.span, s, beam)
     for end in ti.static(range(2)):
-        dock = frame.ends[s, beam, DOCK_A + end]
+        dock = frame.ends[s, beam, BeamEnds.DOCK_A + end]
         if dock >= 0:
             force = ti.Vector([both[6 * end + c] for c in range(3)])
             moment = ti.Vector([both[6 * end + 3 + c] for c in range(3)])
@@ -455,7 +482,7 @@ def find_loads(
                     for c in ti.static(range(6)):
                         acting_out[s, dock, c] = -1.0 if ti.static(c == _Z) else 0.0
                 for beam in range(beam_count[s]):
-                    if ends[s, beam, DOCK_A] >= 0:
+                    if ends[s, beam, BeamEnds.DOCK_A] >= 0:
                         _contact_loads(frame, loads, motion_out, s, beam, is_rigid, radius)
                 for robot in range(robots[s]):
                     _sense(frame, loads, s, robot, docks)

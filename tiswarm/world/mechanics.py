@@ -33,17 +33,15 @@ from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.params import STRICT
 from tiswarm.compute import backend
 from tiswarm.world.frame_kernels import (
-    DOCK_A,
-    DOCK_B,
-    END_COLUMNS,
     GROUND,
-    HALF_COLUMNS,
     NO_DOCK,
-    NODE_COLUMNS,
-    ORDER_COLUMNS,
+    BeamEnds,
     EliminationArrays,
     FrameArrays,
+    HalfEdge,
     LoadArrays,
+    Node,
+    NodeList,
     find_loads,
 )
 
@@ -130,16 +128,16 @@ class Frames:
         self.frame = FrameArrays(
             node_count=np.zeros(structures, np.int32),
             beam_count=np.zeros(structures, np.int32),
-            ends=np.empty((structures, beams, END_COLUMNS), np.int32),
+            ends=np.empty((structures, beams, BeamEnds.TOTAL), np.int32),
             stiffness=np.empty((structures, beams, 144)),
             span=np.empty((structures, beams, 3)),
             arm=np.zeros((structures, docks * robots, 3)),  # read, and not used, for the ground
             weight=np.zeros((structures, nodes, _SIDE)),
         )
         self.work = EliminationArrays(
-            node=np.empty((structures, nodes, NODE_COLUMNS), np.int32),
-            order=np.empty((structures, nodes + 1, ORDER_COLUMNS), np.int32),
-            half=np.empty((structures, 10 * nodes, HALF_COLUMNS), np.int32),
+            node=np.empty((structures, nodes, Node.TOTAL), np.int32),
+            order=np.empty((structures, nodes + 1, NodeList.TOTAL), np.int32),
+            half=np.empty((structures, 10 * nodes, HalfEdge.TOTAL), np.int32),
             block_count=np.zeros(structures, np.int32),
             block=np.empty((structures, 5 * nodes, _SIDE**2)),
             motion=np.empty((structures, nodes, _SIDE)),
@@ -176,7 +174,7 @@ class Frames:
     def joints(self) -> AnyInts:
         """Docks that touch, rows of (dock, dock) in structure after structure, shape (C, 2)."""
         self._admit()
-        docks = self.frame.ends[:, :, DOCK_A:]
+        docks = self.frame.ends[:, :, BeamEnds.DOCK_A :]
         in_use = np.arange(docks.shape[1]) < self.frame.beam_count[:, None]
         structure, beam = np.nonzero(in_use & (docks[:, :, 1] >= 0))
         joints: AnyInts = docks[structure, beam] + self.frame.arm.shape[1] * structure[:, None]
@@ -289,7 +287,7 @@ class Frames:
             if len(due):
                 room = 2 * work.block.shape[1]
                 self.work = work._replace(
-                    half=np.empty((len(work.half), 2 * room, HALF_COLUMNS), np.int32),
+                    half=np.empty((len(work.half), 2 * room, HalfEdge.TOTAL), np.int32),
                     block=np.empty((len(work.block), room, _SIDE**2)),
                 )
 
@@ -301,7 +299,7 @@ class Frames:
         """
         found, beams = self.found, slice(self.frame.beam_count[structure])
         robots = int(self.robots[structure])
-        other = self.frame.ends[structure, beams, DOCK_B]
+        other = self.frame.ends[structure, beams, BeamEnds.DOCK_B]
         standing, stress = other == GROUND, found.stress[structure, beams]
         ground_force = found.support[structure, beams][standing]
         weight = robots * self.dock.shape[2]

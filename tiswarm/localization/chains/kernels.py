@@ -6,7 +6,6 @@ it reaches the temperature sigma^2. Robots move, their turns, and subtrees.
 `take_steps` is for processors; `card_kernels` has the kernel of graphics cards.
 """
 
-from tiswarm.compute import neighbor_kernels as neighbors
 from tiswarm.compute.lang import (
     GRAIN,
     I32,
@@ -25,6 +24,7 @@ from tiswarm.compute.neighbor_kernels import (
     Cells,
     ConnectedDocks,
     Rows,
+    StructureTable,
     begin_structure,
     fits,
     list_structure,
@@ -355,16 +355,17 @@ def take_steps(
             if i % GRAIN == 0:
                 b = i // GRAIN
                 span = ti.Struct(
-                    block=b, block_end=b + 1, first=structure_out[b, neighbors.FIRST],
-                    end=structure_out[b, neighbors.END], tree=progress_out[b, BlockProgress.TREE],
+                    block=b, block_end=b + 1, first=structure_out[b, StructureTable.FIRST],
+                    end=structure_out[b, StructureTable.END],
+                    tree=progress_out[b, BlockProgress.TREE],
                     tree_end=progress_out[b, BlockProgress.TREE_END],
                 )  # fmt: skip
                 grid = ti.Struct(
                     docks=1, own_bits=0, cutoff=near, near=near, entry_stride=1, slot=span.first,
-                    table=structure_out[b, neighbors.TABLE],
-                    buckets=structure_out[b, neighbors.BUCKETS],
-                    stride_y=structure_out[b, neighbors.STRIDE_Y],
-                    stride_z=structure_out[b, neighbors.STRIDE_Z],
+                    table=structure_out[b, StructureTable.TABLE],
+                    buckets=structure_out[b, StructureTable.BUCKETS],
+                    stride_y=structure_out[b, StructureTable.STRIDE_Y],
+                    stride_z=structure_out[b, StructureTable.STRIDE_Z],
                 )  # fmt: skip
                 begin_structure(b, structure_out)
                 while progress_out[b, BlockProgress.TAKEN] < until and fits(b, structure_out):
