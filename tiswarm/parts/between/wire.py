@@ -273,7 +273,7 @@ def read_line(content: bytes, docks: int, bits: int | None) -> RobotLine:
         for stance, lists in zip(stances, more.pop("stances", []), strict=False):
             stance.update(lists)
         entries |= more
-    return RobotLine.model_validate_json(json.dumps(entries))
+    return RobotLine.model_validate(entries)
 
 
 def _others(line: RobotLine) -> dict[str, object]:
