@@ -11,10 +11,10 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
-from tiswarm.localization.joint import localize_batch
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
+from tiswarm.localization.mixture.search import searched
 from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.settings import ChiSquareParams, JointParams
 from tiswarm.parts.online.settings import TIMES, OnlineParams
@@ -113,8 +113,7 @@ def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
     """Localize as `joint` does, whose chains know nothing of the present estimate."""
     names = [field.name for field in fields(ChiSquareParams)]
     cold = JointParams(**{name: getattr(params, name) for name in names})
-    [estimate] = localize_batch([log], [cold])
-    return estimate
+    return searched(Posed(log, cold, pose_problem(log, cold)))
 
 
 def _fitted(log: SensingLog, params: OnlineParams, state: Configuration) -> Fit:
