@@ -146,12 +146,14 @@ def test_without_a_part_all_others_are_there_and_it_is_named(tmp_path, case, par
 
 
 @pytest.mark.trial
-def test_the_files_of_the_tour_load_no_part():
-    """Not even by a module that the contract forgets."""
+def test_the_files_of_the_tour_load_settings_of_parts_only():
+    """A scenario checks the settings of every method; their code waits until it is used."""
     names = [stop.removesuffix(".py").replace("/", ".") for stop in stops()]
     code = f"import sys; import {', '.join(names)}; print(*sys.modules, sep='\\n')"
 
     loaded = _call(REPOSITORY, code).stdout.splitlines()
 
+    of_parts = {name for name in loaded if name.startswith("tiswarm.parts.")}
+    settings = {name for name in of_parts if name.endswith(".settings")}
     assert {*names} <= {*loaded}
-    assert [name for name in loaded if f"{name}.".startswith(tuple(f"{p}." for p in PARTS))] == []
+    assert of_parts == settings | {name.removesuffix(".settings") for name in settings}
