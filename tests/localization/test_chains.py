@@ -13,6 +13,7 @@ from tiswarm.localization import joint
 from tiswarm.localization.chains.annealer import anneal, annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
+from tiswarm.localization.mixture import search
 from tiswarm.localization.mixture.ends import failed, squares
 from tiswarm.localization.mixture.mixture import between_chains, deviation
 from tiswarm.localization.mixture.settings import CONVERGENCE
@@ -89,6 +90,12 @@ def test_no_robot_is_farther_from_the_anchor_than_contacts_reach(kind, docks, se
     assert (np.linalg.norm(truth - truth[0], axis=1)[tied] <= bound[tied] + 1e-2).all()
 
 
+def _anneal_by(monkeypatch, call):
+    """Have a call anneal instead: at first in `joint`, and again in `search`."""
+    for module in (joint, search):
+        monkeypatch.setattr(module, "anneal", call)
+
+
 def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypatch):
     """One whose robot is out of reach, or that ran hot; all others stay as they are."""
     log, _ = structure(Rule(kind="loops"), 30, 2)
@@ -105,11 +112,11 @@ def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypa
         asked.append(halvings)
         return [torn if halvings < 2 else sound]
 
-    monkeypatch.setattr(joint, "anneal", annealed_again)
+    _anneal_by(monkeypatch, annealed_again)
 
     estimate = localize(log, SHORT)
 
-    monkeypatch.setattr(joint, "anneal", lambda *_args, **_: [sound])
+    _anneal_by(monkeypatch, lambda *_args, **_: [sound])
     assert failed(known, torn).tolist() == [False, True, True, False]
     assert not failed(known, sound).any()
     assert asked == [0, 1, 2]
@@ -127,7 +134,7 @@ def test_chains_that_fail_again_and_again_do_not_count(monkeypatch):
 
     verdicts = []
     for chains in (one, every):
-        monkeypatch.setattr(joint, "anneal", lambda *_args, found=chains, **_: [found])
+        _anneal_by(monkeypatch, lambda *_args, found=chains, **_: [found])
         verdicts.append(localize(log, SHORT).convergence)
 
     assert [found.converged for found in verdicts] == [True, False]
