@@ -130,7 +130,7 @@ _TOGETHER = """
 import numpy as np, sys
 from tests.devices import ARCH
 from tiswarm.compute import backend
-from tiswarm.localization.params import Together, VirtualForceParams
+from tiswarm.localization.settings import Together, VirtualForceParams
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
