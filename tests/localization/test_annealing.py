@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from tiswarm.localization.chains.annealer import thermostat
 from tiswarm.localization.chains.kernels import MEMORY
-from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.chains.views import cooled, end_sigma
+from tiswarm.localization.chains.views import ANNEALING, cooled, end_sigma
 from tiswarm.localization.settings import JointParams
 
 DEFAULTS = JointParams()

@@ -11,8 +11,7 @@ from tiswarm.localization.chains import initialization
 from tiswarm.localization.chains.annealer import anneal, annealer_of
 from tiswarm.localization.chains.arrays import BlockProgress, BodyMotion, Heading, SubtreeMotion
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.chains.views import find_subtrees, weights
+from tiswarm.localization.chains.views import ANNEALING, find_subtrees, weights
 from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

@@ -14,7 +14,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.chains import initialization
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.settings import SWITCHES, JointParams
 from tiswarm.measurements.cues import measure

@@ -13,8 +13,8 @@ from tests import foreign
 from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.annealer import Annealed
-from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.mixture.ends import Fit, aligned, ranked
 from tiswarm.localization.mixture.mixture import deviation, minimum, mix

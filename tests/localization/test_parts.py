@@ -12,9 +12,8 @@ from tests import oracle
 from tests.structures import Rule, structure, with_heights
 from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.arrays import BodyMotion, SubtreeLabel
-from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.cost.planes import Planes
+from tiswarm.localization.chains.problem import Planes, pose_problem
+from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.mixture.ends import _weights
 from tiswarm.localization.mixture.mixture import deviation
 from tiswarm.localization.mixture.settings import MIXTURE, SD_CALIBRATION

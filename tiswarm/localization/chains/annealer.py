@@ -32,8 +32,7 @@ from tiswarm.localization.chains.arrays import (
 from tiswarm.localization.chains.card_kernels import sum_rows, take_steps_on_card
 from tiswarm.localization.chains.kernels import MEMORY, SKIN, THIN_SKIN, note_places, take_steps
 from tiswarm.localization.chains.problem import Problem
-from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.chains.views import ChainView, view_of
+from tiswarm.localization.chains.views import ANNEALING, ChainView, view_of
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog

@@ -5,6 +5,11 @@ A view is a whole log, as `joint` has it, or what one robot heard of others. Len
 With orientations sensed, a subtree of the contact graph can move as one only by a shift. Moving its
 robots one by one would take ever longer the more there are, so the annealer shifts whole subtrees
 too. Measured coordinates tie a part without the anchor to it: each such part is a subtree, too.
+
+Constants of chains are here, each with its unit and its reason. A class says where its values are
+from, a field where its own is from elsewhere. "Chosen" values gave the least error among a few
+tried, "fitted" ones minimize a misfit; both were found on training structures, of seeds that no
+result is reported on; see `docs/notes/`.
 """
 
 from collections.abc import Callable
@@ -13,20 +18,82 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.compute.math import dock_offsets
-from tiswarm.localization.chains.initialization import initial_guess, reinitialize_lost
-from tiswarm.localization.chains.problem import Problem
-from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.cost.planes import Planes
+from tiswarm.compute.math import dock_offsets, normal
+from tiswarm.localization.chains.problem import Planes, Problem
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.settings import JointParams
-from tiswarm.measurements.contacts import touching
+from tiswarm.measurements.contacts import stand_across, touching
 from tiswarm.measurements.model import KNOWN
 from tiswarm.records.sensing_log import SensingLog
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnnealSchedule:
+    """How chains are annealed, beside what `JointParams` sets. Chosen on training structures."""
+
+    coldest: float = 0.01
+    """Square root of the end temperature where measurements are sharp and sufficient [R]. A lower
+    end temperature separates solutions that miss measurements by little."""
+
+    warmest: float = 0.025
+    """Square root of the end temperature where measurements are neither [R]: colder chains sample
+    less of what is not measured."""
+
+    underdetermined: float = 0.05
+    """Underdetermination from which on to end at `warmest` [1]: too little is measured to gain from
+    colder chains."""
+
+    ranged: float = 2.0
+    """Least square root of the start temperature where ranges alone tie robots to each other [R]:
+    they leave more minima to escape from. See `docs/notes/ranges.md`."""
+
+    growing: float = 0.1
+    """Share of the steps in which docks grow to their full size [1], so that robots pass through
+    each other at first."""
+
+    smallest: float = 0.1
+    """Size of docks in the first step, as a part of their full size [1]. Docks that are solid at
+    once push each other out of the initial heap faster than friction takes the heat away."""
+
+    reinitialize_from: float = 0.4
+    """Share of the steps after which lost robots are initialized anew [1]."""
+
+    lost: float = 4.0
+    """A contact whose docks are farther than D + this apart is lost [R]: docks that far apart no
+    longer find each other."""
+
+    lost_sd: float = 3.0
+    """Least miss of a lost contact [standard deviations]: uncertain ones may be missed by more than
+    `lost`."""
+
+    frames: int = 24
+    """Frames of the trace [1], between which lost robots are looked for."""
+
+    launch: int = 3000
+    """Kernel-launch overhead [robot steps], by which work is divided among threads. Measured."""
+
+    restarts: int = 2
+    """Times that a chain that failed is annealed again [1], each time in steps half as long."""
+
+    join_memory: float = 5.0
+    """Decay length of the join-location prior [joins]: robots join near the last ones that did."""
+
+    trilateration: int = 30
+    """Steps in which the initial guess of a robot meets its ranges [1]."""
+
+    join_window: int = 200
+    """Joins that the prior looks back on [joins]: 40 decay lengths. The rest has no weight."""
+
+    join_variance: float = 3.0
+    """Mean square error of a robot placed by this prior [variances of the prior]. Fitted."""
+
+
+ANNEALING = AnnealSchedule()
 
 _SUBTREE_WEIGHT = 3.0
 """Least mass of a subtree, in masses of its own robots: contacts hold these no less stiffly than
@@ -36,6 +103,8 @@ _MOST_MOBILITY = 3.0
 of two robots pushes them and all subtrees that contain one of them, so the work of a step is
 proportional to that sum, which would grow with the number of robots in a thin arm. Results on
 generated trees, loops, balls and chains are alike with 1 and with 3."""
+
+_TINY = 1e-9
 
 
 class Links(NamedTuple):
@@ -362,3 +431,130 @@ def _from_the_anchor(parent: Ints) -> Ints:
         number[subtree] = count
         waiting += grown[subtree]
     return number
+
+
+def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> Reals:
+    """Place each robot where its contacts with robots already placed meet, give or take one R.
+
+    Robots follow each other along the chains of contacts, from the first robot of each part on.
+    Unless the direction is measured in which a dock lies from the one it touches, the guess takes
+    robots to stand across from each other; otherwise thousands would begin in a heap. A robot
+    with ranges to robots already placed moves to where these meet best.
+
+    Returns:
+        Positions, other ones for each chain [R], shape (chains, N, 3).
+    """
+    robot = np.arange(log.robot_count)
+    draw = 3 * np.arange(chains)[:, None, None] + np.arange(3)
+    guess = normal(seed, "first guess", robot[:, None], draw)
+    across = _across(problem)
+    toward = np.concatenate([across, -across])
+    partner = np.concatenate([problem.other, problem.robot])
+    rows = _rows(np.concatenate([problem.robot, problem.other]), log.robot_count)
+    is_range = np.tile(~problem.rows.is_contact[problem.link] & ~problem.is_offset, 2)
+    length = np.tile(problem.length, 2)
+    place, is_measured = problem.sensed_place()
+    guess[:, 0] = log.anchor_position / log.dock_radius
+    is_placed = robot == 0
+    # Nearest first along the contacts: each robot then finds neighbors that are placed.
+    for i in np.argsort(problem.reach(), kind="stable").tolist():
+        if is_placed[i]:
+            continue
+        mine = rows[i][is_placed[partner[rows[i]]]]
+        met = guess[:, partner[mine]] - toward[mine] if len(mine) else guess[:, :1]
+        guess[:, i] += met.mean(axis=1)
+        ranged = mine[is_range[mine]]
+        for _ in range(ANNEALING.trilateration if len(ranged) else 0):
+            away = guess[:, i, None] - guess[:, partner[ranged]]
+            short = length[ranged] / np.maximum(np.linalg.norm(away, axis=2), _TINY)
+            guess[:, i] += ((short - 1.0)[:, :, None] * away).mean(axis=1)
+        guess[:, i, is_measured[i]] = place[i, is_measured[i]]
+        is_placed[i] = True
+    return guess
+
+
+def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
+    """Place robots anew that most of their contacts have lost: at the median of these contacts.
+
+    While the temperature is high others may move in front of a robot; its contacts are then too far
+    away to pull it back.
+
+    Args:
+        problem: Measurements of the structure.
+        position: Read and written [R], shape (chains, N, 3).
+        yaw: Yaw corrections [rad], shape (chains, N).
+
+    Returns:
+        How many robots moved.
+    """
+    gap = np.sqrt(problem.by_link(problem.residual(position, yaw) ** 2))
+    count = np.bincount(problem.robot, minlength=position.shape[1])
+    across = _across(problem)
+    is_measured = problem.sensed_place()[1]
+    rows = _rows(problem.robot, len(count))
+    moved = 0
+    sd = np.sqrt(problem.by_link(problem.variance))
+    far = np.maximum(ANNEALING.lost, ANNEALING.lost_sd * sd)
+    for here, missed in zip(position, gap > far, strict=True):
+        # A single lost contact may be wrong; the majority of them is not.
+        lost = np.bincount(problem.robot[missed], minlength=len(count)) > 0.5 * count
+        for i in np.flatnonzero(lost).tolist():
+            mine = rows[i]
+            # The median: one wrong contact does not take the robot away from all others.
+            met = np.median(here[problem.other[mine]] - across[mine], axis=0)
+            here[i] = np.where(is_measured[i], here[i], met)
+            moved += 1
+    return moved
+
+
+def place_disconnected(mean: Reals, problem: Problem) -> tuple[Reals, Reals]:
+    """Place each part that nothing ties to the anchor where its first robot may have joined.
+
+    That robot touched one that was there before, and robots join where the last ones did. The
+    annealer keeps such parts away from all others, and shapes them alone.
+
+    Args:
+        mean: Mean position of each chain [R], shape (chains, N, 3).
+        problem: Measurements of the structure.
+
+    Returns:
+        Positions with such parts placed [R], shape (chains, N, 3), and their mean square error, 0
+        for all other robots [R^2], shape (chains, N).
+    """
+    placed, square = mean.copy(), np.zeros(mean.shape[:2])
+    firsts = np.unique(problem.part, return_index=True)[1]
+    for first in np.sort(firsts[problem.untied[firsts]]).tolist():
+        window = slice(max(first - ANNEALING.join_window, 0), first)
+        earlier = placed[:, window]
+        weight = np.exp(np.arange(1 - earlier.shape[1], 1) / ANNEALING.join_memory)
+        weight /= weight.sum()
+        place = weight @ earlier
+        away = (earlier - place[:, None]) @ problem.loose[first]
+        part = problem.part == problem.part[first]
+        placed[:, part] += ((place - placed[:, first]) @ problem.loose[first])[:, None]
+        # The earlier ones may be of disconnected parts, too.
+        uncertain = ANNEALING.join_variance * (away**2).sum(axis=2) + square[:, window]
+        square[:, part] = (uncertain @ weight)[:, None]
+    return placed, square
+
+
+def set_apart(problem: Problem, position: Reals) -> Reals:
+    """Move parts that nothing ties to the world to where no other part can be, shape (N, 3)."""
+    first = np.unique(problem.part, return_index=True)[1][problem.part]
+    away = (problem.sensed_place()[0] - position)[first]
+    moved: Reals = position + (problem.loose @ away[:, :, None])[:, :, 0]
+    return moved
+
+
+def _rows(robot: Ints, robots: int) -> list[NDArray[np.intp]]:
+    """List for each robot where it stands in an array of robots."""
+    order = np.argsort(robot, kind="stable")
+    return np.split(order, np.searchsorted(robot[order], np.arange(1, robots)))
+
+
+def _across(problem: Problem) -> Reals:
+    """From the center of the other robot back to that of one across from it [R], shape (C, 3).
+
+    Of an offset it is measured.
+    """
+    return stand_across(problem.shift, is_contact=problem.is_final & ~problem.is_offset)

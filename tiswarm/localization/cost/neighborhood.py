@@ -6,7 +6,12 @@ earlier stances is in several of its rows at once; the covariance of two rows is
 the derivatives of the rows by its center and N a matrix that no position changes.
 
 The cost is that of `Cost`: rows in their covariance, turns of final orientations as unknowns, and
-overlaps of docks that do not touch. Lengths in R.
+overlaps of docks that do not touch.
+
+`candidates` finds where a robot that joins may be: minima of its own rows, all other robots as they
+are. Two distances leave a circle and three leave two mirror images, so that rows of one robot often
+fit at several places. Steps begin at points all over the sphere of its sharpest distance. Turns of
+the robot's final orientation are noise here, which is in several of its rows. Lengths in R.
 """
 
 from dataclasses import dataclass
@@ -29,9 +34,10 @@ from tiswarm.localization.cost.kernels import (
     RowValue,
     Scratch,
     Table,
+    descend,
     sum_equations,
 )
-from tiswarm.localization.cost.settings import NEIGHBORS
+from tiswarm.localization.cost.settings import CANDIDATES, EXTENSION, NEIGHBORS
 from tiswarm.measurements.model import SPACING, Measurements
 
 _AXES = 3
@@ -40,6 +46,7 @@ _PARTS = 6
 
 _LAPACK: Any = scipy.linalg.lapack
 """Its functions have no types, and cost less to call than those above them."""
+_GOLDEN = np.pi * (1.0 + 5.0**0.5)
 
 
 class Configuration(NamedTuple):
@@ -442,3 +449,82 @@ class NearCost:
     def missed(self, linear: NearLinear, robot: int) -> tuple[float, float]:
         """Chi-square of the rows of a robot, and its greatest overlap in standard deviations."""
         return float(linear.square[self.number[robot]]), float(linear.overlap[self._column[robot]])
+
+
+def candidates(
+    block: Block, state: Configuration, shapes: Shapes, *, non_overlap: bool
+) -> tuple[Reals, Reals]:
+    """Find the places of the robot of a block, the most likely one first.
+
+    Args:
+        block: Its rows, at least one of them about another robot.
+        state: Where all others are.
+        shapes: All robots.
+        non_overlap: Whether docks that do not touch must not overlap.
+
+    Returns:
+        Centers [R], shape (k, 3), and their costs less what extension gains [1], shape (k,).
+    """
+    robots = robots_at(state, shapes)
+    # Its own turn is noise of its rows.
+    robots.state[block.members[-1], RobotState.TURN : RobotState.TURN_SD] = 0.0
+    table = table_of([block])._replace(noise=block.with_final_noise().ravel())
+    place = _starts(block, state)
+    cost, count = np.empty(len(place)), np.empty(1, np.int32)
+    descend(
+        int(non_overlap), shapes.reach, *table, *robots, *scratch_for([block]),
+        np.empty((_AXES + 1, _AXES + 1)), place, cost, count,
+    )  # fmt: skip
+    ends, square = place[: count[0]], cost[: count[0]]
+    return _distinct(ends, square - extension(block, state, ends))
+
+
+def extension(block: Block, state: Configuration, place: Reals) -> Reals:
+    """Compute what a robot at some places (n, 3) gains by its extension [1], shape (n,)."""
+    touched = state.position[block.partners]
+    apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
+    gain: Reals = 2.0 * EXTENSION * apart
+    return gain
+
+
+def _sphere(count: int) -> Reals:
+    """Spread points evenly over the unit sphere, along a golden spiral, shape (count, 3)."""
+    number = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * number / count, _GOLDEN * number
+    level = np.sqrt(1.0 - z**2)
+    return np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
+
+
+SPHERE = _sphere(CANDIDATES.starts)
+"""Where steps begin, on the unit sphere, shape (starts, 3)."""
+
+
+def _starts(block: Block, state: Configuration) -> Reals:
+    """Spread starts over the sphere that the sharpest distance leaves, shape (starts, 3).
+
+    Where only vectors are measured, the sphere is that of the sharpest of them.
+    """
+    pairs = len(block.rows.other)
+    sharpest = int(block.real[:pairs, RowValue.VARIANCE].argmin())
+    row = block.real[sharpest]
+    at = state.position[block.members[block.rows.other[sharpest]]]
+    center = at + row[RowValue.OTHER_ARM : RowValue.VALUE] - row[RowValue.ARM : RowValue.TAIL]
+    # A vector has the distance, too: that of two docks in contact.
+    radius = row[RowValue.VALUE] if block.number[sharpest, RowLabel.KIND] < OFFSET else SPACING
+    start: Reals = center + radius * SPHERE
+    return start
+
+
+def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
+    """Keep the best of ends that are close, as far as their costs let them be candidates."""
+    kept: list[int] = []
+    for n in np.argsort(cost, kind="stable").tolist():
+        # Ends come by ascending cost: all others are worse.
+        if kept and cost[n] > cost[kept[0]] + CANDIDATES.worst:
+            break
+        apart = np.linalg.norm(place[kept] - place[n], axis=1)
+        if (apart > CANDIDATES.distinct).all():
+            kept.append(n)
+        if len(kept) == CANDIDATES.most:
+            break
+    return place[kept], cost[kept]

@@ -12,7 +12,7 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
-from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost.cost import Cost, weights
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.frames import HELD, Frame, align, free_frame

@@ -17,9 +17,8 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.annealer import Annealed
-from tiswarm.localization.chains.initialization import place_disconnected
 from tiswarm.localization.chains.problem import Problem
-from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION

@@ -16,8 +16,7 @@ from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to impor
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.chains.annealer import Annealed, anneal
-from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.settings import DISREGARDED_SD
+from tiswarm.localization.chains.problem import DISREGARDED_SD, pose_problem
 from tiswarm.localization.cost.cost import State
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.cost.settings import ROBUST_SD

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from tiswarm.localization.chains.annealer import Annealed, anneal
-from tiswarm.localization.chains.settings import ANNEALING
+from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots

@@ -1,6 +1,6 @@
 """Constants of estimates and verdicts, each with its unit and its reason. Lengths in R.
 
-A class says where its values are from, as in `tiswarm.localization.chains.settings`.
+A class says where its values are from, as in `tiswarm.localization.chains.views`.
 """
 
 from dataclasses import dataclass

@@ -6,9 +6,15 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.chains.annealer import Annealer
-from tiswarm.localization.chains.problem import fewest_contacts
-from tiswarm.localization.chains.settings import ANNEALING
-from tiswarm.localization.chains.views import ChainView, Links, cooled, find_subtrees, plane_rows
+from tiswarm.localization.chains.problem import Planes, fewest_contacts
+from tiswarm.localization.chains.views import (
+    ANNEALING,
+    ChainView,
+    Links,
+    cooled,
+    find_subtrees,
+    plane_rows,
+)
 from tiswarm.localization.cost.cost import weights
 from tiswarm.localization.cost.kernels import (
     COORDINATE,
@@ -19,7 +25,6 @@ from tiswarm.localization.cost.kernels import (
     Table,
 )
 from tiswarm.localization.cost.neighborhood import Block, Configuration, NearCost
-from tiswarm.localization.cost.planes import Planes
 from tiswarm.localization.cost.settings import EXTENSION, ROBUST_SD
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.parts.between.settings import DistributedParams

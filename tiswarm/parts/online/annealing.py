@@ -6,8 +6,8 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.annealer import anneal
-from tiswarm.localization.chains.initialization import place_disconnected, set_apart
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.views import place_disconnected, set_apart
 from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD

@@ -12,7 +12,6 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import chosen_rows
-from tiswarm.localization.cost.candidates import candidates, extension
 from tiswarm.localization.cost.cost import weights
 from tiswarm.localization.cost.neighborhood import (
     Block,
@@ -21,6 +20,8 @@ from tiswarm.localization.cost.neighborhood import (
     NearLinear,
     Shapes,
     block_of,
+    candidates,
+    extension,
 )
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS, ROBUST_SD
 from tiswarm.localization.methods import centered

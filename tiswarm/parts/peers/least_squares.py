@@ -13,8 +13,8 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.progress import ignore
 from tiswarm.compute.math import normal
 from tiswarm.localization.chains.annealer import Annealed
-from tiswarm.localization.chains.initialization import set_apart
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.views import set_apart
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts, settled
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.settings import DOCKS_UNKNOWN
