@@ -47,10 +47,11 @@ METHODS = {
     "virtual-force": ("localization.virtual_force", "localization.together"),
     "online": PARTS["online"],
     "distributed": PARTS["between"],
-    "hop-by-hop": ("localization.hop_by_hop", "parts.peers.hop_by_hop"),
-    "least-squares": ("localization.least_squares", "parts.peers.least_squares"),
+    "hop-by-hop": ("localization.hop_by_hop",),
+    "least-squares": ("localization.least_squares",),
+    "peers": ("parts.peers",),
 }
-"""By method, the modules that only it is made of."""
+"""By method, the modules that only it is made of; methods of one part are one."""
 
 ROOTS = {
     "joint": ("localization.joint", "localization.joint.method"),

@@ -83,6 +83,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
             "localization/mixture/ends.py",
             {"joint", "least-squares", "online", "all"},
         ),
+        ("localization/joint.py", {"joint", "online", "all"}),
         ("parts/peers/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
         ("localization/virtual_force/together.py", {"virtual-force", "distributed", "all"}),
         ("parts/online/layers.py", {"online", "distributed", "all"}),

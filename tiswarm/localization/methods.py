@@ -102,9 +102,14 @@ else:
 
 
 def modules(name: str) -> set[str]:
-    """List the modules with the settings and the code of a method; none if it is not here."""
+    """List the modules with the settings and the code of a method; none if it is not here.
+
+    The code of a method that it calls is its code, too.
+    """
     try:
-        return {PARTS["method"][name].partition(":")[0], settings_of(name).module}
+        params = settings_of(name)
+        used = [each.module for each in (params, params.calls) if each]
+        return {PARTS["method"][name].partition(":")[0], *used}
     except EnvironmentTroubleError:
         return set()
 

@@ -31,6 +31,9 @@ class MethodParams:
     module: ClassVar[str]
     """Module of the method, see `tiswarm.localization.methods`."""
 
+    calls: ClassVar["type[MethodParams] | None"] = None
+    """Settings of another method that this one calls, by the door to all of them."""
+
     method: str
     """Name of the method."""
 

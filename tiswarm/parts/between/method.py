@@ -21,8 +21,8 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
+from tiswarm.localization import methods
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
-from tiswarm.localization.virtual_force import method as virtual_force
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.parts.between.channel import HEADER, Channel, Message
 from tiswarm.parts.between.conclusion import Found, estimate_of
@@ -152,7 +152,7 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
         judge for themselves.
     """
     settings = params.published
-    [found] = virtual_force.localize_batch([log], [settings])
+    [found] = methods.localize_batch([log], [settings])
     robots = log.robot_count
     channel = Channel(params, robots, lambda _, message: message)
     touching: list[set[int]] = [set() for _ in range(robots)]

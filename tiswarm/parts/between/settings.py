@@ -39,6 +39,7 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     """
 
     module: ClassVar = "tiswarm.parts.between.method"
+    calls: ClassVar = VirtualForceParams
 
     method: Literal["distributed"] = "distributed"
     """Name of the method."""

@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
+from tiswarm.localization import methods
 from tiswarm.localization.chains.annealer import anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected, set_apart
@@ -14,7 +15,6 @@ from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
-from tiswarm.localization.mixture.search import searched
 from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.settings import ChiSquareParams, JointParams
 from tiswarm.parts.online.settings import TIMES, OnlineParams
@@ -113,7 +113,7 @@ def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
     """Localize as `joint` does, whose chains know nothing of the present estimate."""
     names = [field.name for field in fields(ChiSquareParams)]
     cold = JointParams(**{name: getattr(params, name) for name in names})
-    return searched(Posed(log, cold, pose_problem(log, cold)))
+    return methods.localize_batch([log], [cold])[0]
 
 
 def _fitted(log: SensingLog, params: OnlineParams, state: Configuration) -> Fit:

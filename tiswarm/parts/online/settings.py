@@ -11,7 +11,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from tiswarm.base.params import STRICT
-from tiswarm.localization.settings import ChiSquareParams, DocksNamed
+from tiswarm.localization.settings import ChiSquareParams, DocksNamed, JointParams
 
 _JOIN_S = 0.07
 """Processor time of a join [s]."""
@@ -22,6 +22,7 @@ class OnlineParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     """What a tracker does at a join, beside solving for the robots near the one that joined."""
 
     module: ClassVar = "tiswarm.parts.online.method"
+    calls: ClassVar = JointParams
 
     method: Literal["online"] = "online"
     """Name of the method."""
