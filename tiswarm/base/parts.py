@@ -94,6 +94,13 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "mocap": "tiswarm.parts.formats.imports:read_mocap_export",
         "table": "tiswarm.parts.formats.imports:read_table_file",
     },
+    "question": {
+        "least-error": "tiswarm.report.answers:mean_errors",
+        "reached": "tiswarm.parts.questions:reached",
+        "traffic": "tiswarm.parts.questions:traffic",
+        "cues": "tiswarm.parts.questions:cues",
+        "scaling": "tiswarm.parts.questions:scaling",
+    },
     "class": {"Tracker": "tiswarm.parts.online.tracker:Tracker"},
     "log_format": {"mcap": "tiswarm.parts.formats.mcap:sensing_lines"},
     "command": {
@@ -120,6 +127,7 @@ export_format: a function of a view, which returns bytes by name of file.
 import_format: a function of a file and assumptions, which returns a table of poses, or None if the
     file has another format.
 log_format: a function of a file, which yields numbered lines of a log.
+question: a function of `report.answers.Results`, which returns a sentence.
 class: a class at the top of `tiswarm`.
 command: what a command or setting asks of an optional part.
 """

@@ -7,7 +7,7 @@ import json
 import re
 from dataclasses import field
 from hashlib import sha256
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import (
@@ -23,6 +23,7 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
+from tiswarm.base.parts import names
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
@@ -38,11 +39,13 @@ from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams, anchor_fault
 
-AnyQuestion = Literal["least-error", "reached", "traffic", "cues", "scaling"]
-"""Names of questions; `tiswarm.report.answers` has a function for each that answers it."""
+if TYPE_CHECKING:
+    _AnyQuestion = str
+else:
+    _AnyQuestion = Literal[names("question")]
 
 Question = Annotated[
-    AnyQuestion,
+    _AnyQuestion,
     Field(
         description="What the last line of `run` and the first line of the page answer. "
         "`least-error`: mean RMSE of conditions with equal measurements. `reached`: heights, "
