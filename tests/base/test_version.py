@@ -85,7 +85,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
         ),
         ("localization/joint.py", {"joint", "online", "all"}),
         ("parts/peers/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
-        ("localization/virtual_force/together.py", {"virtual-force", "distributed", "all"}),
+        ("localization/virtual_force/method.py", {"virtual-force", "distributed", "all"}),
         ("parts/online/layers.py", {"online", "distributed", "all"}),
         ("parts/between/wire.py", {"distributed", "all"}),
         trial("parts/suites/senses.py", {*METHODS, "all"}),

@@ -114,7 +114,6 @@ def test_company_does_not_change_a_byte(towers, monkeypatch):
     params = dataclasses.replace(SHORT, together=Together(steps=200))
     shares: list[float] = []
     for size in (2_000, 20):
-        monkeypatch.setattr("tiswarm.localization.virtual_force.together.SMALL", size)
         monkeypatch.setattr("tiswarm.engine.relax.SMALL", size)
 
         batch = localize_many(logs, [params] * len(logs), on_progress=shares.append)

@@ -260,7 +260,7 @@ def test_docks_that_rounding_moves_across_a_face_are_found_again():
 
 def test_a_launch_that_does_nothing_is_noticed(log, monkeypatch):
     """Some drivers return without having run the kernel; that is no estimate."""
-    monkeypatch.setattr(method, "localize_in_join_order", lambda *_arrays: None)
+    monkeypatch.setattr(method.kernels, "localize_in_join_order", lambda *_arrays: None)
 
     with pytest.raises(EnvironmentTroubleError, match="use --arch cpu"):
         localize(log, SHORT)

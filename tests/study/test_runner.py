@@ -71,7 +71,7 @@ def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "KEPT_FROM_S", 0.0)
 
     with monkeypatch.context() as patched:
-        patched.setattr(method, "localize_in_join_order", _interrupt)
+        patched.setattr(method.kernels, "localize_in_join_order", _interrupt)
         with pytest.raises(KeyboardInterrupt):
             study.run(small, tmp_path / "stopped", progress=progress)
     monkeypatch.setattr(runner, "grow", _grow_samples_only)

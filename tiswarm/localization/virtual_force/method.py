@@ -9,12 +9,20 @@ known to be. The paper says only that
 back-propagation would revisit recent robots every ten joins. Its virtual torque gained nothing in
 our trials, see `docs/accuracy.md`.
 
-`localize_batch` places the robots of whole logs, `Localizer` each robot as it joins. Under the
-schedule `together` all robots step at once; the module `together` does that.
+`localize_batch` places the robots of whole logs, `Localizer` each robot as it joins.
+
+Under the schedule `together` all robots step at once, see `tiswarm.engine.relax`. Every robot
+starts where the chains of contacts with the fewest links lead from the anchor. Contacts attract,
+all other docks repel where they overlap, heights pull. Inertia carries robots over obstacles and
+spreads what one contact says to robots many contacts away. Repulsion acts first and ends at 0. The
+anchor is fixed. Robots step on the device that a user chooses. On a processor in f64, structures
+that one thread steps through by itself share a batch. All others step one after the other, each by
+all threads of the device.
 """
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,40 +35,29 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.localization.mixture.verdict import assess
 from tiswarm.localization.settings import BackPropagation, MethodParams, VirtualForceParams
-from tiswarm.localization.virtual_force.kernels import (
-    ALL_DOCKS,
-    DOCKS_OF_NEIGHBORS,
-    NO_DOCKS,
-    LogArrays,
-    PlacedRobots,
-    Trace,
-    VirtualForceGains,
-    localize_in_join_order,
-)
-from tiswarm.measurements.contacts import disconnected
+from tiswarm.localization.virtual_force import kernels
+from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach, stand_across
 from tiswarm.measurements.cues import in_plane, measure
+from tiswarm.measurements.model import SPACING
+from tiswarm.records import sensing_format
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import SensedStance, SensingLogBuilder
-from tiswarm.records.sensing_format import (
-    HeaderLine,
-    Line,
-    RobotLine,
-    parse_header,
-    parse_robot,
-)
 from tiswarm.records.sensing_log import LISTS, NUMBERS, SensingLog, moved
 
-_WORLD_UP = np.array([[0.0, 0.0, 1.0]])
 _NO_SWEEPS = BackPropagation(sweeps=0)
+
+_FRAMES = 30
+"""Frames of the trace after the first; rows of neighbors are made anew at each."""
+
+_TINY = 1e-9
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
     """Name what logs must share to be localized in one launch."""
     if params.schedule == "together":
-        from tiswarm.localization.virtual_force import together  # noqa: PLC0415 - slow to import
-
-        return together.batch_key(log, params)
+        return _swarm_key(log, params)
     rounds = params.back_propagation or _NO_SWEEPS
     schedule = (params.iterations, params.trace_every, rounds.every, rounds.sweeps, rounds.recent)
     return (len(log.dock_offset_body), *schedule)
@@ -80,9 +77,7 @@ def localize_batch(
     if params[0].schedule == "together":
         heights = [_heights(log, p) for log, p in zip(logs, params, strict=True)]
         in_plane_only = [_planar(log) for log in logs]
-        from tiswarm.localization.virtual_force import together  # noqa: PLC0415 - slow to import
-
-        return together.localize_batch(logs, params[0], heights, in_plane_only, on_progress)
+        return _localize_together(logs, params[0], heights, in_plane_only, on_progress)
     iterations, every = params[0].iterations, params[0].trace_every
     rounds = params[0].back_propagation or _NO_SWEEPS
     swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []
@@ -95,13 +90,15 @@ def localize_batch(
     gone = np.concatenate([log.is_gone for log in logs]).astype(np.int32)
     known = np.concatenate([log.known_position / log.dock_radius for log in logs])
     anchors = np.isfinite(known[:, 0]).astype(np.int32)
-    measured = LogArrays(*_contacts_by_robot(logs), direction, height, planar, gone, anchors)
+    measured = kernels.LogArrays(
+        *_contacts_by_robot(logs), direction, height, planar, gone, anchors
+    )
     # Anchors are known; all others are NaN until the kernel places them.
-    placed = PlacedRobots(np.concatenate([_offsets(log) for log in logs]), known)
-    trace = Trace.allocate(len(frames), len(placed.position), np.float64)
+    placed = kernels.PlacedRobots(np.concatenate([_offsets(log) for log in logs]), known)
+    trace = kernels.Trace.allocate(len(frames), len(placed.position), np.float64)
     recent = rounds.recent or len(placed.position)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
-    localize_in_join_order(
+    kernels.localize_in_join_order(
         iterations, rounds.every, rounds.sweeps, recent, every,
         np.array(list(map(_gains, params))), start,
         np.zeros(len(logs), np.int32), *measured, *CellList.allocate(len(logs), docks), *placed,
@@ -160,7 +157,7 @@ class Localizer:
 
     def __init__(
         self,
-        header: Line | HeaderLine,
+        header: sensing_format.Line | sensing_format.HeaderLine,
         params: MethodParams | None = None,
         *,
         capacity: int = 10_000,
@@ -188,7 +185,7 @@ class Localizer:
             raise InputError(
                 "back_propagation moves robots that have been placed; switch it off to join"
             )
-        head = parse_header(header)
+        head = sensing_format.parse_header(header)
         self._params = chosen
         self._unit = head.dock_radius
         self._builder = SensingLogBuilder(head)
@@ -202,7 +199,9 @@ class Localizer:
         self._height = np.full(capacity, np.nan)
         self._is_planar = np.zeros(capacity, np.int32)
         self._is_anchor = np.zeros(capacity, np.int32)
-        self._robots = PlacedRobots(np.zeros((capacity, docks, 3)), np.full((capacity, 3), np.nan))
+        self._robots = kernels.PlacedRobots(
+            np.zeros((capacity, docks, 3)), np.full((capacity, 3), np.nan)
+        )
         self._anchor = np.array(head.anchor_position)
 
     @property
@@ -216,7 +215,7 @@ class Localizer:
         center: Reals = self._robots.position[: self._count] * self._unit + self._anchor
         return center
 
-    def join(self, robot: Line | RobotLine) -> Reals:
+    def join(self, robot: sensing_format.Line | sensing_format.RobotLine) -> Reals:
         """Place the next robot; the first one is the anchor.
 
         Args:
@@ -232,7 +231,7 @@ class Localizer:
             raise InputError(
                 f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
             )
-        line = parse_robot(robot)
+        line = sensing_format.parse_robot(robot)
         if line.orientation_wxyz is None:
             problem = "null follows from the lines of later robots, too; localize the whole log"
             raise InputError(problem, key="orientation_wxyz")
@@ -250,7 +249,7 @@ class Localizer:
         placed: Reals = self.positions[n]
         return placed
 
-    def _alone(self, line: RobotLine, stance: SensedStance) -> SensingLog:
+    def _alone(self, line: sensing_format.RobotLine, stance: SensedStance) -> SensingLog:
         """Make a log of one robot, without contacts, relative to the anchor."""
         sensed: dict[str, Any] = {
             name: key.rows([(0, *item) for item in stance.lists[name]])
@@ -276,14 +275,14 @@ class Localizer:
         """Launch Algorithm 1 for the last robot alone."""
         count, every = self._count, self._params.iterations
         self._contact_start[count : count + 2] = 0, len(contact)
-        measured = LogArrays(
+        measured = kernels.LogArrays(
             self._contact_start, contact, self._direction, self._height, self._is_planar,
             np.zeros_like(self._is_planar), self._is_anchor,
         )  # fmt: skip
         capacity = len(self._height)
-        trace = Trace.allocate(2, capacity, np.float64)
+        trace = kernels.Trace.allocate(2, capacity, np.float64)
         backend.processor()
-        localize_in_join_order(
+        kernels.localize_in_join_order(
             every, 1, 0, capacity, every, np.array([_gains(self._params)]),
             np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,
             *self._cells, *self._robots, *trace,
@@ -297,10 +296,10 @@ def _offsets(log: SensingLog) -> Reals:
     return dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
 
 
-def _gains(params: VirtualForceParams) -> VirtualForceGains:
+def _gains(params: VirtualForceParams) -> kernels.VirtualForceGains:
     rounds = params.back_propagation or _NO_SWEEPS
-    undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
-    return VirtualForceGains(
+    undocked = kernels.DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else kernels.NO_DOCKS
+    return kernels.VirtualForceGains(
         attraction_gain=params.attraction_gain,
         repulsion_gain=params.repulsion_gain,
         height_gain=params.height_gain,
@@ -309,7 +308,7 @@ def _gains(params: VirtualForceParams) -> VirtualForceGains:
         sweep_gain=rounds.gain,
         sweep_repulsion=rounds.repulsion_share,
         spacing=2.0,
-        undocked=float(ALL_DOCKS if params.undocked_repulsion else undocked),
+        undocked=float(kernels.ALL_DOCKS if params.undocked_repulsion else undocked),
         height_last=float(params.height_order == "after-docks"),
         stop_error=params.stop_error,
     )
@@ -335,8 +334,8 @@ def _planar(log: SensingLog) -> Bools:
 def _directions(orientation_wxyz: Reals, params: VirtualForceParams) -> Reals:
     """Direction of each robot's initial offset, shape (N, 3)."""
     if params.initial_offset_axis == "world":
-        return np.tile(_WORLD_UP, (len(orientation_wxyz), 1))
-    return dock_offsets(orientation_wxyz, _WORLD_UP)[:, 0]
+        return np.tile(_UP, (len(orientation_wxyz), 1))
+    return dock_offsets(orientation_wxyz, _UP[None])[:, 0]
 
 
 def _contacts_by_robot(logs: Sequence[SensingLog]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -348,3 +347,172 @@ def _contacts_by_robot(logs: Sequence[SensingLog]) -> tuple[NDArray[np.int32], N
     count = [np.bincount(rows[:, 0], minlength=log.robot_count) for log, rows in both]
     start = np.cumsum(np.concatenate([[0], *count])).astype(np.int32)
     return start, np.ascontiguousarray(np.concatenate(seen)[:, 1:], np.int32)
+
+
+class _Body(NamedTuple):
+    """Docks of a robot, in R."""
+
+    dock_offset_body: Reals
+    spacing: float = SPACING
+
+
+def _swarm_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
+    """Name what logs must share to step in one swarm: gains, docks, and that one thread does it."""
+    from tiswarm.engine import relax  # noqa: PLC0415 - slow to import
+
+    docks = log.dock_offset_body / log.dock_radius
+    alone = None if log.robot_count <= relax.SMALL else log.robot_count
+    return (params, docks.shape, docks.tobytes(), alone)
+
+
+def _localize_together(
+    logs: Sequence[SensingLog],
+    params: VirtualForceParams,
+    heights: Sequence[Reals],
+    planar: Sequence[Bools],
+    on_progress: Callable[[float], None] = ignore,
+) -> list[Estimate]:
+    """Localize structures of the same `_swarm_key`.
+
+    Args:
+        logs: What each swarm sensed.
+        params: Settings of all.
+        heights: Heights of centers [R], NaN where unknown, shape (N,) for each log.
+        planar: Whether robots stay at the anchor's y, shape (N,) for each log.
+        on_progress: Called with the share of the work that is done.
+
+    Returns:
+        One estimate a log. The residual is the root mean square step of the robots.
+    """
+    from tiswarm.engine import relax  # noqa: PLC0415 - slow to import
+
+    running = backend.device()
+    # In f32 the unit of places, and on a card the age of rows, would depend on the company.
+    is_shared = not running.on_card and running.precision == "f64"
+    share = 1 if is_shared and logs[0].robot_count <= relax.SMALL else len(logs)
+    estimates: list[Estimate] = []
+    for group in np.array_split(np.arange(len(logs)), share):
+        done = len(estimates)
+
+        def report(part: float, done: int = done, size: int = len(group)) -> None:
+            on_progress((done + part * size) / len(logs))
+
+        estimates += _stepped(
+            [logs[n] for n in group], params, [heights[n] for n in group],
+            [planar[n] for n in group], report,
+        )  # fmt: skip
+    return estimates
+
+
+def _stepped(
+    logs: Sequence[SensingLog],
+    params: VirtualForceParams,
+    heights: Sequence[Reals],
+    planar: Sequence[Bools],
+    on_progress: Callable[[float], None],
+) -> list[Estimate]:
+    """Localize structures in one swarm."""
+    from tiswarm.engine.relax import PreparedSwarm  # noqa: PLC0415 - slow to import
+
+    chosen = params.together
+    start = np.cumsum([0, *(log.robot_count for log in logs)])
+    first = np.concatenate([_chained(log, flat) for log, flat in zip(logs, planar, strict=True)])
+    # A robot of many contacts is pulled by all of them: shorter steps keep it from overshooting.
+    mobility = chosen.gain / np.maximum(np.concatenate([contact_count(log) for log in logs]), 1)
+    along = np.repeat(mobility[:, None], 3, axis=1)
+    is_anchor = np.concatenate([np.isfinite(log.known_position[:, 0]) for log in logs])
+    # Anchors stay, and planar robots keep the anchor's y.
+    along[is_anchor] = 0.0
+    along[np.concatenate(planar), 1] = 0.0
+    swarm = PreparedSwarm(
+        first,
+        np.concatenate([log.orientation_wxyz for log in logs]),
+        np.concatenate([log.contacts + base * np.array([1, 0, 1, 0])
+                        for log, base in zip(logs, start[:-1], strict=True)]),
+        robot=_Body(logs[0].dock_offset_body / logs[0].dock_radius),
+        height=np.concatenate(heights),
+        mobility=along,
+        structure=np.repeat(np.arange(len(logs)), np.diff(start)),
+        running=backend.device(),
+    )  # fmt: skip
+    every = -(-chosen.steps // _FRAMES)
+    frames = np.array([*range(0, chosen.steps, every), chosen.steps])
+    ramp: Reals = np.linspace(1.0 - chosen.repulsion_share, 1.0, chosen.steps, dtype=np.float64)
+    trace, moved = [first], [np.zeros(len(first))]
+    for before, after in pairwise(frames.tolist()):
+        now = swarm.relax(
+            attraction_gain=params.attraction_gain,
+            parting_gain=params.attraction_gain,
+            repulsion_gain=params.repulsion_gain if params.undocked_repulsion else 0.0,
+            height_gain=params.height_gain,
+            max_step=params.max_step,
+            momentum=chosen.momentum,
+            ramp=ramp[before:after],
+            steps=after - before,
+            resume=before > 0,
+        )
+        trace.append(now.position)
+        moved.append(np.linalg.norm(swarm.state.last_step, axis=1))
+        on_progress(after / chosen.steps)
+    estimates = []
+    for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True):
+        untied = disconnected(measure(log, ["contacts", "anchors"]))
+        found = assess(log, params.cues, trace[-1][a:b], is_guess=untied)
+        moves = np.array([np.sqrt(np.mean(step[a:b] ** 2)) for step in moved])
+        estimates.append(
+            Estimate(
+                robot_id=log.robot_id,
+                position=trace[-1][a:b] * log.dock_radius,
+                disconnected=untied,
+                **found._asdict(),
+                iteration=frames,
+                trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
+                residual=moves * log.dock_radius,
+                steps=np.where(is_anchor[a:b], 0, chosen.steps),
+            )
+        )
+    return estimates
+
+
+def _chained(log: SensingLog, is_planar: Bools) -> Reals:
+    """Place each robot across from those in contact that are one contact nearer to an anchor.
+
+    Such robots stand on a line with the docks that touch, but at the anchor's y if planar; a robot
+    that touches several starts at the mean of where they say. A part without an anchor starts
+    above the robot that joined before the part's first one.
+
+    Returns:
+        Centers [R], shape (N, 3).
+    """
+    arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
+    part = parts(measure(log, ["contacts"]))
+    contact = np.concatenate([log.contacts, log.contacts[:, [2, 3, 0, 1]]])
+    position = log.known_position / log.dock_radius
+    is_anchor = np.isfinite(position[:, 0])
+    position[~is_anchor] = position[0]
+    untied = np.flatnonzero(~np.isin(part, part[is_anchor]))
+    firsts = untied[np.unique(part[untied], return_index=True)[1]]
+    start = np.concatenate([np.flatnonzero(is_anchor), firsts])
+    pair = log.contacts[:, [0, 2]].astype(np.int64)
+    hop = reach(pair, np.ones(len(pair)), part, start)
+    # Only contacts that lead away from anchors: each robot follows those nearer to one.
+    contact = contact[hop[contact[:, 2]] > hop[contact[:, 0]]]
+    nearer, dock, robot, own = contact[np.lexsort((contact[:, 2], hop[contact[:, 2]]))].T
+    shift = arm[nearer, dock] - arm[robot, own]
+    across = stand_across(shift)
+    # Docks in one place would have no direction to part in.
+    across[np.linalg.norm(shift, axis=1) < _TINY] = SPACING * _UP
+    levels = np.flatnonzero(np.diff(hop[robot], prepend=0.0, append=np.inf))
+    for begin, end in pairwise(levels.tolist()):
+        met = position[nearer[begin:end]] + across[begin:end]
+        each = np.flatnonzero(np.diff(robot[begin:end], prepend=-1))
+        count = np.diff(each, append=end - begin)
+        position[robot[begin + each]] = np.add.reduceat(met, each) / count[:, None]
+    by_part = untied[np.argsort(part[untied], kind="stable")]
+    members = np.split(by_part, np.flatnonzero(np.diff(part[by_part])) + 1) if untied.size else []
+    # In join order: the robot that a part starts above may be of another such part.
+    for robots in sorted(members, key=lambda robots: int(robots[0])):
+        place = position[robots[0] - 1] + SPACING * _UP
+        position[robots] += place - position[robots[0]]
+    position[is_planar, 1] = position[0, 1]
+    return position

@@ -19,11 +19,11 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
-from tiswarm.measurements.expected_error import Images, Posterior
 from tiswarm.measurements.model import SPACING, Coordinates, Distances, Measurements
 from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
 from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
 from tiswarm.measurements.verdicts import IMAGES_APART, named
+from tiswarm.parts.advice.expected_error import Images, Posterior
 from tiswarm.records.estimate import Estimate, Solution
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
