@@ -342,16 +342,12 @@ def compare(
         InputError: there are fewer than two different runs, one has no results, or an output would
             replace another file.
     """
-    from tiswarm import study  # noqa: PLC0415 - slow to import
-    from tiswarm.base.progress import Progress  # noqa: PLC0415
-    from tiswarm.report.table_figures import draw_comparison  # noqa: PLC0415 - slow to import
-
+    comparison = find("command", "compare")
     folder = as_path(out, "out")
     folders = [run.folder if isinstance(run, Run) else as_path(run, "runs") for run in runs]
-    files = [folder / name for name in study.COMPARISON]
+    files = [folder / name for name in comparison.FILES]
     outputs.check({"out": files}, [each / "cases" for each in folders], overwrite=overwrite)
-    study.compare(folders, folder, overwrite=overwrite)
-    draw_comparison(folder, Progress(), overwrite=overwrite)
+    comparison.compare(folders, folder, overwrite=overwrite)
     return Comparison(folder)
 
 

@@ -323,23 +323,6 @@ def test_rounds_of_back_propagation_are_drawn_against_their_cost(tmp_path):
     assert legend == ["all", "last 20"]
 
 
-def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
-    """Only an unknown value of the sweep is left out; a condition may be called `nan`."""
-    drawn = []
-    monkeypatch.setattr(
-        table_figures.figure_style, "png", lambda figure: drawn.append(figure) or b""
-    )
-    header = "run,condition,yaw,cases,rmse_R_mean,rmse_R_ci95"
-    header += ",procrustes_disparity_mean,procrustes_disparity_ci95"
-    rows = [["a", "nan", 5, 2, 1, 0.1, 0.1, 0.1], ["b", "none", "", 2, 1, 0.1, 0.1, 0.1]]
-    write_table(tmp_path / "comparison.csv", header, rows)
-
-    table_figures.draw_comparison(tmp_path, Progress())
-
-    labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
-    assert labels == ["5.0, nan", "none"]
-
-
 def test_a_folder_without_a_run_is_refused(tmp_path):
     """The message names the folder."""
     with pytest.raises(InputError, match="name a folder that"):

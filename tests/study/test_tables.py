@@ -9,12 +9,13 @@ import pytest
 
 from tests.runs import REPOSITORY
 from tiswarm import study
+from tiswarm.parts.comparison import compare
 from tiswarm.records.frames import write_frame
 from tiswarm.records.measures import MEASURES
 from tiswarm.report.answers import headline
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import compare, tables
+from tiswarm.study import tables
 from tiswarm.study.runner import failure
 
 TOWER, CANTILEVER = [1.64, 1.84, 2.36], [3.91, 5.26, 5.12]
@@ -140,10 +141,10 @@ def test_tables_have_verdicts_and_their_reason():
 def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
     """The headline and the comparison of runs have the names as in `table.csv`."""
     header = "condition,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,converged_mean"
-    header += ",rmse_R_least,rmse_R_most"
+    header += ",rmse_R_least,rmse_R_most,procrustes_disparity_ci95"
     for run in ("a", "b"):
         (tmp_path / run).mkdir()
-        (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,,2,2\n")
+        (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,,2,2,\n")
 
     (line,) = headline(tmp_path / "a").splitlines()
     compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")

@@ -106,6 +106,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "command": {
         "advise": "tiswarm.parts.advice.further:tabulate",
         "animate": "tiswarm.parts.pictures.animation",
+        "compare": "tiswarm.parts.comparison",
         "explain": "tiswarm.parts.advice.explanation",
         "import": "tiswarm.parts.formats.imports:convert",
         "navigate": "tiswarm.parts.navigation:believe_by",

@@ -1,19 +1,15 @@
-"""Draws the figures of `table.csv` and `summary.csv`, and the comparison of runs.
+"""Draws the figures of `table.csv` and `summary.csv`.
 
 They have a row or a marker for each condition: accuracy, shapes, grades and what robots build.
 """
 
 from collections.abc import Mapping, Sequence
 from os.path import commonprefix
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from tiswarm.base.progress import Progress
-from tiswarm.records import outputs
-from tiswarm.records.frames import read_frame
 from tiswarm.records.measures import (
     CONTACTS,
     CROSSED,
@@ -27,7 +23,6 @@ from tiswarm.records.measures import (
 )
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import LABEL
-from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
 from tiswarm.report.figure_style import (
     PALETTE,
@@ -52,11 +47,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_DRAWN = [column for measure in MAIN for column in (measure.mean, measure.ci95)]
+DRAWN = [column for measure in MAIN for column in (measure.mean, measure.ci95)]
+"""Columns of `table.csv` that a figure of its rows shows."""
 
 _PUBLISHED = "published (robot radii)"
 
-_MOST_ROWS = 60
+MOST_ROWS = 60
+"""Rows that a figure shows at most."""
 
 _OF_SHAPES = (RMSE, FLOPPY_MODES, CONTACTS, HEIGHT)
 
@@ -98,11 +95,11 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     defined.
     """
     published = [measure.published for measure in MAIN]
-    table = run.table("table.csv", ["condition"], ["cases", *published, *_DRAWN], after="cases")
+    table = run.table("table.csv", ["condition"], ["cases", *published, *DRAWN], after="cases")
     table = with_points(table)
     names = list(dict.fromkeys(table["condition"]))
     points = list(dict.fromkeys(table["point"]))
-    shown = points[: max(1, _MOST_ROWS // len(names))]
+    shown = points[: max(1, MOST_ROWS // len(names))]
     few = table["cases"].max() < FEWEST
     height = 0.9 + 0.12 * len(names) * (1 + len(shown))
     panels = Panels(height, len(MAIN), len(MAIN), share="y", most=most)
@@ -119,7 +116,7 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
                 each = _each_structure(run, measure.column, point)
                 rows_of = [names.index(condition) for condition in each.index]
                 axes.plot(each, place[rows_of], **{**look, "markersize": 1.8, "alpha": 0.6})
-    _finish_rows(panels, names, MAIN)
+    finish_rows(panels, names, MAIN)
     if table[published].notna().any(axis=None):
         panels.first.plot(
             [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
@@ -142,39 +139,6 @@ def _each_structure(run: RunData, measure: str, point: str) -> "pd.Series[float]
     return cases[done].set_index("condition")[measure]
 
 
-def draw_comparison(folder: Path, progress: Progress, *, overwrite: bool = False) -> None:
-    """Draw `comparison.png` beside the table that it shows: a row for each of its first rows."""
-    from matplotlib import style
-
-    table = read_frame(folder / "comparison.csv", ["run", "condition"], gaps=["cases", *_DRAWN])
-    with style.context(["default", figure_style.STYLE]):
-        data = figure_style.png(draw_rows(table))
-    outputs.write(folder / "comparison.png", data, overwrite=overwrite)
-    progress.info("comparison.png")
-
-
-def draw_rows(table: pd.DataFrame) -> "Figure":
-    """Draw the mean of each row with its confidence interval, one color a run."""
-    shown = table.head(_MOST_ROWS)
-    words = swept_words(shown).iloc[:, ::-1].iloc[:, :-1]
-    words = words.where(shown[words.columns].notna(), "")
-    labels = [", ".join(filter(None, row)) for row in words.to_numpy()]
-    height = 0.9 + 0.17 * len(shown)
-    panels = Panels(height, len(MAIN), len(MAIN), share="y")
-    for axes, measure in panels.each(MAIN):
-        for index, run in enumerate(shown["run"].unique()):
-            rows = (shown["run"] == run).to_numpy()
-            axes.errorbar(
-                shown.loc[rows, measure.mean], np.flatnonzero(rows),
-                xerr=shown.loc[rows, measure.ci95].fillna(0.0), fmt="o", markersize=3.5,
-                color=marker_style(index)["color"], label=run, linewidth=1.0,
-            )  # fmt: skip
-    _finish_rows(panels, labels, MAIN)
-    panels.legend("mean and 95 % CI", loc="outside upper right")
-    left = len(table) - len(shown)
-    return panels.finish(f"{left} more rows are in comparison.csv" if left else "")
-
-
 def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     """Draw accuracy and structure by the robots' shape: a row for each point of the sweep.
 
@@ -185,7 +149,7 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     words = swept_words(table).drop(columns="condition")
     table["point"] = words.agg(", ".join, axis=1)
     points = list(dict.fromkeys(table["point"]))
-    shown = points[:_MOST_ROWS]
+    shown = points[:MOST_ROWS]
     series = dict(list(table.groupby("condition", sort=False)))
     panels = Panels(0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most)
     for axes, measure in panels.each(_OF_SHAPES):
@@ -198,7 +162,7 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
                 part[measure.mean], np.arange(len(shown)), label=condition,
                 xerr=part[measure.ci95].fillna(0.0), **look,
             )  # fmt: skip
-    _finish_rows(panels, shown, _OF_SHAPES)
+    finish_rows(panels, shown, _OF_SHAPES)
     for axes, measure in [*panels.each(_OF_SHAPES)][1:]:
         end = (table[measure.mean] + table[measure.ci95].fillna(0.0)).max()
         top = float(np.nan_to_num(end)) or 1.0
@@ -210,7 +174,7 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     return panels.finish(left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
-def _finish_rows(panels: Panels, names: Sequence[str], measures: Sequence[Measure]) -> None:
+def finish_rows(panels: Panels, names: Sequence[str], measures: Sequence[Measure]) -> None:
     """Label rows, from the top, and axes."""
     for axes, measure in panels.each(measures):
         axes.set_xlabel(measure.axis)

@@ -7,8 +7,5 @@ from tiswarm.study.cases import plan
 from tiswarm.study.executors import Execution
 from tiswarm.study.forecast import forecast
 from tiswarm.study.run import open_folder, run, tabulate
-from tiswarm.study.tables import COMPARISON, compare
 
-__all__ = [
-    "COMPARISON", "Execution", "compare", "forecast", "open_folder", "plan", "run", "tabulate",
-]  # fmt: skip
+__all__ = ["Execution", "forecast", "open_folder", "plan", "run", "tabulate"]

@@ -9,8 +9,10 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
+from tiswarm.parts.comparison import compare, draw
+from tiswarm.report import figure_style
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import compare, run
+from tiswarm.study import run
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +77,18 @@ def test_names_that_a_terminal_obeys_are_refused(small_run, other_run, tmp_path)
         compare([small_run, run], tmp_path / "out")
 
     assert not (tmp_path / "out").exists()
+
+
+def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
+    """Only an unknown value of the sweep is left out; a condition may be called `nan`."""
+    drawn = []
+    monkeypatch.setattr(figure_style, "png", lambda figure: drawn.append(figure) or b"")
+    header = "run,condition,yaw,cases,rmse_R_mean,rmse_R_ci95"
+    header += ",procrustes_disparity_mean,procrustes_disparity_ci95"
+    rows = "a,nan,5,2,1,0.1,0.1,0.1\nb,none,,2,1,0.1,0.1,0.1\n"
+    (tmp_path / "comparison.csv").write_text(f"{header}\n{rows}")
+
+    draw(tmp_path)
+
+    labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
+    assert labels == ["5.0, nan", "none"]

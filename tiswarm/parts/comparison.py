@@ -1,0 +1,134 @@
+"""Comparison of runs, on the structures that they share: two tables and a figure."""
+
+import itertools
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from tiswarm.base.errors import InputError
+from tiswarm.records import outputs
+from tiswarm.records.frames import read_frame, write_frame
+from tiswarm.records.io import damaged, make_folder
+from tiswarm.records.measures import DISPARITY, MAIN, RMSE
+from tiswarm.records.messages import shown
+from tiswarm.records.run_folder import TABLE_NOTES
+from tiswarm.report import figure_style, table_figures
+from tiswarm.report.figure_style import Panels, marker_style
+from tiswarm.report.run_data import swept_words
+from tiswarm.study import tables
+from tiswarm.study.store import CaseRecord, RunFolder
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_COMPARED = ["run", "series", "against_run", "against_series", "measure"]
+
+
+FILES = ("comparison.csv", "paired.csv", "comparison.png")
+"""Files of a comparison."""
+
+
+def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> None:
+    """Write `comparison.csv`, all rows of the runs' `table.csv`, `paired.csv` and a figure.
+
+    `paired.csv` has differences on the structures that two runs share: those with the same true
+    positions to the last bit; names of scenarios do not matter. The figure is `comparison.png`.
+
+    Raises:
+        InputError: fewer than two different runs are given, a folder has no `table.csv`, or a table
+            would replace a file that no tiswarm command wrote.
+        EnvironmentTroubleError: `out` cannot be made.
+    """
+    if len({run.resolve() for run in runs}) < max(2, len(runs)):
+        raise InputError("give two or more different run folders", key="RUN")
+    names = [run.resolve().name for run in runs]
+    if len(set(names)) < len(names):
+        names = [str(run) for run in runs]
+    read = [_read_table(run).assign(run=name) for run, name in zip(runs, names, strict=True)]
+    swept = [list(table.columns[1 : table.columns.get_loc("cases")]) for table in read]
+    first = ["run", "condition", *dict.fromkeys(itertools.chain.from_iterable(swept))]
+    both = pd.concat(read, ignore_index=True)
+    series = {
+        (name, label): accuracy
+        for run, name in zip(runs, names, strict=True)
+        for label, accuracy in _by_series(RunFolder(run)).items()
+    }
+    rows = []
+    for (one, before), (other, after) in itertools.combinations(series.items(), 2):
+        if one[0] != other[0] and not before.index.intersection(after.index).empty:
+            pair = dict(zip(_COMPARED, (*other, *one), strict=False))
+            rows += tables.differences(pair, before, after)
+    make_folder(out)
+    opened = partial(outputs.opened, overwrite=overwrite)
+    columns = [*first, *both.columns.difference(first, sort=False)]
+    write_frame(both[columns], out / "comparison.csv", opened=opened)
+    pairs = pd.DataFrame(rows, columns=None if rows else _COMPARED)
+    write_frame(pairs, out / "paired.csv", opened=opened)
+    draw(out, overwrite=overwrite)
+
+
+def _read_table(run: Path) -> pd.DataFrame:
+    path = run / "table.csv"
+    if not path.exists():
+        msg = "has no table.csv; give a folder that `tiswarm run` made"
+        raise InputError(msg, path=run)
+    table = read_frame(
+        path,
+        ["condition"],
+        ["cases"],
+        gaps=[RMSE.mean, RMSE.ci95, DISPARITY.mean],
+        notes=TABLE_NOTES,
+        numbers_after="cases",
+    )
+    for text in map(str, [*table.columns, *table.to_numpy().ravel()]):
+        if not text.isprintable():  # a terminal would obey it
+            raise damaged(path, f"{shown(text)} is not printable")
+    return table
+
+
+def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
+    """Return the accuracy of each series of a run, by the digest of each structure's truth."""
+    series: dict[str, dict[str, CaseRecord]] = {}
+    for path in sorted(folder.cases.glob("[!.]*")):
+        record = folder.read_case(path.name)
+        if record is not None and record.is_done:
+            series.setdefault(record.series, {})[record.files["truth.csv"]] = record
+    return {name: tables.accuracy_by_key(records) for name, records in series.items()}
+
+
+def draw(folder: Path, *, overwrite: bool = False) -> None:
+    """Draw `comparison.png` beside the table that it shows: a row for each of its first rows."""
+    from matplotlib import style
+
+    table = read_frame(
+        folder / "comparison.csv", ["run", "condition"], gaps=["cases", *table_figures.DRAWN]
+    )
+    with style.context(["default", figure_style.STYLE]):
+        data = figure_style.png(draw_rows(table))
+    outputs.write(folder / "comparison.png", data, overwrite=overwrite)
+
+
+def draw_rows(table: pd.DataFrame) -> "Figure":
+    """Draw the mean of each row with its confidence interval, one color a run."""
+    seen = table.head(table_figures.MOST_ROWS)
+    words = swept_words(seen).iloc[:, ::-1].iloc[:, :-1]
+    words = words.where(seen[words.columns].notna(), "")
+    labels = [", ".join(filter(None, row)) for row in words.to_numpy()]
+    height = 0.9 + 0.17 * len(seen)
+    panels = Panels(height, len(MAIN), len(MAIN), share="y")
+    for axes, measure in panels.each(MAIN):
+        for index, run in enumerate(seen["run"].unique()):
+            rows = (seen["run"] == run).to_numpy()
+            axes.errorbar(
+                seen.loc[rows, measure.mean], np.flatnonzero(rows),
+                xerr=seen.loc[rows, measure.ci95].fillna(0.0), fmt="o", markersize=3.5,
+                color=marker_style(index)["color"], label=run, linewidth=1.0,
+            )  # fmt: skip
+    table_figures.finish_rows(panels, labels, MAIN)
+    panels.legend("mean and 95 % CI", loc="outside upper right")
+    left = len(table) - len(seen)
+    return panels.finish(f"{left} more rows are in comparison.csv" if left else "")
