@@ -84,7 +84,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
             {"joint", "least-squares", "online", "all"},
         ),
         ("localization/joint.py", {"joint", "online", "all"}),
-        ("parts/peers/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
+        ("parts/peers/hop_by_hop.py", {"hop-by-hop", "least-squares", "all"}),
         ("localization/virtual_force/method.py", {"virtual-force", "distributed", "all"}),
         ("parts/online/layers.py", {"online", "distributed", "all"}),
         ("parts/between/wire.py", {"distributed", "all"}),

@@ -15,9 +15,8 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost, State
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.methods import centered, localize
-from tiswarm.parts.online.annealing import annealed_estimate, reannealed
 from tiswarm.parts.online.settings import OnlineParams
-from tiswarm.parts.online.tracker import Tracker
+from tiswarm.parts.online.tracker import Tracker, annealed_estimate, reannealed
 from tiswarm.parts.peers.settings import HopByHopParams
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import observe

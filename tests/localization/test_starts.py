@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from tests import foreign
 from tests.structures import with_ranges
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.mixture import starts
+from tiswarm.localization.mixture import frames
 from tiswarm.localization.mixture.ends import Posed, further_starts
-from tiswarm.localization.mixture.starts import images, scaled_distances
+from tiswarm.localization.mixture.frames import images, scaled_distances
 from tiswarm.localization.settings import LARGE, JointParams
 from tiswarm.sensing import SensingParams, observe
 
@@ -96,7 +96,7 @@ def test_contacts_alone_and_too_many_robots_have_no_such_start(towers, monkeypat
     assert len(scaled_distances(few, anchor)) == 2
     assert further_starts(Posed(ranged, JointParams(refine=False), few)) == []
     assert PARAMS.refines(LARGE)
-    monkeypatch.setattr(starts, "MOST_ROBOTS", 29)
+    monkeypatch.setattr(frames, "MOST_ROBOTS", 29)
     assert scaled_distances(few, anchor) == []
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tiswarm.parts.peers.trilateration import (
+from tiswarm.parts.peers.hop_by_hop import (
     INDEPENDENT,
     POINTS,
     Ties,

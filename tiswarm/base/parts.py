@@ -113,7 +113,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "render": "tiswarm.parts.pictures.pictures",
         "renderer": "tiswarm.parts.pictures.raycast",
         "sense": "tiswarm.parts.suites.senses",
-        "track": "tiswarm.parts.online.method",
+        "track": "tiswarm.parts.online.tracker",
         "view --live": "tiswarm.parts.live:serve",
     },
 }

@@ -15,9 +15,8 @@ from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost.cost import Cost, weights
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.mixture.frames import HELD, Frame, align, free_frame
+from tiswarm.localization.mixture.frames import HELD, Frame, align, free_frame, scaled_distances
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
-from tiswarm.localization.mixture.starts import scaled_distances
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog

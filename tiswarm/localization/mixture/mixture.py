@@ -21,8 +21,8 @@ from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
+from tiswarm.localization.mixture.frames import images
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
-from tiswarm.localization.mixture.starts import images
 from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms
 from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.measurements.model import Measurements

@@ -27,9 +27,28 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization.cost.neighborhood import Block, Configuration
-from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS
-from tiswarm.parts.between.chains import annealed
+from tiswarm.localization.chains.annealer import Annealer
+from tiswarm.localization.chains.problem import Planes, fewest_contacts
+from tiswarm.localization.chains.views import (
+    ANNEALING,
+    ChainView,
+    Links,
+    cooled,
+    find_subtrees,
+    plane_rows,
+)
+from tiswarm.localization.cost.cost import weights
+from tiswarm.localization.cost.kernels import (
+    COORDINATE,
+    OFFSET,
+    BlockStart,
+    RowLabel,
+    RowValue,
+    Table,
+)
+from tiswarm.localization.cost.neighborhood import Block, Configuration, NearCost
+from tiswarm.localization.cost.settings import CANDIDATES, EXTENSION, NEIGHBORS, ROBUST_SD
+from tiswarm.measurements.odometry import CENTER
 from tiswarm.parts.between.channel import Message
 from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.between.wire import (
@@ -56,6 +75,12 @@ from tiswarm.records.sensing_format import (
 )
 from tiswarm.records.sensing_log import LISTS
 
+_AXES = 3
+_TEMPERED = 4.0
+"""Divisor of costs by which ends of chains weigh in standard deviations [1]: few chains meet few of
+the likely minima. Chosen on towers and cantilevers of the seeds 1000 to 1007, which no result is
+reported on."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class AnswerSettings:
@@ -77,8 +102,6 @@ class AnswerSettings:
 
 ANSWERS = AnswerSettings()
 
-
-_AXES = 3
 OF_ROW = 40
 """Operations for the residual of a row and its derivatives [1]."""
 OF_PAIR = 10
@@ -659,3 +682,147 @@ class Peer:
         spare = sorted((n for n in lines if n not in busy), key=self._is_current)
         for number in spare[:beyond]:
             del self.known[number]
+
+
+class NearAnnealed(NamedTuple):
+    """The best of several chains, for the K robots that moved."""
+
+    state: Configuration
+    """All robots."""
+
+    sd: Reals
+    """Standard deviation of each position, over the chains too [R], shape (K,)."""
+
+
+def annealed(
+    layers: LocalLayers, moving: Ints, params: DistributedParams, number: int
+) -> NearAnnealed:
+    """Anneal some robots from where they are, and keep the likeliest end.
+
+    Args:
+        layers: The robots that are held.
+        moving: Those that may move, ascending, shape (K,).
+        params: Settings.
+        number: Number of the robot that is solved for, which kicks depend on.
+    """
+    problem = layers.neighborhood(moving)
+    begin, turn = layers.state
+    view = view_near(layers, moving, problem, params)
+    seed = (params.seed * 4_099 + number) % 2**31
+    [chains] = Annealer([view], seed=seed, hold=1, is_short=True).run(frames=2)
+    starts = [Configuration(each.copy(), turn.copy()) for each in (begin, *chains.last)]
+    found = [problem.refine(start) for start in starts]
+    reach = problem.shapes.reach
+    score = np.array([each[1].cost - _gain(layers, moving, each[0], reach) for each in found])
+    best = int(score.argmin())
+    state, linear = found[best]
+    # Ends that are nearly as likely as the best one make its position uncertain.
+    weight = weights(score, _TEMPERED)
+    away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
+    spread = weight @ np.array(away)
+    return NearAnnealed(state, np.sqrt(linear.sd() ** 2 + spread))
+
+
+def _gain(layers: LocalLayers, moving: Ints, state: Configuration, reach: float) -> float:
+    """Compute what some robots gain by their extension [1], up to the reach of a contact [R]."""
+    total = 0.0
+    for k in moving.tolist():
+        partners = layers.blocks[k].partners
+        if len(partners):
+            apart = np.linalg.norm(state.position[partners] - state.position[k], axis=1)
+            # Beyond its reach a contact would give way, and the robot would gain by that.
+            total += 2.0 * EXTENSION * float(np.minimum(apart, reach).mean())
+    return total
+
+
+def view_near(
+    layers: LocalLayers, moving: Ints, problem: NearCost, params: DistributedParams
+) -> ChainView:
+    """Describe what a robot heard as chains see it; turns of orientations are noise here."""
+    begin, robots = layers.state.position, len(layers.blocks)
+    shapes, table = problem.shapes, problem.table
+    moves = np.isin(np.arange(robots), moving[moving > 0])
+    robust = ROBUST_SD**-2 * params.robust
+    links = _links_of(layers.blocks_about(moving), table, robots)
+    planes = _planes_of(table)
+    # A subtree moves if all its robots do, and nothing measures where they are.
+    stops = planes.along(robots) | ~moves[:, None]
+    return ChainView(
+        arm=shapes.arm,
+        begin=np.tile(begin, (params.chains, 1, 1)),
+        moves=moves,
+        repels=params.non_overlap & ~np.isin(np.arange(robots), [*shapes.gone]),
+        sigma=cooled(params.start_sigma, ANNEALING.coldest, params.steps, 1),
+        robust=robust,
+        yaw_precision=0.0,
+        links=links,
+        planes=plane_rows(planes, robots, np.full(len(planes.robot), robust)),
+        forest=find_subtrees(
+            np.column_stack([links.robot, links.other]), np.zeros(1, np.int64), robots
+        ),
+        stops=stops,
+    )
+
+
+def _links_of(blocks: list[Block], table: Table, robots: int) -> Links:
+    """Lay out the pairs of some blocks, which are those of the table."""
+    count = np.diff(table.block[:, BlockStart.ROW])
+    first = np.repeat(table.block[:-1, BlockStart.MEMBERS], count)
+    row = np.arange(len(first)) - np.repeat(table.block[:-1, BlockStart.ROW], count)
+    kind = table.number[:, RowLabel.KIND]
+    is_pair = kind != COORDINATE
+    begins = (table.number[:, RowLabel.FIRST] == row)[is_pair]
+    at = np.flatnonzero(is_pair)[begins]
+    tables = [each for b in blocks for each in (b.rows.distances, b.rows.offsets)]
+    final = np.repeat(
+        [b.rows.odometry.final[-1] for b in blocks for _ in range(2)],
+        [len(each.stance) for each in tables],
+    )
+    stance = np.concatenate([each.stance for each in tables])
+    dock = np.concatenate([each.dock for each in tables])
+    is_final = ((stance == final) & (dock != CENTER))[begins]
+    is_offset = kind[at] == OFFSET
+    vector = np.zeros((len(at), _AXES))
+    vector[is_offset] = np.concatenate([b.rows.offsets.vector[::_AXES] for b in blocks])
+    real = table.real[at]
+    total = np.bincount(np.cumsum(begins) - 1, table.real[is_pair, RowValue.VARIANCE], len(at))
+    robot = table.member[first[at]].astype(np.int64)
+    other = table.member[first[at] + table.number[at, RowLabel.MEMBER]].astype(np.int64)
+    share = is_final / fewest_contacts(np.column_stack([robot, other]), is_final, robots)
+    return Links(
+        robot=robot,
+        other=other,
+        is_final=is_final,
+        is_offset=is_offset,
+        is_touch=np.zeros(len(at), np.bool_),
+        arms=real[:, RowValue.ARM : RowValue.TAIL]
+        - real[:, RowValue.OTHER_ARM : RowValue.VALUE]
+        - vector,
+        length=real[:, RowValue.VALUE],
+        variance=real[:, RowValue.VARIANCE],
+        across=np.where(is_offset, 0.5 * (total - real[:, RowValue.VARIANCE]), 0.0),
+        extension=np.where(is_offset, 0.0, EXTENSION * share),
+        levers=np.zeros((len(at), 4)),
+        vector=vector,
+        candidates=np.empty((0, blocks[0].arm.shape[0], 2 * _AXES)),
+    )
+
+
+def _planes_of(table: Table) -> Planes:
+    """Turn the coordinates of a table into planes."""
+    at = np.flatnonzero(table.number[:, RowLabel.KIND] == COORDINATE)
+    own = np.repeat(
+        table.member[table.block[:-1, BlockStart.MEMBERS]], np.diff(table.block[:, BlockStart.ROW])
+    )
+    real = table.real[at]
+    direction = real[:, RowValue.AXIS : RowValue.ARM]
+    value = real[:, RowValue.VALUE] - (direction * real[:, RowValue.ARM : RowValue.TAIL]).sum(
+        axis=1
+    )
+    return Planes(
+        robot=own[at].astype(np.int64),
+        direction=direction,
+        point=direction * value[:, None],
+        walk=np.zeros((len(at), 2)),
+        precision=1.0 / real[:, RowValue.VARIANCE],
+    )

@@ -21,7 +21,7 @@ _JOIN_S = 0.07
 class OnlineParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     """What a tracker does at a join, beside solving for the robots near the one that joined."""
 
-    module: ClassVar = "tiswarm.parts.online.method"
+    module: ClassVar = "tiswarm.parts.online.tracker"
     calls: ClassVar = JointParams
 
     method: Literal["online"] = "online"

@@ -1,26 +1,47 @@
-"""Estimates the positions of all robots while they join.
+"""The method `online`: estimates the positions of all robots while they join.
 
 A join measures the rows of the new robot alone, places it where they fit best, and solves for the
 robots near it. If its rows still miss, robots nearby try other places that their own rows allow.
 The whole structure is annealed, from where it is, once it has grown by a tenth. Lengths inside are
 in R, and relative to the anchor.
+
+A log is fed to a tracker robot by robot, as if they joined now. The trace has a frame after some
+joins. Robots that have not joined by then stand where they are placed as they join: the first frame
+is the error at joining, the last one that of the final answer.
+
+A stream is answered line by line. Each line of the input has one answer. Nothing is stored: the
+same lines give the same answers, byte for byte, so a stream that was stopped is fed again from its
+header on.
 """
 
-from collections.abc import Sequence
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import fields, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
+from tiswarm.localization import methods
+from tiswarm.localization.chains.annealer import anneal
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost.neighborhood import NearCost
+from tiswarm.localization.chains.views import place_disconnected, set_apart
+from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.neighborhood import Configuration, NearCost
+from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.methods import centered, uncentered
+from tiswarm.localization.mixture.ends import Fit, Posed, ranked
+from tiswarm.localization.mixture.mixture import mixed
+from tiswarm.localization.mixture.outliers import without_outlier_robots
+from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.mixture.verdict import Assessment, assess, rms
-from tiswarm.localization.settings import MethodParams
-from tiswarm.parts.online.annealing import annealed_estimate, elsewhere, reannealed
+from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
 from tiswarm.parts.online.layers import (
     Joiner,
     LocalLayers,
@@ -30,8 +51,9 @@ from tiswarm.parts.online.layers import (
 )
 from tiswarm.parts.online.settings import TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.io import at_line, decode
 from tiswarm.records.messages import counted
-from tiswarm.records.sensing_file import SensingLogBuilder
+from tiswarm.records.sensing_file import SensingLogBuilder, lines_of
 from tiswarm.records.sensing_format import (
     HeaderLine,
     Line,
@@ -48,6 +70,15 @@ _MOVED = 1e-3
 
 _SURER = 5e-3
 """Change of a standard deviation, relative to what was last said, that is said [1]."""
+
+_ANNEALER = ("chains", "steps", "hold_steps", "start_sigma")
+"""Settings that annealings from the present estimate take from those of `online`."""
+
+_FRAMES = 24
+"""Frames of the trace at most, beside the last."""
+
+_DIGITS = 6
+"""Decimals of lengths in an answer."""
 
 
 class Change(NamedTuple):
@@ -350,3 +381,217 @@ class Tracker:
             sd=self.sd[chosen],
             annealed=annealed,
         )
+
+
+def reannealed(
+    log: SensingLog, params: OnlineParams, state: Configuration, *, anew: bool = False
+) -> tuple[Configuration, Reals, Reals]:
+    """Anneal a structure of N robots from where it is, and keep the best minimum.
+
+    Args:
+        log: What was sensed; the anchor is at the origin.
+        params: Settings.
+        state: Where robots are.
+        anew: Whether to anneal it from the starts of `joint`, too.
+
+    Returns:
+        The state, which is near the present one if no chain found a better one; the shift from
+        there to the mean of all likely ends of chains [R], shape (N, 3); and the standard deviation
+        of that [R], shape (N,).
+    """
+    fit = _fitted(log, params, state)
+    problem, ends = fit.problem, ranked(fit)
+    cost = Cost(
+        log,
+        problem.rows,
+        robust_sd=ROBUST_SD if params.robust else None,
+        non_overlap=params.non_overlap,
+    )
+    walks = problem.rows.odometry
+    # Turns of earlier stances follow from those of final ones in a step.
+    turn = np.zeros((len(walks.owner), 3))
+    turn[walks.final] = state.turn
+    yaw = np.zeros(log.robot_count)
+    best = int(ends.cost.argmin())
+    # Chains may all end higher than where they began, which is near a minimum already.
+    found = [
+        cost.refine((set_apart(problem, state.position), yaw), 0, turn=turn),
+        cost.refine((ends.position[best], yaw), TIMES.rounds),
+    ]
+    if anew:
+        start = _searched(log, params).solutions[0].position / log.dock_radius
+        found.append(cost.refine((set_apart(problem, start), yaw), TIMES.rounds))
+    there, linear = min(found, key=lambda each: each[1].cost)
+    placed, square = place_disconnected(there.position[None], problem)
+    own = linear.variance(draws=TIMES.draws)
+    # Ends are minima of a cost whose errors are independent: where they are is not where the cost
+    # is least, but where they differ, several places are likely.
+    apart = ends.position - ends.position[best] + found[1][0].position - there.position
+    apart[np.linalg.norm(apart, axis=2) <= np.sqrt(own)] = 0.0
+    mean = np.tensordot(ends.weight, apart, 1)
+    between = ends.weight @ ((apart - mean) ** 2).sum(axis=2)
+    # Chains that ended far above the best minimum say nothing about it.
+    counts = ~problem.untied & (found[1][1].cost <= linear.cost + CANDIDATES.likely)
+    shift = np.where(counts[:, None], mean, 0.0)
+    sd = np.sqrt(own + np.where(counts, between, square[0]))
+    return Configuration(placed[0], there.turn[walks.final]), shift, sd
+
+
+def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:
+    """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`.
+
+    An estimate that is not to be trusted gives way to that of `joint`, if that is trusted.
+    """
+    fit = _fitted(log, params, state)
+    estimate = without_outlier_robots(fit, mixed(fit))
+    if estimate.convergence is None or estimate.convergence.trusted:
+        return estimate
+    other = _searched(log, params)
+    is_better = other.convergence is not None and other.convergence.trusted
+    return other if is_better else estimate
+
+
+def elsewhere(log: SensingLog, params: OnlineParams, position: Reals, sd: Reals) -> Bools:
+    """Find robots that a search from no present estimate puts elsewhere, shape (N,).
+
+    Args:
+        log: What was sensed; the anchor is at the origin.
+        params: Settings.
+        position: Where robots are [R], shape (N, 3).
+        sd: Standard deviation of each position [R], shape (N,).
+    """
+    allowed = np.maximum(CONVERGENCE.outlier_sd * sd, CANDIDATES.distinct)
+    share = np.zeros(log.robot_count)
+    for solution in _searched(log, params).solutions:
+        away = np.linalg.norm(solution.position / log.dock_radius - position, axis=1)
+        share += np.where(away > allowed, solution.weight, 0.0)
+    return share > CANDIDATES.rival
+
+
+def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
+    """Localize as `joint` does, whose chains know nothing of the present estimate."""
+    names = [field.name for field in fields(ChiSquareParams)]
+    cold = JointParams(**{name: getattr(params, name) for name in names})
+    return methods.localize_batch([log], [cold])[0]
+
+
+def _fitted(log: SensingLog, params: OnlineParams, state: Configuration) -> Fit:
+    """Anneal a structure from where it is."""
+    names = [*(field.name for field in fields(ChiSquareParams)), *_ANNEALER]
+    warm = JointParams(**{name: getattr(params, name) for name in names})
+    problem = pose_problem(log, warm)
+    # All chains begin at one place; their kicks differ.
+    start = np.tile(set_apart(problem, state.position), (warm.chains_for(log.robot_count), 1, 1))
+    chains = anneal([log], [warm], [problem], start=[start])[0]
+    return Fit.of(Posed(log, warm, problem), chains)
+
+
+def localize(
+    log: SensingLog, params: OnlineParams, on_progress: Callable[[float], None] = ignore
+) -> Estimate:
+    """Let the robots of a log join one after the other.
+
+    Returns:
+        The final answer of the tracker. An iteration of the trace is a number of joins. The
+        residual is as for `joint`.
+
+    Raises:
+        InputError: orientations were chained by connections; robots share errors then.
+    """
+    if log.orientation_sd is not None and len(log.connections):
+        shared = "robots share errors of orientations that were chained; choose method joint"
+        raise InputError(shared, key="connections")
+    header, robots = lines_of(log)
+    tracker = Tracker(header, params)
+    every = np.unique(np.linspace(1, len(robots), _FRAMES).astype(np.int64))
+    at_join = np.empty((len(robots), 3))
+    frames = []
+    for count, line in enumerate(robots, start=1):
+        tracker.join(line)
+        # The log does not say when: a robot that will have left is in nobody's way.
+        if count - 1 in log.gone:
+            tracker.leave(int(log.robot_id[count - 1]))
+        at_join[count - 1] = tracker.positions[-1]
+        if count in every:
+            frames.append(tracker.positions)
+        on_progress(count / len(robots))
+    found = tracker.estimate(final=True)
+    trace = np.array([[*frame, *at_join[len(frame) :]] for frame in [*frames, found.position]])
+    problem = pose_problem(log, params)
+    gap = problem.residual(trace / log.dock_radius, np.zeros(trace.shape[:2]))
+    last = len(robots) + 1  # the final answer comes after all joins
+    return replace(
+        found,
+        at_join=at_join,
+        iteration=np.append(every, last),
+        trace=trace,
+        residual=rms(gap) * log.dock_radius,
+    )
+
+
+def follow(
+    lines: Iterable[tuple[int, bytes]],
+    name: Path,
+    *,
+    params: OnlineParams | None = None,
+    on_answer: Callable[[str], object],
+    on_refused: Callable[[str], None],
+) -> Tracker:
+    """Track the robots of a stream to its end.
+
+    Args:
+        lines: Lines with their numbers, the header first, as `log_lines` yields them.
+        name: Name of the input in messages.
+        params: Settings of `online`; its defaults if None.
+        on_answer: Called with the answer of each line, a JSON object that ends in a newline, before
+            the next line is read.
+        on_refused: Called with the mistake of a line that is skipped.
+
+    Raises:
+        InputError: the header is malformed, or the input cannot be read.
+    """
+    tracker: Tracker | None = None
+    for number, raw in lines:
+        if tracker is None:
+            with at_line(name, number):
+                tracker = Tracker(decode(raw, name, number), params)
+            answer: dict[str, object] = {"line": number, "robots": 0}
+        else:
+            answer = _answered(tracker, number, raw.rstrip(b"\r\n"), name, on_refused)
+        on_answer(f"{json.dumps(answer)}\n")
+    if tracker is None:
+        raise InputError("the input is empty; start it with a header line", path=name, line=1)
+    return tracker
+
+
+def _answered(
+    tracker: Tracker, number: int, raw: bytes, name: Path, on_refused: Callable[[str], None]
+) -> dict[str, object]:
+    """Take a line, and say what changed; or say why the line is refused."""
+    try:
+        with at_line(name, number):
+            change = tracker.take(decode(raw, name, number))
+    except InputError as mistake:
+        on_refused(f"{mistake}; skipped")
+        return {"line": number, "refused": ": ".join(filter(None, (mistake.key, mistake.problem)))}
+    return {"line": number, "robots": len(tracker.names), **_changed(change)}
+
+
+def _changed(change: Change) -> dict[str, object]:
+    """Write a change as JSON values; a robot that joined has null in place of a way."""
+    columns = zip(
+        change.robot.tolist(), change.position.tolist(), change.moved.tolist(), change.sd.tolist(),
+        strict=True,
+    )  # fmt: skip
+    return {
+        "annealed": change.annealed,
+        "moved": [
+            {
+                "robot": robot,
+                "position": [round(part, _DIGITS) for part in position],
+                "moved": None if math.isnan(moved) else round(moved, _DIGITS),
+                "sd": round(sd, _DIGITS),
+            }
+            for robot, position, moved, sd in columns
+        ],
+    }
