@@ -49,30 +49,12 @@ from tiswarm.localization.cost.kernels import (
 from tiswarm.localization.cost.neighborhood import Block, Configuration, NearCost
 from tiswarm.localization.cost.settings import CANDIDATES, EXTENSION, NEIGHBORS, ROBUST_SD
 from tiswarm.measurements.odometry import CENTER
+from tiswarm.parts.between import wire
 from tiswarm.parts.between.channel import Message
 from tiswarm.parts.between.settings import DistributedParams
-from tiswarm.parts.between.wire import (
-    CHECK,
-    NUMBER,
-    Reader,
-    Whereabouts,
-    Writer,
-    asking,
-    line_bytes,
-    read_answer,
-    read_line,
-    read_result,
-    rounding_sd,
-    write_candidates,
-    write_numbers,
-    write_place,
-)
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
 from tiswarm.records.sensing_file import SensingLogBuilder
-from tiswarm.records.sensing_format import (
-    HeaderLine,
-    RobotLine,
-)
+from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import LISTS
 
 _AXES = 3
@@ -122,7 +104,7 @@ class Known:
     line: bytes = b""
     """What it sensed, as sent; empty if unknown."""
 
-    place: Whereabouts | None = None
+    place: wire.Whereabouts | None = None
     """Where it is; None if unknown."""
 
     candidates: Reals = field(default_factory=lambda: np.empty((0, _AXES)))
@@ -170,7 +152,7 @@ class Program:
 class Solved(NamedTuple):
     """What a robot found out."""
 
-    places: Mapping[int, Whereabouts]
+    places: Mapping[int, wire.Whereabouts]
     """Places of robots that moved, and of the one that was solved for, by number."""
 
     surprising: set[int]
@@ -185,7 +167,7 @@ class Solved(NamedTuple):
 
 @lru_cache(maxsize=20_000)
 def _decoded(line: bytes, docks: int, bits: int | None) -> RobotLine:
-    return read_line(line, docks, bits)
+    return wire.read_line(line, docks, bits)
 
 
 class LocalSwarm:
@@ -239,7 +221,7 @@ class LocalSwarm:
         moved = np.flatnonzero(has_moved)
         number_of = self.numbers[moved].tolist()
         places = [
-            Whereabouts(state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j]))
+            wire.Whereabouts(state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j]))
             for j in moved.tolist()
         ]
         surprising = layers.surprising(moved)
@@ -260,7 +242,9 @@ class LocalSwarm:
         rounds = NEIGHBORS.rounds * (1 + params.chains)
         return float(search + rounds * linear + params.chains * params.steps * step)
 
-    def _block(self, number: int, lines: Mapping[int, bytes], stays: Whereabouts | None) -> Block:
+    def _block(
+        self, number: int, lines: Mapping[int, bytes], stays: wire.Whereabouts | None
+    ) -> Block:
         """Measure the rows of a robot about those that are held, and where it stays, if it does."""
         members = [0]
         if number:
@@ -286,7 +270,7 @@ def _precise(program: Program, known: Mapping[int, Known]) -> DistributedParams:
     params = program.params
     places = [each.place.position for each in known.values() if each.place is not None]
     farthest = float(np.abs(places).max()) if places else 1.0
-    rounding = rounding_sd(farthest, params.bits)
+    rounding = wire.rounding_sd(farthest, params.bits)
     return replace(
         params,
         contact_sd=float(np.hypot(params.contact_sd, rounding)),
@@ -354,7 +338,7 @@ class Peer:
         """Begin with what the robot sensed, under its number in join order."""
         self._program = program
         self.number = line.robot
-        content = line_bytes(line, program.docks, program.params.bits)
+        content = wire.line_bytes(line, program.docks, program.params.bits)
         partners = program.partners(content)
         self.known: dict[int, Known] = {line.robot: Known(content, sharing=partners)}
         self.touching = sorted({other for _, other, _ in line.contacts})
@@ -371,7 +355,7 @@ class Peer:
         self.operations = 0.0
 
     @property
-    def place(self) -> Whereabouts | None:
+    def place(self) -> wire.Whereabouts | None:
         """Where the robot takes itself to be; None if it does not know."""
         return self.known[self.number].place
 
@@ -379,7 +363,7 @@ class Peer:
         """Let robots know that rows are shared; the first of the swarm is the anchor."""
         mine = self.known[self.number]
         if self.number == 0:
-            mine.place = Whereabouts(np.zeros(3), np.zeros(3), 0.0)
+            mine.place = wire.Whereabouts(np.zeros(3), np.zeros(3), 0.0)
             return
         host = self._hosts.pop(0)
         # Who has been named knows that it shares rows; who solves has to know the rows.
@@ -474,7 +458,8 @@ class Peer:
         bits = self._program.params.bits or 64
         return sum(
             len(each.line)
-            + (NUMBER * (1 + len(each.sharing)) + bits * (6 + each.candidates.size) + 8 + 7) // 8
+            + (wire.NUMBER * (1 + len(each.sharing)) + bits * (6 + each.candidates.size) + 8 + 7)
+            // 8
             for each in self.known.values()
         )
 
@@ -538,13 +523,13 @@ class Peer:
         """Ask robots for what this one does not hold of them."""
         parts = {}
         for number in sorted(robots):
-            parts[number] = asking(not self._of(number).line, self._checksum(number))
+            parts[number] = wire.asking(not self._of(number).line, self._checksum(number))
         self._say("ask", b"", parts)
 
     def _answer(self, asker: int, part: bytes) -> None:
         """Answer what a robot asked."""
-        asked, mine = Reader(part, None), self.known[self.number]
-        wants_line, held = asked.number(1), asked.number(CHECK)
+        asked, mine = wire.Reader(part, None), self.known[self.number]
+        wants_line, held = asked.number(1), asked.number(wire.CHECK)
         self._watchers.add(asker)
         head = self._head() if held != self._checksum(self.number) else b"\0"
         line = mine.line if wants_line else b""
@@ -553,21 +538,21 @@ class Peer:
     def _head(self) -> bytes:
         """Write with whom this robot shares rows, and where it is."""
         mine = self.known[self.number]
-        answer = Writer(self._program.params.bits)
+        answer = wire.Writer(self._program.params.bits)
         answer.number(1, 1)
         answer.number(mine.place is not None, 1)
-        write_numbers(answer, mine.sharing)
+        wire.write_numbers(answer, mine.sharing)
         if mine.place is not None:
-            write_place(answer, mine.place)
+            wire.write_place(answer, mine.place)
             if self._exchanges:
-                write_candidates(answer, mine.candidates)
+                wire.write_candidates(answer, mine.candidates)
         return answer.to_bytes()
 
     def _hear_answer(self, message: Message) -> None:
         length, content = int.from_bytes(message.common[:_SIZE], "big"), message.common[_SIZE:]
         its = self._of(message.sender)
         its.line = content[length:] or its.line
-        answer = read_answer(content[:length], self._program.params.bits, self._exchanges)
+        answer = wire.read_answer(content[:length], self._program.params.bits, self._exchanges)
         if answer.is_new:
             its.sharing, its.place = {*answer.sharing}, answer.place or its.place
             its.candidates = answer.candidates
@@ -591,10 +576,10 @@ class Peer:
         found, parts = b"", {**message.parts}
         for number, part in message.parts.items():
             line = self.known[number].line if number in self.known else b""
-            asked = Reader(part, None)
+            asked = wire.Reader(part, None)
             if asked.number(1) and line:
                 found += number.to_bytes(_SIZE, "big") + len(line).to_bytes(_SIZE, "big") + line
-                parts[number] = asking(0, asked.number(CHECK))
+                parts[number] = wire.asking(0, asked.number(wire.CHECK))
         if found:
             self._say("lines", b"", {message.sender: found})
         return message._replace(parts=parts)
@@ -614,7 +599,7 @@ class Peer:
             self._advance()
 
     def _hear_place(self, number: int, part: bytes) -> None:
-        answer, its = read_result(part, self._program.params.bits), self._of(number)
+        answer, its = wire.read_result(part, self._program.params.bits), self._of(number)
         its.place, its.is_surprising = answer.place, answer.is_surprising
         if len(answer.candidates):
             its.candidates = answer.candidates
@@ -624,10 +609,10 @@ class Peer:
         its = self._of(number)
         if its.place is None:
             return 0
-        text = Writer(self._program.params.bits)
-        write_numbers(text, its.sharing)
-        write_place(text, its.place)
-        return zlib.crc32(text.to_bytes()) % int(2**CHECK - 1) + 1
+        text = wire.Writer(self._program.params.bits)
+        wire.write_numbers(text, its.sharing)
+        wire.write_place(text, its.place)
+        return zlib.crc32(text.to_bytes()) % int(2**wire.CHECK - 1) + 1
 
     def _placed(self) -> dict[int, Known]:
         """List the robots whose lines and places are held."""
@@ -648,12 +633,12 @@ class Peer:
         self.operations += solved.operations
         parts = {}
         for number, place in solved.places.items():
-            part = Writer(self._program.params.bits)
+            part = wire.Writer(self._program.params.bits)
             part.number(number == joiner and self._exchanges, 1)
             part.number(number in solved.surprising, 1)
-            write_place(part, place)
+            wire.write_place(part, place)
             if number == joiner and self._exchanges:
-                write_candidates(part, solved.candidates)
+                wire.write_candidates(part, solved.candidates)
             parts[number] = part.to_bytes()
             # The robot holds what others hear, rounded as it is.
             self._hear_place(number, parts[number])

@@ -42,13 +42,7 @@ from tiswarm.localization.mixture.outliers import without_outlier_robots
 from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.mixture.verdict import Assessment, assess, rms
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
-from tiswarm.parts.online.layers import (
-    Joiner,
-    LocalLayers,
-    measured,
-    refuse_header,
-    refuse_line,
-)
+from tiswarm.parts.online.layers import Joiner, LocalLayers, measured, refuse_header, refuse_line
 from tiswarm.parts.online.settings import TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
