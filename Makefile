@@ -119,7 +119,7 @@ $(installed_dev): $(inputs) | $(bin)/python
 	@touch $(installed) $@
 
 # Taichi, open3d and the tests of devices need libraries that pip cannot bring.
-.venv/.system-checked: tiswarm/app/doctor.py $(installed)
+.venv/.system-checked: tiswarm/parts/doctor.py $(installed)
 	@missing=$$($(bin)/tiswarm doctor --missing-packages) \
 		|| { echo "warning: could not look for system libraries" >&2; exit 0; }; \
 	if test -z "$$missing"; then \

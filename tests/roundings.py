@@ -32,7 +32,7 @@ ROOMS = ("compute", "engine", "evaluation", "localization", "measurements", "sen
 """Rooms whose tests compare numbers."""
 
 OTHER_LIBRARY = "quadrants"
-_PROBE = "from tiswarm.app.doctor import name_numerics; print(name_numerics('cpu'))"
+_PROBE = "from tiswarm.parts.doctor import name_numerics; print(name_numerics('cpu'))"
 _SPIN = "import os; parent = os.getppid()\nwhile os.getppid() == parent: sum(range(10**6))"
 """Computes until its parent ends, however that ends."""
 

@@ -35,6 +35,7 @@ assert estimate.view(out="view.html").is_file()
 ASKED = {
     "tiswarm.parts.live": "view runs --live",
     "tiswarm.parts.comparison": "compare one other",
+    "tiswarm.parts.doctor": "doctor --missing-packages",
     "tiswarm.parts.formats": "export sensing.jsonl known.csv --format csv",
     "tiswarm.parts.between": "localize sensing.jsonl --method distributed",
     "tiswarm.parts.peers": "localize sensing.jsonl --method hop-by-hop",

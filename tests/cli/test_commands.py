@@ -15,8 +15,8 @@ import yaml
 
 from tests.runs import REPOSITORY
 from tests.structures import Rule, structure
-from tiswarm.app import doctor
 from tiswarm.cli import main
+from tiswarm.parts import doctor
 from tiswarm.records.sensing_file import write_sensing_log
 
 COMMANDS = (

@@ -107,6 +107,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "advise": "tiswarm.parts.advice.further:tabulate",
         "animate": "tiswarm.parts.pictures.animation",
         "compare": "tiswarm.parts.comparison",
+        "doctor": "tiswarm.parts.doctor",
         "explain": "tiswarm.parts.advice.explanation",
         "import": "tiswarm.parts.formats.imports:convert",
         "navigate": "tiswarm.parts.navigation:believe_by",

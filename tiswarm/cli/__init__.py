@@ -12,6 +12,7 @@ from typer import Argument, Option
 
 from tiswarm.app.console import fail
 from tiswarm.base.errors import InputError
+from tiswarm.base.parts import find
 from tiswarm.cli.app import Plugins, app, main
 
 # Each module adds its commands, in the order of the help.
@@ -90,11 +91,10 @@ def doctor(
 
     The list names what to install for the others.
     """
-    from tiswarm.app.doctor import examine, missing_packages
-
+    part = find("command", "doctor")
     if only_packages:
-        typer.echo(" ".join(missing_packages()))
+        typer.echo(" ".join(part.missing_packages()))
         return
-    for finding in examine():
+    for finding in part.examine():
         mark = "ok" if finding.works else "--"
         typer.echo(f"{mark}  {finding.subject:<24} {finding.detail}")

@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-from tiswarm.app import doctor
-from tiswarm.app.doctor import draw_test_picture, missing_packages
 from tiswarm.compute import numerics
+from tiswarm.parts import doctor
+from tiswarm.parts.doctor import draw_test_picture, missing_packages
 
 
 @pytest.fixture
@@ -15,11 +15,11 @@ def bare_machine(monkeypatch):
     """A Linux machine without the libraries of open3d."""
     imported = builtins.__import__
 
-    def refuse(name, *rest):
+    def refuse(name, *rest, **named):
         if name == "open3d":
             message = "libX11.so.6: cannot open shared object file"
             raise ImportError(message)
-        return imported(name, *rest)
+        return imported(name, *rest, **named)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
     monkeypatch.setattr(doctor.sys, "platform", "linux")

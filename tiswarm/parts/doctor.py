@@ -43,7 +43,7 @@ _TAICHI_LIBRARIES = frozenset({"libX11.so.6"})
 
 _PROBE = """
 import sys
-from tiswarm.app import doctor
+from tiswarm.parts import doctor
 from tiswarm.base.errors import TiswarmError
 try:
     print(getattr(doctor, sys.argv[1])(sys.argv[2]))
