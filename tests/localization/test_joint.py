@@ -7,11 +7,10 @@ import pytest
 
 from tests import oracle
 from tests.structures import NOISY, silent, with_directions, with_fixes, with_ranges
-from tiswarm.localization.chains import initialization
 from tiswarm.localization.chains.annealer import anneal, annealer_of
 from tiswarm.localization.chains.arrays import BlockProgress, BodyMotion, Heading, SubtreeMotion
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.views import ANNEALING, find_subtrees, weights
+from tiswarm.localization.chains.views import ANNEALING, find_subtrees, reinitialize_lost, weights
 from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -84,7 +83,7 @@ def test_a_robot_that_lost_touch_is_put_back(towers):
     position = np.tile(history.position, (2, 1, 1))
     position[1, -1] += [25.0, 10.0, 1.5]
 
-    moved = initialization.reinitialize_lost(known, position, np.zeros(position.shape[:2]))
+    moved = reinitialize_lost(known, position, np.zeros(position.shape[:2]))
 
     assert moved == 1
     assert np.linalg.norm(position[1, -1, :2] - history.position[-1, :2]) < 2.0
@@ -101,7 +100,7 @@ def test_a_robot_that_noise_alone_moved_is_not_put_back(towers):
     position[0, -1] += [25.0, 10.0, 1.5]
     unsure = dataclasses.replace(known, variance=known.variance + 10.0**2)
 
-    assert initialization.reinitialize_lost(unsure, position, np.zeros(position.shape[:2])) == 0
+    assert reinitialize_lost(unsure, position, np.zeros(position.shape[:2])) == 0
 
 
 def test_anchors_stay_where_they_are(towers):

@@ -12,9 +12,8 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
-from tiswarm.localization.chains import initialization
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.views import ANNEALING
+from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.settings import SWITCHES, JointParams
 from tiswarm.measurements.cues import measure
@@ -203,7 +202,7 @@ def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joine
     loose = untied[:, None, None] * np.diag([1.0, 1.0, 0.0])
     known = SimpleNamespace(part=part, untied=untied, loose=loose)
 
-    put, square = initialization.place_disconnected(chain, known)
+    put, square = place_disconnected(chain, known)
 
     np.testing.assert_array_equal(put[:, ~untied], chain[:, ~untied])
     np.testing.assert_array_equal(put[..., 2], chain[..., 2])

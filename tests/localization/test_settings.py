@@ -8,15 +8,10 @@ import re
 
 import pytest
 
-from tiswarm.localization.chains import settings as of_chains
-from tiswarm.localization.mixture import settings as of_mixture
+from tiswarm.localization.chains.views import AnnealSchedule
+from tiswarm.localization.mixture import settings
 
-CLASSES = [
-    kind
-    for module in (of_chains, of_mixture)
-    for kind in vars(module).values()
-    if inspect.isclass(kind)
-]
+CLASSES = [AnnealSchedule, *filter(inspect.isclass, vars(settings).values())]
 
 
 @pytest.mark.parametrize("kind", CLASSES)
