@@ -29,7 +29,6 @@ from tiswarm.localization.chains.arrays import (
     swarm_arrays,
     traits_of,
 )
-from tiswarm.localization.chains.card_kernels import sum_rows, take_steps_on_card
 from tiswarm.localization.chains.kernels import MEMORY, SKIN, THIN_SKIN, note_places, take_steps
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, ChainView, view_of
@@ -209,7 +208,12 @@ class Annealer:
         self.schedule = memory.upload(np.vstack([self.sigma, grown(self.steps, self.sigma)]))
         self.measured = measured_arrays(memory, views, self.order, inertia_factor)
         self.trees = subtree_arrays(memory, views, self.chains)
-        self.sums = memory.longs(sum_rows(len(position)) if self.on_card else 1, 4)
+        sums = 1
+        if self.on_card:
+            from tiswarm.localization.chains.card_kernels import sum_rows  # noqa: PLC0415 - slow
+
+            sums = sum_rows(len(position))
+        self.sums = memory.longs(sums, 4)
         self.swarm = swarm_arrays(memory, arm, position, inertia_factor)
         self.blocks = block_arrays(memory, first_of_block, views, self.chains)
 
@@ -313,7 +317,9 @@ class Annealer:
             *robots, *contacts, plane, *self.trees,
         )  # fmt: skip
         if self.on_card:
-            take_steps_on_card(
+            from tiswarm.localization.chains import card_kernels  # noqa: PLC0415 - slow to import
+
+            card_kernels.take_steps_on_card(
                 *known, self.sums, rows.entry_stride, *rows.rows, *self.swarm, *self.blocks
             )
         else:
