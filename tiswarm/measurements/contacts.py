@@ -141,6 +141,20 @@ def close_docks(log: SensingLog, point: Reals, within: float) -> Ints:
     return apart[:, [2, 3, 0, 1]]
 
 
+def overlap(dock: Reals, others: Reals) -> Reals:
+    """Compute how far docks reach into the nearest of others [R]; 0 at a distance of D or more.
+
+    Args:
+        dock: Centers of docks [R], shape (..., 3).
+        others: Centers of docks that are in their way [R], at least one, shape (n, 3).
+
+    Returns:
+        Overlaps, shape (...).
+    """
+    deep: Reals = np.maximum(SPACING - cKDTree(others).query(dock)[0], 0.0)
+    return deep
+
+
 def dock_pairs(point: Reals, within: float) -> Ints:
     """List docks of different robots that are close to each other, in an order that repeats.
 

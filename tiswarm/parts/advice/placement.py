@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
+from tiswarm.measurements.contacts import overlap
 from tiswarm.measurements.cues import Measured
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
@@ -133,8 +133,7 @@ def _is_free(log: SensingLog, arms: Reals, robot: int, position: Reals, places: 
         # Docks in contact may be a little nearer than D, by noise.
         is_apart[tuple(touched[touched[:, 3] == dock, :2].T)] = False
         if is_apart.any():
-            tree = cKDTree(others[is_apart])
-            missed = SPACING - tree.query(position[robot] + arms[robot, dock])[0]
-            near = tree.query(places + arms[robot, dock])[0]
-            free &= near >= SPACING - _WIDTH - max(missed, 0.0)
+            at = np.concatenate([position[robot, None], places]) + arms[robot, dock]
+            deep = overlap(at, others[is_apart])
+            free &= deep[1:] <= _WIDTH + deep[0]
     return free

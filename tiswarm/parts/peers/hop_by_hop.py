@@ -27,13 +27,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
 from tiswarm.localization.cost.settings import EXTENSION, OVERLAP_SD
 from tiswarm.localization.mixture.verdict import assess, rms
-from tiswarm.measurements.contacts import disconnected, parts
+from tiswarm.measurements.contacts import disconnected, overlap, parts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.parts.peers.settings import HopByHopParams
@@ -560,7 +559,6 @@ class _HopByHopSwarm:
         is_there = self.is_placed[:-1] & ~self.is_gone
         there = (self.position[:-1, None] + self.docks)[is_there].reshape(-1, 3)
         dock = point[:, :, None] + self.docks[robots][:, None]
-        overlap = np.maximum(SPACING - cKDTree(there).query(dock)[0], 0.0)
-        square: Reals = ((overlap / OVERLAP_SD) ** 2).sum(axis=2)
+        square: Reals = ((overlap(dock, there) / OVERLAP_SD) ** 2).sum(axis=2)
         square[self.is_gone[robots]] = 0.0
         return square
