@@ -4,7 +4,7 @@ import os
 import subprocess
 
 from tests.runs import REPOSITORY
-from tiswarm.base.child import child_command
+from tiswarm.base.process import child_command
 
 
 def test_a_child_imports_nothing_of_the_working_folder(tmp_path):
@@ -31,4 +31,4 @@ def test_children_are_started_in_one_way():
 
     named = [path.name for path in modules if "sys.executable" in path.read_text()]
 
-    assert named == ["child.py"]
+    assert named == ["process.py"]

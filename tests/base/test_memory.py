@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, OutOfMemoryError
-from tiswarm.base.memory import naming_shortage
+from tiswarm.base.process import naming_shortage
 from tiswarm.cli import main
 from tiswarm.compute import backend
 from tiswarm.compute.lang import ti

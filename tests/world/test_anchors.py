@@ -15,7 +15,7 @@ from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import dump_scenario, scenario_hash
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
-from tiswarm.world.history import read_history, write_history
+from tiswarm.world.history import find_fault, read_history, write_history
 from tiswarm.world.params import (
     BridgeParams,
     CantileverParams,
@@ -25,7 +25,6 @@ from tiswarm.world.params import (
     anchor_fault,
     anchor_places,
 )
-from tiswarm.world.validity import find_fault
 
 FIREANT = RobotGeometry()
 APART = TowerParams(anchors=((0.0, 0.0), (40.0, 0.0), (0.0, 40.0)))

@@ -12,6 +12,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import totals
 from tiswarm.world.growth import grow
+from tiswarm.world.history import find_fault
 from tiswarm.world.params import (
     BridgeParams,
     CantileverParams,
@@ -19,7 +20,6 @@ from tiswarm.world.params import (
     ClimbParams,
     TowerParams,
 )
-from tiswarm.world.validity import find_fault
 
 FIREANT = RobotGeometry()
 KINDS = [

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from tests import frames, oracle
 from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.world.growth import grow
+from tiswarm.world.history import find_fault
 from tiswarm.world.params import CantileverParams, ClimbParams, TowerParams
-from tiswarm.world.validity import find_fault
 
 ROBOTS = {shape: RobotGeometry(shape=shape, rho=1.8) for shape in SHAPES} | {
     "uneven": RobotGeometry(

@@ -12,7 +12,7 @@ from tiswarm.base.robot import TANGENT_RHO, RobotGeometry
 from tiswarm.compute.math import uniform
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow, recruit, relay
-from tiswarm.world.history import History
+from tiswarm.world.history import History, find_fault
 from tiswarm.world.params import (
     BridgeParams,
     CantileverParams,
@@ -21,7 +21,6 @@ from tiswarm.world.params import (
     GrowthParams,
     TowerParams,
 )
-from tiswarm.world.validity import find_fault
 
 FIREANT = RobotGeometry()
 

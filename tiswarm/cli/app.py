@@ -17,9 +17,9 @@ from typer.exceptions import TyperException
 import tiswarm
 from tiswarm.app.console import fail
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
-from tiswarm.base.memory import naming_shortage, require_address_space
 from tiswarm.base.params import AnyArch, AnyMovie
 from tiswarm.base.parts import PluginError, find, lacking
+from tiswarm.base.process import naming_shortage, require_address_space
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700

@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.base.memory import naming_shortage, require_address_space
 from tiswarm.base.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
+from tiswarm.base.process import naming_shortage, require_address_space
 from tiswarm.compute import kernel_cache, machine
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, DeviceArray, ti, variables_hidden
 from tiswarm.compute.math_kernels import probe_arithmetic

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import ARCHS, Arch
 from tiswarm.base.parts import find, has
+from tiswarm.base.process import child_command
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import machine
 

@@ -10,16 +10,7 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.parts import find
 from tiswarm.records.sensing_log import SensingLog, Stances
-from tiswarm.sensing.failures import failed_orientation, failing, sensed_part
-from tiswarm.sensing.noise import (
-    anchors,
-    flip_height,
-    planes,
-    sensed_contacts,
-    sensed_orientation,
-    spawn_position,
-    split_touches,
-)
+from tiswarm.sensing import noise
 from tiswarm.sensing.params import SensingParams
 from tiswarm.sensing.plugins import COLUMNS, own_rows
 from tiswarm.world.history import History
@@ -44,16 +35,18 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     """
     if history.is_planar:
         params = replace(params, yaw_noise_deg=0.0, yaw_bias_deg=0.0)
-    is_mute = failing(history, params, "mute")
-    history = sensed_part(history, params)
+    is_mute = noise.failing(history, params, "mute")
+    history = noise.sensed_part(history, params)
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
-    sensed = sensed_orientation(history, length, params)
-    sensed = failed_orientation(history, length, sensed, params)
+    sensed = noise.sensed_orientation(history, length, params)
+    sensed = noise.failed_orientation(history, length, sensed, params)
     lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
-    lists["contacts"] = sensed_contacts(history, params)
+    lists["contacts"] = noise.sensed_contacts(history, params)
     lists["ground_docks"] = history.table("ground_docks")
-    lists["fixes"] = np.unique(np.concatenate([planes(history), anchors(history)]), axis=0)
+    lists["fixes"] = np.unique(
+        np.concatenate([noise.planes(history), noise.anchors(history)]), axis=0
+    )
     added = (
         (name, getattr(find("command", "sense"), f"sense_{name}")(history, params))
         for name in params.added
@@ -63,7 +56,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
     for name in ("contacts", "ground_docks"):
         lists[name] = lists[name] if params.senses(name) else lists[name][:0]
-    lists |= split_touches(lists["contacts"], params)
+    lists |= noise.split_touches(lists["contacts"], params)
     final: dict[str, Any] = {
         name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
     }
@@ -73,7 +66,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         # Orientations of anchors are known, as their positions are.
         known = history.is_anchor
         orientation[known], orientation[~known] = history.orientation_wxyz[known], np.nan
-    height, spawn = flip_height(history, sensed, end), spawn_position(history, params)
+    height, spawn = noise.flip_height(history, sensed, end), noise.spawn_position(history, params)
     orientation[is_mute] = spawn[is_mute] = np.nan
     return SensingLog(
         robot_id=np.arange(history.robot_count),

@@ -22,8 +22,8 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
-from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
+from tiswarm.base.process import child_command
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend, kernel_cache
 from tiswarm.study.runner import Job, Outcome, run_job

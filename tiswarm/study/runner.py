@@ -9,9 +9,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from tiswarm.base.memory import naming_shortage
 from tiswarm.base.params import AnyPrecision, Arch
 from tiswarm.base.parts import find, registered
+from tiswarm.base.process import naming_shortage
 from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Backend
@@ -27,8 +27,7 @@ from tiswarm.study.cases import Case, Group
 from tiswarm.study.provenance import Costs, Used, case_code
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow
-from tiswarm.world.history import History
-from tiswarm.world.validity import find_fault
+from tiswarm.world.history import History, find_fault
 
 ROBOTS_AT_ONCE = 10_000
 """A job has about this many robots at most, and is stored before the next."""

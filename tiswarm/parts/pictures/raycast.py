@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.process import child_command
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import kernel_cache, machine

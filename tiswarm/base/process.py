@@ -1,8 +1,13 @@
-"""Refuse before libraries load where memory is short; later, report every shortage as one error."""
+"""This process and its children: memory that is short, and the command that starts a child.
+
+Where memory is short, the program refuses before libraries load; later, it reports every shortage
+as one error.
+"""
 
 import errno
 import re
 import resource
+import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -49,3 +54,13 @@ def naming_shortage() -> Iterator[None]:
             f"memory ran out: {need}; compute fewer robots, seeds, chains or workers "
             "(`run --plan` estimates the need)"
         ) from error
+
+
+def child_command(code: str, *arguments: str) -> list[str]:
+    """Return the command of a child of our own interpreter that runs `code`.
+
+    No module of the working folder runs in it. The child uses PYTHONPATH as its parent does.
+    """
+    if sys.version_info >= (3, 11):  # Python 3.13 imports modules of its own before the code
+        return [sys.executable, "-P", "-c", code, *arguments]
+    return [sys.executable, "-c", f"import sys; sys.path.remove('')\n{code}", *arguments]
