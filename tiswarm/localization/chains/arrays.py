@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import Columns, DeviceArray, Ints2, Reals1, Reals2, Reals3
-from tiswarm.localization.chains.views import ChainView, Links, PlaneRows, weights
+from tiswarm.localization.chains.problem import Planes
+from tiswarm.localization.chains.views import ChainView, Links, weights
 
 
 class Traits(Flag):
@@ -175,14 +176,16 @@ class Contacts(NamedTuple):
 
 
 class PlaneValue(Columns):
-    """Columns of `MeasuredColumns.plane`, as `PlaneRows` has them."""
+    """Columns of `MeasuredColumns.plane`, as `Planes` has them, and two more."""
 
     POINT = 3
     DIRECTION = 3
     WALK = 2
     PRECISION = 1
     CROWD = 1
+    """1 where other planes of the robot are perpendicular to it, 3 elsewhere."""
     ROBUST = 1
+    """One over the squared width of the robust loss, 0 for none [1]."""
 
 
 class MeasuredColumns(NamedTuple):
@@ -357,10 +360,12 @@ def measured_arrays(
     own = np.concatenate([np.diff(v.forest.first) for v in views])
     contact, contacts = _contact_arrays(memory, views, order)
     robot = _in_memory([v.planes.robot for v in views], size, order)
-    planes = PlaneRows(*map(np.concatenate, zip(*(v.planes for v in views), strict=True)))
+    planes = Planes(*map(np.concatenate, zip(*(v.planes for v in views), strict=True)))
     table = PlaneValue.pack(
         POINT=planes.point, DIRECTION=planes.direction, WALK=planes.walk,
-        PRECISION=planes.precision, CROWD=planes.crowd, ROBUST=planes.robust,
+        PRECISION=planes.precision,
+        CROWD=np.concatenate([v.planes.crowd(n) for v, n in zip(views, size, strict=True)]),
+        ROBUST=np.concatenate([v.plane_robust for v in views]),
     )[np.argsort(robot, kind="stable")]  # fmt: skip
     plane = _row_starts(robot, len(order))
     label = RobotLabel.pack(

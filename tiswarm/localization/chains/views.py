@@ -150,31 +150,6 @@ class Links(NamedTuple):
     """Arms of the docks that each touch may be of, the robot's and the other's, (H, docks, 6)."""
 
 
-class PlaneRows(NamedTuple):
-    """P planes on which robots were measured to be."""
-
-    robot: Ints
-    """Robot of each, shape (P,)."""
-
-    point: Reals
-    """A point of each [R], shape (P, 3)."""
-
-    direction: Reals
-    """Unit vector perpendicular to it, shape (P, 3)."""
-
-    walk: Reals
-    """Part of the point which turns with the robot, x and y to be subtracted [R], shape (P, 2)."""
-
-    precision: Reals
-    """Precision of the distance from the plane [R^-2], shape (P,)."""
-
-    crowd: Reals
-    """1 where other planes of the robot are perpendicular to it, 3 elsewhere, shape (P,)."""
-
-    robust: Reals
-    """One over the squared width of the robust loss, 0 for none [1], shape (P,)."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Forest:
     """Subtrees of one structure of N robots, each before those that grow out of it.
@@ -224,8 +199,11 @@ class ChainView:
     links: Links
     """Measurements of pairs."""
 
-    planes: PlaneRows
+    planes: Planes
     """Measured coordinates."""
+
+    plane_robust: Reals
+    """One over the squared width of the robust loss of each plane, 0 for none [1], shape (P,)."""
 
     forest: Forest
     """Subtrees that move as one."""
@@ -273,23 +251,11 @@ def view_of(
         robust=robust,
         yaw_precision=problem.yaw_precision,
         links=_links_of(problem, params.extension_prior),
-        planes=plane_rows(planes, robots, np.where(gives_way, robust, 0.0)),
+        planes=planes,
+        plane_robust=np.where(gives_way, robust, 0.0),
         forest=find_subtrees(problem.pair, problem.roots, robots),
         stops=stops,
         relocate=partial(reinitialize_lost, problem) if params.robust else None,
-    )
-
-
-def plane_rows(planes: Planes, robots: int, robust: Reals) -> PlaneRows:
-    """Lay out planes of N robots; `robust` as in `PlaneRows`."""
-    return PlaneRows(
-        robot=planes.robot,
-        point=planes.point,
-        direction=planes.direction,
-        walk=planes.walk,
-        precision=planes.precision,
-        crowd=planes.crowd(robots),
-        robust=robust,
     )
 
 

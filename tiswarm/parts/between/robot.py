@@ -35,7 +35,6 @@ from tiswarm.localization.chains.views import (
     Links,
     cooled,
     find_subtrees,
-    plane_rows,
 )
 from tiswarm.localization.cost.cost import weights
 from tiswarm.localization.cost.kernels import (
@@ -741,7 +740,8 @@ def view_near(
         robust=robust,
         yaw_precision=0.0,
         links=links,
-        planes=plane_rows(planes, robots, np.full(len(planes.robot), robust)),
+        planes=planes,
+        plane_robust=np.full(len(planes.robot), robust),
         forest=find_subtrees(
             np.column_stack([links.robot, links.other]), np.zeros(1, np.int64), robots
         ),
