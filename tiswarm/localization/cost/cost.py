@@ -10,6 +10,7 @@ orientations were chained, their turns have no prior of their own: connections a
 Lengths in R.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -84,6 +85,41 @@ def weights(cost: Reals, temperature: float = 1.0) -> Reals:
     weight = np.exp(-0.5 * (cost - cost.min()) / temperature)
     total: Reals = weight / weight.sum()
     return total
+
+
+def moments(weight: Reals, position: Reals) -> tuple[Reals, Reals]:
+    """Compute the mean of weighted configurations, and their mean square distance from it.
+
+    Args:
+        weight: Weights that add up to 1, shape (k,).
+        position: Centers [R], shape (k, ..., 3).
+
+    Returns:
+        The mean [R], shape (..., 3), and the squares [R^2], shape (...).
+    """
+    mean: Reals = np.asarray(np.tensordot(weight, position, 1), np.float64)
+    square: Reals = weight @ ((position - mean) ** 2).sum(axis=-1)
+    return mean, square
+
+
+def grouped(order: Ints, alike: Callable[[int, list[int]], Bools]) -> list[list[int]]:
+    """Group items, each with the first one before it that it is like.
+
+    Args:
+        order: Items, shape (k,).
+        alike: Judges which of the first items of groups an item is like.
+
+    Returns:
+        Items of each group, in this order.
+    """
+    groups: list[list[int]] = []
+    for item in order.tolist():
+        same = np.flatnonzero(alike(item, [group[0] for group in groups]))
+        if len(same):
+            groups[same[0]].append(item)
+        else:
+            groups.append([item])
+    return groups
 
 
 class Cost:

@@ -21,7 +21,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.cost.cost import grouped
 from tiswarm.localization.cost.kernels import (
     COORDINATE,
     DISTANCE,
@@ -517,14 +518,12 @@ def _starts(block: Block, state: Configuration) -> Reals:
 
 def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
     """Keep the best of ends that are close, as far as their costs let them be candidates."""
-    kept: list[int] = []
-    for n in np.argsort(cost, kind="stable").tolist():
-        # Ends come by ascending cost: all others are worse.
-        if kept and cost[n] > cost[kept[0]] + CANDIDATES.worst:
-            break
+
+    def alike(n: int, kept: list[int]) -> Bools:
         apart = np.linalg.norm(place[kept] - place[n], axis=1)
-        if (apart > CANDIDATES.distinct).all():
-            kept.append(n)
-        if len(kept) == CANDIDATES.most:
-            break
+        return np.asarray(apart <= CANDIDATES.distinct)
+
+    order = np.argsort(cost, kind="stable")
+    likely = order[~(cost[order] > cost[order[0]] + CANDIDATES.worst)]
+    kept = [group[0] for group in grouped(likely, alike)][: CANDIDATES.most]
     return place[kept], cost[kept]

@@ -13,7 +13,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
-from tiswarm.localization.cost.cost import Cost, weights
+from tiswarm.localization.cost.cost import Cost, grouped, weights
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.frames import HELD, Frame, align, free_frame, scaled_distances
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
@@ -260,17 +260,15 @@ def _solutions(position: Reals, weight: Reals) -> Ints:
     Beyond that distance robots could have changed places. An end belongs to the weightiest one that
     it agrees with.
     """
-    number = np.full(len(position), -1)
-    firsts: list[int] = []
+
+    def alike(k: int, firsts: list[int]) -> Bools:
+        apart = np.linalg.norm(position[firsts] - position[k], axis=2)
+        return np.asarray(apart.max(axis=1) <= SPACING)
+
+    number = np.empty(len(position), np.int64)
     # The weightiest first, so that each solution is named by its best end.
-    for k in np.argsort(-weight, kind="stable").tolist():
-        for solution, first in enumerate(firsts):
-            if np.linalg.norm(position[k] - position[first], axis=1).max() <= SPACING:
-                number[k] = solution
-                break
-        else:
-            number[k] = len(firsts)
-            firsts.append(k)
+    for solution, members in enumerate(grouped(np.argsort(-weight, kind="stable"), alike)):
+        number[members] = solution
     total = np.bincount(number, weight)
     rank: Ints = np.argsort(np.argsort(-total, kind="stable"), kind="stable")
     of_end: Ints = rank[number]

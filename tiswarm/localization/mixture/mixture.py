@@ -19,7 +19,7 @@ from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
-from tiswarm.localization.cost.cost import SETTLED
+from tiswarm.localization.cost.cost import SETTLED, grouped, moments
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
 from tiswarm.localization.mixture.frames import images
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
@@ -126,15 +126,13 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
     # A robot that some solution leaves open has no mean over all: chains say where it is.
     is_held = np.all([each.is_held for each in minima], axis=0)
     at = np.array([each.position for each in minima])
-    position = np.where(
-        is_held[:, None], np.tensordot(share, at, 1), np.tensordot(ends.weight, annealed.mean, 1)
-    )
+    # The variance of a mixture: the mean within its parts, and that between their means.
+    mean, between = moments(share, at)
+    within = share @ np.array([each.sd**2 for each in minima])
+    position = np.where(is_held[:, None], mean, np.tensordot(ends.weight, annealed.mean, 1))
     # Chains agree where disconnected parts are, but nothing measures it.
     whole = [position, *(each.configuration for each in minima)]
     placed, loose = place_disconnected(np.array(whole), problem)
-    within = share @ np.array([each.sd**2 for each in minima])
-    # The variance of a mixture: the mean within its parts, and that between their means.
-    between = share @ ((at - np.tensordot(share, at, 1)) ** 2).sum(axis=2)
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
     verdict = judge(_evidence(ends, outlier, best))
     sd = np.sqrt((verdict.sd_factor * sd) ** 2 + loose[0])
@@ -280,17 +278,16 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
 
 def _distinct(minima: list[Minimum], cost: Reals) -> tuple[list[Minimum], Reals]:
     """Keep one of the minima that agree to the sd of every robot, the one of least cost."""
-    kept: list[Minimum] = []
-    for n in np.argsort(cost, kind="stable").tolist():
-        away = [np.linalg.norm(minima[n].position - each.position, axis=1) for each in kept]
-        alike = [
-            k for k, each in enumerate(kept) if (away[k] <= np.maximum(each.sd, SETTLED)).all()
-        ]
-        if alike:
-            same = kept[alike[0]]
-            kept[alike[0]] = same._replace(chains=same.chains + minima[n].chains)
-        else:
-            kept.append(minima[n])
+
+    def alike(n: int, firsts: list[int]) -> Bools:
+        away = [np.linalg.norm(minima[n].position - minima[k].position, axis=1) for k in firsts]
+        least = [np.maximum(minima[k].sd, SETTLED) for k in firsts]
+        return np.array([(a <= b).all() for a, b in zip(away, least, strict=True)], np.bool_)
+
+    kept = [
+        minima[group[0]]._replace(chains=sum(minima[n].chains for n in group))
+        for group in grouped(np.argsort(cost, kind="stable"), alike)
+    ]
     return kept, np.array([each.cost for each in kept])
 
 
@@ -433,8 +430,7 @@ def between_chains(mean: Reals, weight: Reals) -> Reals:
     if chains < _LEAST_CHAINS:
         weight = np.full(len(mean), 1.0 / len(mean))
         chains = float(len(mean))
-    position = np.tensordot(weight, mean, 1)
-    square: Reals = weight @ ((mean - position) ** 2).sum(axis=2)
+    square = moments(weight, mean)[1]
     return square * ((chains + 1.0) / (chains - 1.0) if chains > 1.0 else 1.0)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import chosen_rows
-from tiswarm.localization.cost.cost import weights
+from tiswarm.localization.cost.cost import moments, weights
 from tiswarm.localization.cost.neighborhood import (
     Block,
     Configuration,
@@ -161,9 +161,9 @@ class LocalLayers:
             surprised = self._is_surprise(problem, linear, number)
         elif is_new:
             at = np.array([each.position[number] for each, _ in found])
-            mean = weight @ at
+            mean, square = moments(weight, at)
             self.shift[number] = mean - state.position[number]
-            spread = float(weight @ ((at - mean) ** 2).sum(axis=1))
+            spread = float(square)
         self.state = state
         self._revise_means(near, linear.sd(), number, is_new=is_new)
         self.sd[number] = np.hypot(self.sd[number], np.sqrt(spread))

@@ -32,7 +32,7 @@ from tiswarm.localization import methods
 from tiswarm.localization.chains.annealer import anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected, set_apart
-from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.cost import Cost, moments
 from tiswarm.localization.cost.neighborhood import Configuration, NearCost
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.methods import centered, uncentered
@@ -422,8 +422,7 @@ def reannealed(
     # is least, but where they differ, several places are likely.
     apart = ends.position - ends.position[best] + found[1][0].position - there.position
     apart[np.linalg.norm(apart, axis=2) <= np.sqrt(own)] = 0.0
-    mean = np.tensordot(ends.weight, apart, 1)
-    between = ends.weight @ ((apart - mean) ** 2).sum(axis=2)
+    mean, between = moments(ends.weight, apart)
     # Chains that ended far above the best minimum say nothing about it.
     counts = ~problem.untied & (found[1][1].cost <= linear.cost + CANDIDATES.likely)
     shift = np.where(counts[:, None], mean, 0.0)
