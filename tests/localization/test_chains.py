@@ -13,7 +13,6 @@ from tiswarm.localization import joint
 from tiswarm.localization.chains.annealer import anneal, annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
-from tiswarm.localization.mixture import search
 from tiswarm.localization.mixture.ends import failed, squares
 from tiswarm.localization.mixture.mixture import between_chains, deviation
 from tiswarm.localization.mixture.settings import CONVERGENCE
@@ -91,9 +90,8 @@ def test_no_robot_is_farther_from_the_anchor_than_contacts_reach(kind, docks, se
 
 
 def _anneal_by(monkeypatch, call):
-    """Have a call anneal instead: at first in `joint`, and again in `search`."""
-    for module in (joint, search):
-        monkeypatch.setattr(module, "anneal", call)
+    """Have a call anneal instead in `joint`, at first and again."""
+    monkeypatch.setattr(joint, "anneal", call)
 
 
 def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypatch):
