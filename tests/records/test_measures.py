@@ -4,9 +4,18 @@ from pathlib import Path
 
 import pytest
 
-from tiswarm.records.measures import BUILT_FOR, MAIN, MEASURES, PAGE, PAIRED, measures_table
+from tiswarm.records.measures import BUILT_FOR, MAIN, MEASURES, PAGE, PAIRED
 
 PAGE_OF_FILES = Path(__file__).parents[2] / "docs" / "files.md"
+
+
+def measures_table() -> str:
+    """Write all measures as the table of Markdown on the page of files."""
+    lines = ["| column | unit | from | meaning | better |", "|---|---|---|---|---|"]
+    for each in MEASURES.values():
+        name = f"`{each.column}`" + ("" if each.averaged else " (no mean)")
+        lines.append(f"| {name} | {each.unit} | {each.source} | {each.meaning} | {each.better} |")
+    return "\n".join(lines) + "\n"
 
 
 def test_the_page_of_files_has_the_table():

@@ -350,12 +350,3 @@ PAGE: Mapping[str, Mapping[Measure, str]] = {
     },
 }
 """By table of a run's page, the headings of its measures in order."""
-
-
-def measures_table() -> str:
-    """Write all measures as a table of Markdown; `docs/files.md` has it."""
-    lines = ["| column | unit | from | meaning | better |", "|---|---|---|---|---|"]
-    for each in MEASURES.values():
-        name = f"`{each.column}`" + ("" if each.averaged else " (no mean)")
-        lines.append(f"| {name} | {each.unit} | {each.source} | {each.meaning} | {each.better} |")
-    return "\n".join(lines) + "\n"

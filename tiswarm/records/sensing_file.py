@@ -24,20 +24,10 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Bools, Ints
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import find
+from tiswarm.records import sensing_format
 from tiswarm.records.io import Opener, at_line, decode, raw_lines, replacing
 from tiswarm.records.messages import shown
-from tiswarm.records.sensing_format import (
-    EVENT_VERSION,
-    FORMAT,
-    MOST_CONTACTS,
-    HeaderLine,
-    RobotLine,
-    SensingLine,
-    StanceEntry,
-    parse_header,
-    parse_line,
-    parsed,
-)
+from tiswarm.records.sensing_format import FORMAT, HeaderLine, RobotLine, SensingLine, StanceEntry
 from tiswarm.records.sensing_log import (
     LISTS,
     NUMBERS,
@@ -375,12 +365,11 @@ class SensingLogBuilder:
                 touching.subtract(self._ends(mine, *contact))
         for place, more in touching.items():
             before = self._touching[place] if place < len(self._touching) else 0
-            if before + more > MOST_CONTACTS:
+            if before + more > sensing_format.MOST_CONTACTS:
                 name = [*self._index_of, robot][place // docks]
-                problem = (
-                    f"dock {place % docks} of robot {name} has more than {MOST_CONTACTS} contacts"
-                )
-                raise InputError(f"{problem}; delete false ones", key="contacts")
+                most = f"more than {sensing_format.MOST_CONTACTS} contacts; delete false ones"
+                problem = f"dock {place % docks} of robot {name} has {most}"
+                raise InputError(problem, key="contacts")
         if mine == len(self._entry):
             self._touching.extend(bytes(docks))
         for place, more in touching.items():
@@ -530,10 +519,10 @@ def read_sensing_log(path: Path) -> SensingLog:
     if number == 0:
         raise InputError("the file is empty; start it with a header line", path=path, line=1)
     with at_line(path, number):
-        builder = SensingLogBuilder(parse_header(decode(raw, path, number)))
+        builder = SensingLogBuilder(sensing_format.parse_header(decode(raw, path, number)))
     for number, raw in lines:
         with at_line(path, number):
-            builder.take(parse_line(decode(raw, path, number), builder.header))
+            builder.take(sensing_format.parse_line(decode(raw, path, number), builder.header))
     if number == 1:
         problem = "there are no robots; add a line for each, the anchor first"
         raise InputError(problem, path=path, line=2)
@@ -580,13 +569,13 @@ def lines_of(log: SensingLog) -> tuple[HeaderLine, list[RobotLine]]:
     Raises:
         InputError: a reader would refuse them; it has the key alone.
     """
-    lines = [parsed(entries, RobotLine) for entries in _robot_entries(log)]
+    lines = [sensing_format.parsed(entries, RobotLine) for entries in _robot_entries(log)]
     return check_header(log), lines
 
 
 def check_header(log: SensingLog) -> HeaderLine:
     """Return the header of a log; an InputError, with the key alone, where a reader refuses it."""
-    return parse_header(_header_entries(log))
+    return sensing_format.parse_header(_header_entries(log))
 
 
 def _header_entries(log: SensingLog) -> dict[str, object]:
@@ -642,7 +631,7 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
 def _version(log: SensingLog) -> int:
     """Return the first version that has all keys and events of a log."""
     if len(log.gone):
-        return EVENT_VERSION
+        return sensing_format.EVENT_VERSION
     has_null = bool(np.isnan(log.orientation_wxyz).any())
     found = [2 if has_null or log.source_name else 1]
     for name, key in LISTS.items():

@@ -32,18 +32,7 @@ from pydantic.dataclasses import dataclass as parameters
 from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.params import STRICT
 from tiswarm.compute import backend
-from tiswarm.world.frame_kernels import (
-    GROUND,
-    NO_DOCK,
-    BeamEnds,
-    EliminationArrays,
-    FrameArrays,
-    HalfEdge,
-    LoadArrays,
-    Node,
-    NodeList,
-    find_loads,
-)
+from tiswarm.world import frame_kernels
 
 _MAX_UNBORNE = 1e-6
 """Largest share of the weight that ground forces of a standing structure may miss [1]."""
@@ -125,24 +114,24 @@ class Frames:
         self.waiting: list[_Waiting] = []
         nodes = robots if self.rigid else (docks + 1) * robots
         beams = 3 * robots if self.rigid else (docks + 3) * robots
-        self.frame = FrameArrays(
+        self.frame = frame_kernels.FrameArrays(
             node_count=np.zeros(structures, np.int32),
             beam_count=np.zeros(structures, np.int32),
-            ends=np.empty((structures, beams, BeamEnds.TOTAL), np.int32),
+            ends=np.empty((structures, beams, frame_kernels.BeamEnds.TOTAL), np.int32),
             stiffness=np.empty((structures, beams, 144)),
             span=np.empty((structures, beams, 3)),
             arm=np.zeros((structures, docks * robots, 3)),  # read, and not used, for the ground
             weight=np.zeros((structures, nodes, _SIDE)),
         )
-        self.work = EliminationArrays(
-            node=np.empty((structures, nodes, Node.TOTAL), np.int32),
-            order=np.empty((structures, nodes + 1, NodeList.TOTAL), np.int32),
-            half=np.empty((structures, 10 * nodes, HalfEdge.TOTAL), np.int32),
+        self.work = frame_kernels.EliminationArrays(
+            node=np.empty((structures, nodes, frame_kernels.Node.TOTAL), np.int32),
+            order=np.empty((structures, nodes + 1, frame_kernels.NodeList.TOTAL), np.int32),
+            half=np.empty((structures, 10 * nodes, frame_kernels.HalfEdge.TOTAL), np.int32),
             block_count=np.zeros(structures, np.int32),
             block=np.empty((structures, 5 * nodes, _SIDE**2)),
             motion=np.empty((structures, nodes, _SIDE)),
         )
-        self.found = LoadArrays(
+        self.found = frame_kernels.LoadArrays(
             acting=np.empty((structures, docks * robots, _SIDE)),
             support=np.empty((structures, beams, 3)),
             stress=np.empty((structures, beams)),
@@ -174,7 +163,7 @@ class Frames:
     def joints(self) -> AnyInts:
         """Docks that touch, rows of (dock, dock) in structure after structure, shape (C, 2)."""
         self._admit()
-        docks = self.frame.ends[:, :, BeamEnds.DOCK_A :]
+        docks = self.frame.ends[:, :, frame_kernels.BeamEnds.DOCK_A :]
         in_use = np.arange(docks.shape[1]) < self.frame.beam_count[:, None]
         structure, beam = np.nonzero(in_use & (docks[:, :, 1] >= 0))
         joints: AnyInts = docks[structure, beam] + self.frame.arm.shape[1] * structure[:, None]
@@ -204,7 +193,7 @@ class Frames:
         self._add_contacts(
             np.r_[touching, placed],
             np.r_[joints[:, 0], feet],
-            np.r_[joints[:, 1], np.full(len(feet), GROUND)],
+            np.r_[joints[:, 1], np.full(len(feet), frame_kernels.GROUND)],
             np.concatenate([dock[touching, joints[:, 1]], np.concatenate(foot)]),
         )
 
@@ -222,7 +211,7 @@ class Frames:
         of, center = np.repeat(of, docks), np.repeat((docks + 1) * robot, docks)
         dock = center + np.tile(np.arange(1, docks + 1), count)
         self.frame.weight[of, dock, 2] = -1.0
-        unused = np.full(len(of), NO_DOCK)
+        unused = np.full(len(of), frame_kernels.NO_DOCK)
         ends, span = np.column_stack([center, dock, unused, unused]), arm.reshape(-1, 3)
         self._add_beams(of, ends, span, self._stiffness(span, self.params.link_axial))
 
@@ -236,7 +225,8 @@ class Frames:
             follow[:, :6, :6] = _rigid_link(self.frame.arm[of, a])
             follow[:, 6:, 6:] = _rigid_link(self.frame.arm[of, b])
             stiff = follow.swapaxes(1, 2) @ stiff @ follow
-        ends = np.column_stack([self._node(a), np.where(b < 0, GROUND, self._node(b)), a, b])
+        other = np.where(b < 0, frame_kernels.GROUND, self._node(b))
+        ends = np.column_stack([self._node(a), other, a, b])
         self._add_beams(of, ends, span, stiff)
 
     def _node(self, dock: AnyInts) -> AnyInts:
@@ -277,7 +267,7 @@ class Frames:
         due = np.array(structures, np.int32)
         while len(due):
             work = self.work
-            find_loads(
+            frame_kernels.find_loads(
                 int(self.rigid), self.params.beam_radius, self.robots, due,
                 *self.frame, *work, *self.found,
             )  # fmt: skip
@@ -287,7 +277,7 @@ class Frames:
             if len(due):
                 room = 2 * work.block.shape[1]
                 self.work = work._replace(
-                    half=np.empty((len(work.half), 2 * room, HalfEdge.TOTAL), np.int32),
+                    half=np.empty((len(work.half), 2 * room, work.half.shape[2]), np.int32),
                     block=np.empty((len(work.block), room, _SIDE**2)),
                 )
 
@@ -299,8 +289,8 @@ class Frames:
         """
         found, beams = self.found, slice(self.frame.beam_count[structure])
         robots = int(self.robots[structure])
-        other = self.frame.ends[structure, beams, BeamEnds.DOCK_B]
-        standing, stress = other == GROUND, found.stress[structure, beams]
+        other = self.frame.ends[structure, beams, frame_kernels.BeamEnds.DOCK_B]
+        standing, stress = other == frame_kernels.GROUND, found.stress[structure, beams]
         ground_force = found.support[structure, beams][standing]
         weight = robots * self.dock.shape[2]
         surplus = ground_force.sum(axis=0) - [0.0, 0.0, weight]
