@@ -11,7 +11,7 @@ from tests.report.conftest import is_blank, require_alike, write_case, write_sum
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records import outputs
-from tiswarm.report import curve_figures, error_figures, figure_style, figures, table_figures
+from tiswarm.report import curve_figures, error_figures, figure_style, table_figures
 from tiswarm.report.curve_figures import (
     PROFILED,
     SCALING_PANELS,
@@ -98,7 +98,7 @@ def test_the_same_tables_give_the_same_bytes(run_folder):
 def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkeypatch):
     """A note on each figure states the number of failed cases."""
     drawn = []
-    monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
+    monkeypatch.setattr(figure_style, "png", lambda figure: drawn.append(figure) or b"")
 
     draw_figures(load_run(run_folder), Progress())
 
@@ -207,7 +207,7 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
         write_case(tmp_path / "cases" / name, seed=0)
     write_summary(tmp_path, COLUMNS, rows)
     drawn = []
-    monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
+    monkeypatch.setattr(figure_style, "png", lambda figure: drawn.append(figure) or b"")
 
     files = draw_figures(load_run(tmp_path), Progress())
 

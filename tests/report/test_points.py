@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import require_alike, write_case, write_summary, write_table
+from tiswarm.parts.comparison import draw_rows
 from tiswarm.records.frames import read_frame
-from tiswarm.report import error_figures, figures, table_figures
+from tiswarm.report import error_figures, figures
 from tiswarm.report.curve_figures import PROFILED, SCALING_PANELS
 from tiswarm.report.run_data import load_run
 
@@ -110,13 +111,13 @@ def test_no_point_lies_outside_its_axes(tmp_path, kind, width):
     run = load_run(tmp_path)
 
     drawn = {name: draw(run) for name, draw in figures.painters_of(run).items()}
-    comparison = table_figures.draw_rows(read_frame(tmp_path / "comparison.csv", ["run"]))
+    compared = draw_rows(read_frame(tmp_path / "comparison.csv", ["run"]))
 
     errors = "error-against-height" if kind == "tower" else "error-along-growth"
     several = ["accuracy", "shape", "scaling", "back-propagation", "profiles", "price-and-error"]
     assert [*drawn] == ["convergence", errors, *several]
     assert {name: outside(figure) for name, figure in drawn.items()} == {name: [] for name in drawn}
-    assert outside(comparison) == []
+    assert outside(compared) == []
 
 
 def test_a_narrow_figure_shows_what_the_wide_one_shows(tmp_path):

@@ -29,13 +29,7 @@ from tiswarm.records.measures import (
 )
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import TABLE_NOTES
-from tiswarm.report.run_data import (
-    measured_words,
-    relabeled,
-    stated_scenario,
-    swept_columns,
-    swept_words,
-)
+from tiswarm.report import run_data
 
 FEWEST = 5
 """Structures below which a range says more than a confidence interval or a test, and no error is
@@ -213,7 +207,7 @@ def _by_measurements(found: Sequence[Group], points: int) -> Iterable[str]:
     stated: set[str] = set()
     shared = set.intersection(*({*group.measurements.split(", ")} for group in found))
     for group in found[:_MOST_GROUPS]:
-        used = measured_words(group.measurements, without=shared & {"non_overlap"})
+        used = run_data.measured_words(group.measurements, without=shared & {"non_overlap"})
         again = ", sensed otherwise" if used in stated else ""
         somewhere = f" (at {counted(group.points, 'point')})" if group.points < points else ""
         with_these = f"with {used or 'unknown measurements'}{again}{somewhere}, "
@@ -372,8 +366,8 @@ def headline(folder: Path) -> str:
     table = read_frame(
         path, ["condition"], ["cases"], gaps=_NEEDED, notes=TABLE_NOTES, numbers_after="cases"
     )
-    swept = swept_columns(table)
-    table[swept] = swept_words(table)[swept]
+    swept = run_data.swept_columns(table)
+    table[swept] = run_data.swept_words(table)[swept]
     last = result_of(folder, table) if len(table) > 1 else ""
     return "\n".join([*map(_in_words, table.to_dict("records")), *([last] if last else [])])
 
@@ -387,8 +381,8 @@ def read_pairs(folder: Path) -> pd.DataFrame:
         return pd.DataFrame()
     pairs = read_frame(path, words, gaps=numbers, numbers_after="measure", empty=True)
     pairs = pairs.assign(equal_measurements=pairs.get("equal_measurements", False))
-    swept = swept_columns(pairs, before="measure")
-    pairs[swept] = swept_words(pairs, before="measure")[swept]
+    swept = run_data.swept_columns(pairs, before="measure")
+    pairs[swept] = run_data.swept_words(pairs, before="measure")[swept]
     return pairs
 
 
@@ -414,8 +408,10 @@ def result_of(folder: Path, table: pd.DataFrame, labels: Mapping[str, str] | Non
         return "No case was finished."
     if not set(_NEEDED) <= set(rows):
         return ""
-    pairs, scaling = (relabeled(read(folder), labels or {}) for read in (read_pairs, read_scaling))
-    question = stated_scenario(folder).get("question")
+    pairs, scaling = (
+        run_data.relabeled(read(folder), labels or {}) for read in (read_pairs, read_scaling)
+    )
+    question = run_data.stated_scenario(folder).get("question")
     text = answer(str(question), Results(rows, pairs, scaling)) if len(rows) > 1 else ""
     text = text or "; ".join(map(_in_words, rows.to_dict("records")))
     return f"{text}{_disconnected_somewhere(rows) if 'RMSE' in text else ''}."

@@ -11,18 +11,6 @@ import pandas as pd
 from tiswarm.records.measures import MAIN, RMSE, STEPS
 from tiswarm.records.messages import three_digits
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import (
-    MOST_BANDS,
-    Painter,
-    Panels,
-    entries_of,
-    fit_axis,
-    left_out,
-    marker_style,
-    set_log,
-    set_title,
-    shortened,
-)
 from tiswarm.report.run_data import RunData, swept_columns, swept_words, with_points
 
 if TYPE_CHECKING:
@@ -66,10 +54,12 @@ CAPTIONS = {
 """What the figures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures that a run has, by file name."""
-    sizes: dict[str, Painter] = {"scaling": draw_scaling} if run.sweeps_robots else {}
-    rounds: dict[str, Painter] = {"back-propagation": draw_rounds} if compares_rounds(run) else {}
+    sizes: dict[str, figure_style.Painter] = {"scaling": draw_scaling} if run.sweeps_robots else {}
+    rounds: dict[str, figure_style.Painter] = (
+        {"back-propagation": draw_rounds} if compares_rounds(run) else {}
+    )
     return {**sizes, **rounds, **_profile_painters(run)}
 
 
@@ -94,7 +84,7 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     shown = points[:_MOST_POINTS]
     one_length = len(set(table["round_sweeps"].dropna())) == 1
     height = 0.6 + 3.2 * -(-len(shown) // 2)
-    panels = Panels(height, len(shown), 2, share="x", most=most)
+    panels = figure_style.Panels(height, len(shown), 2, share="x", most=most)
     for axes, (point, part) in panels.each(shown):
         has_rounds = part["round_every"].notna()
         levels = part.loc[~has_rounds, ["condition", RMSE.mean, RMSE.ci95]]
@@ -105,17 +95,17 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
         for place, ((sweeps, recent), family) in enumerate(families):
             name = f"last {recent:g}" if np.isfinite(recent) else "all"
             name += "" if one_length else f", {sweeps:g} steps"
-            _draw_family(axes, family, {"label": name, **marker_style(place)})
-        set_title(axes, shortened(point))
+            _draw_family(axes, family, {"label": name, **figure_style.marker_style(place)})
+        figure_style.set_title(axes, figure_style.shortened(point))
         axes.set_xlabel(STEPS.axis)
         axes.set_ylim(bottom=0.0)
     steps = table.loc[table["round_every"].notna(), STEPS.mean]
     panels.label_left(RMSE.axis)
-    set_log(panels.first, "x", 2.0 * steps.max() / steps.min())
+    figure_style.set_log(panels.first, "x", 2.0 * steps.max() / steps.min())
     panels.first.set_xlim(0.7 * steps.min(), 1.4 * steps.max())
     words = "robots moved in a round; mean and 95 % CI"
     panels.legend(words, structures=int(table["cases"].max()))
-    more = left_out(len(points) - len(shown), "table.csv")
+    more = figure_style.left_out(len(points) - len(shown), "table.csv")
     return panels.finish("numbers: joins between two rounds", more, run.note)
 
 
@@ -146,7 +136,7 @@ def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: 
     )  # fmt: skip
 
 
-def _profile_painters(run: RunData) -> dict[str, Painter]:
+def _profile_painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the profile figures of a run by file name: one for each of a few sweep points.
 
     All series share a figure if there are many points, or no sweep.
@@ -160,7 +150,7 @@ def _profile_painters(run: RunData) -> dict[str, Painter]:
     points = dict(list(table.groupby(swept, sort=False))) if swept else {}
     if not 1 < len(points) <= _MOST_POINTS:
         return {"profiles": partial(_draw_profiles, table=table)}
-    painters: dict[str, Painter] = {}
+    painters: dict[str, figure_style.Painter] = {}
     for point, part in points.items():
         slug = re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, point))).strip("-")
         painters[f"profiles-{slug}"] = partial(_draw_profiles, table=part.drop(columns=swept))
@@ -179,8 +169,8 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
     if len(table[swept].drop_duplicates()) > len(figure_style.PALETTE):
         return _draw_small_profiles(run, table, swept, most)
-    panels = Panels(3.6, len(PROFILED), 3, most=most)
-    bands = len(table[swept].drop_duplicates()) <= MOST_BANDS
+    panels = figure_style.Panels(3.6, len(PROFILED), 3, most=most)
+    bands = len(table[swept].drop_duplicates()) <= figure_style.MOST_BANDS
     for axes, (name, label) in panels.each(PROFILED.items()):
         part = table[table["by"] == name]
         for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):
@@ -201,15 +191,15 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
                 _count(axes, rows["at"], rows["count"])
         axes.set(xlabel=label, ylabel=RMSE.axis)
         rmse = part[RMSE.column].to_numpy(float)
-        fit_axis(axes, "y", rmse[part["many"]], others=rmse)
-    set_log(axes, "x")
+        figure_style.fit_axis(axes, "y", rmse[part["many"]], others=rmse)
+    figure_style.set_log(axes, "x")
     axes.set_ylabel("Relative RMSE [R]")
     ticks = sorted(set(part["low"]))
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     unused = panels.figure.axes[-1]
     if unused in panels.axes:
-        panels.legend(entries=entries_of(axes))
+        panels.legend(entries=figure_style.entries_of(axes))
     else:
         unused.legend(*axes.get_legend_handles_labels(), loc="center left")
     opened = "" if table["many"].all() else f"open: fewer than {_FEWEST_ROBOTS}"
@@ -234,7 +224,7 @@ def _draw_small_profiles(
     panels_of = dict(list(part.groupby("point", sort=False)))
     shown = dict(list(panels_of.items())[:_MOST_SMALL])
     height = 0.6 + 1.15 * -(-len(shown) // _SMALL_COLUMNS)
-    panels = Panels(height, len(shown), _SMALL_COLUMNS, share="xy", most=most)
+    panels = figure_style.Panels(height, len(shown), _SMALL_COLUMNS, share="xy", most=most)
     first = next(iter(shown.values()))
     for axes, (point, rows) in panels.each(shown.items()):
         for _, line in first.groupby("condition", sort=False):
@@ -242,12 +232,12 @@ def _draw_small_profiles(
         for place, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
             look: dict[str, Any] = {"color": figure_style.PALETTE[place], "markersize": 2.0}
             axes.plot(line["at"], line[RMSE.column], "o-", linewidth=1.0, label=condition, **look)
-        set_title(axes, shortened(str(point)), 6.5)
-    fit_axis(panels.first, "y", part[RMSE.column].to_numpy(float))
+        figure_style.set_title(axes, figure_style.shortened(str(point)), 6.5)
+    figure_style.fit_axis(panels.first, "y", part[RMSE.column].to_numpy(float))
     panels.label_once(PROFILED[_SMALL], RMSE.axis)
-    if len(entries_of(panels.first)) > 1:
+    if len(figure_style.entries_of(panels.first)) > 1:
         panels.legend()
-    more = left_out(len(panels_of) - len(shown), "profiles.csv")
+    more = figure_style.left_out(len(panels_of) - len(shown), "profiles.csv")
     return panels.finish("gray: first panel", more, run.note)
 
 
@@ -269,7 +259,7 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     """
     numbers = ["robots", "mean", "exponent", "slope"]
     table = run.table("scaling.csv", ["series", "measure"], numbers, after="measure")
-    panels = Panels(4.4, len(SCALING_PANELS), 3, most=most)
+    panels = figure_style.Panels(4.4, len(SCALING_PANELS), 3, most=most)
     sizes = sorted(set(table["robots"]))
     labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k
     names = list(dict.fromkeys(table["series"]))
@@ -280,7 +270,10 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
         means = {tuple(part["mean"]) for part in parts}
         one_for_all = len(means) == 1 < len(parts)
         for place, part in enumerate(parts[:1] if one_for_all else parts):
-            look = {**marker_style(place), "linewidth": figure_style.line_style(place)["linewidth"]}
+            look = {
+                **figure_style.marker_style(place),
+                "linewidth": figure_style.line_style(place)["linewidth"],
+            }
             if one_for_all:
                 look["color"] = "0.4"
             (line,) = axes.plot(part["robots"], part["mean"], markersize=3.0, **look)
@@ -289,14 +282,14 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
                 _powers(part), (0.0, 1.0), (3.0, 3.0 + 8.0 * place), color=look["color"],
                 xycoords="axes fraction", textcoords="offset points", fontsize=6.0,
             )  # fmt: skip
-        set_log(axes, "x")
+        figure_style.set_log(axes, "x")
         axes.set(xlabel="Robots N", ylabel=label)
         axes.set_xticks(sizes, labels)
         axes.minorticks_off()
         if measure.endswith("_MB"):
             axes.set_ylim(0.0, 1.1 * rows["mean"].max())
         else:
-            fit_axis(axes, "y", rows["mean"].to_numpy(float))
+            figure_style.fit_axis(axes, "y", rows["mean"].to_numpy(float))
     shown = [name for name in (*names, "all series") if name in legend]
     panels.legend(entries={name: legend[name] for name in shown}, loc="outside upper right")
     powers = "powers of N are fitted to all sizes, then to the two largest"

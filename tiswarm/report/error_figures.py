@@ -12,23 +12,6 @@ from tiswarm.records import outputs
 from tiswarm.records.measures import RMSE
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import (
-    COLUMN_WIDTH,
-    ESTIMATE_ORANGE,
-    MOST_BANDS,
-    PAGE_WIDTH,
-    TRUE_BLUE,
-    Painter,
-    Panels,
-    columns_of,
-    fit_axis,
-    is_narrow,
-    line_style,
-    new_figure,
-    set_log,
-    set_title,
-    shortened,
-)
 from tiswarm.report.run_data import RunData, Series, StoredCase
 
 if TYPE_CHECKING:
@@ -71,7 +54,7 @@ CAPTIONS = {
 """What the figures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures of errors that a run has, by file name."""
     if _first_by_kind(run.series):
         return {"convergence": draw_convergence, "error-along-growth": _draw_error_along_growth}
@@ -90,21 +73,23 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
     names = _legible(shown)
     seeds = max(map(len, run.series.values()))
     drawn = {name for of_point in shown.values() for name in of_point}
-    bands = len(drawn) <= MOST_BANDS and seeds > 1
-    columns = columns_of(len(shown))
+    bands = len(drawn) <= figure_style.MOST_BANDS and seeds > 1
+    columns = figure_style.columns_of(len(shown))
     rows = -(-len(shown) // columns)
-    width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
-    panels = Panels(0.8 + 1.9 * rows, len(shown), columns, width=width, share="y", most=most)
+    width = figure_style.COLUMN_WIDTH if columns == 1 else figure_style.PAGE_WIDTH
+    panels = figure_style.Panels(
+        0.8 + 1.9 * rows, len(shown), columns, width=width, share="y", most=most
+    )
     legend: dict[str, Artist] = {}
     top = 0.0
     for axes, (title, of_point) in panels.each(shown.items()):
         top = max(top, _plot_convergence(axes, of_point, names, bands=bands))
-        set_title(axes, title)
+        figure_style.set_title(axes, title)
         legend |= {str(line.get_label()): line for line in axes.lines}
     lines = [np.asarray(line.get_ydata(), float) for axes in panels.axes for line in axes.lines]
     ends = np.array([line[-1] for line in lines])
     panels.first.set_ylim(top=1.05 * top or 1.0)
-    fit_axis(panels.first, "y", ends, others=np.concatenate([np.empty(0), *lines]))
+    figure_style.fit_axis(panels.first, "y", ends, others=np.concatenate([np.empty(0), *lines]))
     panels.label_once(y=RMSE.axis)
     panels.legend(f"mean{' ± 1 sd' * bands}", legend, structures=seeds)
     left = len(points) - len(shown)
@@ -134,9 +119,10 @@ def _by_point(series: Series) -> dict[str, Series]:
     """Group series by sweep point; a single group if each point has one condition."""
     points: dict[str, Series] = {}
     for name, cases in series.items():
-        points.setdefault(shortened(cases[0].point), {})[cases[0].condition or name] = cases
+        point = figure_style.shortened(cases[0].point)
+        points.setdefault(point, {})[cases[0].condition or name] = cases
     if len(points) == len(series) > 1:
-        return {"": {shortened(name): cases for name, cases in series.items()}}
+        return {"": {figure_style.shortened(name): cases for name, cases in series.items()}}
     return points
 
 
@@ -148,7 +134,7 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: 
     top = 0.0
     for name, cases in sorted(series.items(), key=lambda item: item[0] in names):
         is_named = name in names
-        look = line_style(names.index(name)) if is_named else dict(_OTHERS)
+        look = figure_style.line_style(names.index(name)) if is_named else dict(_OTHERS)
         iteration, rmse = _traces(cases)
         if not iteration.size:
             continue
@@ -163,7 +149,7 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: 
     axes.margins(x=0.0)
     ends = [float(np.max(line.get_xdata())) for line in axes.lines]
     if max(ends, default=0.0) > _MANY_TIMES * min(ends, default=0.0) > 0.0:
-        set_log(axes, "x")
+        figure_style.set_log(axes, "x")
     return top
 
 
@@ -190,20 +176,20 @@ def draw_errors(run: RunData, most: float = np.inf) -> "Figure":
     columns = 2 if pairs else min(3, len(shown))
     shown = shown[: _MAX_PANELS // columns * columns]
     rows = -(-len(shown) // columns)
-    width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
+    width = figure_style.COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
     lines = max(name.count(", ") for name, _ in shown)
     height = 0.5 + (2.0 + _TITLE_LINE * lines) * rows
     ways = [_way(cases) for _, cases in shown]
     alike = len(set(ways)) == 1
     share = "xy" if alike else "y"
-    panels = Panels(height, len(shown), columns, width=width, share=share, most=most)
+    panels = figure_style.Panels(height, len(shown), columns, width=width, share=share, most=most)
     tables = [_errors_at(cases, way[0]) for (_, cases), way in zip(shown, ways, strict=True)]
     _scatter(panels, tables)
     notes = [run.note]
     for axes, ((name, _), table) in panels.each(zip(shown, tables, strict=True)):
         if len(table) > _MAX_POINTS:
             notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
-        set_title(axes, shortened(name).replace(", ", ",\n"), 7.0)
+        figure_style.set_title(axes, figure_style.shortened(name).replace(", ", ",\n"), 7.0)
     panels.label_once(ways[0][1] if alike else "", "Error [R]")
     for axes, (_, label) in panels.each(ways):
         axes.set_xlabel("" if alike else label)
@@ -218,12 +204,12 @@ def _draw_error_along_growth(run: RunData, most: float = np.inf) -> "Figure":
     Each kind of structure has a panel with the first condition.
     """
     kinds = _first_by_kind(run.series)
-    panels = Panels(2.6, len(kinds), len(kinds), share="y", most=most)
+    panels = figure_style.Panels(2.6, len(kinds), len(kinds), share="y", most=most)
     _scatter(panels, [_errors_at(cases, _way(cases)[0]) for cases in kinds.values()])
     for axes, (kind, cases) in panels.each(kinds.items()):
         axes.set_xlabel(_way(cases)[1])
         many = counted(len(cases), "structure")
-        set_title(axes, f"{kind}, {cases[0].condition}, {many}")
+        figure_style.set_title(axes, f"{kind}, {cases[0].condition}, {many}")
     panels.label_left("Error [R]")
     return panels.finish(run.note)
 
@@ -252,7 +238,7 @@ def _errors_at(cases: list[StoredCase], column: str) -> Reals:
     return finite
 
 
-def _scatter(panels: Panels, tables: list[Reals]) -> None:
+def _scatter(panels: figure_style.Panels, tables: list[Reals]) -> None:
     """Draw a table of `_errors_at` in each panel, colored by join index.
 
     Where methods differ much, the axis of errors is logarithmic; less is drawn at its lower edge.
@@ -264,7 +250,7 @@ def _scatter(panels: Panels, tables: list[Reals]) -> None:
     colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
     errors = [table[:, 1] for table in tables if len(table)]
     typical = np.concatenate([[0.0], *(np.quantile(each, _LOW_AND_MIDDLE) for each in errors)])
-    fit_axis(panels.first, "y", typical)
+    figure_style.fit_axis(panels.first, "y", typical)
     low = panels.first.get_ylim()[0]
     many = sum(min(len(table), _MAX_POINTS) for table in tables) > _MOST_VECTORS
     top = 0.0
@@ -279,7 +265,7 @@ def _scatter(panels: Panels, tables: list[Reals]) -> None:
     panels.first.set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)
     figure, count = panels.figure, len(panels.axes)
     look: dict[str, Any] = {"aspect": 25 * -(-count // 3)}
-    if is_narrow(figure) and count > 1:
+    if figure_style.is_narrow(figure) and count > 1:
         look = {"aspect": 40, "location": "top"}
     bar: Any = figure.colorbar(dots, ax=figure.axes, label="Join index", pad=0.02, **look)
     bar.locator = MaxNLocator("auto", integer=True)
@@ -329,7 +315,7 @@ def draw_score(true: Reals, estimated: Reals, errors: Mapping[str, Reals], unit:
         errors: Errors of the robots [unit] by the way of alignment, each of shape (N,).
         unit: Unit of lengths.
     """
-    figure = new_figure(PAGE_WIDTH, _SCORE_HEIGHT)
+    figure = figure_style.new_figure(figure_style.PAGE_WIDTH, _SCORE_HEIGHT)
     grid = figure.add_gridspec(2, len(_VIEWS), height_ratios=[1, 2])
     _draw_errors(figure.add_subplot(grid[0, :]), errors, unit)
     for column, (title, view) in enumerate(_VIEWS.items()):
@@ -342,7 +328,9 @@ def draw_score(true: Reals, estimated: Reals, errors: Mapping[str, Reals], unit:
 
 def _draw_errors(axes: "Axes", errors: Mapping[str, Reals], unit: str) -> None:
     """Draw the error of each robot, with the RMSE."""
-    for color, (name, error) in zip((ESTIMATE_ORANGE, TRUE_BLUE), errors.items(), strict=True):
+    for color, (name, error) in zip(
+        (figure_style.ESTIMATE_ORANGE, figure_style.TRUE_BLUE), errors.items(), strict=True
+    ):
         mark = "." if len(error) <= _MOST_MARKS else ""
         label = f"{name}: RMSE {np.sqrt((error**2).mean()):.3g} {unit}"
         axes.plot(error, marker=mark, color=color, linewidth=0.8, label=label)
@@ -358,8 +346,8 @@ def _draw_view(axes: "Axes", true: Reals, estimated: Reals) -> None:
     ends = np.stack([true, estimated, np.full_like(true, np.nan)], axis=1).reshape(-1, 2)
     axes.plot(*ends.T, color="0.55", linewidth=0.6, label="error")
     for position, color, name in (
-        (true, TRUE_BLUE, "truth"),
-        (estimated, ESTIMATE_ORANGE, "estimate"),
+        (true, figure_style.TRUE_BLUE, "truth"),
+        (estimated, figure_style.ESTIMATE_ORANGE, "estimate"),
     ):
         axes.plot(*position.T, "o", color=color, markersize=size, linestyle="", label=name)
     axes.set_aspect("equal", adjustable="datalim")

@@ -11,15 +11,6 @@ from tiswarm.base.parts import find, guarded, names, register, registered
 from tiswarm.base.progress import Progress
 from tiswarm.records import outputs
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import (
-    COLUMN_WIDTH,
-    NARROW,
-    Painter,
-    is_narrow,
-    pdf,
-    png,
-    svg,
-)
 from tiswarm.report.run_data import RunData
 
 if TYPE_CHECKING:
@@ -43,7 +34,7 @@ class OwnFigure(NamedTuple):
         """What the figure shows, by its name."""
         return {self.name: self.caption}
 
-    def painters(self, run: RunData) -> dict[str, Painter]:  # noqa: ARG002 - any run has it
+    def painters(self, run: RunData) -> dict[str, figure_style.Painter]:  # noqa: ARG002 - any run has it
         """Return what draws the figure, by its name."""
         return {self.name: self._paint}
 
@@ -98,15 +89,19 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
     with style.context(["default", figure_style.STYLE]):
         for name, draw in painters.items():
             figure = draw(run)
-            for suffix, encode in (("png", png), ("pdf", pdf), ("svg", svg)):
+            for suffix, encode in (
+                ("png", figure_style.png),
+                ("pdf", figure_style.pdf),
+                ("svg", figure_style.svg),
+            ):
                 path = run.subfolder("figures") / f"{name}.{suffix}"
                 if suffix != "pdf" or vector or path.exists():
                     outputs.write_own(path, encode(figure))
                     progress.info(f"figures/{path.name}")
                     written.append(path)
-            if not is_narrow(figure):
-                path = run.subfolder("figures") / f"{name}{NARROW}.svg"
-                outputs.write_own(path, svg(draw(run, COLUMN_WIDTH)))
+            if not figure_style.is_narrow(figure):
+                path = run.subfolder("figures") / f"{name}{figure_style.NARROW}.svg"
+                outputs.write_own(path, figure_style.svg(draw(run, figure_style.COLUMN_WIDTH)))
                 written.append(path)
     folder = run.folder / "figures"
     for path in {path for form in _FORMS for path in folder.glob(f"*.{form}")} - {*written}:
@@ -132,9 +127,9 @@ def draw_figure(run: RunData, name: str) -> "Figure":
         return painters[name](run)
 
 
-def painters_of(run: RunData) -> dict[str, Painter]:
+def painters_of(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures that a run has, by file name."""
-    painters: dict[str, Painter] = {}
+    painters: dict[str, figure_style.Painter] = {}
     for module in _modules():
         painters |= module.painters(run)
     return painters

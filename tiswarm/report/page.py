@@ -23,18 +23,10 @@ from tiswarm.records.io import run_file, write_bytes
 from tiswarm.records.measures import RMSE
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
+from tiswarm.report import page_tables
 from tiswarm.report.answers import read_pairs, result_of
 from tiswarm.report.figure_style import ERROR_COLORS, JOIN_COLORS, NARROW, TRUE_BLUE
 from tiswarm.report.figures import caption_of
-from tiswarm.report.page_tables import (
-    PageTable,
-    case_table,
-    headline_table,
-    machine_table,
-    notes_of,
-    result_tables,
-    warnings_of,
-)
 from tiswarm.report.run_data import RunData, relabeled, stated_scenario
 from tiswarm.report.swarm_view import View, build_view
 
@@ -237,7 +229,7 @@ class _Reproduction(NamedTuple):
 
     version: str
     command: str
-    machine: PageTable
+    machine: page_tables.PageTable
     scenario: str
 
 
@@ -249,14 +241,14 @@ class Page:
     result: str  # one sentence
     what: str = ""  # one line: what was computed
     description: str = ""
-    headline: PageTable | None = None  # beside the 3D view
+    headline: page_tables.PageTable | None = None  # beside the 3D view
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
-    tables: Sequence[PageTable] = ()
+    tables: Sequence[page_tables.PageTable] = ()
     view: View | None = None
     figures: Sequence[Shown] = ()
     renders: Sequence[Shown] = ()
-    rows: PageTable | None = None  # a row for each case or robot, which readers filter
+    rows: page_tables.PageTable | None = None  # a row for each case or robot, which readers filter
     rows_example: str = ""  # words that a reader may filter the rows by
     reproduction: _Reproduction | None = None
 
@@ -315,17 +307,17 @@ def _gather(run: RunData) -> Page:
         description=stated.get("description", ""),
         result=result_of(run.folder, table, run.labels),
         what=_in_words(run, manifest),
-        warnings=warnings_of(run.summary),
-        notes=notes_of(run.summary, manifest),
-        headline=headline_table(table),
-        tables=result_tables(table, pairs, suites),
+        warnings=page_tables.warnings_of(run.summary),
+        notes=page_tables.notes_of(run.summary, manifest),
+        headline=page_tables.headline_table(table),
+        tables=page_tables.result_tables(table, pairs, suites),
         view=build_view(run),
-        rows=case_table(run.summary),
+        rows=page_tables.case_table(run.summary),
         rows_example=f"{table['condition'].iloc[0]} done",
         reproduction=_Reproduction(
             version=manifest.tiswarm or "of the same version",
             command=f"tiswarm run scenario.yaml --out again --arch {arch}",
-            machine=machine_table(manifest),
+            machine=page_tables.machine_table(manifest),
             scenario=path.read_text(encoding="utf-8"),
         ),
     )

@@ -23,23 +23,8 @@ from tiswarm.records.measures import (
 )
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import LABEL
+from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
-from tiswarm.report.figure_style import (
-    PALETTE,
-    Painter,
-    Panels,
-    columns_of,
-    dot_style,
-    entries_of,
-    fit_axis,
-    half_width,
-    label_rows,
-    left_out,
-    marker_style,
-    set_log,
-    set_title,
-    shortened,
-)
 from tiswarm.report.run_data import RunData, stated_conditions, swept_words, with_points
 
 if TYPE_CHECKING:
@@ -74,12 +59,12 @@ CAPTIONS = {
 """What the figures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures that a run has, by file name."""
     return {**_table_painters(run), **_grade_painters(run), **_building_painters(run)}
 
 
-def _table_painters(run: RunData) -> dict[str, Painter]:
+def _table_painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures of `table.csv` that a run has, by file name."""
     if not (run.folder / "table.csv").is_file():
         return {}
@@ -102,15 +87,17 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     shown = points[: max(1, MOST_ROWS // len(names))]
     few = table["cases"].max() < FEWEST
     height = 0.9 + 0.12 * len(names) * (1 + len(shown))
-    panels = Panels(height, len(MAIN), len(MAIN), share="y", most=most)
+    panels = figure_style.Panels(height, len(MAIN), len(MAIN), share="y", most=most)
     for axes, measure in panels.each(MAIN):
         for index, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition").reindex(names)
             place = np.arange(len(names)) + (index - 0.5 * (len(shown) - 1)) / (1 + len(shown))
-            look = dot_style(index)
+            look = figure_style.dot_style(index)
             mean, ci95 = rows[measure.mean], rows[measure.ci95].fillna(0.0)
             error = None if few else ci95
-            axes.errorbar(mean, place, xerr=error, label=shortened(point) or "mean", **look)
+            axes.errorbar(
+                mean, place, xerr=error, label=figure_style.shortened(point) or "mean", **look
+            )
             axes.plot(rows[measure.published], place, markerfacecolor="white", **look)
             if few:
                 each = _each_structure(run, measure.column, point)
@@ -122,13 +109,13 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
             [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
             label=_PUBLISHED,
         )  # fmt: skip
-    entries = entries_of(panels.first)
+    entries = figure_style.entries_of(panels.first)
     if _PUBLISHED in entries:  # matplotlib lists lines before error bars
         entries[_PUBLISHED] = entries.pop(_PUBLISHED)
     number = counted(int(table["cases"].max()), "structure")
     title = f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}"
     panels.legend(title, entries, loc="outside upper right")
-    return panels.finish(left_out(len(points) - len(shown), "table.csv"), run.note)
+    return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
 def _each_structure(run: RunData, measure: str, point: str) -> "pd.Series[float]":
@@ -151,11 +138,11 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     points = list(dict.fromkeys(table["point"]))
     shown = points[:MOST_ROWS]
     series = dict(list(table.groupby("condition", sort=False)))
-    panels = Panels(0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most)
+    panels = figure_style.Panels(0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most)
     for axes, measure in panels.each(_OF_SHAPES):
         alike = table.groupby("point")[measure.mean].nunique().max() <= 1
         for index, (condition, rows) in enumerate(series.items()):
-            look = {**dot_style(index, 3.0), "linewidth": 0.8}
+            look = {**figure_style.dot_style(index, 3.0), "linewidth": 0.8}
             look |= {"color": "0.4", "marker": "o"} if alike else {}
             part = rows.set_index("point").reindex(shown)
             axes.errorbar(
@@ -171,19 +158,21 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
         axes.tick_params(axis="x", labelsize=6.0)
     meaning = f"{', '.join(map(str, words))}; mean and 95 % CI"
     panels.legend(meaning, structures=int(table["cases"].max()), loc="outside upper right")
-    return panels.finish(left_out(len(points) - len(shown), "table.csv"), run.note)
+    return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
-def finish_rows(panels: Panels, names: Sequence[str], measures: Sequence[Measure]) -> None:
+def finish_rows(
+    panels: figure_style.Panels, names: Sequence[str], measures: Sequence[Measure]
+) -> None:
     """Label rows, from the top, and axes."""
     for axes, measure in panels.each(measures):
         axes.set_xlabel(measure.axis)
         means = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
         axes.locator_params(axis="x", nbins=6)
-        fit_axis(axes, "x", means, nonpositive="clip")
+        figure_style.fit_axis(axes, "x", means, nonpositive="clip")
         axes.grid(axis="y", color="0.92", linewidth=0.5)
         axes.set_axisbelow(True)
-    label_rows(panels.first, names)
+    figure_style.label_rows(panels.first, names)
     panels.first.set_ylim(len(names) - 0.5, -0.5)
 
 
@@ -192,7 +181,7 @@ _UNITS = {"_deg": "deg", "_noise": "R"}
 """Units by the ends of keys."""
 
 
-def _grade_painters(run: RunData) -> dict[str, Painter]:
+def _grade_painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figure of graded conditions by file name, if a run has some.
 
     Rounds of back-propagation have a figure of their own.
@@ -215,35 +204,38 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     families = _families(run, table)
     table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
-    shown = points[: len(PALETTE)]
+    shown = points[: len(figure_style.PALETTE)]
     graded = {name for family in families for name in family.names.values()}
     plain = next((name for name in table["condition"] if name not in graded), "")
-    columns = columns_of(len(families))
+    columns = figure_style.columns_of(len(families))
     height = 0.6 + 2.1 * -(-len(families) // columns)
-    panels = Panels(height, len(families), columns, share="y", most=most)
+    panels = figure_style.Panels(height, len(families), columns, share="y", most=most)
     for axes, family in panels.each(families):
         low, high = min(family.names), max(family.names)
         if low > 0.0:
-            set_log(axes, "x")
+            figure_style.set_log(axes, "x")
             margin = (high / low) ** 0.05
             axes.set_xlim(low / margin, high * margin)  # dashed lines would widen it to 1
         for place, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition")
-            look = {"label": shortened(point) or "mean", **marker_style(place)}
+            look = {
+                "label": figure_style.shortened(point) or "mean",
+                **figure_style.marker_style(place),
+            }
             _draw_line(axes, rows, family.names, look)
             if plain in rows.index:
                 axes.axhline(float(rows.loc[plain, RMSE.mean]), **_dashed(look))
-        set_title(axes, family.title)
+        figure_style.set_title(axes, family.title)
         axes.set_xlabel(_meaning(family.keys))
         axes.set_xticks([*family.names], [f"{grade:g}" for grade in family.names])
         axes.minorticks_off()
     means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
-    fit_axis(panels.first, "y", means, nonpositive="clip")
+    figure_style.fit_axis(panels.first, "y", means, nonpositive="clip")
     panels.label_once(y=RMSE.axis)
     level = f"; dashed: {plain}" if plain else ""
     number = counted(int(table["cases"].max()), "structure")
     panels.legend(f"mean and 95 % CI, {number}{level}")
-    return panels.finish(left_out(len(points) - len(shown), "table.csv"), run.note)
+    return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
 class _Family(NamedTuple):
@@ -306,7 +298,7 @@ _PANELS = {
 """By measure: the kind of structure that a panel shows, all if empty; its axis."""
 
 
-def _building_painters(run: RunData) -> dict[str, Painter]:
+def _building_painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figure by file name, if some robots of a run navigate by estimates."""
     planned = run.summary.get(FLIPS_AS_PLANNED.column)
     return {"building": draw_building} if planned is not None and planned.notna().any() else {}
@@ -327,12 +319,12 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
         if _of_kind(rows, panel[0])[measure.column].any()
     }
     height = 0.9 + len(names) * (0.16 + 0.07 * len(kinds))
-    panels = Panels(height, len(shown), len(shown), share="y", most=most)
+    panels = figure_style.Panels(height, len(shown), len(shown), share="y", most=most)
     for axes, (column, (kind, label)) in panels.each(shown.items()):
         _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
         axes.set_xlabel(label)
         axes.set_xlim(left=0.0)
-    label_rows(panels.first, names)
+    figure_style.label_rows(panels.first, names)
     panels.first.invert_yaxis()
     structures = int(rows.groupby(["by", "structure"]).size().max())
     entries = panels.entries()
@@ -363,8 +355,10 @@ def _draw_panel(
     """Draw the mean of a column for each name, a marker for each kind of structure."""
     for index, kind in enumerate(kinds):
         mine = rows[rows["structure"] == kind]
-        found = mine.groupby("by")[column].agg(["mean", half_width]).reindex(names)
+        found = mine.groupby("by")[column].agg(["mean", figure_style.half_width]).reindex(names)
         place = np.arange(len(names)) + 0.16 * (index - 0.5 * (len(kinds) - 1))
         if found["mean"].notna().any():
             half = found["half_width"]
-            axes.errorbar(found["mean"], place, xerr=half, label=kind, **dot_style(index))
+            axes.errorbar(
+                found["mean"], place, xerr=half, label=kind, **figure_style.dot_style(index)
+            )

@@ -27,14 +27,7 @@ from tiswarm.base.parts import names
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
-from tiswarm.scenario.validation import (
-    CONDITION_SECTIONS,
-    Mistake,
-    Plain,
-    mistake_at,
-    take_methods,
-    validate,
-)
+from tiswarm.scenario import validation
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams, anchor_fault
@@ -71,7 +64,7 @@ def _slug(text: str) -> str:
 
 
 def _condition_key(key: str) -> str:
-    if key != LABEL and key.partition(".")[0] not in CONDITION_SECTIONS:
+    if key != LABEL and key.partition(".")[0] not in validation.CONDITION_SECTIONS:
         message = "conditions change localization and sensing only; use sweep for the rest"
         raise ValueError(message)
     return key
@@ -182,7 +175,7 @@ class Scenario:
     def _place_anchors(cls, structure: StructureParams, info: ValidationInfo) -> object:
         robots, shape = (info.data.get(name) for name in ("robots", "robot"))
         if robots and shape and (fault := anchor_fault(structure, robots, shape)):
-            raise mistake_at((structure.kind, "anchors"), fault)
+            raise validation.mistake_at((structure.kind, "anchors"), fault)
         return structure
 
     @property
@@ -192,21 +185,21 @@ class Scenario:
 
 
 ADAPTER = TypeAdapter(Scenario)
-take_methods(Scenario, ADAPTER)
+validation.take_methods(Scenario, ADAPTER)
 
 
-def from_plain(data: Plain) -> Scenario | list[Mistake]:
+def from_plain(data: validation.Plain) -> Scenario | list[validation.Mistake]:
     """Build a scenario from plain data, or list every mistake in it."""
-    return validate(ADAPTER, data)
+    return validation.validate(ADAPTER, data)
 
 
-def to_plain(scenario: Scenario) -> Plain:
+def to_plain(scenario: Scenario) -> validation.Plain:
     """Convert a scenario to plain data, every default included."""
-    data: Plain = ADAPTER.dump_python(scenario, mode="json")
+    data: validation.Plain = ADAPTER.dump_python(scenario, mode="json")
     return data
 
 
-def scenario_schema() -> Plain:
+def scenario_schema() -> validation.Plain:
     """Return the JSON Schema of a scenario file, for editors."""
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return {**dialect, **ADAPTER.json_schema()}

@@ -11,13 +11,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from tiswarm.base.errors import (
-    CasesFailedError,
-    EnvironmentTroubleError,
-    InputError,
-    OutOfMemoryError,
-    TiswarmError,
-)
+from tiswarm.base import errors
 from tiswarm.base.params import AnyArch, Arch
 from tiswarm.base.parts import PluginError
 from tiswarm.base.progress import Progress
@@ -152,7 +146,9 @@ def _start_device(
     used = [settings.localization for settings in points]
     if execution.scheduler is not None:
         if arch == "auto":
-            raise InputError("auto cannot see the workers; name their device", argument="arch")
+            raise errors.InputError(
+                "auto cannot see the workers; name their device", argument="arch"
+            )
         for settings in points:
             methods.require_use(used, arch, settings.precision)
         return arch
@@ -172,7 +168,7 @@ def open_folder(path: Path) -> tuple[RunFolder, Plan]:
     resolved = path / "scenario.yaml"
     if not resolved.exists():
         msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
-        raise InputError(msg, path=path)
+        raise errors.InputError(msg, path=path)
     return RunFolder(path), plan(load_scenario(run_file(resolved)))
 
 
@@ -186,7 +182,7 @@ def tabulate(path: Path, progress: Progress) -> None:
     stored = folder.read_cases(whole.cases)
     if not stored:
         problem = "no case of this run is intact; run the scenario again to restore them"
-        raise InputError(problem, path=path)
+        raise errors.InputError(problem, path=path)
     if lost := len(whole.cases) - len(stored):
         many = counted(lost, "case")
         progress.info(f"without {many}, missing or damaged; run the scenario again to restore")
@@ -230,7 +226,7 @@ def compute(
                 if failures and fail_fast:
                     first = failures[0]
                     msg = f"stopped, for a case failed: {first.case}: {first.reason}"
-                    raise CasesFailedError(msg)
+                    raise errors.CasesFailedError(msg)
                 found.append(outcome)
                 failed += len(failures)
                 advance(len(outcome.records))
@@ -243,8 +239,8 @@ def _outcome(future: "Future[Outcome]", job: Job) -> Outcome | None:
     error = future.exception()
     if error is None:
         return future.result()
-    of_one = OutOfMemoryError | PluginError
-    concerns_all = isinstance(error, TiswarmError) and not isinstance(error, of_one)
+    of_one = errors.OutOfMemoryError | PluginError
+    concerns_all = isinstance(error, errors.TiswarmError) and not isinstance(error, of_one)
     if concerns_all or not isinstance(error, Exception):
         raise error
     if len(job.cases) > 1:
@@ -258,7 +254,7 @@ def _report(records: Sequence[CaseRecord], progress: Progress) -> list[CaseRecor
     """Report cases that failed and structures that ended early; return those that failed."""
     if not all(record.is_current for record in records):
         msg = "workers run other code; install the same tiswarm on all machines"
-        raise EnvironmentTroubleError(msg)
+        raise errors.EnvironmentTroubleError(msg)
     failed = [record for record in records if not record.is_done]
     for record in failed:
         progress.info(f"case {record.case} failed: {record.reason}")

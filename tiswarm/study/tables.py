@@ -33,18 +33,8 @@ from tiswarm.evaluation.metrics import (
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.localization.settings import VirtualForceParams
+from tiswarm.records import measures
 from tiswarm.records.frames import read_frame, write_frame
-from tiswarm.records.measures import (
-    DISPARITY,
-    LOCATED,
-    MAIN,
-    MEASURES,
-    PAGE,
-    PAIRED,
-    RMSE,
-    RMSE_LOCATED,
-    RMSE_RHO,
-)
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
@@ -136,10 +126,10 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
             used |= {"kind": setting.structure.kind, "method": _title(setting.localization)}
             row = {"condition": first.condition, **first.point_cells, **ours, **used}
             at_point.append(row | _rounds(setting) | _paper(setting, ours))
-        of_paper = [row for row in at_point if row[RMSE.published] > 0.0]
+        of_paper = [row for row in at_point if row[measures.RMSE.published] > 0.0]
         base = (of_paper or at_point)[0]
         for row, (name, rmse) in itertools.product(
-            at_point, (("", RMSE.mean), ("paper_", RMSE.published))
+            at_point, (("", measures.RMSE.mean), ("paper_", measures.RMSE.published))
         ):
             change = row[rmse] / base[rmse] - 1.0 if base[rmse] > _ROUNDING_R else math.nan
             row[f"{name}rmse_change_percent"] = 100.0 * change
@@ -183,12 +173,15 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
     cell = _published(setting)
     rmse, disparity = (cell.rmse_radii, cell.disparity) if cell else (math.nan, math.nan)
     return {
-        RMSE.published: rmse,
-        DISPARITY.published: disparity,
-        "rmse_mm_mean": ours[RMSE.mean] * MM_PER_RADIUS,
-        "rmse_mm_ci95": ours[RMSE.ci95] * MM_PER_RADIUS,
-        **{f"{of.column}_to_paper": ours[of.mean] / rmse for of in (RMSE, RMSE_RHO)},
-        f"{DISPARITY.column}_to_paper": ours[DISPARITY.mean] / disparity,
+        measures.RMSE.published: rmse,
+        measures.DISPARITY.published: disparity,
+        "rmse_mm_mean": ours[measures.RMSE.mean] * MM_PER_RADIUS,
+        "rmse_mm_ci95": ours[measures.RMSE.ci95] * MM_PER_RADIUS,
+        **{
+            f"{of.column}_to_paper": ours[of.mean] / rmse
+            for of in (measures.RMSE, measures.RMSE_RHO)
+        },
+        f"{measures.DISPARITY.column}_to_paper": ours[measures.DISPARITY.mean] / disparity,
     }
 
 
@@ -196,7 +189,7 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
     """Count cases, and return means over the finished ones with their uncertainty and range."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    for measure in MEASURES.values():
+    for measure in measures.MEASURES.values():
         if measure.averaged:
             column = scores.get(measure.column, pd.Series(dtype=float))
             values = column.to_numpy(np.float64)
@@ -247,7 +240,7 @@ def accuracy_by_key(records: Mapping[Any, CaseRecord]) -> pd.DataFrame:
     return pd.DataFrame(
         list(done.values()),
         index=pd.Index(list(done)),
-        columns=[each.column for each in PAIRED],
+        columns=[each.column for each in measures.PAIRED],
     )
 
 
@@ -276,7 +269,7 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         names = ["z_R", "error_R", "hops_from_anchor", "contacts"]
         robots = [read_frame(folder / "robots.csv", gaps=names) for folder in folders]
         robots = [table.assign(join=np.arange(len(table))) for table in robots]
-        names = ["hops_apart", "pairs", "mean_error_R", RMSE.column]
+        names = ["hops_apart", "pairs", "mean_error_R", measures.RMSE.column]
         relative = [
             read_frame(folder / "relative.csv", numbers=names, empty=True) for folder in folders
         ]
@@ -299,7 +292,7 @@ def suites(
     located whose positions its cues determine. Means are over structures.
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
-    shown, rows = PAGE["suites"], []
+    shown, rows = measures.PAGE["suites"], []
     for group in _grouped(records, lambda record: record.series):
         first, setting = group[0], setting_of[group[0].case]
         suite, touch = find("sensor", setting.sensing.suite), setting.sensing.touch
@@ -328,7 +321,7 @@ def _located(case: Path) -> dict[str, float]:
 
     NaN where nothing states it.
     """
-    names = LOCATED.column, RMSE_LOCATED.column
+    names = measures.LOCATED.column, measures.RMSE_LOCATED.column
     estimate = read_frame(case / "estimate.csv", ["known"]).iloc[1:]
     square = read_frame(case / "robots.csv", gaps=["error_R"])["error_R"].iloc[1:] ** 2
     if "undetermined" in estimate:
@@ -373,7 +366,9 @@ def scaling(
         for case in done:
             record = records[case.name]
             point = {key: value for key, value in record.point.items() if key != "robots"}
-            measured = {name: record.scores[name] for name in (each.column for each in MAIN)}
+            measured = {
+                name: record.scores[name] for name in (each.column for each in measures.MAIN)
+            }
             for stage, cost in {**costs[case.name], "grow": grown}.items():
                 measured |= {f"{stage.replace(' ', '_')}_{unit}": n for unit, n in cost.items()}
             row = {"series": replace(record, point=point).series, "robots": case.settings.robots}
