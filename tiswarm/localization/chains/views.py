@@ -50,7 +50,7 @@ class AnnealSchedule:
 
     ranged: float = 2.0
     """Least square root of the start temperature where ranges alone tie robots to each other [R]:
-    they leave more minima to escape from. See `docs/notes/ranges.md`."""
+    they leave more minima to escape from. See `docs/notes/answered-before.md`."""
 
     growing: float = 0.1
     """Share of the steps in which docks grow to their full size [1], so that robots pass through
