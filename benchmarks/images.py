@@ -14,14 +14,17 @@ from PIL import Image, ImageDraw, ImageFont
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute import backend
-from tiswarm.parts.pictures.animation import FRAME_MS, LAST_MS, draw_joins, encode_webp
 from tiswarm.parts.pictures.pictures import (
+    FRAME_MS,
+    LAST_MS,
     Keys,
     Scale,
     Tile,
     add_legend,
     build_pictures,
+    draw_joins,
     draw_side_by_side,
+    encode_webp,
 )
 from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.records.messages import three_digits

@@ -9,7 +9,7 @@ from tests.structures import with_ranges
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER
-from tiswarm.parts.suites.systems import STATIONS
+from tiswarm.parts.suites import STATIONS
 from tiswarm.sensing import SensingParams, observe
 
 CUES = ("contacts", "ground", "fixes", "ranges", "directions", "touches")

@@ -7,7 +7,7 @@ import pytest
 
 from tests.structures import Rule, structure, with_fixes, with_ranges
 from tiswarm.measurements.units import HEADER, slips
-from tiswarm.parts.suites.systems import SUITES
+from tiswarm.parts.suites import SUITES
 from tiswarm.sensing import SensingParams, observe
 
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.progress import Progress
-from tiswarm.parts.pictures.animation import FRAME_MS, LAST_MS, animate_run, best_movie, draw_joins
+from tiswarm.parts.pictures.pictures import FRAME_MS, LAST_MS, animate_run, best_movie, draw_joins
 from tiswarm.parts.pictures.raycast import draw_scenes
 from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.report.figures import draw_figures

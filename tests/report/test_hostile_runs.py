@@ -17,7 +17,7 @@ from tiswarm import study
 from tiswarm.app.formats import export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
-from tiswarm.parts.pictures import animation, pictures
+from tiswarm.parts.pictures import pictures
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
 from tiswarm.report.run_data import load_run
@@ -68,7 +68,7 @@ def renders(run):
 
 def movie(form):
     """Return a function that animates a run."""
-    return lambda run: animation.animate_run(load_run(run), form, progress=Progress())
+    return lambda run: pictures.animate_run(load_run(run), form, progress=Progress())
 
 
 @contextmanager
@@ -231,8 +231,8 @@ def test_a_page_leaves_out_measures_that_it_does_not_know(run, measure):
 def test_a_full_disk_ends_in_one_line(run, monkeypatch, command):
     """Pictures and tables appear whole or not at all, and cases stay as they are."""
     drawn = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
-    for room, name in ((pictures, "draw_scenes"), (animation, "draw_growth")):
-        monkeypatch.setattr(room, name, lambda of, *_: ([drawn] * len(of), "none", ""))
+    for name in ("draw_scenes", "draw_growth"):
+        monkeypatch.setattr(pictures, name, lambda of, *_: ([drawn] * len(of), "none", ""))
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
     with no_room(), pytest.raises(EnvironmentTroubleError, match="free space"):

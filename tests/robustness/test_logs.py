@@ -26,7 +26,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
 from tiswarm.parts.formats.mcap import SENSING, encode_messages
-from tiswarm.parts.suites.systems import STATIONS
+from tiswarm.parts.suites import STATIONS
 from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.localization.settings import VirtualForceParams
-from tiswarm.parts.suites.systems import SUITES
+from tiswarm.parts.suites import SUITES
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash, scenario_schema
 from tiswarm.sensing import SensingParams

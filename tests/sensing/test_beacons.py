@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tiswarm.parts.suites import CEILING, STATIONS, WALL_TAGS
 from tiswarm.parts.suites.senses import find_lookouts, in_sight
-from tiswarm.parts.suites.systems import CEILING, STATIONS, WALL_TAGS
 from tiswarm.sensing import SensingParams, observe
 
 NO_TOUCH = {"contacts": False, "ground_docks": False, "heights": False, "stances": False}

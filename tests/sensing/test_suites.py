@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tiswarm.parts.suites.systems import CEILING, STATIONS, SUITES
+from tiswarm.parts.suites import CEILING, STATIONS, SUITES
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_log import LISTS
 from tiswarm.scenario.expansion import load_scenario, variants

@@ -10,7 +10,7 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.base.progress import Progress
-from tiswarm.parts.suites.systems import SUITES
+from tiswarm.parts.suites import SUITES
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
 from tiswarm.report.run_data import load_run

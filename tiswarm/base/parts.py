@@ -49,7 +49,7 @@ _PACKAGE = __name__.partition(".")[0]
 GROUP = "tiswarm.plugins"
 """Entry points of installed plug-ins."""
 
-_SUITES = "tiswarm.parts.suites.systems:SUITES"
+_SUITES = "tiswarm.parts.suites:SUITES"
 
 PARTS: Mapping[str, Mapping[str, str]] = {
     "method": {
@@ -80,18 +80,18 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "export_format": {
         "csv": "tiswarm.parts.formats.exports:encode_csv",
-        "gltf": "tiswarm.parts.pictures.solids:encode_gltf",
+        "gltf": "tiswarm.parts.pictures.scene:encode_gltf",
         "gsd": "tiswarm.parts.formats.exports:encode_gsd",
         "mcap": "tiswarm.parts.formats.exports:encode_mcap",
         "parquet": "tiswarm.parts.formats.exports:encode_parquet",
-        "ply": "tiswarm.parts.pictures.solids:encode_ply",
+        "ply": "tiswarm.parts.pictures.scene:encode_ply",
         "pyfg": "tiswarm.parts.formats.exports:encode_pyfg",
         "tum": "tiswarm.parts.formats.exports:encode_tum",
     },
     "import_format": {
-        "tum": "tiswarm.parts.formats.imports:read_tum_files",
-        "gsd": "tiswarm.parts.formats.imports:read_gsd_file",
-        "mocap": "tiswarm.parts.formats.imports:read_mocap_export",
+        "tum": "tiswarm.parts.formats.trajectories:read_tum",
+        "gsd": "tiswarm.parts.formats.trajectories:read_gsd",
+        "mocap": "tiswarm.parts.formats.trajectories:read_mocap",
         "table": "tiswarm.parts.formats.imports:read_table_file",
     },
     "question": {
@@ -105,7 +105,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "log_format": {"mcap": "tiswarm.parts.formats.mcap:sensing_lines"},
     "command": {
         "advise": "tiswarm.parts.advice.further:tabulate",
-        "animate": "tiswarm.parts.pictures.animation",
+        "animate": "tiswarm.parts.pictures.pictures",
         "compare": "tiswarm.parts.comparison",
         "doctor": "tiswarm.parts.doctor",
         "explain": "tiswarm.parts.advice.explanation",

@@ -1,8 +1,13 @@
-"""Imports poses of other simulators as a sensing log and a truth."""
+"""Imports poses of other simulators as a sensing log and a truth.
+
+A gap is the distance between the surfaces of two docks; overlaps are negative gaps. Each likely
+cause of few contacts is tried, and what docks would then do shows it. No cause is corrected unless
+an option says so: two errors may look alike.
+"""
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,46 +15,37 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from pydantic import ValidationError
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from tiswarm.app.results import choose
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import PARTS, find, guarded, registered
+from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
+from tiswarm.compute.math import dock_offsets
+from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
-from tiswarm.parts.formats.docks import (
-    few_contacts,
-    find_contacts,
-    in_likely_order,
-    off_the_ground,
-    refuse_crowds,
-    with_docks,
-    with_limits,
-)
-from tiswarm.parts.formats.mocap import read_mocap
 from tiswarm.parts.formats.motion import Rests, find_rests, stances_of, without_glitches
 from tiswarm.parts.formats.poses import (
+    TOLERANCE,
     UPWARD,
     Assumptions,
     Poses,
     PoseTable,
     poses_by_run,
+    read_contacts,
     read_dock_offsets,
     read_table,
     some,
 )
-from tiswarm.parts.formats.trajectories import read_gsd, read_tum
-from tiswarm.records import outputs
+from tiswarm.records import outputs, sensing_log
 from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import check_header, write_sensing_log
-from tiswarm.records.sensing_log import (
-    KNOWN_SD,
-    SensingLog,
-    SensingNoise,
-    Stances,
-    canonical_contacts,
-)
+from tiswarm.records.sensing_format import MOST_CONTACTS
 
 GAINS = (
     "on towers of 100 robots, joint's mean RMSE is 1.0 R from contacts and ground, 0.7 R with "
@@ -61,7 +57,7 @@ GAINS = (
 class Imported(NamedTuple):
     """What became of a table of poses."""
 
-    log: SensingLog  # what the robots would have sensed at rest
+    log: sensing_log.SensingLog  # what the robots would have sensed at rest
     position: Reals  # true centers in join order, shape (N, 3)
     notes: list[str]  # contacts, gaps and what was assumed, in lines
     warnings: list[str]  # why contacts or final poses are probably wrong, in lines
@@ -128,23 +124,6 @@ def _read(path: Path, assumed: Assumptions) -> PoseTable:
     readers = (find("import_format", name) for name in PARTS["import_format"])
     found: Iterator[PoseTable | None] = (read(path, assumed) for read in readers)
     return next(table for table in found if table)
-
-
-def read_tum_files(path: Path, assumed: Assumptions) -> PoseTable | None:
-    """Read a file or folder of trajectories."""
-    if not path.is_dir() and path.suffix != ".tum":
-        return None
-    return read_tum(path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete)
-
-
-def read_gsd_file(path: Path, assumed: Assumptions) -> PoseTable | None:
-    """Read the frames of a GSD file."""
-    return read_gsd(path, dock_radius=assumed.dock_radius) if path.suffix == ".gsd" else None
-
-
-def read_mocap_export(path: Path, assumed: Assumptions) -> PoseTable | None:
-    """Read an export of motion capture."""
-    return read_mocap(path, dock_radius=assumed.dock_radius)
 
 
 def read_table_file(path: Path, assumed: Assumptions) -> PoseTable:
@@ -290,9 +269,9 @@ def _log(
     contacts: Ints,
     anchors: list[int],
     order: Ints,
-    stances: Stances | None,
+    stances: sensing_log.Stances | None,
     assumed: Assumptions,
-) -> SensingLog:
+) -> sensing_log.SensingLog:
     """Derive what the robots in `order` would have sensed at rest."""
     count = len(order)
     place = np.full(len(poses.robot_id), -1)
@@ -307,17 +286,17 @@ def _log(
     standing = np.argwhere((height >= least) & (height <= greatest)).astype(np.int32)
     known = sorted(anchors[1:], key=lambda row: place[row])
     fixes = [
-        (place[row], *axis, along, KNOWN_SD * assumed.dock_radius, -1)
+        (place[row], *axis, along, sensing_log.KNOWN_SD * assumed.dock_radius, -1)
         for row in known
         for axis, along in zip(np.eye(3), poses.position[row], strict=True)
     ]
-    return SensingLog(
+    return sensing_log.SensingLog(
         robot_id=poses.robot_id[order],
         dock_radius=assumed.dock_radius,
         dock_offset_body=poses.dock_offset_body,
         anchor_position=poses.position[order[0]],
         orientation_wxyz=poses.orientation_wxyz[order],
-        contacts=canonical_contacts(renamed),
+        contacts=sensing_log.canonical_contacts(renamed),
         ground_z=assumed.ground_z,
         ground_docks=standing,
         fixes=np.array(fixes).reshape(-1, 7),
@@ -329,13 +308,13 @@ def _log(
     )
 
 
-def _noise(assumed: Assumptions) -> SensingNoise | None:
+def _noise(assumed: Assumptions) -> sensing_log.SensingNoise | None:
     """State the noise of orientations if it is given."""
     tilt, yaw = assumed.tilt_deg, assumed.yaw_deg
     if tilt is None and yaw is None:
         return None
     try:
-        return SensingNoise(
+        return sensing_log.SensingNoise(
             tilt_deg=ASSUMED.tilt_deg if tilt is None else tilt,
             yaw_deg=ASSUMED.yaw_deg if yaw is None else yaw,
         )
@@ -370,7 +349,7 @@ def _named(poses: Poses, robots: Ints) -> str:
     return f"{counted(len(robots), 'robot')} ({some(poses.robot_id[robots].tolist())})"
 
 
-def _describe(log: SensingLog) -> Iterator[str]:
+def _describe(log: sensing_log.SensingLog) -> Iterator[str]:
     """Say in lines what a log lacks, and what it would gain."""
     has = {
         "ground contacts (--ground-z)": len(log.ground_docks) > 0,
@@ -382,3 +361,406 @@ def _describe(log: SensingLog) -> Iterator[str]:
         yield f"the log lacks {', '.join(lacking)}"
     if np.isnan(log.flip_height).all() or log.stances is None:
         yield GAINS
+
+
+FARTHEST_SHOWN = 0.5
+"""Gaps and overlaps up to this many dock radii are in the histogram."""
+
+_EDGES = np.array([-0.5, -0.2, -0.1, -0.05, -0.02, -0.01, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5])
+"""Edges of its bins [dock radii]."""
+
+_LONGEST_BAR = 40
+_LONGEST_OFFSET = 10.0
+"""Dock offsets up to this many dock radii are guessed."""
+
+_NEAREST = 12
+"""Nearest robots whose docks may touch a robot's docks when the offset is guessed."""
+
+_STANDS_OUT = 2.0
+"""A guess has at least this many times the contacts of any other offset."""
+
+
+_WIDEST = 0.25
+"""Largest limit of gaps and overlaps that is found [dock radii]."""
+
+_STEP = 1.1
+"""Ratio of limits that are tried."""
+
+_FEWEST_OVERLAPS = 10
+"""Overlaps in the peak from which on there is a limit to find."""
+
+_MARGIN = 1.3
+"""Largest error of a gap, per largest error that was seen as an overlap."""
+
+_RARE = 0.02
+"""Share of overlaps in the valley, up to twice the limit, beside those within it."""
+
+
+def surface_gaps(docks: Reals, pair: Ints, radius: float) -> Reals:
+    """Measure gaps from surface to surface, shape (n,).
+
+    Args:
+        docks: Centers of the docks, shape (N, D, 3).
+        pair: Rows of (robot, its dock, other robot, its dock), shape (n, 4).
+        radius: Radius of a dock sphere.
+    """
+    i, a, j, b = pair.T
+    gap: Reals = np.linalg.norm(docks[i, a] - docks[j, b], axis=1) - 2.0 * radius
+    return gap
+
+
+def guess_dock_offset(
+    position: Reals, orientation_wxyz: Reals, radius: float, width: float
+) -> float | None:
+    """Guess how far three docks in a plane are from the center: where most docks touch.
+
+    Docks p + rho u of two robots touch at the roots rho of |p' - p + rho (u' - u)| = 2 radius. We
+    return the median of the densest window of roots, if there are enough: one for every second
+    robot, and twice as many as in any other window.
+
+    Args:
+        position: Centers, shape (N, 3).
+        orientation_wxyz: Body to world, unit quaternions, shape (N, 4).
+        radius: Radius of a dock sphere.
+        width: Sum of the largest gap and the largest overlap of a contact.
+    """
+    count = len(position)
+    _, near = cKDTree(position).query(position, k=min(count, _NEAREST + 1))
+    first = np.repeat(np.arange(count), near.size // count)
+    i, j = np.unique(np.sort(np.stack([first, near.ravel()]), axis=0), axis=1)
+    i, j = i[i != j], j[i != j]
+    arm = dock_offsets(orientation_wxyz, docks_in_plane(1.0))
+    between = (position[j] - position[i])[:, None, None]
+    spread = arm[j][:, None] - arm[i][:, :, None]
+    a, b = (spread**2).sum(axis=-1), (between * spread).sum(axis=-1)
+    square = b**2 - a * ((between**2).sum(axis=-1) - 4.0 * radius**2)
+    crossing = (a > 1e-9) & (square >= 0.0)  # noqa: PLR2004 - parallel arms have no root
+    a, b, half = a[crossing], b[crossing], np.sqrt(square[crossing])
+    roots = np.sort(np.concatenate([-b - half, -b + half]) / np.tile(a, 2))
+    roots = roots[(roots > (TANGENT_RHO - 1e-3) * radius) & (roots < _LONGEST_OFFSET * radius)]
+    if not roots.size:
+        return None
+    inside = np.searchsorted(roots, roots + width, side="right") - np.arange(roots.size)
+    best = inside.argmax()
+    offset = float(np.median(roots[best : best + inside[best]]))
+    others = inside[np.abs(roots - offset) > 2.0 * width]
+    if inside[best] < max(0.5 * count, _STANDS_OUT * others.max(initial=0)):
+        return None
+    return float(f"{offset:.4g}")
+
+
+def contact_limit(gap: Reals, radius: float, least: float) -> float | None:
+    """Find the limit of the gaps and overlaps of contacts in the valley beyond their peak.
+
+    Rigid docks do not overlap: overlaps are errors, as of rounded poses, and gaps of contacts have
+    errors of the same size. The valley is where hardly any larger overlaps follow.
+
+    Args:
+        gap: Gaps of close docks.
+        radius: Radius of a dock sphere.
+        least: Least limit.
+
+    Returns:
+        The limit; None if there are too few overlaps or no valley, as for a wrong robot geometry.
+    """
+    overlap = -gap[gap < 0.0]
+    limit = least
+    while limit <= _WIDEST * radius:
+        inside = (overlap <= limit).sum()
+        beyond = overlap[(overlap > limit) & (overlap <= 2.0 * limit)]
+        if inside >= _FEWEST_OVERLAPS and len(beyond) <= _RARE * inside:
+            return limit if limit == least else float(f"{_MARGIN * max([limit, *beyond]):.2g}")
+        limit *= _STEP
+    return None
+
+
+def histogram(
+    gap: Reals, radius: float, *, largest_gap: float, largest_overlap: float, unit: str
+) -> Iterator[str]:
+    """Draw how many docks have which gap, in lines; contacts have bars of `#`, other gaps of `.`.
+
+    Args:
+        gap: Gaps of close docks.
+        radius: Radius of a dock sphere.
+        largest_gap: Largest gap of a contact; a further edge of the bins.
+        largest_overlap: Largest overlap of a contact; a further edge of the bins.
+        unit: Name of the unit of all lengths.
+    """
+    edges = np.unique(
+        np.concatenate([_EDGES * radius, [0.0 - largest_overlap, largest_gap]]).round(12)
+    )
+    number, _ = np.histogram(gap, edges)
+    filled = np.flatnonzero(number)
+    if not filled.size:
+        return
+    yield f"gaps between docks [{unit}], contacts marked #:"
+    for k in range(filled[0], filled[-1] + 1):
+        touches = edges[k] >= -largest_overlap and edges[k + 1] <= largest_gap
+        bar = "#."[not touches] * int(np.ceil(_LONGEST_BAR * number[k] / number.max()))
+        yield f"{edges[k]:>9.3g} to {edges[k + 1]:<8.3g}{number[k]:>6} {bar}".rstrip()
+
+
+ENOUGH = 0.5
+"""Fewer contacts per robot point to a wrong robot geometry."""
+
+FAR_MORE = 2.0
+"""Contacts by another meaning of the poses, per contact as stated, that point to that meaning."""
+
+
+def with_docks(
+    poses: Poses, assumed: Assumptions, path: Path | None = None
+) -> tuple[Poses, list[str]]:
+    """Add the docks in the body frame, and say where they are a guess.
+
+    Raises:
+        InputError: the file has docks, and offsets of docks are given.
+    """
+    radius, body = assumed.dock_radius, assumed.dock_offset_body
+    poses = poses._replace(length_unit=poses.length_unit or assumed.length_unit)
+    if len(poses.dock_offset_body):
+        if body is None:
+            return poses, []
+        problem = "the spheres are the docks; leave out offsets of docks"
+        raise InputError(problem, path=path, key="sphere")
+    if body is not None:
+        return poses._replace(dock_offset_body=body), []
+    width = assumed.largest_gap + assumed.largest_overlap
+    offset = guess_dock_offset(poses.position, poses.orientation_wxyz, radius, width)
+    if offset is not None:
+        note = f"dock offset {offset:g} {poses.length_unit}: most docks touch there"
+    else:
+        offset = FIREANT_RHO * radius
+        note = f"no dock offset stands out: {offset:g} {poses.length_unit}, FireAntV3's, is assumed"
+    return poses._replace(dock_offset_body=docks_in_plane(offset)), [note]
+
+
+def with_limits(poses: Poses, assumed: Assumptions) -> tuple[Assumptions, list[str]]:
+    """Set limits of gap and overlap that are not given, and say so where errors widen them."""
+    if assumed.gap is not None and assumed.overlap is not None:
+        return assumed, []
+    radius, least = assumed.dock_radius, TOLERANCE * assumed.dock_radius
+    pair = dock_pairs(poses.docks, (2.0 + FARTHEST_SHOWN) * radius)
+    limit = contact_limit(surface_gaps(poses.docks, pair, radius), radius, least)
+    if limit is None or limit == least:
+        return assumed, []
+    gap, overlap = (limit if given is None else given for given in (assumed.gap, assumed.overlap))
+    found = replace(assumed, gap=gap, overlap=overlap)
+    text = f"contacts have gaps up to {gap:g} and overlaps up to {overlap:g} {poses.length_unit}"
+    return found, [f"{text}: about as far, docks overlap by errors of the poses"]
+
+
+def in_likely_order(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[str]]:
+    """Read quaternions in the other order where far more docks touch so, and say so."""
+    robots = len(poses.robot_id)
+    if poses.other_order == 0 or (touching := count_touching(poses, assumed)) >= ENOUGH * robots:
+        return poses, []
+    other = poses.reordered()
+    more = count_touching(other, assumed)
+    if more < max(ENOUGH * robots, FAR_MORE * touching):
+        return poses, []
+    names = "x, y, z, w" if poses.other_order == 1 else "w, x, y, z"
+    found = f"{counted(more, 'contact')} instead of {touching}"
+    note = f"quaternions read as {names}, though columns have the other order: {found}"
+    return other, [f"{note}; rename the columns"]
+
+
+def count_touching(poses: Poses, assumed: Assumptions) -> int:
+    """Count docks in contact, at offsets that are given or guessed.
+
+    The count is 0 if no offset stands out, or if more docks overlap: they are rigid.
+    """
+    radius, body = assumed.dock_radius, assumed.dock_offset_body
+    limits = assumed.largest_gap, assumed.largest_overlap
+    if body is None:
+        turn = poses.orientation_wxyz
+        offset = guess_dock_offset(poses.position, turn, radius, sum(limits))
+        body = None if offset is None else docks_in_plane(offset)
+    if body is None:
+        return 0
+    docks = poses._replace(dock_offset_body=body).docks
+    gap = surface_gaps(docks, dock_pairs(docks, 2.0 * radius + limits[0]), radius)
+    touching = int((gap >= -limits[1]).sum())
+    return touching if 2 * touching >= len(gap) else 0
+
+
+def find_contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], int]:
+    """Find contacts, describe gaps, and count the docks that overlap by more.
+
+    Contacts are rows of (robot, dock, later robot, its dock), shape (n, 4).
+    """
+    radius, unit = assumed.dock_radius, poses.length_unit
+    gap_limit, overlap_limit = assumed.largest_gap, assumed.largest_overlap
+    if assumed.contacts is None:
+        within = max(gap_limit, FARTHEST_SHOWN * radius)
+        pair = dock_pairs(poses.docks, 2.0 * radius + within)
+    else:
+        pair = read_contacts(assumed.contacts, poses)
+    gap = surface_gaps(poses.docks, pair, radius)
+    wide, deep = gap > gap_limit, gap < -overlap_limit
+    limits = {"largest_gap": gap_limit, "largest_overlap": overlap_limit}
+    notes = [*histogram(gap, radius, unit=unit, **limits)]
+    if deep.any():
+        by = f"by more than {overlap_limit:g} {unit}"
+        notes.append(f"{counted(deep.sum(), 'overlap')} of two docks {by}")
+    if assumed.contacts is None:
+        pair = pair[~wide & ~deep]
+    elif wide.any():
+        listed = counted(wide.sum(), "listed contact")
+        notes.append(f"{listed} with a gap of more than {gap_limit:g} {unit}")
+    return pair, notes, int(deep.sum())
+
+
+def refuse_crowds(log: sensing_log.SensingLog, path: Path) -> None:
+    """Refuse more contacts of a dock than a log may have."""
+    docks = len(log.dock_offset_body)
+    ends = log.contacts.reshape(-1, 2) @ [docks, 1]
+    number = np.bincount(ends, minlength=1)
+    if (most := int(number.max())) > MOST_CONTACTS:
+        robot, dock = divmod(int(number.argmax()), docks)
+        problem = f"dock {dock} of robot {log.robot_id[robot]} has {most} contacts, more than "
+        remedy = f"{MOST_CONTACTS}; correct radius and offset of docks, or give smaller limits"
+        raise InputError(problem + remedy, path=path)
+
+
+_MOST_ROBOTS = 200
+"""Robots for which causes are tried; more would show nothing else."""
+
+_OFF_CENTER = 1.0
+"""Largest coordinate of a tracked point in the body frame that is tried [dock radii]."""
+
+_SHIFT = 0.5
+"""Step between tried coordinates of that point [dock radii]."""
+
+_NEAR = 0.4
+"""Largest gap and overlap of docks that a step may put in contact [dock radii]."""
+
+_BEST = 12
+"""Number of tried points that are refined: those that put most docks in contact."""
+
+_UNKNOWNS = 3
+
+
+def few_contacts(poses: Poses, assumed: Assumptions, contacts: int, overlaps: int) -> list[str]:
+    """Warn of too few contacts, or more overlaps than contacts, and say what may be the cause.
+
+    Args:
+        poses: Robots, whose docks are known or guessed.
+        assumed: Limits of contacts, and docks if they are given.
+        contacts: Number of docks in contact.
+        overlaps: Number of docks that overlap by more.
+    """
+    robots = len(poses.robot_id)
+    if robots == 1 or (contacts >= ENOUGH * robots and contacts >= overlaps):
+        return []
+    found = f"{counted(contacts, 'contact')} and {counted(overlaps, 'overlap')}"
+    problem = f"{counted(robots, 'robot')} have {found} of docks; "
+    usual = "correct --dock-radius and --dock-offset, or give larger --gap and --overlap"
+    # Spheres are docks wherever the frame of the body is.
+    cause = "" if poses.docks_are_spheres else _likely_cause(poses, assumed, contacts)
+    return [problem + (cause or usual)]
+
+
+def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
+    """Name the other meaning of poses that would make far more docks touch; empty if none would."""
+    poses = poses.nearest(_MOST_ROBOTS)
+    least = max(ENOUGH * len(poses.robot_id), FAR_MORE * contacts, 1.0)
+    if (touching := count_touching(poses.conjugate(), assumed)) >= least:
+        return f"quaternions that turn world to body give {touching}: add --conjugate"
+    quarter = Rotation.create_group("O")
+    for turn in (quarter[k] for k in range(1, len(quarter))):
+        turned = poses.turned(turn)
+        if (touching := count_touching(turned, assumed)) >= least:
+            bare = turned._replace(dock_offset_body=np.empty((0, 3)))
+            body = with_docks(bare, assumed)[0].dock_offset_body
+            return _by_docks(turn.apply(body), touching)
+    moved = poses.dock_offset_body + _off_center(poses, assumed)
+    as_moved = replace(assumed, dock_offset_body=moved)
+    # Fitted unknowns put as many docks in contact by chance, where a structure has N - 1 contacts.
+    least = max(least, len(poses.robot_id) - 1.0 + _UNKNOWNS)
+    if (touching := count_touching(poses, as_moved)) >= least:
+        return _by_docks(moved, touching)
+    return ""
+
+
+def _by_docks(offset: Reals, touching: int) -> str:
+    """Name the offsets at which docks would touch, and the remedy."""
+    places = ", ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in (offset + 0.0).tolist())
+    return f"docks at {places} in the body frame give {touching}: measure them, and add --docks"
+
+
+def off_the_ground(poses: Poses, assumed: Assumptions) -> list[str]:
+    """Warn if no dock stands on the ground, or if far more do with another axis up."""
+    if assumed.ground_z is None:
+        return []
+    standing, below = _on_ground(poses, assumed)
+    by_axis = {up: _on_ground(poses.upright(up), assumed) for up in UPWARD}
+    up = max(by_axis, key=lambda up: by_axis[up].standing * (by_axis[up].below == 0))
+    other = by_axis[up]
+    explains = below > 0 and other.below == 0 and other.standing >= max(1, FAR_MORE * standing)
+    if standing and not explains:
+        return []
+    docks = f"{standing or 'no'} dock{'s stand' if standing > 1 else ' stands'}"
+    problem = f"{docks} on the ground at z = {assumed.ground_z:g}, and {below} of "
+    problem += f"{poses.docks[..., 0].size} are below it"
+    if explains:
+        return [f"{problem}; with {up} up, {other.standing} stand and none is below: add --up {up}"]
+    lowest = float(poses.docks[..., 2].min()) - assumed.dock_radius
+    return [f"{problem}; the lowest reaches to z = {lowest:.4g}: correct --ground-z or --up"]
+
+
+class _OnGround(NamedTuple):
+    """Numbers of docks."""
+
+    standing: int
+    below: int
+
+
+def _on_ground(poses: Poses, assumed: Assumptions) -> _OnGround:
+    """Count the docks that stand on the ground and those below it."""
+    least, greatest = assumed.level
+    height = poses.docks[..., 2]
+    below = height < least
+    return _OnGround(int((~below & (height <= greatest)).sum()), int(below.sum()))
+
+
+def _off_center(poses: Poses, assumed: Assumptions) -> Reals:
+    """Find by how much docks are off their places in the body frame, all alike, shape (3,).
+
+    Steps at which most docks nearly touch, and none, are refined by the docks that do.
+    """
+    turn = Rotation.from_quat(poses.orientation_wxyz, scalar_first=True).as_matrix()
+    axis = assumed.dock_radius * np.arange(-_OFF_CENTER, _OFF_CENTER + 0.5 * _SHIFT, _SHIFT)
+    places = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    order = np.argsort([-len(_close(poses.docks, turn, at, assumed)) for at in places])
+    refined = []
+    for place in [np.zeros(3), *places[order[:_BEST]]]:
+        for _ in range(2):  # docks that touch are others after the first time
+            pair = _close(poses.docks, turn, place, assumed)
+            if len(pair) >= _UNKNOWNS:
+                place = _refined(poses.docks, turn, place, pair, assumed.dock_radius)  # noqa: PLW2901
+        refined.append(place)
+
+    def touching(place: Reals) -> int:
+        moved = poses.dock_offset_body + place
+        return count_touching(poses, replace(assumed, dock_offset_body=moved))
+
+    return max(refined, key=touching)
+
+
+def _close(docks: Reals, turn: Reals, off: Reals, assumed: Assumptions) -> Ints:
+    """List the docks that nearly touch where all are off by a vector in the body frame."""
+    docks = docks + (turn @ off)[:, None]
+    pair = dock_pairs(docks, (2.0 + _NEAR) * assumed.dock_radius)
+    return pair[surface_gaps(docks, pair, assumed.dock_radius) >= -_NEAR * assumed.dock_radius]
+
+
+def _refined(docks: Reals, turn: Reals, off: Reals, pair: Ints, radius: float) -> Reals:
+    """Let most of the docks of some pairs touch, shape (3,)."""
+
+    def misfit(place: Reals) -> Reals:
+        return surface_gaps(docks + (turn @ place)[:, None], pair, radius) / radius
+
+    found = least_squares(  # type: ignore[operator]
+        misfit, off, loss="cauchy", f_scale=TOLERANCE
+    )
+    return np.asarray(found.x)

@@ -1,4 +1,4 @@
-"""Scenes in plain arrays: capsules and ground, their light, and the camera that sees them.
+"""Scenes in plain arrays: capsules and ground, light and camera; robots as solids, glTF and PLY.
 
 Everything but the ground is a capsule: all points within a radius of a segment. A sphere is a
 capsule whose two ends coincide. A scene stores the light that each capsule and the ground receive,
@@ -8,15 +8,17 @@ hides nothing: a plane fades around the docks that stand on it, and a slab towar
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
-from tiswarm.report.swarm_view import DrawnRobots, Look, Slab, shown_slabs, standing_docks
+from tiswarm.report import swarm_view
+from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
 
 Array32 = NDArray[np.float32]
 
@@ -72,7 +74,7 @@ class Ground:
     corner: Reals  # center of the cell with the least x and y [R], shape (3,)
     cell: float  # distance between the centers of two neighboring cells [R]
     look: Array32  # brightness, and opacity from 0 to 1, by y and x cell, shape (cells, cells, 2)
-    slabs: list[Slab]
+    slabs: list[swarm_view.Slab]
 
     @property
     def corners(self) -> Reals:
@@ -110,8 +112,8 @@ class Ground:
 
 def lay_ground(terrain: Terrain, dock: Reals, blockers: Reals) -> Ground | None:
     """Lay ground around docks (n, 3), darker beneath robots; None if no dock stands on a plane."""
-    slabs = shown_slabs(terrain, dock)
-    standing = standing_docks(terrain, dock)[:, :2]
+    slabs = swarm_view.shown_slabs(terrain, dock)
+    standing = swarm_view.standing_docks(terrain, dock)[:, :2]
     if slabs:
         ends = [x for s in slabs for x in (s.rear, s.edge + s.outward * EDGE_RADIUS)]
         low, high = np.array([[min(ends), slabs[0].low_y], [max(ends), slabs[0].high_y]])
@@ -138,7 +140,7 @@ def lay_ground(terrain: Terrain, dock: Reals, blockers: Reals) -> Ground | None:
 
 
 def _cast_slab(
-    slab: Slab, eye: Array32, direction: Array32, depth: Array32, normal: Array32
+    slab: swarm_view.Slab, eye: Array32, direction: Array32, depth: Array32, normal: Array32
 ) -> None:
     """Write depth and normal of rays (n, 3) that meet a slab before their depth."""
     dx, dy, dz = np.where(direction == 0.0, np.float32(1e-9), direction).T
@@ -259,7 +261,7 @@ class Scene:
         columns, rows = round(share * self.camera.width), round(share * self.camera.height)
         return self.seen_by(replace(self.camera, width=columns, height=rows))
 
-    def painted(self, robots: DrawnRobots) -> "Scene":
+    def painted(self, robots: swarm_view.DrawnRobots) -> "Scene":
         """Return a scene of robots alone in their present colors."""
         parts = _capsules(robots)
         return replace(self, color=np.concatenate([part[3] for part in parts]).astype(np.float32))
@@ -275,15 +277,15 @@ class Scene:
         return replace(self, camera=camera, ghost=ghost)
 
 
-TRUE_SIZE = Look(0.45, 0.3, 1.0)
+TRUE_SIZE = swarm_view.Look(0.45, 0.3, 1.0)
 """Radii in which touching docks touch."""
 
 
 def build_scene(
-    robots: DrawnRobots,
+    robots: swarm_view.DrawnRobots,
     terrain: Terrain | None,
     *,
-    ghosts: DrawnRobots | None = None,
+    ghosts: swarm_view.DrawnRobots | None = None,
     rods: Reals | None = None,
     around: Reals | None = None,
 ) -> Scene:
@@ -300,7 +302,7 @@ def build_scene(
     if around is None:
         around = robots.dock.reshape(-1, 3)
     seen = [around] + [group.dock.reshape(-1, 3) for group in (robots, ghosts) if group]
-    slabs = [] if terrain is None else shown_slabs(terrain, around)
+    slabs = [] if terrain is None else swarm_view.shown_slabs(terrain, around)
     for slab in slabs:
         x, z = [0.5 * (slab.rear + slab.edge), slab.edge], slab.top - EDGE_RADIUS
         seen.append(np.array([[end, y, z] for end in x for y in (slab.low_y, slab.high_y)]))
@@ -315,7 +317,7 @@ def build_scene(
     return replace(_light(parts, robots, camera), ground=ground, ghost=ghost)
 
 
-def _light(parts: list[tuple[Reals, ...]], robots: DrawnRobots, camera: Camera) -> Scene:
+def _light(parts: list[tuple[Reals, ...]], robots: swarm_view.DrawnRobots, camera: Camera) -> Scene:
     """Put capsules, shaded by robots, in front of a camera."""
     start, end, radius, color = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Scene(
@@ -329,13 +331,13 @@ def _light(parts: list[tuple[Reals, ...]], robots: DrawnRobots, camera: Camera) 
     )
 
 
-def _blockers(robots: DrawnRobots) -> Reals:
+def _blockers(robots: swarm_view.DrawnRobots) -> Reals:
     """Stand in for each robot, as to light, with a sphere: center and radius, shape (N, 4)."""
     radius = np.full(len(robots.center), _BLOCKER_RADIUS * robots.look.dock)
     return np.column_stack([robots.center, radius])
 
 
-def _capsules(robots: DrawnRobots) -> list[tuple[Reals, ...]]:
+def _capsules(robots: swarm_view.DrawnRobots) -> list[tuple[Reals, ...]]:
     """Make start, end, radius and color of hubs, arms and docks."""
     docks, look = robots.dock.shape[1], robots.look
     hub, dock = robots.center, robots.dock.reshape(-1, 3)
@@ -490,3 +492,92 @@ def _stretch(start: Array32, end: Array32, ball: Array32) -> Array32:
     base = np.where(ball[:, 2:] > 0.0, end[:, None], start[:, None])
     point: Array32 = base + ball @ frames
     return point.reshape(-1, 3)
+
+
+_SOLID_SIDES = 10  # of a dock sphere's equator: a compromise of roundness and file size
+_EDGE_GRAY = (51, 51, 51, 255)  # color of contacts: red, green, blue, opacity
+_MATTE = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.7}}
+_Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""Turns our z axis into the y axis, which is up in glTF."""
+
+
+def encode_gltf(view: swarm_view.SwarmView) -> dict[str, bytes]:
+    """Encode structure, estimate and contacts as one file."""
+    return {"case.glb": _gltf(_shapes(view, gamma=2.2), view.log)}
+
+
+def encode_ply(view: swarm_view.SwarmView) -> dict[str, bytes]:
+    """Encode structure, estimate and contacts, each as a file."""
+    return {f"{name}.ply": _ply(shape, view.log) for name, shape in _shapes(view).items()}
+
+
+def _shapes(view: swarm_view.SwarmView, *, gamma: float = 1.0) -> dict[str, Any]:
+    """Build trimesh solids of structure and estimate, and a path of the contacts if there are any.
+
+    Robots of the structure are colored by join, those of the estimate by error or, where the truth
+    is unknown, by standard deviation. Contacts connect the centers of robots. The exponent `gamma`
+    = 2.2 turns sRGB into linear colors for glTF. Lengths are in the unit of the log, from the
+    anchor.
+    """
+    from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
+
+    doubt, _ = colors_from_zero(view.error if view.has_truth else view.sd, ERROR_COLORS)
+    estimated = view.robots(view.from_origin(view.estimated_pose), doubt, TRUE_SIZE)
+    shapes = {"estimate": _solid(estimated, gamma)}
+    if view.has_truth:
+        structure = view.robots(view.from_origin(view.pose), view.color_by_join, TRUE_SIZE)
+        shapes = {"structure": _solid(structure, gamma), **shapes}
+    center, pairs = view.from_origin(view.best_pose)[:, :3], view.log.contacts[:, [0, 2]]
+    line: Any = entities.Line
+    lines = [line(pair) for pair in pairs[np.isfinite(center[pairs]).all(axis=(1, 2))]]
+    gray = np.tile(np.array(_EDGE_GRAY, np.uint8), (len(lines), 1))
+    if lines:
+        place = np.nan_to_num(center)  # no line ends where the place is unknown
+        shapes["contacts"] = Path3D(lines, place, colors=gray, process=False)
+    for shape in shapes.values():
+        shape.apply_scale(view.log.dock_radius)
+    return shapes
+
+
+def _solid(robots: swarm_view.DrawnRobots, gamma: float) -> Any:  # noqa: ANN401 - Trimesh, imported late
+    """Mesh robots with colors and normals."""
+    import trimesh  # noqa: PLC0415 - slow to import
+
+    scene = build_scene(robots, None)
+    mesh = mesh_capsules(scene, sides=_SOLID_SIDES)
+    return trimesh.Trimesh(
+        mesh.point,
+        mesh.triangle,
+        vertex_normals=capsule_normals(scene, mesh.point_capsule, mesh.point),
+        vertex_colors=np.round(255.0 * scene.color[mesh.point_capsule] ** gamma).astype(np.uint8),
+        process=False,
+    )
+
+
+def _ply(shape: Any, log: SensingLog) -> bytes:  # noqa: ANN401 - of trimesh, imported late
+    """Encode a shape as PLY, whose comments state the unit and where the log has its origin."""
+    normals = {"vertex_normal": True} if hasattr(shape, "vertex_normals") else {}
+    kind, encoding, rest = shape.export(file_type="ply", **normals).split(b"\n", 2)
+    origin = " ".join(map(repr, log.anchor_position.tolist()))
+    comments = f"comment length_unit {log.length_unit}\ncomment origin {origin}"
+    return b"\n".join([kind, encoding, comments.encode(), rest])
+
+
+def _gltf(shapes: dict[str, Any], log: SensingLog) -> bytes:
+    """Encode shapes as the nodes of one binary glTF file, y up, moved to the anchor."""
+    import trimesh  # noqa: PLC0415 - slow to import
+
+    scene = trimesh.Scene(metadata={"length_unit": log.length_unit})
+    place = _Y_UP.astype(np.float64)
+    place[:3, 3] = place[:3, :3] @ log.anchor_position
+    for name, shape in shapes.items():
+        scene.add_geometry(shape, node_name=name, geom_name=name, transform=place)
+
+    def add_matte(tree: dict[str, Any]) -> None:
+        tree["materials"] = [_MATTE]  # the default of glTF is metal
+        for mesh in tree["meshes"]:
+            mesh["primitives"][0]["material"] = 0
+
+    export: Any = scene.export
+    data: bytes = export(file_type="glb", include_normals=True, tree_postprocessor=add_matte)
+    return data

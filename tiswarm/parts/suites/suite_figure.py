@@ -7,18 +7,8 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.records.measures import RMSE
+from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
-from tiswarm.report.figure_style import (
-    Painter,
-    Panels,
-    dot_style,
-    fit_axis,
-    label_plainly,
-    left_out,
-    marker_style,
-    set_title,
-    shortened,
-)
 from tiswarm.report.run_data import RunData, with_points
 
 if TYPE_CHECKING:
@@ -41,7 +31,7 @@ CAPTIONS = {
 """What the figures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figure of suites by file name, if a run has some."""
     return {"price-and-error": draw_suites} if (run.folder / "suites.csv").is_file() else {}
 
@@ -62,20 +52,20 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     ways = list(dict.fromkeys(table["way"]))
     columns = min(2, len(shown))
     height = 0.6 + 4.4 * -(-len(shown) // columns)
-    panels = Panels(height, len(shown), columns, share="xy", most=most)
-    fit_axis(panels.first, "y", table[_ERROR].to_numpy(float))
+    panels = figure_style.Panels(height, len(shown), columns, share="xy", most=most)
+    figure_style.fit_axis(panels.first, "y", table[_ERROR].to_numpy(float))
     panels.first.set_xscale("symlog", linthresh=_CHEAPEST, linscale=0.4)
-    label_plainly(panels.first.xaxis)
+    figure_style.label_plainly(panels.first.xaxis)
     panels.first.set_xlim(-0.3 * _CHEAPEST, 4.0 * table[_PRICE].max())
     panels.first.set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
     for axes, (point, rows) in panels.each(shown):
         _draw_panel(axes, rows, ways)
-        set_title(axes, shortened(point))
+        figure_style.set_title(axes, figure_style.shortened(point))
         axes.set_xlabel("Price of 100 robots [USD]")
     panels.label_left("RMSE of all robots [R]")
     words = "mean and 95 % CI" if table[_HALF].any() else "mean"
     panels.legend(words, structures=int(table["cases"].max()))
-    return panels.finish(left_out(len(points) - len(shown), "suites.csv"), run.note)
+    return panels.finish(figure_style.left_out(len(points) - len(shown), "suites.csv"), run.note)
 
 
 def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
@@ -85,11 +75,11 @@ def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
         mine = (rows["way"] == way).to_numpy()
         axes.errorbar(
             price[mine], error[mine], yerr=rows.loc[mine, _HALF], label=way,
-            elinewidth=0.6, **dot_style(place, 4.0),
+            elinewidth=0.6, **figure_style.dot_style(place, 4.0),
         )  # fmt: skip
     anchors = (axes.transScale + axes.transLimits).transform(np.column_stack([price, error]))
     names = rows["suite"].tolist()
-    colors = [marker_style(ways.index(way))["color"] for way in rows["way"]]
+    colors = [figure_style.marker_style(ways.index(way))["color"] for way in rows["way"]]
     for name, color, anchor, y in zip(
         names, colors, anchors, _heights(names, anchors), strict=True
     ):
