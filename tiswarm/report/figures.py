@@ -1,4 +1,4 @@
-"""Draws the figures of a run, whose kinds have modules of their own, and captions all pictures."""
+"""Draws the figures of a run; their kinds have modules of their own, with captions of pictures."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -142,30 +142,12 @@ def _modules() -> Iterator[Any]:
             yield find("figure", name)
 
 
-_RENDERS = {
-    "sd": "True structure, each robot colored by the standard deviation of its position that the "
-    "method reports. It should resemble the errors.",
-    "contact-graph": "Contacts: each ball is a robot, colored by its hops from an anchor, and "
-    "each rod joins two robots in contact.",
-    "error": "True structure, each robot colored by the error of its estimated position.",
-    "growth": "Growth of the structure, colored by join index, the order in which robots joined.",
-    "sensed-force": "True structure, each robot colored by the force that it senses in its links, "
-    "in weights of a dock.",
-    "sizes": "Structures of every size at one scale, each robot colored by its error.",
-    "structure": "True structure, colored by join index, the order in which robots joined.",
-    "truth-and-estimate": "Estimated robots, orange, and true robots, translucent blue, where they "
-    "are more than 0.3 R apart. If most are, balls stand for robots, and rods join true and "
-    "estimated centers.",
-}
-"""Captions of 3D pictures by file name."""
-
-
 def caption_of(name: str, case: str = "") -> str:
     """Describe a picture by the longest known part of its name.
 
     The rest of the name is a sweep point or a case; without a rest, the picture shows `case`.
     """
-    captions = dict(_RENDERS)
+    captions: dict[str, str] = {}
     for module in _modules():
         captions |= module.CAPTIONS
     known = max((key for key in captions if f"{name}-".startswith(f"{key}-")), key=len, default="")

@@ -7,16 +7,7 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.records.measures import RMSE, RMSE_AT_JOIN, SENT
-from tiswarm.report.figure_style import (
-    Painter,
-    Panels,
-    dot_style,
-    fit_axis,
-    half_width,
-    lay_out,
-    line_style,
-    set_title,
-)
+from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, StoredCase
 
 if TYPE_CHECKING:
@@ -42,16 +33,29 @@ CAPTIONS = {
     "others included, both logarithmic: a marker for each condition whose robots localize "
     "themselves. Lines are conditions that have the log of all robots in one place. Bars and bands "
     "are 95 % CI. Farther left and lower is better.",
+    "sd": "True structure, each robot colored by the standard deviation of its position that the "
+    "method reports. It should resemble the errors.",
+    "contact-graph": "Contacts: each ball is a robot, colored by its hops from an anchor, and "
+    "each rod joins two robots in contact.",
+    "error": "True structure, each robot colored by the error of its estimated position.",
+    "growth": "Growth of the structure, colored by join index, the order in which robots joined.",
+    "sensed-force": "True structure, each robot colored by the force that it senses in its links, "
+    "in weights of a dock.",
+    "sizes": "Structures of every size at one scale, each robot colored by its error.",
+    "structure": "True structure, colored by join index, the order in which robots joined.",
+    "truth-and-estimate": "Estimated robots, orange, and true robots, translucent blue, where they "
+    "are more than 0.3 R apart. If most are, balls stand for robots, and rods join true and "
+    "estimated centers.",
 }
-"""What the figures show, by file name."""
+"""What these figures and 3D pictures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures that a run has, by file name."""
     return {**_joining_painters(run), **_traffic_painters(run)}
 
 
-def _traffic_painters(run: RunData) -> dict[str, Painter]:
+def _traffic_painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figure by file name, if robots of some case sent each other anything."""
     sent = run.summary.get(_SENT)
     return {"traffic": draw_traffic} if sent is not None and sent.notna().any() else {}
@@ -67,18 +71,18 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     names = list(dict.fromkeys(done["condition"]))
     columns = min(len(groups), 2)
     rows = -(-len(groups) // columns)
-    panels = Panels(1.0 + 3.0 * rows, len(groups), columns, share="xy", most=most)
+    panels = figure_style.Panels(1.0 + 3.0 * rows, len(groups), columns, share="xy", most=most)
     for axes, ((kind, robots), cases) in panels.each(groups):
         for place, name in enumerate(names):
             _draw_condition(axes, cases[cases["condition"] == name], name, place)
-        set_title(axes, f"{kind}, {robots} robots")
+        figure_style.set_title(axes, f"{kind}, {robots} robots")
         axes.set_xlabel(SENT.axis)
     panels.label_left(RMSE.axis)
     _set_scale(panels.first)
     panels.legend(entries=panels.entries())
     figure = panels.finish(run.note)
     # Numbers keep apart on paper, so panels need their final size.
-    lay_out(figure)
+    figure_style.lay_out(figure)
     for axes in panels.axes:
         _number_markers(axes)
     return figure
@@ -144,18 +148,18 @@ def _draw_condition(axes: "Axes", cases: pd.DataFrame, name: str, place: int) ->
     """Draw the mean of a condition with its 95 % CI: a marker, or a line if nobody sends."""
     if cases.empty:
         return
-    mean, half = float(cases[_ERROR].mean()), half_width(cases[_ERROR])
+    mean, half = float(cases[_ERROR].mean()), figure_style.half_width(cases[_ERROR])
     if cases[_SENT].isna().all():
-        look = line_style(place)
+        look = figure_style.line_style(place)
         axes.axhline(mean, label=name, **look)
         axes.axhspan(max(mean - half, 0.5 * mean), mean + half, alpha=0.12, color=look["color"])
         return
     across = [
-        [min(half_width(cases[_SENT]), 0.5 * cases[_SENT].mean())],
-        [half_width(cases[_SENT])],
+        [min(figure_style.half_width(cases[_SENT]), 0.5 * cases[_SENT].mean())],
+        [figure_style.half_width(cases[_SENT])],
     ]
     up = [[min(half, 0.5 * mean)], [half]]
-    look = {**dot_style(place, 3.0), "elinewidth": 0.6}
+    look = {**figure_style.dot_style(place, 3.0), "elinewidth": 0.6}
     label = f"{place + 1} {name}"
     axes.errorbar(cases[_SENT].mean(), mean, xerr=across, yerr=up, label=label, **look)
 
@@ -181,7 +185,7 @@ _SHARE = 4
 """The robots that joined last are one in so many of the smallest structure."""
 
 
-def _joining_painters(run: RunData) -> dict[str, Painter]:
+def _joining_painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figure by file name, if a run has structures of several sizes, and such errors."""
     sizes = {case.robots for cases in run.series.values() for case in cases}
     return {"joining": draw_joining} if len(sizes) > 1 and _at_join(run) else {}
@@ -198,7 +202,7 @@ def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
     names = list(dict.fromkeys(case.condition for case in done))
     sizes = sorted({case.robots for case in done})
     online, last = _at_join(run), max(sizes[0] // _SHARE, 1)
-    panels = Panels(3.2, len(kinds), len(kinds), share="y", most=most)
+    panels = figure_style.Panels(3.2, len(kinds), len(kinds), share="y", most=most)
     drawn = []
     for axes, kind in panels.each(kinds):
         for place, name in enumerate(names):
@@ -207,16 +211,23 @@ def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
             column = _COLUMN if joins else "error_R"
             line = [_rms(mine, size, size, column, last) for size in sizes]
             label = f"{name}, as they join" if joins else name
-            axes.plot(sizes, line, marker="o", markersize=3.0, label=label, **line_style(place))
+            axes.plot(
+                sizes,
+                line,
+                marker="o",
+                markersize=3.0,
+                label=label,
+                **figure_style.line_style(place),
+            )
             drawn += line
             if joins:
                 later = [_rms(mine, sizes[-1], size, "error_R", last) for size in sizes]
-                look = line_style(place) | {"linestyle": "--"}
+                look = figure_style.line_style(place) | {"linestyle": "--"}
                 axes.plot(sizes, later, marker="o", markersize=3.0, label=f"{name}, later", **look)
                 drawn += later
         axes.set(xlabel="Robots by then", title=kind, xticks=sizes)
     panels.label_left(f"RMSE of the last {last} robots [R]")
-    fit_axis(panels.first, "y", np.array(drawn))
+    figure_style.fit_axis(panels.first, "y", np.array(drawn))
     panels.legend()
     return panels.finish(run.note)
 
