@@ -83,7 +83,7 @@ def draw(
     """
     manifest = read_manifest(run.folder)
     render_run = find("command", "render").render_run if renders else None
-    animate_run = find("command", "animate").animate_run if movie else None
+    animate_run = find("command", "render").animate_run if movie else None
     if renders:  # matplotlib looks at IPython, and fails while open3d imports it
         with contextlib.suppress(ImportError):
             importlib.import_module("IPython")

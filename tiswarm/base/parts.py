@@ -105,7 +105,6 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "log_format": {"mcap": "tiswarm.parts.formats.mcap:sensing_lines"},
     "command": {
         "advise": "tiswarm.parts.advice.further:tabulate",
-        "animate": "tiswarm.parts.pictures.pictures",
         "compare": "tiswarm.parts.comparison",
         "doctor": "tiswarm.parts.doctor",
         "explain": "tiswarm.parts.advice.explanation",

@@ -113,7 +113,7 @@ def chosen_movie(movie: AnyMovie | None, *, animate: bool) -> AnyMovie | None:
     """Return the file format of an animation, the best one if none was chosen; None without one."""
     if movie or not animate:
         return movie
-    found: AnyMovie = find("command", "animate").best_movie()
+    found: AnyMovie = find("command", "render").best_movie()
     return found
 
 
