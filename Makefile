@@ -10,7 +10,7 @@ CONSTRAINTS = constraints.txt
 ARCH = cuda
 GPU_OPTIONS =
 # Rooms whose tests `make check` runs: those without kernels and whole runs.
-ROOMS = base evaluation measurements records scenario sensing
+ROOMS = base evaluation measurements parts/advice parts/suites records scenario sensing
 # Roundings, and rooms or files of tests, of `make roundings`; all if empty.
 KINDS =
 TESTS =

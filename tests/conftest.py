@@ -20,11 +20,12 @@ BOUNDS = "TISWARM_DEBUG"
 """Variable by which kernels check the bounds of arrays; read when the backend starts."""
 
 ROOMS_WITH_KERNELS = {"compute", "engine", "world"}
-ROOMS_OF_TRIALS = ROOMS_WITH_KERNELS | {"localization"}
-"""Rooms whose kernels check bounds: those of localization in trials alone, which need half as long
+ROOMS_OF_TRIALS = ROOMS_WITH_KERNELS | {"localization", "between", "online", "peers"}
+"""Rooms whose kernels check bounds: those of methods in trials alone, which need half as long
 without."""
 ROOMS_WITHOUT_KERNELS = {
-    "base", "evaluation", "formats", "measurements", "records", "scenario", "sensing",
+    "advice", "base", "evaluation", "formats", "measurements", "records", "scenario", "sensing",
+    "suites",
 }  # fmt: skip
 """Rooms whose tests compute little or nothing."""
 

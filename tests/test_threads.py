@@ -15,14 +15,14 @@ import pytest
 
 from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tests.localization.test_branch_sums import annealer
-from tests.localization.test_distributed import QUICK as DISTRIBUTED
 from tests.localization.test_joint_estimates import BIASED
 from tests.localization.test_joint_estimates import SHORT as JOINT
-from tests.localization.test_online import QUICK as ONLINE
 from tests.localization.test_together import SHORT as TOGETHER
 from tests.localization.test_virtual_force import CUES
+from tests.parts.between.test_distributed import QUICK as DISTRIBUTED
+from tests.parts.online.test_online import QUICK as ONLINE
+from tests.parts.suites.test_sight import cloud, views
 from tests.runs import REPOSITORY, repeated_files
-from tests.sensing.test_sight import cloud, views
 from tests.structures import NOISY, silent
 from tests.world.test_growth import FIREANT, KINDS
 from tiswarm import relax, study

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.localization.test_online import QUICK, fed, lines_of
+from tests.parts.online.test_online import QUICK, fed, lines_of
 from tests.structures import NOISY
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.methods import localize, localize_many

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.localization.test_online import LOCAL, fed, lines_of, sensed
+from tests.parts.online.test_online import LOCAL, fed, lines_of, sensed
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.arrays import BodyMotion
 from tiswarm.localization.chains.problem import pose_problem

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from tests.localization.test_online import lines_of
+from tests.parts.online.test_online import lines_of
 from tests.structures import NOISY
 from tiswarm import track
 from tiswarm.base.errors import InputError, ResultWarning

@@ -8,7 +8,7 @@ import gsd.hoomd
 import numpy as np
 import pytest
 
-from tests.formats.test_stances import BODY, assert_same_stances, rows_of, sampled
+from tests.parts.formats.test_stances import BODY, assert_same_stances, rows_of, sampled
 from tests.structures import exact_estimate
 from tiswarm.app.formats import export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError

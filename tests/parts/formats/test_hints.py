@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.formats.test_imports import POSES, bring_in
+from tests.parts.formats.test_imports import POSES, bring_in
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 

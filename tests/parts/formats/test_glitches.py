@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.formats.test_stances import bring_in, rows_of, sampled
+from tests.parts.formats.test_stances import bring_in, rows_of, sampled
 from tiswarm.parts.formats.motion import _step_of_noise
 from tiswarm.records.sensing_file import log_entries
 

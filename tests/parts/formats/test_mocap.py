@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.formats.test_stances import BODY, assert_same_stances, sampled
+from tests.parts.formats.test_stances import BODY, assert_same_stances, sampled
 from tiswarm.base.errors import InputError
 from tiswarm.parts.formats.imports import import_poses
 from tiswarm.parts.formats.poses import Assumptions

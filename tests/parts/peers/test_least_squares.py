@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tests.localization.test_hop_by_hop import fixed, ranging
 from tests.localization.test_problem import true_yaw
+from tests.parts.peers.test_hop_by_hop import fixed, ranging
 from tests.structures import NOISY, silent
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.localization.test_online import LOCAL, lines_of
+from tests.parts.online.test_online import LOCAL, lines_of
 from tests.structures import NOISY, with_directions, with_fixes
 from tiswarm.base.errors import InputError
 from tiswarm.localization.methods import centered, localize_many
