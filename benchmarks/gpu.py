@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +61,8 @@ def main() -> None:
     parts: dict[str, Callable[[], Any]] = {
         "doctor": lambda: doctor.try_backend(arch),
         "tests": lambda: run_tests(arch),
-        "swarm_step": lambda: [row for n in options.sizes for row in time_swarm(arch, n)],
-        "joint": lambda: [time_joint(arch, n) for n in options.joint_sizes],
+        "swarm_step": lambda: _shown(row for n in options.sizes for row in time_swarm(arch, n)),
+        "joint": lambda: _shown(time_joint(arch, n) for n in options.joint_sizes),
         "digests": lambda: compare_runs(arch, brief=options.brief),
     }
     running, card = backend.start(arch), machine.find_card(arch)
@@ -104,6 +104,15 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def _shown(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Print rows as they are measured, which takes minutes."""
+    found = []
+    for row in rows:
+        print(json.dumps(row), flush=True)
+        found.append(row)
+    return found
+
+
 def faults(report: dict[str, Any]) -> list[str]:
     """List what a card may not do."""
     found = []
@@ -126,15 +135,20 @@ def faults(report: dict[str, Any]) -> list[str]:
 
 def run_tests(arch: str) -> dict[str, Any]:
     """Run the tests of devices on this card."""
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "tests/compute/test_devices.py"]
+    # An empty -m takes tests at full size, too: those of devices are.
+    options = ["-q", "-n", "0", "-m", "", "tests/compute/test_devices.py"]
     done = subprocess.run(  # noqa: S603 - our own tests
-        command, env=os.environ | {"TISWARM_TEST_ARCH": arch}, capture_output=True, text=True,
+        [sys.executable, "-m", "pytest", *options],
+        env=os.environ | {"TISWARM_TEST_ARCH": arch},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
         check=False,
-    )  # fmt: skip
+    )
     return {"passed": done.returncode == 0, "output": done.stdout.splitlines()[-12:]}
 
 
-def time_swarm(arch: str, robots: int) -> list[dict[str, Any]]:
+def time_swarm(arch: str, robots: int) -> Iterator[dict[str, Any]]:
     """Time the swarm step of every engine of a device, and check its initial forces."""
     params, base = StepParams(), make("block", min(robots, TILE), seed=0)
     copies = robots // len(base.position)
@@ -142,7 +156,6 @@ def time_swarm(arch: str, robots: int) -> list[dict[str, Any]]:
     steps = FEW_STEPS if robots >= FULL_SIZES[-1] else STEPS
     force = np.tile(reference.force(base, params, base.position), (copies, 1))
     farthest = float(np.abs(scene.position).max())
-    rows = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.npz"
         np.savez(file, **vars(scene), force=force, steps=steps)
@@ -160,8 +173,7 @@ def time_swarm(arch: str, robots: int) -> list[dict[str, Any]]:
                 ]
                 row["step_ns"] = 1e9 * float(np.median(taken)) / (len(scene.position) * steps)
                 process.stop()
-            rows.append(row)
-    return rows
+            yield row
 
 
 def tiled(base: Scene, copies: int) -> Scene:
