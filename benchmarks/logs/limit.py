@@ -7,15 +7,13 @@ import numpy as np
 from benchmarks.logs.grade import error
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost.cost import SETTLED, Cost
+from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
 
-ROUNDS, MOST_CALLS = 30, 40
-"""Rounds of the optimizer in a call, and calls until it must have converged."""
-
+ROUNDS = 30
 PARAMS = JointParams()
 
 _TURNS = 3
@@ -40,17 +38,20 @@ def tied_robots(log: SensingLog) -> Bools:
     return ~observability(log, PARAMS.cues).disconnected
 
 
-def optimum(log: SensingLog, truth: Reals) -> Reals:
-    """Minimize the cost of `joint` from the truth, until it no longer falls.
+def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Limit:
+    """Minimize the cost of `joint` from the truth.
 
     The cost is the chi-square of all measurements under Cauchy's loss, squared overlaps of docks,
     and priors.
 
-    Returns:
-        Centers at the minimum [log unit], shape (N, 3).
+    Args:
+        log: What was sensed.
+        truth: True centers [log unit], shape (N, 3).
+        frame: As for `grade.error`.
     """
+    unit, robots = log.dock_radius, len(truth)
     problem = pose_problem(log, PARAMS)
-    start = truth / log.dock_radius, np.zeros(len(truth))
+    start = truth / unit, np.zeros(robots)
     cost = Cost(
         log,
         problem.rows.associated(*start),
@@ -58,25 +59,9 @@ def optimum(log: SensingLog, truth: Reals) -> Reals:
         links=problem.connections,
         robust_sd=ROBUST_SD,
     )
-    least, turn = np.inf, None
-    for _ in range(MOST_CALLS):
-        state, linear = cost.refine(start, ROUNDS, turn=turn)
-        if linear.cost > least - SETTLED:
-            break
-        start, turn, least = (state.position, state.yaw), state.turn, linear.cost
-    return start[0] * log.dock_radius
-
-
-def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Limit:
-    """Find what can be known from a log.
-
-    Args:
-        log: What was sensed.
-        truth: True centers [log unit], shape (N, 3).
-        frame: As for `grade.error`.
-    """
+    state, _ = cost.refine(start, ROUNDS)
     seen = observability(log, PARAMS.cues, truth, yaw_unknown=log.yaw_bias > 0.0)
     tied = ~seen.disconnected
-    least = error(optimum(log, truth)[tied], truth[tied], frame)
+    optimum = error(state.position[tied] * unit, truth[tied], frame)
     whole = _TURNS if frame == "free" else 0
-    return Limit(tied, (seen.floppy_modes or 0) - whole, least)
+    return Limit(tied, (seen.floppy_modes or 0) - whole, optimum)

@@ -26,6 +26,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.measurements.equations import (
+    components,
+    missed_along,
+    missed_distance,
+    slope_by_turn,
+)
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.records.sensing_log import KNOWN_SD
 
@@ -543,6 +549,12 @@ class Measurements:
         points: Reals = position[..., robot, :] + arm
         return points
 
+    def docks(self, yaw: Reals | None = None) -> Reals:
+        """Turn the final arms of all docks by yaw, shape (N,) [R], shape (N, docks, 3)."""
+        arm = self.odometry.arm[self.odometry.final]
+        of_dock = None if yaw is None else np.repeat(yaw, arm.shape[1])
+        return turned(arm.reshape(-1, _AXES), of_dock).reshape(arm.shape)
+
     def axes(self, yaw: Reals | None = None) -> Reals:
         """Compute the unit vectors along which `offsets` measures, shape (..., O, 3)."""
         robot = self.robot[len(self.distances.stance) : len(self.other)]
@@ -554,15 +566,7 @@ class Measurements:
         Returns:
             Residuals [R], shape (..., E).
         """
-        d, apart = self.distances, self.vectors(position, yaw)
-        missed = np.linalg.norm(apart, axis=-1)
-        distance, offset = np.split(missed, [len(d.stance)], axis=-1)
-        distance -= d.length
-        # A hinge is missed while it is too short: docks may be apart, but not overlap.
-        distance[...] = np.where(d.is_hinge, np.minimum(distance, 0.0), distance)
-        offset[...] = (apart[..., len(d.stance) :, :] * self.axes(yaw)).sum(axis=-1)
-        away = (self.points(position, yaw) * self.places.direction).sum(axis=-1)
-        return np.concatenate([missed, away - self.places.value], axis=-1)
+        return self._missed(position, yaw)[0]
 
     def directions(self, position: Reals, yaw: Reals | None = None) -> Reals:
         """Compute the derivative of each residual by its robot's center, shape (..., E, 3).
@@ -570,14 +574,28 @@ class Measurements:
         It is a unit vector, or 0 where docks coincide or a hinge is open. Arguments as in
         `vectors`.
         """
-        apart = self.vectors(position, yaw)[..., : len(self.distances.stance), :]
-        length = np.linalg.norm(apart, axis=-1)
-        counts = (length > 0.0) & ~(self.distances.is_hinge & (length >= self.distances.length))
-        slope = np.divide(counts, length, out=np.zeros_like(length), where=counts)
+        return self.linearized(position, yaw)[1]
+
+    def linearized(self, position: Reals, yaw: Reals | None = None) -> tuple[Reals, Reals]:
+        """Compute `residual` and `directions` at once."""
+        residual, along = self._missed(position, yaw)
         fixed = [self.axes(yaw), self.places.direction]
         shape = position.shape[:-2]
         axes = [np.broadcast_to(axis, (*shape, *axis.shape[-2:])) for axis in fixed]
-        return np.concatenate([slope[..., None] * apart, *axes], axis=-2)
+        return residual, np.concatenate([along, *axes], axis=-2)
+
+    def _missed(self, position: Reals, yaw: Reals | None) -> tuple[Reals, Reals]:
+        """Compute residuals, shape (..., E), and the directions of distances, (..., C, 3)."""
+        d, apart = self.distances, self.vectors(position, yaw)
+        line, offset = np.split(apart, [len(d.stance)], axis=-2)
+        # In the memory order of `apart`, configuration by configuration or row by row.
+        residual = np.empty_like(apart[..., 0])
+        distance, component = np.split(residual, [len(d.stance)], axis=-1)
+        distance[...], slope = missed_distance(components(line), d.length, d.is_hinge)
+        component[...] = missed_along(components(offset), components(self.axes(yaw)), 0.0)
+        away, axis = self.points(position, yaw), self.places.direction
+        place = missed_along(components(away), components(axis), self.places.value)
+        return np.concatenate([residual, place], axis=-1), slope[..., None] * line
 
     def jacobian(self, position: Reals, yaw: Reals | None = None) -> csc_array:
         """Compute the derivatives of the residuals by arms that are known: see `associated`.
@@ -594,10 +612,9 @@ class Measurements:
         # A vector turns with its axes: the derivative is that of an arm to the other dock.
         offset = slice(len(self.distances.stance), count)
         arm[offset] = position[j[offset]] + its[offset] - position[i[offset]]
-        # A turn by 1 rad moves the end of an arm (x, y) by (-y, x).
-        of_turn = direction[:, 1] * arm[:, 0] - direction[:, 0] * arm[:, 1]
         toward = direction[:count]
-        of_its_turn = toward[:, 1] * its[:, 0] - toward[:, 0] * its[:, 1]
+        of_turn = -slope_by_turn(components(direction), components(arm))[2]
+        of_its_turn = -slope_by_turn(components(toward), components(its))[2]
         every, axis = np.arange(len(i)), np.arange(_AXES)
         thrice = np.repeat(every, _AXES)
         row = [thrice, thrice[: _AXES * count], every, every[:count]]

@@ -21,9 +21,10 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows, by_group
 from tiswarm.localization.cost.settings import OVERLAP_SD
+from tiswarm.measurements import equations
 from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.contacts import close_docks
-from tiswarm.measurements.model import SPACING, Measurements, turned
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import Connections
 from tiswarm.records.sensing_log import SensingLog
 
@@ -282,11 +283,11 @@ class Cost:
     def linearized(self, state: State, precision: Reals) -> Linear:
         """Linearize at a state; priors have that precision (U,), those of positions are there."""
         rows, arm = self._turned(state)
-        direction = rows.directions(state.position)
-        noise, final, yaw, turning = self._no_noise, np.empty((0, 3)), np.empty(0), np.empty(0)
-        residual = rows.residual(state.position)
+        residual, direction = rows.linearized(state.position)
+        noise, final, yaw = self._no_noise, np.empty((0, 3)), np.empty(0)
+        turning: Reals = np.empty(0)
         if self.has_turns:
-            across = np.cross(direction[self.row], np.where(self.is_own[:, None], arm, -arm))
+            across = _by_turns(direction[self.row], np.where(self.is_own[:, None], arm, -arm))
             final, yaw = (across * self.sd)[self.of_final], -across[self.of_yaw, 2]
         if len(self.of_earlier):
             noise = by_group(
@@ -297,8 +298,8 @@ class Cost:
             )
             residual -= noise @ state.turn[self.is_earlier].ravel()
         if len(self.of_axis):  # the axes of offsets turn with the robot, too
-            x, y, _ = rows.vectors(state.position)[self.of_axis].T
-            turning = direction[self.of_axis, 0] * y - direction[self.of_axis, 1] * x
+            apart = rows.vectors(state.position)[self.of_axis]
+            turning = _by_turns(direction[self.of_axis], apart)[:, 2]
         values = [
             direction, -direction[: len(self.rows.other)], final, yaw, turning, self.of_source
         ]  # fmt: skip
@@ -340,10 +341,9 @@ class Cost:
             arm = Rotation.from_rotvec(yaw).apply(arm)
         arm = Rotation.from_rotvec(-state.turn[self.stance] * self.sd).apply(arm)
         offsets, size = self.rows.offsets, len(self.rows)
-        axis = turned(offsets.axis, state.yaw[self.walks.owner[offsets.stance]])
         rows = replace(
             self.rows,
-            offsets=offsets._replace(axis=axis),
+            offsets=offsets._replace(axis=self.rows.axes(state.yaw)),
             arm=self._summed(arm, self.is_own, size),
             other_arm=self._summed(arm, ~self.is_own, len(self.rows.other)),
         )
@@ -356,8 +356,6 @@ class Cost:
     def _robust(self, residual: Reals) -> tuple[Reals, Reals]:
         """Widen what is missed by far, so that squares have the slope of Cauchy's loss.
 
-        With t = e^2 / (c^2 v), that loss is c^2 log(1 + t), and has the slope of e^2 / v (1 + t).
-
         Returns:
             Own variance of each measurement [R^2], and the loss beyond these squares, (E,) both.
         """
@@ -369,21 +367,18 @@ class Cost:
         # The three rows of a vector give way together: they are one measurement.
         offset = slice(len(self.rows.distances.stance), len(self.rows.other))
         missed[offset] = np.repeat(missed[offset].reshape(-1, 3).sum(axis=1), 3)
-        excess = square * (np.log1p(missed) - missed / (1.0 + missed))
+        excess = equations.loss_beyond(missed, np.log1p(missed), square)
         excess[offset] /= 3.0
         return self.own_variance + self.variance * missed, excess
 
     def _docks_at(self, state: State) -> Reals:
         """Arms of all docks at the end [R], shape (N, docks, 3)."""
-        arm = self.walks.arm[self.walks.final]
-        docks = arm.shape[1]
-        flat: Reals = arm.reshape(-1, 3)
-        if state.yaw.any():
-            flat = turned(flat, np.repeat(state.yaw, docks))
+        arm = self.rows.docks(state.yaw if state.yaw.any() else None)
         if len(self.of_final):
             turn = -(state.turn * self._turn_sd)[self.walks.final]
-            flat = Rotation.from_rotvec(np.repeat(turn, docks, axis=0)).apply(flat)
-        return flat.reshape(arm.shape)
+            every = np.repeat(turn, arm.shape[1], axis=0)
+            arm = Rotation.from_rotvec(every).apply(arm.reshape(-1, 3)).reshape(arm.shape)
+        return arm
 
     def _overlaps(self, state: State) -> LinearRows:
         """Compute the overlaps of docks that do not touch, and their derivatives."""
@@ -399,7 +394,7 @@ class Cost:
         way = apart[chosen] / length[chosen, None]
         robot = np.concatenate([later, earlier])
         pull = np.concatenate([way, -way])
-        across = np.cross(pull, np.concatenate([arm[later, own], arm[earlier, its]]))
+        across = _by_turns(pull, np.concatenate([arm[later, own], arm[earlier, its]]))
         turn = across * self._turn_sd[self.walks.final][robot]
         robots = self.rows.robots
         column = np.concatenate(
@@ -466,3 +461,9 @@ class Cost:
         far = np.linalg.norm(shift, axis=1, keepdims=True)
         shift *= np.minimum(1.0, longest / np.maximum(far, longest))
         return State(state.position + shift, state.yaw + yaw, turn, state.shared + shared)
+
+
+def _by_turns(direction: Reals, arm: Reals) -> Reals:
+    """Compute derivatives by turns that undo those of arms (n, 3), shape (n, 3)."""
+    parts = map(equations.components, (direction, arm))
+    return np.stack(equations.slope_by_turn(*parts), axis=-1)

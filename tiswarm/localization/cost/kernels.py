@@ -20,6 +20,7 @@ from tiswarm.compute.lang import (
 )  # fmt: skip
 from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
 from tiswarm.localization.cost.settings import CANDIDATES, OVERLAP_SD
+from tiswarm.measurements import equations
 from tiswarm.measurements.model import KNOWN, SPACING
 
 DISTANCE, HINGE, OFFSET, COORDINATE = range(4)
@@ -165,6 +166,11 @@ _SHARED = 3
 _VALUES = 4
 """Values of a row of one robot: its derivatives by the center, and the residual."""
 
+missed_distance = ti.func(equations.missed_distance)
+missed_along = ti.func(equations.missed_along)
+slope_by_turn = ti.func(equations.slope_by_turn)
+loss_beyond = ti.func(equations.loss_beyond)
+
 
 @ti.func
 def undone(arm, turn):
@@ -203,16 +209,11 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
         other = table.member[table.block[b, BlockStart.MEMBERS] + table.number[e, RowLabel.MEMBER]]
         its = undone(part_at(table.real, e, RowValue.OTHER_ARM), turn_of(other, robots))
         point -= part_at(robots.state, other, RobotState.POSITION) + its
-    residual = point.dot(axis) - value
+    residual = missed_along(point, axis, value)
     if kind < OFFSET:
         # A distance measures along the line between its ends, which moves with the robots.
-        length = point.norm()
-        residual = length - value
-        axis *= 0.0
-        if length > 0.0:
-            axis = point / length
-        if kind == HINGE and residual >= 0.0:
-            axis, residual = 0.0 * axis, 0.0
+        residual, slope = missed_distance(point, value, kind == HINGE)
+        axis = slope * point
     for c in ti.static(range(_AXES)):
         scratch.row[a, RowState.DIRECTION + c] = axis[c]
     scratch.row[a, RowState.RESIDUAL] = residual
@@ -243,7 +244,7 @@ def give_way(b, robust_square, table: Ref, scratch: Ref):
         if table.number[start + a, RowLabel.KIND] == COORDINATE and of_row <= KNOWN:
             missed = 0.0
         scratch.row[a, RowState.WIDENED] += of_row * missed
-        excess += robust_square * (ti.log(1.0 + missed) - missed / (1.0 + missed)) / parts
+        excess += loss_beyond(missed, ti.log(1.0 + missed), robust_square) / parts
     return excess
 
 
@@ -292,7 +293,7 @@ def overlap_of(robot, dock, other, its, apart, robots: Ref):
 
     Docks in contact are nearer than D as often as farther.
     """
-    deep = ti.max(SPACING - apart.norm(), 0.0)
+    deep = -missed_distance(apart, SPACING, 1)[0]
     if deep > 0.0:
         # The later robot lists a contact.
         later, first, earlier, second = robot, dock, other, its
@@ -354,6 +355,14 @@ def _store(u, a, vector, scratch: Ref):
 
 
 @ti.func
+def _store_turns(u, a, robot, way, arm, robots: Ref, scratch: Ref):
+    """Write the derivatives of row a by turns of a robot, whose arm it moves along, from u on."""
+    across = slope_by_turn(way, arm)
+    for c in ti.static(range(_AXES)):
+        scratch.value[u + c, a] = across[c] * robots.state[robot, RobotState.TURN_SD + c]
+
+
+@ti.func
 def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, scratch: Ref):
     """Write the derivatives of row a of block b, and its residual."""
     for u in range(values):
@@ -363,8 +372,7 @@ def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, 
     slot = _slot_of(b, 0, table, column)
     if slot >= 0:
         _store(slot, a, way, scratch)
-        across = way.cross(tail) * part_at(robots.state, own, RobotState.TURN_SD)
-        _store(slot + _AXES, a, across, scratch)
+        _store_turns(slot + _AXES, a, own, way, tail, robots, scratch)
     # Two robots that stay share their error, as far as both have it.
     stays = robots.state[own, RobotState.STAYS]
     if table.number[e, RowLabel.KIND] != COORDINATE:
@@ -372,8 +380,7 @@ def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, 
         slot = _slot_of(b, table.number[e, RowLabel.MEMBER], table, column)
         if slot >= 0:
             _store(slot, a, -way, scratch)
-            across = its.cross(way) * part_at(robots.state, other, RobotState.TURN_SD)
-            _store(slot + _AXES, a, across, scratch)
+            _store_turns(slot + _AXES, a, other, -way, its, robots, scratch)
         stays -= robots.state[other, RobotState.STAYS]
     _store(values - _SHARED - 1, a, stays * way, scratch)
     scratch.value[values - 1, a] = scratch.row[a, RowState.RESIDUAL]
@@ -401,8 +408,7 @@ def _fill_side(used, robot, pull, arm, moving, robots: Ref, column: Ref, scratch
     after = used
     if column[robot] >= 0:
         _store(used, 0, pull, scratch)
-        across = pull.cross(arm) * part_at(robots.state, robot, RobotState.TURN_SD)
-        _store(used + _AXES, 0, across, scratch)
+        _store_turns(used + _AXES, 0, robot, pull, arm, robots, scratch)
         for c in range(_PARTS):
             turns = moving if c >= _AXES else 0
             scratch.place[used + c] = _AXES * (turns + column[robot]) + c % _AXES
@@ -414,12 +420,13 @@ def _fill_side(used, robot, pull, arm, moving, robots: Ref, column: Ref, scratch
 def _add_overlap(robot, other, arm, its, apart, moving, robots: Ref, column: Ref,
                  scratch: Ref, total_out: Ref):  # fmt: skip
     """Add the overlap of two docks at the ends of arms that are apart by a vector."""
-    way = apart.normalized() / OVERLAP_SD
+    missed, slope = missed_distance(apart, SPACING, 1)
+    way = slope * apart / OVERLAP_SD
     used = _fill_side(0, robot, way, arm, moving, robots, column, scratch)
     used = _fill_side(used, other, -way, its, moving, robots, column, scratch)
     stays = robots.state[robot, RobotState.STAYS] - robots.state[other, RobotState.STAYS]
     _store(used, 0, stays * way, scratch)
-    scratch.value[used + _SHARED, 0] = (apart.norm() - SPACING) / OVERLAP_SD
+    scratch.value[used + _SHARED, 0] = missed / OVERLAP_SD
     for c in range(_SHARED + 1):
         scratch.place[used + c] = _PARTS * moving + c
     _add_products(1, used + _SHARED + 1, scratch, total_out)

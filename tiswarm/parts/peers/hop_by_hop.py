@@ -34,6 +34,7 @@ from tiswarm.localization.cost.settings import EXTENSION, OVERLAP_SD
 from tiswarm.localization.mixture.verdict import assess, rms
 from tiswarm.measurements.contacts import disconnected, overlap, parts
 from tiswarm.measurements.cues import measure
+from tiswarm.measurements.equations import components, missed_along, missed_distance
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.parts.peers.settings import HopByHopParams
 from tiswarm.records.estimate import Estimate
@@ -239,12 +240,13 @@ class Trilateration:
             shape (E, K). At the middle of a sphere the vector is up.
         """
         away = point[self.of] - self.middle[:, None]
-        distance = length(away)
-        outward = np.where(distance[..., None] > 0.0, unit(away), _UP)
         is_sphere, plane = self.ties.is_sphere[:, None], self.ties.normal[:, None]
+        reach = self.ties.reach[:, None]
+        on_sphere, slope = missed_distance(components(away), reach, is_hinge=0.0)
+        outward = np.where(slope[..., None] > 0.0, slope[..., None] * away, _UP)
+        on_plane = missed_along(components(away), components(plane), reach)
         normal = np.where(is_sphere[..., None], outward, plane)
-        along = np.where(is_sphere, distance, (away * plane).sum(axis=2))
-        return normal, along - self.ties.reach[:, None]
+        return normal, np.where(is_sphere, on_sphere, on_plane)
 
     def descend(self, start: Reals) -> tuple[Reals, Reals]:
         """Take Gauss-Newton steps from K centers of each robot, shape (n, K, 3).
