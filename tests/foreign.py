@@ -39,8 +39,8 @@ def silent(place: NDArray[np.float64], *, radius: float = 0.1) -> SensingLog:
 
 def with_places(log: SensingLog, place: NDArray[np.float64], robots: Sequence[int]) -> SensingLog:
     """Add fixes of some robots along all axes."""
-    robot, axis = np.repeat(robots, 3), np.tile(np.arange(3), len(robots))
-    every = np.ones(len(robot))
+    robot = np.repeat(np.array(robots, np.int64), 3)
+    axis, every = np.tile(np.arange(3), len(robots)), np.ones(len(robot))
     fixes = [robot, np.eye(3)[axis], place[robot, axis], BEACON_SD * every, -every]
     return replace(log, fixes=np.column_stack(fixes))
 
@@ -78,7 +78,7 @@ def with_all_ranges(
     return replace(log, ranges=ranges)
 
 
-def _apart(
+def apart(
     rng: np.random.Generator, low: Sequence[float], high: Sequence[float], count: int
 ) -> NDArray[np.float64]:
     """Draw places in a box that are so far from each other that no docks overlap."""
@@ -119,7 +119,7 @@ def room_of_tags(
     late: Mapping[tuple[int, int], float] | None = None,
 ) -> Log:
     """Log some tags below head height in a room of four beacons."""
-    tags = _apart(np.random.default_rng([1, seed]), [1.0, 1.0, 0.3], [5.0, 4.0, 1.5], count)
+    tags = apart(np.random.default_rng([1, seed]), [1.0, 1.0, 0.3], [5.0, 4.0, 1.5], count)
     return tags_among(beacons, tags, sd=sd, seed=seed, stated=stated, late=late)
 
 
@@ -134,7 +134,7 @@ def nearly_flat(amplitude: float, seed: int) -> Log:
 
 def without_beacons(robots: int, seed: int, *, sd: float = 0.1) -> Log:
     """Log robots in a flat box that know all their distances and nothing else."""
-    place = _apart(np.random.default_rng([3, seed]), [0.0, 0.0, 0.0], [4.0, 4.0, 2.0], robots)
+    place = apart(np.random.default_rng([3, seed]), [0.0, 0.0, 0.0], [4.0, 4.0, 2.0], robots)
     return with_all_ranges(silent(place), place, sd=sd, seed=seed), place
 
 

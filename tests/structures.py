@@ -57,7 +57,7 @@ def structure(rule: Rule, robots: int, seed: int) -> tuple[SensingLog, NDArray[n
         What they sensed, without noise, and their true centers, shape (N, 3).
     """
     rng = np.random.default_rng(seed)
-    body = _body(rule.docks, rule.offset)
+    body = docks_around(rule.docks, rule.offset)
     turns, centers = [Rotation.random(random_state=rng)], [np.zeros(3)]
     taken = turns[0].apply(body)
     for robot in range(1, robots):
@@ -89,7 +89,7 @@ def structure(rule: Rule, robots: int, seed: int) -> tuple[SensingLog, NDArray[n
     return _log(rule, rng, truth, Rotation.concatenate(turns), body, taken), truth
 
 
-def _body(docks: int, offset: float) -> NDArray[np.float64]:
+def docks_around(docks: int, offset: float) -> NDArray[np.float64]:
     """Docks evenly around the center; from four on, over a sphere."""
     if docks <= 3:
         angle = 2.0 * np.pi * np.arange(docks) / docks

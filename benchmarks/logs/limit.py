@@ -7,13 +7,15 @@ import numpy as np
 from benchmarks.logs.grade import error
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.cost import SETTLED, Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
 
-ROUNDS = 30
+ROUNDS, MOST_CALLS = 30, 40
+"""Rounds of the optimizer in a call, and calls until it must have converged."""
+
 PARAMS = JointParams()
 
 _TURNS = 3
@@ -38,20 +40,17 @@ def tied_robots(log: SensingLog) -> Bools:
     return ~observability(log, PARAMS.cues).disconnected
 
 
-def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Limit:
-    """Minimize the cost of `joint` from the truth.
+def optimum(log: SensingLog, truth: Reals) -> Reals:
+    """Minimize the cost of `joint` from the truth, until it no longer falls.
 
     The cost is the chi-square of all measurements under Cauchy's loss, squared overlaps of docks,
     and priors.
 
-    Args:
-        log: What was sensed.
-        truth: True centers [log unit], shape (N, 3).
-        frame: As for `grade.error`.
+    Returns:
+        Centers at the minimum [log unit], shape (N, 3).
     """
-    unit, robots = log.dock_radius, len(truth)
     problem = pose_problem(log, PARAMS)
-    start = truth / unit, np.zeros(robots)
+    start = truth / log.dock_radius, np.zeros(len(truth))
     cost = Cost(
         log,
         problem.rows.associated(*start),
@@ -59,9 +58,25 @@ def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Lim
         links=problem.connections,
         robust_sd=ROBUST_SD,
     )
-    state, _ = cost.refine(start, ROUNDS)
+    least, turn = np.inf, None
+    for _ in range(MOST_CALLS):
+        state, linear = cost.refine(start, ROUNDS, turn=turn)
+        if linear.cost > least - SETTLED:
+            break
+        start, turn, least = (state.position, state.yaw), state.turn, linear.cost
+    return start[0] * log.dock_radius
+
+
+def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Limit:
+    """Find what can be known from a log.
+
+    Args:
+        log: What was sensed.
+        truth: True centers [log unit], shape (N, 3).
+        frame: As for `grade.error`.
+    """
     seen = observability(log, PARAMS.cues, truth, yaw_unknown=log.yaw_bias > 0.0)
     tied = ~seen.disconnected
-    optimum = error(state.position[tied] * unit, truth[tied], frame)
+    least = error(optimum(log, truth)[tied], truth[tied], frame)
     whole = _TURNS if frame == "free" else 0
-    return Limit(tied, (seen.floppy_modes or 0) - whole, optimum)
+    return Limit(tied, (seen.floppy_modes or 0) - whole, least)

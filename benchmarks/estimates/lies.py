@@ -1,0 +1,221 @@
+"""What is wrong in a log and not stated there: exchanged names, wrong docks, biased ranges.
+
+Each lie takes a log and a random generator, and returns the log with the lie. True positions stay.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.records.sensing_log import SensingLog, SensingNoise, canonical_contacts
+
+WRONG_DEG = 20.0
+"""Turn of orientations that are off [deg]."""
+
+YAW_BIAS_DEG = 10.0
+"""Standard deviation of the bias of yaw that a log does not state [deg]."""
+
+REACH, RANGE_SD = 12.0, 0.1
+"""Longest range, and standard deviation of its error [R]."""
+
+LEAST_BIAS, MOST_BIAS = 0.3, 1.0
+"""Bias of all ranges of a log [R]."""
+
+TENTH, TWENTIETH, FIFTH = 0.1, 0.05, 0.2
+
+Lie = Callable[[SensingLog, Reals, np.random.Generator], SensingLog]
+
+
+def exchanged_names(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Exchange two robots in what later robots sensed of them."""
+    robot, _, later, _ = log.contacts.T
+    pairs = [
+        (one, two)
+        for one, two in combinations(np.unique(robot[robot > 0]).tolist(), 2)
+        if (np.isin(robot, [one, two]) & (later > two)).any()
+    ]
+    one, two = pairs[rng.integers(len(pairs))]
+    swapped = np.where(robot == one, two, np.where(robot == two, one, robot))
+    contacts = log.contacts.copy()
+    contacts[:, 0] = np.where(later > two, swapped, robot)
+    return replace(log, contacts=canonical_contacts(contacts))
+
+
+def turned(log: SensingLog, angle: Reals, rng: np.random.Generator) -> SensingLog:
+    """Turn orientations by angles [rad], shape (N,), about random axes; in a plane about y."""
+    axis = rng.normal(size=(log.robot_count, 3))
+    if is_planar(log):
+        axis[:, [0, 2]] = 0.0
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    turn = Rotation.from_rotvec(angle[:, None] * axis)
+    wxyz = (turn * Rotation.from_quat(log.orientation_wxyz, scalar_first=True)).as_quat(
+        canonical=True, scalar_first=True
+    )
+    return replace(log, orientation_wxyz=np.where(angle[:, None], wxyz, log.orientation_wxyz))
+
+
+def is_planar(log: SensingLog) -> bool:
+    """Judge whether fixes put all robots in the plane y = 0."""
+    return len(np.unique(log.fixes[log.fixes[:, 2] == 1.0, 0])) == log.robot_count
+
+
+def wrong_orientations(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Turn a tenth of the orientations by 20 deg."""
+    return turned(log, np.radians(WRONG_DEG) * _some(log.robot_count, TENTH, rng), rng)
+
+
+def wrong_yaw(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Turn each robot but the anchor about the vertical by a bias; about y in a plane."""
+    bias = np.radians(YAW_BIAS_DEG) * rng.normal(size=(log.robot_count, 1))
+    bias[0] = 0.0
+    turn = Rotation.from_rotvec(bias * ([0.0, 1.0, 0.0] if is_planar(log) else [0.0, 0.0, 1.0]))
+    wxyz = turn * Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
+    return replace(log, orientation_wxyz=wxyz.as_quat(canonical=True, scalar_first=True))
+
+
+def understated_noise(log: SensingLog, _truth: Reals, _rng: np.random.Generator) -> SensingLog:
+    """State half of the noise of orientations."""
+    tilt, yaw = (0.5 * (log.stated(key) or 0.0) for key in ("tilt_deg", "yaw_deg"))
+    return replace(log, noise=SensingNoise(tilt_deg=tilt, yaw_deg=yaw))
+
+
+def wrong_docks(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Name another dock of the earlier robot in a tenth of the contacts."""
+    contacts, docks = log.contacts.copy(), len(log.dock_offset_body)
+    wrong = _some(len(contacts), TENTH, rng, first=0)
+    contacts[wrong, 1] = (contacts[wrong, 1] + rng.integers(1, docks, wrong.sum())) % docks
+    return replace(log, contacts=canonical_contacts(contacts))
+
+
+def wrong_robots(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Name another earlier robot in a twentieth of the contacts."""
+    contacts = log.contacts.copy()
+    later = contacts[:, 2]
+    wrong = _some(int((later > 1).sum()), TWENTIETH, rng, first=0)
+    row = np.flatnonzero(later > 1)[wrong]
+    contacts[row, 0] = (contacts[row, 0] + rng.integers(1, later[row])) % later[row]
+    return replace(log, contacts=canonical_contacts(contacts))
+
+
+def false_contacts(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Add contacts of random docks, two and a twentieth of the true ones."""
+    docks = len(log.dock_offset_body)
+    count = 2 + int(TWENTIETH * len(log.contacts))
+    later = rng.integers(1, log.robot_count, count)
+    false = [rng.integers(0, later), rng.integers(0, docks, count), later,
+             rng.integers(0, docks, count)]  # fmt: skip
+    return replace(
+        log,
+        contacts=canonical_contacts(
+            np.concatenate([log.contacts, np.column_stack(false).astype(np.int32)])
+        ),
+    )
+
+
+def biased_ranges(log: SensingLog, truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Add ranges that are all too long by one bias."""
+    return with_ranges(log, truth, rng, bias=rng.uniform(LEAST_BIAS, MOST_BIAS))
+
+
+def with_ranges(
+    log: SensingLog, truth: Reals, rng: np.random.Generator, bias: float = 0.0
+) -> SensingLog:
+    """Add ranges of robots near each other, too long by a bias [R]."""
+    pair = cKDTree(truth).query_pairs(REACH, output_type="ndarray")
+    other, robot = np.sort(pair, axis=1)[np.lexsort(np.sort(pair, axis=1).T)].T
+    length = np.linalg.norm(truth[robot] - truth[other], axis=1)
+    length += bias + RANGE_SD * rng.normal(size=len(robot))
+    every = np.ones(len(robot))
+    return replace(log, ranges=np.column_stack([robot, other, length, RANGE_SD * every, -every]))
+
+
+def missed_contacts(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Leave out a fifth of the contacts."""
+    return replace(log, contacts=log.contacts[~_some(len(log.contacts), FIFTH, rng, first=0)])
+
+
+def mute_robots(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Leave out all that a tenth of the robots sensed; what others sensed of them stays."""
+    mute = np.flatnonzero(_some(log.robot_count, TENTH, rng))
+    wxyz, height = log.orientation_wxyz.copy(), log.flip_height.copy()
+    wxyz[mute] = height[mute] = np.nan
+    kept = log.contacts[~np.isin(log.contacts[:, 2], mute)]
+    return replace(log, orientation_wxyz=wxyz, flip_height=height, contacts=kept)
+
+
+def cut_off(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Leave out all contacts between a part and the others."""
+    is_part = part_behind(log, rng)
+    robot, other = log.contacts[:, 0], log.contacts[:, 2]
+    return replace(log, contacts=log.contacts[is_part[robot] == is_part[other]])
+
+
+def wrong_tie(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Leave out the contacts that tie a part to the others, but one, which names a wrong robot."""
+    is_part = part_behind(log, rng)
+    robot, _, other, _ = log.contacts.T
+    ties = np.flatnonzero(is_part[robot] != is_part[other])
+    rest = np.flatnonzero(~is_part)
+    inside = np.flatnonzero(is_part)
+    pairs = [(a, b) for a in rest.tolist() for b in inside.tolist() if a < b]
+    touching = set(map(tuple, log.contacts[:, [0, 2]].tolist()))
+    wrong = [pair for pair in pairs if pair not in touching]
+    one, two = wrong[rng.integers(len(wrong))]
+    docks = len(log.dock_offset_body)
+    false = np.array([[one, rng.integers(docks), two, rng.integers(docks)]], np.int32)
+    kept = np.delete(log.contacts, ties, axis=0)
+    return replace(log, contacts=canonical_contacts(np.concatenate([kept, false])))
+
+
+def part_behind(log: SensingLog, rng: np.random.Generator) -> Bools:
+    """Choose robots that are reached through one: a fifth to a half of all if there are such."""
+    robot, other = log.contacts[:, 0], log.contacts[:, 2]
+    robots = log.robot_count
+    graph = coo_array((np.ones(len(robot)), (robot, other)), (robots, robots)).tocsr()
+    order, before = breadth_first_order(graph, 0, directed=False)
+    size = np.ones(robots, np.int64)
+    for each in order[:0:-1].tolist():
+        size[before[each]] += size[each]
+    share = size / robots
+    fit = np.flatnonzero((share >= FIFTH) & (share <= 0.5))  # noqa: PLR2004 - see the docstring
+    fit = fit[fit > 0] if (fit > 0).any() else np.argsort(np.abs(share - FIFTH))[:1]
+    return _reached(order, before, int(rng.choice(fit)))
+
+
+def _reached(order: AnyInts, before: AnyInts, first: int) -> Bools:
+    found = np.zeros(len(before), np.bool_)
+    found[first] = True
+    for each in order[1:].tolist():
+        found[each] |= found[before[each]]
+    return found
+
+
+def _some(count: int, share: float, rng: np.random.Generator, *, first: int = 1) -> Bools:
+    """Choose a share of items from `first` on, one at least."""
+    chosen = np.zeros(count, np.bool_)
+    number: Ints | int = max(1, round(share * (count - first)))
+    chosen[rng.choice(np.arange(first, count), number, replace=False)] = True
+    return chosen
+
+
+LIES: Mapping[str, Lie] = {
+    "exchanged names": exchanged_names,
+    "orientations off": wrong_orientations,
+    "noise understated": understated_noise,
+    "wrong docks": wrong_docks,
+    "wrong robots": wrong_robots,
+    "false contacts": false_contacts,
+    "biased ranges": biased_ranges,
+    "missed contacts": missed_contacts,
+    "mute robots": mute_robots,
+    "cut off": cut_off,
+    "yaw off": wrong_yaw,
+}
+"""Lies of half of the generated logs, by name."""
