@@ -70,8 +70,11 @@ class Grade:
     said_or_right: bool = True
     """Not trusted, or at least 80 % of the robots are in their 90 % spheres."""
 
+    tied: int = 0
+    """Robots that measurements tie to the anchor, without beacons."""
+
     claimed: int = 0
-    """Robots whose positions the method claims to know, to their sd."""
+    """Those of them whose positions the method claims to know, to their sd."""
 
     nees: float = np.nan
     """Mean square error of these robots in variances [1]."""
@@ -164,6 +167,7 @@ def grade(
         silent=trusted and within < HONEST,
         beyond=trusted and worst > ALIKE,
         said_or_right=not trusted or within >= MOSTLY,
+        tied=int(limits.tied.sum()),
         claimed=int(claimed.sum()),
         rmse=float(np.sqrt(np.mean(off[limits.tied] ** 2))) if limits.tied.any() else np.nan,
         over_optimum=over,
@@ -246,6 +250,7 @@ def summary(grades: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
                 "logs": len(own),
                 "trusted": len(trusted),
                 "untestable": int((~trusted["testable"]).sum()),
+                "claimed": trusted["claimed"].sum() / max(trusted["tied"].sum(), 1),
                 "silent": share(int(trusted["silent"].sum()), len(trusted)),
                 "beyond_5_sd": share(int(trusted["beyond"].sum()), len(trusted)),
                 "said_or_right": share(int(own["said_or_right"].sum()), len(own)),
