@@ -8,8 +8,8 @@
 
 A run and an estimate have `view`, `render` and `export` of their own, and what a call returns
 prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is an
-`InputError`. Functions of yours become methods, sensors, figures and formats by `tiswarm.method`
-and the like. All names:
+`InputError`. Functions and classes of yours become methods, sensors, structures, measures, figures
+and formats by `tiswarm.method` and the like. All names:
 """
 
 import random
@@ -45,8 +45,10 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.engine.relax import relax as relax
     from tiswarm.localization.methods import method as method
     from tiswarm.localization.virtual_force.method import Localizer as Localizer
+    from tiswarm.records.measures import measure as measure
     from tiswarm.report.figures import figure as figure
     from tiswarm.sensing.plugins import sensor as sensor
+    from tiswarm.world.params import structure as structure
 
 _HOME = {
     name: module

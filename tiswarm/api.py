@@ -27,7 +27,6 @@ from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Inspection, inspect
 from tiswarm.app.logs import Localized, Log, Truth, method_params, open_log
 from tiswarm.app.results import (
-    Comparison,
     Figures,
     File,
     Overrides,
@@ -51,7 +50,6 @@ from tiswarm.records.sensing_log import SensingLog
 if TYPE_CHECKING:
     from typing import BinaryIO, TextIO
 
-    from tiswarm.base.parts import AdviceTable, Explanation, Imported, Kind, Tracker
     from tiswarm.evaluation.tables import Scores
     from tiswarm.scenario.model import Scenario
     from tiswarm.study.forecast import Forecast
@@ -254,7 +252,7 @@ def import_poses(
     plugins: Sequence[File] = (),
     overwrite: bool = False,
     **assumed: Any,  # noqa: ANN401 - types of their own
-) -> "dict[str, Imported]":
+) -> dict[str, Any]:
     """Convert robot poses of any simulator to sensing logs and true positions.
 
     Args:
@@ -276,7 +274,7 @@ def import_poses(
     """
     load_plugins(plugins)
     convert = find("command", "import")
-    found: dict[str, Imported] = convert(
+    found: dict[str, Any] = convert(
         as_path(poses, "poses"), assumed,
         docks=None if docks is None else as_path(docks, "docks"),
         out=None if out is None else as_path(out, "out"), overwrite=overwrite,
@@ -330,13 +328,16 @@ def score(
 
 def compare(
     runs: Sequence[Run | File], *, out: File = "reports/comparison", overwrite: bool = False
-) -> Comparison:
+) -> Any:  # noqa: ANN401 - a `Comparison`
     """Compare runs in two tables and a figure.
 
     Args:
         runs: Two or more runs, or their folders.
         out: Folder to write to.
         overwrite: Whether to replace files that no tiswarm command wrote.
+
+    Returns:
+        A comparison, with data frames `table` and `paired` and a `figure`, which prints its table.
 
     Raises:
         InputError: there are fewer than two different runs, one has no results, or an output would
@@ -347,8 +348,7 @@ def compare(
     folders = [run.folder if isinstance(run, Run) else as_path(run, "runs") for run in runs]
     files = [folder / name for name in comparison.FILES]
     outputs.check({"out": files}, [each / "cases" for each in folders], overwrite=overwrite)
-    comparison.compare(folders, folder, overwrite=overwrite)
-    return Comparison(folder)
+    return comparison.compare(folders, folder, overwrite=overwrite)
 
 
 def advise(
@@ -356,9 +356,9 @@ def advise(
     estimate: Estimate | File | None = None,
     *,
     budget: int | None = None,
-    kinds: "Sequence[Kind]" = (),
+    kinds: Sequence[str] = (),
     quiet: bool = True,
-) -> "AdviceTable":
+) -> Any:  # noqa: ANN401 - an `AdviceTable`
     """List which further contact, height or known position would constrain most robots.
 
     Where the estimate has robots that are mirrored, the list says what excludes one of the images.
@@ -389,7 +389,7 @@ def explain(
     out: File | None = None,
     overwrite: bool = False,
     quiet: bool = True,
-) -> "Explanation":
+) -> Any:  # noqa: ANN401 - an `Explanation`
     """Say how the measurements of one robot narrow the places it may have, one after the other.
 
     Robots that joined earlier stay where they were estimated. The order is that of the paper: a
@@ -597,7 +597,7 @@ def track(
     overrides: Overrides = (),
     overwrite: bool = False,
     **settings: object,
-) -> "Tracker":
+) -> Any:  # noqa: ANN401 - a `Tracker`
     """Estimate robots' positions from a stream of a log's lines, as `tiswarm track` does.
 
     A line that is malformed is skipped, with a warning.
@@ -641,7 +641,7 @@ def track(
                 terminal.write(text)
                 terminal.flush()
 
-        tracker: Tracker = follow(lines, path, params=params, on_answer=answer, on_refused=warn)
+        tracker = follow(lines, path, params=params, on_answer=answer, on_refused=warn)
         final = None if table is None else tracker.estimate(final=True)
     if table is not None and final is not None:
         write_estimate(table, final, opened=opened)

@@ -21,9 +21,10 @@ from tiswarm.localization.methods import all_params
 from tiswarm.scenario.model import scenario_schema
 from tiswarm.scenario.validation import localization_params
 from tiswarm.study import runner
+from tiswarm.world.params import all_kinds
 
 PAGE = (REPOSITORY / "docs" / "own-method.md").read_text()
-CHAIN, RADAR, XYZ, READ, DRAW = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+CHAIN, RADAR, LEANING, WORST, XYZ, READ, DRAW = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 [STUDY] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 ORIGIN = """
 import numpy as np
@@ -264,6 +265,16 @@ def test_localize_prints_a_line_or_with_debug_the_traceback(tiswarm, files, log)
         (XYZ.replace('"xyz"', '"ply"'), "own.py:4: export format ply is taken by tiswarm itself"),
         (READ.replace('"poses"', '"gsd"'), "own.py:6: import format gsd is taken by tiswarm"),
         (DRAW.replace('"cases"', '"error"'), "own.py:6: figure error is taken by tiswarm itself"),
+        (LEANING.replace('"leaning"', '"chain"'), "own.py:7: structure chain is taken by tiswarm"),
+        (LEANING.replace('"leaning"', '"a wall"'), "own.py:7: 'a wall' names no kind of structure"),
+        (
+            LEANING.replace("(TowerParams)", ""),
+            "own.py:7: leaning: .* is no kind of structure",
+        ),
+        (LEANING.replace("TowerParams", "GrowthParams"), "own.py:7: leaning lacks terrain, behind"),
+        (LEANING.replace("lean: float", "lean: np.ndarray"), "own.py:7: .* use types like float"),
+        (WORST.replace('"worst_R"', '"rmse_R"'), "own.py:6: measure rmse_R is taken by tiswarm"),
+        (WORST.replace('"worst_R"', '"worst R"'), "own.py:6: 'worst R' names no column; use lett"),
     ],
 )
 def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
@@ -273,7 +284,7 @@ def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
     with pytest.raises(InputError, match=problem):
         library.check("own.yaml", plugins=["own.py"])
 
-    assert plugins.registered("method") == plugins.registered("export_format") == {}
+    assert [plugins.registered(kind) for kind in plugins.PARTS] == [{}] * len(plugins.PARTS)
 
 
 def test_a_plugin_that_is_missing_is_a_line(tiswarm, files):
@@ -562,6 +573,177 @@ def test_wrong_rows_of_a_sensor_fail_the_case(files, returned):
     assert _record(run, "0-usual")["status"] == "done"
 
 
+LEANINGS = """
+name: own
+robots: 8
+seeds: [100000]
+structure: {kind: tower}
+localization: {method: hop-by-hop}
+sweep:
+  structure: [{kind: leaning, lean: 60.0, goal_height: 1.0}, {kind: tower}]
+"""
+
+
+def _leaning(name="leaning", settings=", lean: 60.0, goal_height: 1.0"):
+    return re.sub(r"sweep:.*", "", LEANINGS, flags=re.DOTALL).replace(
+        "{kind: tower}", f"{{kind: {name}{settings}}}"
+    )
+
+
+@pytest.mark.parametrize("workers", [(), pytest.param(("--workers", "2"), marks=pytest.mark.trial)])
+def test_a_structure_of_a_plugin_is_grown_and_drawn(tiswarm, files, workers):
+    """The example of the page grows toward its goal, on workers too, and has figures and a page."""
+    (files / "own.py").write_text(LEANING)
+    (files / "own.yaml").write_text(LEANINGS)
+
+    given = ("own.yaml", "--plugin", "own.py")
+    checked = tiswarm("check", *given, cwd=files)
+    run = tiswarm("run", *given, *workers, cwd=files)
+
+    assert checked.returncode == 0, checked.stderr
+    assert run.returncode == 0, run.stderr
+    [folder] = files.glob("reports/*")
+    summary = library.open_run(folder).summary
+    assert summary["kind"].tolist() == ["leaning", "tower"]
+    leaning, upright = summary["reach_R"]
+    assert leaning > upright + 3.0  # a robot is 5 R wide
+    assert (folder / "figures" / "error-along-growth.png").is_file()
+    assert (folder / "renders" / "structure.png").is_file()  # of the first case
+    assert "kind: leaning" in (folder / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("code", "scenario", "problem"),
+    [
+        (LEANING, _leaning(settings=", lean: far"), 'own.yaml:5: structure.lean: "far" should'),
+        (LEANING, _leaning(settings=", leen: 1"), "own.yaml:5: structure.leen: unknown key; did"),
+        (LEANING, _leaning("leening"), "own.yaml:5: structure.kind: .* did you mean leaning.$"),
+        (ORIGIN, _leaning(), "own.yaml:5: structure.kind: .* or one of a plug-in that you load"),
+        (
+            LEANING.replace("def goal", 'def __post_init__(self):\n        raise ValueError("no")\n'
+                            "\n    def goal"),
+            _leaning(), "own.yaml:5: structure: no",
+        ),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_settings_of_a_structure_has_its_place(files, code, scenario, problem):
+    """File, line and key, as for the package's own kinds."""
+    (files / "own.py").write_text(code)
+    (files / "own.yaml").write_text(scenario)
+
+    [mistake] = library.check("own.yaml", plugins=["own.py"]).mistakes
+
+    assert re.match(problem, str(mistake)), str(mistake)
+
+
+def test_the_schema_describes_settings_of_a_structure(files):
+    """Those that it inherits, too."""
+    (files / "own.py").write_text(LEANING)
+
+    plugins.load_plugins(["own.py"])
+
+    own = scenario_schema()["$defs"]["OwnLeaningParams"]["properties"]
+    tower = scenario_schema()["$defs"]["TowerParams"]["properties"]
+    assert own["lean"]["description"] == "Distance of the goal from the axis, along x [R]."
+    assert {name: own[name]["description"] for name in tower} == {
+        name: each["description"] for name, each in tower.items()
+    } | {"kind": own["kind"]["description"]}
+
+
+@pytest.mark.parametrize(
+    ("returned", "problem"),
+    [
+        (
+            "np.zeros(2)",
+            r"own.py: leaning.goal returned shape \(2,\); return .* \(3,\)",
+        ),
+        ("np.full(3, np.nan)", "own.py: leaning.goal returned numbers that are not finite; corr"),
+        ("self.leen", "own.py:16: leaning.goal failed: AttributeError"),
+    ],
+)
+def test_a_wrong_goal_fails_the_case(files, returned, problem):
+    """The reason names the file, and cases of other kinds are done."""
+    wrong = LEANING.replace("np.array([self.lean, 0.0, self.goal_height])", returned)
+    (files / "own.py").write_text(wrong)
+    (files / "own.yaml").write_text(LEANINGS)
+
+    with pytest.warns(library.base.errors.ResultWarning, match="1 case failed"):
+        run = _run(files)
+
+    leaning, tower = run.summary.to_dict("records")
+    assert tower["status"] == "done"
+    assert re.search(problem, leaning["reason"]), leaning["reason"]
+
+
+def test_an_edit_of_a_structure_computes_its_cases_again(files):
+    """Those of other kinds are kept."""
+    (files / "own.py").write_text(LEANING)
+    (files / "own.yaml").write_text(LEANINGS)
+    before = _run(files)
+    other, kept = (before.folder / "cases" / each for each in before.summary["case"])
+    inode, reach = (kept / "case.json").stat().st_ino, before.summary["reach_R"].iloc[0]
+
+    (files / "own.py").write_text(LEANING.replace("[self.lean,", "[-self.lean,"))
+    after = _run(files)
+
+    assert (kept / "case.json").stat().st_ino == inode
+    assert "+" not in _record(after, kept.name)["code"]
+    assert _record(after, other.name)["code"].count("+") == 1
+    assert after.summary["reach_R"].iloc[0] < reach - 3.0  # a robot is 5 R wide
+
+
+def test_a_measure_of_a_plugin_is_in_tables_and_on_the_page(tiswarm, files, whole):
+    """The example of the page, added to an earlier run; its cases stay, and it goes again."""
+    run = shutil.copytree(whole, files / "run")
+    (files / "worst.py").write_text(WORST)
+    case = (run / "cases" / "0-hops" / "case.json").stat().st_ino
+
+    given = ("report", run, "--plugin", "own.py")
+    done = tiswarm(*given, "--plugin", "worst.py", cwd=files)
+    found = library.open_run(run)
+    page = (run / "report.html").read_text()
+    robots = found.frame("robots", case="0-hops")
+    paired, mean = found.frame("paired"), found.table["worst_R_mean"]
+    worst = found.summary.set_index("case")["worst_R"]
+    plugins.forget()
+    without = tiswarm(*given, cwd=files)
+
+    assert done.returncode == without.returncode == 0, done.stderr + without.stderr
+    assert worst["0-hops"] == pytest.approx(robots["error_R"].max(), rel=1e-12)
+    assert mean.tolist() == pytest.approx(worst.to_numpy().reshape(2, 2).mean(axis=1), rel=1e-12)
+    assert "worst_R" in paired["measure"].tolist()
+    assert "worst_R: largest position error of a robot." in page
+    assert page.count(">worst_R [R]</") == 2  # means, and cases
+    assert "worst_R" not in library.open_run(run).summary
+    assert "worst_R" not in (run / "report.html").read_text()
+    assert (run / "cases" / "0-hops" / "case.json").stat().st_ino == case
+
+
+@pytest.mark.parametrize(
+    ("returned", "problem"),
+    [
+        ("estimate.smell", r"worst.py:\d+: worst_R failed: AttributeError"),
+        ("estimate.position", r"worst.py: worst_R returned array\(.*; return a number, or NaN"),
+        ("np.inf", r"worst.py: worst_R returned inf; return a number, or NaN"),
+        ("'far'", r"worst.py: worst_R returned 'far'; return a number, or NaN"),
+    ],
+)
+def test_a_measure_that_fails_is_a_line(tiswarm, files, whole, returned, problem):
+    """It names the file; the tables stay as they were."""
+    run = shutil.copytree(whole, files / "run")
+    before = (run / "summary.csv").read_bytes()
+    code = re.sub("return np.*", f"return {returned}", WORST)
+    (files / "worst.py").write_text(code)
+
+    done = tiswarm("report", run, "--plugin", "own.py", "--plugin", "worst.py", cwd=files)
+
+    assert done.returncode == 1
+    assert re.search(problem, done.stderr), done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert (run / "summary.csv").read_bytes() == before
+
+
 def test_what_is_forgotten_leaves_the_scenario():
     """The union of settings is that of the package without plug-ins."""
     assert "origin" not in str(all_params())
+    assert "Leaning" not in str(all_kinds())

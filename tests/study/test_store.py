@@ -22,7 +22,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.compute import numerics
 from tiswarm.records.io import path_for
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import provenance, runner, store
+from tiswarm.study import provenance, store
 from tiswarm.study.cases import plan
 from tiswarm.study.store import RunFolder
 from tiswarm.world.growth import grow
@@ -57,8 +57,7 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     """A run never mixes results of two states of the code, and reports what it replaces."""
     small = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["robots=5", "seeds=2"])
     progress = Recorder()
-    for module in (runner, store):
-        monkeypatch.setattr(module, "case_code", lambda *_: "0123456789ab")
+    monkeypatch.setattr(provenance, "method_code", lambda _: "0123456789ab")
     old = study.run(small, tmp_path, progress=progress)
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
     monkeypatch.undo()

@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import NUMBERS, SensingLog
-
-if TYPE_CHECKING:
-    from tiswarm.base.parts import AdviceTable, Kind
 
 _MARGIN = 20
 """Robots in a row that a spawn position may be beyond all others."""
@@ -103,11 +100,11 @@ class Findings:
         return [*unknowns(self.log, self.path, by_cue(self.log)), _LACKING]
 
     @cached_property
-    def advice(self) -> "AdviceTable":
+    def advice(self) -> Any:  # noqa: ANN401 - an `AdviceTable`
         """Further measurements that would constrain robots most."""
         return self.advise()
 
-    def advise(self, budget: int | None = None, kinds: "Sequence[Kind]" = ()) -> "AdviceTable":
+    def advise(self, budget: int | None = None, kinds: Sequence[str] = ()) -> Any:  # noqa: ANN401
         """Return the advice, with the set of `budget` measurements that helps most together.
 
         Args:
@@ -118,10 +115,7 @@ class Findings:
             InputError: the budget is not positive, a kind is unknown, or there are too many robots.
         """
         tabulate = find("command", "advise")
-        found: AdviceTable = tabulate(
-            self.log, self._cues or cue_names(), self.estimate, budget, kinds
-        )
-        return found
+        return tabulate(self.log, self._cues or cue_names(), self.estimate, budget, kinds)
 
     @property
     def solutions(self) -> list[str]:

@@ -26,7 +26,6 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
-    from tiswarm.base.parts import AdviceTable, Explanation
     from tiswarm.localization.methods import LocalizationParams
     from tiswarm.report.swarm_view import SwarmView
 
@@ -117,14 +116,13 @@ class Localized(Estimate):
         return Findings(self.log, self.log.path, self, chosen=self.chosen)
 
     @property
-    def advice(self) -> "AdviceTable":
+    def advice(self) -> Any:  # noqa: ANN401 - an `AdviceTable`
         """Further measurements that would constrain most robots."""
         return self.findings.advice
 
-    def explain(self, robot: int) -> "Explanation":
+    def explain(self, robot: int) -> Any:  # noqa: ANN401 - an `Explanation`
         """Say how the measurements of one robot, by its name, narrow the places it may have."""
-        found: Explanation = find("command", "explain").explain(self.log, self, robot)
-        return found
+        return find("command", "explain").explain(self.log, self, robot)
 
     def __str__(self) -> str:
         """Say in lines what the log leaves unknown, and whether to trust the estimate."""
@@ -153,16 +151,7 @@ class Localized(Estimate):
     def view(
         self, truth: Truth = None, *, out: File = "view.html", overwrite: bool = False
     ) -> PageFile:
-        """Write a page with a 3D view, the uncertainty, and what the log leaves open.
-
-        Args:
-            truth: Table of true positions, or true centers [log unit], shape (N, 3).
-            out: Page to write.
-            overwrite: Whether to replace files that no tiswarm command wrote.
-
-        Returns:
-            The page, which a notebook shows.
-        """
+        """Write a page with a 3D view; `tiswarm.view` explains the arguments."""
         from tiswarm.app.drawing import draw_log  # noqa: PLC0415 - slow to import
 
         page = as_path(out, "out")
@@ -186,18 +175,7 @@ class Localized(Estimate):
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Figures:
-        """Draw 3D pictures into a folder.
-
-        Args:
-            truth: Table of true positions, or true centers [log unit], shape (N, 3).
-            renderer: "open3d" or "taichi"; the first that works if None.
-            out: Folder to write to.
-            overwrite: Whether to replace files that no tiswarm command wrote.
-            quiet: Whether to hide progress.
-
-        Returns:
-            The pictures by name.
-        """
+        """Draw 3D pictures into a folder; `tiswarm.render` explains the arguments."""
         from tiswarm.app.drawing import render_log  # noqa: PLC0415 - slow to import
 
         written = render_log(
@@ -215,18 +193,7 @@ class Localized(Estimate):
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
-        """Write structure, contacts and estimate for other programs.
-
-        Args:
-            form: File format.
-            truth: Table of true positions, or true centers [log unit], shape (N, 3).
-            out: Folder to write to.
-            overwrite: Whether to replace files that no tiswarm command wrote.
-            quiet: Whether to hide progress.
-
-        Returns:
-            The folder with the files.
-        """
+        """Write the estimate for other programs; `tiswarm.export` explains the arguments."""
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
 
         folder = as_path(out, "out")

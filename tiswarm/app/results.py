@@ -161,17 +161,7 @@ class Run:
         movie: AnyMovie | None = None,
         quiet: bool = False,
     ) -> Figures:
-        """Draw 3D pictures of a case, which the run's page shows too.
-
-        Args:
-            renderer: "open3d" or "taichi"; the first that works if None.
-            case: Case; the largest if None.
-            movie: File format of an animation of the growth; none if None.
-            quiet: Whether to hide progress.
-
-        Returns:
-            Figures and renders of the run by name.
-        """
+        """Draw 3D pictures of a case, which the page shows too; arguments as `tiswarm.render`."""
         from tiswarm.app.drawing import draw  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
@@ -188,18 +178,7 @@ class Run:
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
-        """Write structure, contacts and estimate of a case for other programs.
-
-        Args:
-            form: File format.
-            out: Folder to write to; `export` in the run's folder if None.
-            case: Case; the largest if None.
-            overwrite: Whether to replace files that no tiswarm command wrote.
-            quiet: Whether to hide progress.
-
-        Returns:
-            The folder with the files.
-        """
+        """Write a case for other programs; `tiswarm.export` explains the arguments."""
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
@@ -232,45 +211,10 @@ class Run:
         name = html.escape(self.folder.name)
         link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.is_file() else name
         answer = f"<p>{html.escape(self.answer)}</p>"
-        return link + answer + _short(table).to_html(index=False, na_rep="")
+        return link + answer + short_table(table).to_html(index=False, na_rep="")
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Runs side by side: the folder with `comparison.csv`, `paired.csv` and a figure."""
-
-    folder: Path
-
-    @property
-    def table(self) -> "pd.DataFrame":
-        """Results of all runs by condition."""
-        return self._frame("comparison")
-
-    @property
-    def paired(self) -> "pd.DataFrame":
-        """Differences on the structures that runs share."""
-        return self._frame("paired")
-
-    @property
-    def figure(self) -> Figure:
-        """Errors of all runs."""
-        return Figure(self.folder / "comparison.png")
-
-    def __str__(self) -> str:
-        """Write the results of each run by condition, and name the files."""
-        files = f"comparison.csv, paired.csv and comparison.png in {self.folder}"
-        return f"{_short(self.table).to_string(index=False, na_rep='')}\n{files}"
-
-    def _repr_html_(self) -> str:
-        return _short(self.table).to_html(index=False, na_rep="")
-
-    def _frame(self, name: str) -> "pd.DataFrame":
-        from tiswarm.records.frames import read_frame  # noqa: PLC0415 - slow to import
-
-        return read_frame(self.folder / f"{name}.csv", empty=True)
-
-
-def _short(table: "pd.DataFrame") -> "pd.DataFrame":
+def short_table(table: "pd.DataFrame") -> "pd.DataFrame":
     """Return what stands before the cases of a table, their number, and the errors that it has.
 
     Numbers have three digits, and a column that no row fills is left out.

@@ -3,10 +3,10 @@
 PARTS names what the package brings as text, so that nothing imports it before it is used. A copy of
 the package without one of the modules in `tiswarm.parts` does all that the others do.
 
-Plug-ins are Python files of a user that register methods, sensors or formats of their own. A file
-is loaded where a user names it, or where it is installed with an entry point of the group
-`tiswarm.plugins`. A scenario, a log or the folder of a run never loads one. What a plug-in
-registers is known by its kind and name, with the digest of its source.
+Plug-ins are Python files of a user that register what has such a kind. A file is loaded where a
+user names it, or where it is installed with an entry point of the group `tiswarm.plugins`. A
+scenario, a log or the folder of a run never loads one. What a plug-in registers is known by its
+kind and name, with the digest of its source.
 """
 
 import inspect
@@ -36,13 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    # What parts return, for annotations: so no other file of the core names a part. `__getattr__`
-    # has those that users see.
-    from tiswarm.parts.advice.explanation import Explanation as Explanation  # noqa: PLC0414
-    from tiswarm.parts.advice.further import AdviceTable as AdviceTable  # noqa: PLC0414
-    from tiswarm.parts.advice.further import Kind as Kind  # noqa: PLC0414
-    from tiswarm.parts.formats.imports import Imported as Imported  # noqa: PLC0414
-    from tiswarm.parts.online.tracker import Tracker as Tracker  # noqa: PLC0414
+    Tracker: Any  # of `__getattr__`
 
 _PACKAGE = __name__.partition(".")[0]
 
@@ -71,6 +65,13 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "atron": _SUITES,
         "swarmbang": _SUITES,
     },
+    "structure": {
+        "tower": "tiswarm.world.params:TowerParams",
+        "cantilever": "tiswarm.world.params:CantileverParams",
+        "bridge": "tiswarm.world.params:BridgeParams",
+        "chain": "tiswarm.world.params:ChainParams",
+    },
+    "measure": {},
     "figure": {
         "error": "tiswarm.report.error_figures",
         "table": "tiswarm.report.table_figures",
@@ -123,6 +124,8 @@ An attribute that is a dictionary has what is meant by the same name. The kinds:
 
 method: the class of its settings, see `localization.methods`, in the order of the schema.
 sensor: a `sensing.plugins.Suite`.
+structure: the class of its settings, see `world.params.structure`, in the order of the schema.
+measure: a `records.measures.Measure`, of plug-ins alone; ours are the table MEASURES there.
 figure: a module with a function `painters` and `CAPTIONS`, see `report.figures`.
 export_format: a function of a view, which returns bytes by name of file.
 import_format: a function of a file and assumptions, which returns a table of poses, or None if the

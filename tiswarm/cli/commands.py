@@ -146,11 +146,7 @@ def track(
 @app.command(epilog="Example: tiswarm view sensing.jsonl estimate.csv --truth truth.csv")
 def view(
     log: Annotated[
-        Path,
-        Argument(
-            metavar="LOG|RUN",
-            help="Sensing log, or for --live run folder.",
-        ),
+        Path, Argument(metavar="LOG|RUN", help="Sensing log, or for --live run folder.")
     ],
     estimate: EstimateTable = None,
     truth: Truth = None,
@@ -290,8 +286,7 @@ def import_(
     ] = "z",
     ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
     glitch_frames: Annotated[
-        int,
-        Option(min=0, help="Most poses in a row to leave out as one error of tracking."),
+        int, Option(min=0, help="Most poses in a row to leave out as one error of tracking.")
     ] = 10,
     tilt_deg: Annotated[float | None, Option(help="Noise of orientations: tilt, 1 sd.")] = None,
     yaw_deg: Annotated[float | None, Option(help="Noise of orientations: yaw, 1 sd.")] = None,
@@ -333,28 +328,13 @@ def import_(
     body = None if dock_offset is None else docks_in_plane(dock_offset)
     with showing_traceback(debug=debug):
         found = api.import_poses(
-            poses,
-            out=out,
-            plugins=plugins,
-            overwrite=overwrite,
-            dock_radius=dock_radius,
-            dock_offset_body=body,
-            docks=docks,
-            gap=gap,
-            overlap=overlap,
-            contacts=contacts,
-            anchors=anchors,
-            up=up,
-            conjugate=conjugate,
-            ground_z=ground_z,
-            heights=heights,
-            drop_disconnected=drop_disconnected,
-            drop_incomplete=drop_incomplete,
-            glitch_frames=glitch_frames,
-            tilt_deg=tilt_deg,
-            yaw_deg=yaw_deg,
+            poses, out=out, plugins=plugins, overwrite=overwrite, dock_radius=dock_radius,
+            dock_offset_body=body, docks=docks, gap=gap, overlap=overlap, contacts=contacts,
+            anchors=anchors, up=up, conjugate=conjugate, ground_z=ground_z, heights=heights,
+            drop_disconnected=drop_disconnected, drop_incomplete=drop_incomplete,
+            glitch_frames=glitch_frames, tilt_deg=tilt_deg, yaw_deg=yaw_deg,
             length_unit=length_unit,
-        )
+        )  # fmt: skip
     if not quiet:
         for run, imported in found.items():
             typer.echo("\n".join(imported.notes) + f" -> {out / run}")
@@ -460,8 +440,7 @@ def export(
     form: Annotated[
         str,
         Option(
-            "--format",
-            help="csv, gltf, gsd, mcap, parquet, ply, pyfg, tum, or that of a plug-in.",
+            "--format", help="csv, gltf, gsd, mcap, parquet, ply, pyfg, tum, or that of a plug-in."
         ),
     ] = "gltf",
     estimate: EstimateTable = None,

@@ -1,6 +1,7 @@
 """Tables of a case: scores of its estimate, errors by robot and iteration, growth by join."""
 
 from collections.abc import Collection, Mapping
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.base.parts import PluginError, guarded, registered
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
 from tiswarm.evaluation.metrics import by_hops_apart
@@ -29,12 +31,7 @@ DOCK_DIAMETER = 2.0
 
 
 def score(
-    truth: Truth,
-    log: SensingLog,
-    estimate: Estimate,
-    robot: RobotGeometry,
-    *,
-    rows: Measurements,
+    truth: Truth, log: SensingLog, estimate: Estimate, robot: RobotGeometry, *, rows: Measurements
 ) -> dict[str, float | int]:
     """Return accuracy measures of an estimate, and properties of the structure that limit them.
 
@@ -362,6 +359,23 @@ def _mean(values: NDArray[np.generic]) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
+def own_scores(truth: Truth, estimate: Estimate) -> dict[str, float]:
+    """Return the measures of plug-ins by name.
+
+    Raises:
+        PluginError: a function failed, or returned something else than a number.
+    """
+    scores = {}
+    for name, found in registered("measure").items():
+        value = guarded(found.plugin, name, partial(found.value.value, truth, estimate))
+        is_number = np.ndim(value) == 0 and np.asarray(value).dtype.kind in "biuf"
+        if not is_number or np.isinf(value):
+            problem = f"{found.plugin.file}: {name} returned {value!r:.60}; return a number, or NaN"
+            raise PluginError(problem, f"{problem}\n")
+        scores[name] = float(value)
+    return scores
+
+
 class Evaluation(NamedTuple):
     """An estimate against the truth: scores and tables, each by name."""
 
@@ -378,9 +392,7 @@ def evaluate(
 ) -> Evaluation:
     """Compare the estimate of a log, localized by these cues, with the structure it is of."""
     truth = Truth(
-        robot_id=log.robot_id,
-        position=history.position,
-        orientation_wxyz=history.orientation_wxyz,
+        robot_id=log.robot_id, position=history.position, orientation_wxyz=history.orientation_wxyz
     )
     measured = Measured(log)
     rows = measured.rows(cues)

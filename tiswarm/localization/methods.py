@@ -10,33 +10,18 @@ register a function:
 The libraries of kernels are imported as the first log is localized.
 """
 
-import ast
-import inspect
 import re
-import textwrap
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
-from dataclasses import (
-    MISSING,
-    Field,
-    dataclass,
-    field,
-    fields,
-    is_dataclass,
-    make_dataclass,
-    replace,
-)
-from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_type_hints
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar, Union
 
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
-from pydantic import ConfigDict
-from pydantic.dataclasses import dataclass as checked_dataclass
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.base.params import STRICT, AnyArch, AnyPrecision
+from tiswarm.base.params import AnyArch, AnyPrecision, own_section
 from tiswarm.base.parts import (
     PARTS,
     Plugin,
@@ -114,11 +99,28 @@ def modules(name: str) -> set[str]:
         return set()
 
 
-def joining(params: MethodParams) -> Any | None:  # noqa: ANN401 - a class
+class Joining(Protocol):
+    """What localizes robots as they join."""
+
+    def join(self, robot: Any, /) -> object:  # noqa: ANN401 - of `records.sensing_format`
+        """Add the next robot by its line of a sensing file."""
+
+    @property
+    def names(self) -> Ints:
+        """Names of the robots, in join order, shape (n,)."""
+
+    @property
+    def positions(self) -> Reals:
+        """Estimated centers in join order [log unit], shape (n, 3)."""
+
+    def estimate(self, *, final: bool = False) -> Estimate:
+        """Return the estimate of all robots so far; that of the whole log if it is final."""
+
+
+def joining(params: MethodParams) -> Callable[..., Joining] | None:
     """Return the class that localizes robots as they join; None if these settings need all.
 
-    It is made of a log's header and the settings, and has `join`, which takes the line of a robot,
-    and `positions`.
+    It is made of a log's header and the settings.
     """
     return getattr(_module_of(params), params.joining) if params.joining else None
 
@@ -453,56 +455,18 @@ def _section(name: str, settings: type[Any] | None) -> type[OwnParams]:
     Raises:
         InputError: the settings are no frozen dataclass, or have a field that cannot be checked.
     """
-    kind: Any = Annotated[Literal[name], pydantic.Field(description="Name of the method.")]
-    described: list[tuple[str, Any, Any]] = [("method", kind, field(default=name))]
     if settings is not None:
         if not is_dataclass(settings) or not settings.__dataclass_params__.frozen:  # type: ignore[attr-defined]
             problem = f"settings of {name}: {settings!r} is no frozen dataclass"
             raise InputError(f"{problem}; decorate it with @dataclass(frozen=True)")
-        kinds, texts = get_type_hints(settings, include_extras=True), _texts(settings)
-        for each in fields(settings):
-            if each.name in _TAKEN:
-                problem = f"settings of {name}: {each.name} has a meaning already; rename it"
-                raise InputError(problem)
-            kind = Annotated[kinds[each.name], pydantic.Field(description=texts.get(each.name))]
-            described.append((each.name, kind, _default(each)))
+        if taken := next((each.name for each in fields(settings) if each.name in _TAKEN), ""):
+            problem = f"settings of {name}: {taken} has a meaning already; rename it"
+            raise InputError(problem)
 
     def check(self: OwnParams) -> None:
         self.settings  # noqa: B018 - raises what the plug-in's own check finds
 
-    title = f"Own{''.join(word.capitalize() for word in name.split('-'))}Params"  # in the schema
-    text = (settings and settings.__doc__) or f"Settings of {name}."
-    made = make_dataclass(
-        title, described, bases=(OwnParams,), frozen=True, kw_only=True,
-        namespace={"__doc__": text, "__post_init__": check, "__module__": __name__},
-    )  # fmt: skip
-    config = ConfigDict(**{**STRICT, "use_attribute_docstrings": False})
-    try:
-        checked: Any = checked_dataclass(made, frozen=True, kw_only=True, config=config)
-    except pydantic.errors.PydanticSchemaGenerationError as error:
-        problem = f"settings of {name}: {str(error).splitlines()[0]}; use types like float or str"
-        raise InputError(problem) from error
-    section: type[OwnParams] = checked
+    section: type[OwnParams] = own_section(
+        name, "method", settings, OwnParams, {"__post_init__": check}
+    )
     return section
-
-
-def _default(each: "Field[Any]") -> Any:  # noqa: ANN401 - a default
-    """Copy the default of a field."""
-    if each.default_factory is not MISSING:
-        return field(default_factory=each.default_factory)
-    return field() if each.default is MISSING else field(default=each.default)
-
-
-def _texts(settings: type[Any]) -> dict[str, str]:
-    """Read the docstrings below the fields of a class; empty where it has no source."""
-    try:
-        tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
-    except (OSError, TypeError, SyntaxError):
-        return {}
-    body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
-    return {
-        named.target.id: inspect.cleandoc(str(text.value.value))
-        for named, text in pairwise(body)
-        if isinstance(named, ast.AnnAssign) and isinstance(named.target, ast.Name)
-        and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-    }  # fmt: skip

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from tiswarm.app.results import Figure as Picture
+from tiswarm.app.results import short_table
 from tiswarm.base.errors import InputError
 from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame, write_frame
@@ -32,7 +35,40 @@ FILES = ("comparison.csv", "paired.csv", "comparison.png")
 """Files of a comparison."""
 
 
-def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> None:
+@dataclass(frozen=True)
+class Comparison:
+    """Runs side by side: the folder with `comparison.csv`, `paired.csv` and a figure."""
+
+    folder: Path
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Results of all runs by condition."""
+        return self._frame("comparison")
+
+    @property
+    def paired(self) -> pd.DataFrame:
+        """Differences on the structures that runs share."""
+        return self._frame("paired")
+
+    @property
+    def figure(self) -> Picture:
+        """Errors of all runs."""
+        return Picture(self.folder / "comparison.png")
+
+    def __str__(self) -> str:
+        """Write the results of each run by condition, and name the files."""
+        files = f"comparison.csv, paired.csv and comparison.png in {self.folder}"
+        return f"{short_table(self.table).to_string(index=False, na_rep='')}\n{files}"
+
+    def _repr_html_(self) -> str:
+        return short_table(self.table).to_html(index=False, na_rep="")
+
+    def _frame(self, name: str) -> pd.DataFrame:
+        return read_frame(self.folder / f"{name}.csv", empty=True)
+
+
+def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> Comparison:
     """Write `comparison.csv`, all rows of the runs' `table.csv`, `paired.csv` and a figure.
 
     `paired.csv` has differences on the structures that two runs share: those with the same true
@@ -69,6 +105,7 @@ def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> None
     pairs = pd.DataFrame(rows, columns=None if rows else _COMPARED)
     write_frame(pairs, out / "paired.csv", opened=opened)
     draw(out, overwrite=overwrite)
+    return Comparison(out)
 
 
 def _read_table(run: Path) -> pd.DataFrame:

@@ -6,7 +6,6 @@ nobody knows where the other side is until both meet, unless `structure.anchors`
 """
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -21,17 +20,6 @@ from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
 from tiswarm.world.growth import Believe
 from tiswarm.world.history import History
-
-
-class _Joining(Protocol):
-    """What localizes robots as they join."""
-
-    def join(self, robot: RobotLine, /) -> object:
-        """Add the next robot."""
-
-    @property
-    def positions(self) -> Reals:
-        """Estimated centers in join order [log unit], shape (n, 3)."""
 
 
 class _Part:
@@ -61,7 +49,7 @@ def believe_by(settings: Scenario) -> Believe:
     of its robot put it.
     """
     params = settings.localization
-    swarms: dict[tuple[int, int], _Joining] = {}
+    swarms: dict[tuple[int, int], methods.Joining] = {}
 
     def believe(grown: Sequence[History]) -> list[Reals]:
         logs = [observe(history, settings.sensing) for history in grown]

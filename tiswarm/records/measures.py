@@ -2,12 +2,21 @@
 
 A measure is a score in `case.json`, a column of `summary.csv` and, averaged over structures, of
 `table.csv`. To add one, add it here, in the order of `table.csv`, and compute it in
-`tiswarm/evaluation/tables.py`. Tables, page, figures and `docs/files.md` follow.
+`tiswarm/evaluation/tables.py`. Tables, page, figures and `docs/files.md` follow. Plug-ins register
+a function, whose numbers stand in the tables alone:
+
+    @tiswarm.measure("worst_R", unit="R", meaning="largest position error of a robot")
+    def worst(truth, estimate):
+        return np.linalg.norm(estimate.position - truth.position, axis=1).max()
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
-from typing import Literal
+from typing import Any, Literal, TypeVar
+
+from tiswarm.base.errors import InputError
+from tiswarm.base.parts import register, registered, watch
 
 
 @dataclass(frozen=True)
@@ -288,7 +297,7 @@ MEASURES = {each.column: each for each in [*globals().values()] if isinstance(ea
 MAIN = (RMSE, DISPARITY)
 """The two that state accuracy: the paper's, in headlines, figures and studies of size."""
 
-PAIRED = tuple(measure for measure in MEASURES.values() if measure.paired)
+PAIRED = [measure for measure in MEASURES.values() if measure.paired]
 
 BUILT_FOR = {"tower": HEIGHT, "cantilever": REACH, "chain": DEPTH, "bridge": CROSSED}
 """By kind of structure, the measure of what it is built for."""
@@ -305,7 +314,7 @@ _LIMITS = {
 }
 _OF_LOCATED = {LOCATED: "robots located", RMSE_LOCATED: "RMSE of robots located [R]"}
 
-PAGE: Mapping[str, Mapping[Measure, str]] = {
+PAGE: Mapping[str, dict[Measure, str]] = {
     "accuracy": {RMSE: "RMSE [R]", DISPARITY: "disparity"},
     "aligned": {
         RMSE: "not aligned",
@@ -330,6 +339,7 @@ PAGE: Mapping[str, Mapping[Measure, str]] = {
         **_OF_LOCATED,
     },
     "anchor": _ON_ANCHOR,
+    "own": {},
     "suites": {
         **_OF_LOCATED,
         RMSE: "RMSE of all [R]",
@@ -350,3 +360,66 @@ PAGE: Mapping[str, Mapping[Measure, str]] = {
     },
 }
 """By table of a run's page, the headings of its measures in order."""
+
+_OURS = {*MEASURES}
+_COLUMN = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
+_Value = TypeVar("_Value", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnMeasure(Measure):
+    """A measure that a plug-in registered."""
+
+    value: Callable[..., Any]
+    """Function of the truth and the estimate of a case, which returns the number."""
+
+
+def measure(
+    name: str, *, meaning: str, unit: str = "1", better: Literal["", "smaller", "larger"] = ""
+) -> Callable[[_Value], _Value]:
+    """Register a function as a measure, a column of the tables and of the page of each run.
+
+    The function takes a `tiswarm.records.positions.Truth` and a `tiswarm.records.estimate.Estimate`
+    as a run stores them [R], both in join order. It returns a number, NaN where it is unknown.
+
+    Args:
+        name: Name of the column, such as "worst_R".
+        meaning: What the number is, in words.
+        unit: Its unit; "1" for pure numbers.
+        better: Which values are better, if either. Where smaller ones are, `paired.csv` has the
+            differences between conditions.
+
+    Raises:
+        InputError: the name is taken or invalid.
+    """
+    if not _COLUMN.fullmatch(name):
+        raise InputError(f"{name!r} names no column; use letters, digits and '_', like worst_R")
+    if name in _OURS:
+        raise InputError(f"measure {name} is taken by tiswarm itself; choose another name")
+
+    def add(value: _Value) -> _Value:
+        own = OwnMeasure(
+            name, unit, _BOTH, meaning, better=better, paired=better == "smaller", value=value
+        )
+        register("measure", name, own, value)
+        return value
+
+    return add
+
+
+def _take_own() -> None:
+    """Let the tables above have the measures of plug-ins, too."""
+    for name in MEASURES.keys() - _OURS:
+        del MEASURES[name]
+    own = {name: found.value for name, found in registered("measure").items()}
+    MEASURES.update(own)
+    PAIRED[:] = [each for each in MEASURES.values() if each.paired]
+    PAGE["own"].clear()
+    PAGE["own"].update({each: _heading(each) for each in own.values()})
+
+
+def _heading(of: Measure) -> str:
+    return of.column if of.unit == "1" else f"{of.column} [{of.unit}]"
+
+
+watch(_take_own)

@@ -19,14 +19,7 @@ import pandas as pd
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import PARTS, find, has
 from tiswarm.records.frames import read_frame
-from tiswarm.records.measures import (
-    CONSISTENT,
-    CONVERGED,
-    DISCONNECTED,
-    DISPARITY,
-    JOINED,
-    RMSE,
-)
+from tiswarm.records.measures import CONSISTENT, CONVERGED, DISCONNECTED, DISPARITY, JOINED, RMSE
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import run_data
@@ -349,13 +342,7 @@ def mean_errors(results: Results) -> str:
     return conclusion(results.table, results.pairs)
 
 
-_NEEDED = [
-    RMSE.mean,
-    RMSE.ci95,
-    RMSE.least,
-    RMSE.most,
-    DISPARITY.mean,
-]
+_NEEDED = [RMSE.mean, RMSE.ci95, RMSE.least, RMSE.most, DISPARITY.mean]
 
 
 def headline(folder: Path) -> str:

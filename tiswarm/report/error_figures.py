@@ -8,6 +8,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
+from tiswarm.base.parts import names
 from tiswarm.records import outputs
 from tiswarm.records.measures import RMSE
 from tiswarm.records.messages import counted
@@ -221,7 +222,7 @@ def _first_by_kind(series: Series) -> Series:
         kinds.setdefault(cases[0].kind, cases)
     points = {cases[0].point for cases in series.values()}
     few = 1 < len(kinds) == len(points) <= _MAX_KINDS
-    return kinds if few and kinds.keys() <= _GROWS.keys() else {}
+    return kinds if few and kinds.keys() <= {*names("structure")} else {}
 
 
 def _way(cases: list[StoredCase]) -> tuple[str, str]:

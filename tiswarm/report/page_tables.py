@@ -114,6 +114,9 @@ def result_tables(
     tables.append(_labeled(words, _means(table, "attachment"), "Accuracy for attachment", note))
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
     tables.append(_labeled(words, _means(table, "limits"), "Limits of the accuracy", note))
+    if own := _means(table, "own"):
+        texts = (f"{each.column}: {each.meaning}." for each in PAGE["own"] if each.mean in table)
+        tables.append(_labeled(words, own, "Measures of plug-ins", " ".join(texts)))
     if calibration := _means(table, "calibration") | _consistent(table):
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "
@@ -232,7 +235,8 @@ def case_table(summary: pd.DataFrame) -> PageTable:
     """Format a row for each case."""
     shown = summary.head(MOST_ROWS)
     words = shown[["case", "status"]].fillna("").astype(str)
-    headings = {"robots": "robots"} | {m.column: heading for m, heading in PAGE["cases"].items()}
+    measures = PAGE["cases"] | PAGE["own"]
+    headings = {"robots": "robots"} | {m.column: heading for m, heading in measures.items()}
     numbers = {
         heading: _numbers(shown[name]) for name, heading in headings.items() if name in shown
     }
@@ -321,10 +325,7 @@ def _numbers(values: pd.Series) -> "pd.Series[str]":
 
 _MOST_REASONS = 5
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-_VERDICTS = (
-    *(m.column for m in (CONVERGED, CONSISTENT, MISFIT, SD_FACTOR)),
-    "distrust",
-)
+_VERDICTS = (*(m.column for m in (CONVERGED, CONSISTENT, MISFIT, SD_FACTOR)), "distrust")
 
 
 def warnings_of(summary: pd.DataFrame) -> list[str]:

@@ -185,7 +185,7 @@ class Scenario:
 
 
 ADAPTER = TypeAdapter(Scenario)
-validation.take_methods(Scenario, ADAPTER)
+validation.take_own(Scenario, ADAPTER)
 
 
 def from_plain(data: validation.Plain) -> Scenario | list[validation.Mistake]:

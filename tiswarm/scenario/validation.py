@@ -19,6 +19,7 @@ from tiswarm.localization.methods import LocalizationParams, all_params, setting
 from tiswarm.localization.settings import SWITCHES
 from tiswarm.records.messages import UNKNOWN_KEY, Part, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
+from tiswarm.world.params import all_kinds
 
 Plain = dict[str, Any]
 """A scenario, or a part of it, as plain data."""
@@ -35,7 +36,7 @@ CONDITION_SECTIONS = ("localization", "sensing")
 _UNIONS = {*DISCRIMINATORS, "seeds"} - {*SAME_KEYS}
 """Keys whose path in an error of pydantic continues with the alternative it tried."""
 
-_METHOD = ("localization", DISCRIMINATORS["localization"])
+_METHOD, _KIND = ((name, DISCRIMINATORS[name]) for name in ("localization", "structure"))
 
 _CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+|label))?")
 _Checked = TypeVar("_Checked")
@@ -236,7 +237,7 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
         problem = f"is missing; write it like localization: {{method: joint}}, one of {methods}"
         return Mistake(path, problem)
     problem = explain(error, _allowed(error["loc"], adapter))
-    if path == _METHOD:
+    if path in {_METHOD, _KIND} and not problem.endswith("?"):
         problem += ", or one of a plug-in that you load (--plugin FILE)"
     return Mistake(path, _by_choice(error, adapter) or problem, about_key)
 
@@ -292,15 +293,17 @@ def _schema(adapter: TypeAdapter[Any]) -> Plain:
     return adapter.json_schema()
 
 
-def take_methods(section: Any, adapter: TypeAdapter[Any]) -> None:  # noqa: ANN401 - a dataclass
-    """Let a class with settings of any method have those of plug-ins, too, from now on."""
+def take_own(section: Any, adapter: TypeAdapter[Any]) -> None:  # noqa: ANN401 - a dataclass
+    """Let a class with settings of any method or structure have those of plug-ins, from now on."""
 
     def retype() -> None:
-        section.__dataclass_fields__["localization"].type = all_params()
+        for name, kinds in {"localization": all_params, "structure": all_kinds}.items():
+            if name in section.__dataclass_fields__:
+                section.__dataclass_fields__[name].type = kinds()
 
     watch(retype, section)
     watch(lambda: adapter.rebuild(force=True))
     watch(_schema.cache_clear)
 
 
-take_methods(_LocalizationSection, _LOCALIZATION)
+take_own(_LocalizationSection, _LOCALIZATION)

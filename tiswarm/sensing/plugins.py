@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import (
-    PluginError,
-    fault_of_numbers,
-    guarded,
-    register,
-    registered,
-)
+from tiswarm.base.parts import PluginError, fault_of_numbers, guarded, register, registered
 from tiswarm.records.sensing_log import FARTHEST, LISTS
 from tiswarm.world.history import History
 

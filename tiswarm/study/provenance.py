@@ -30,18 +30,33 @@ _COMPOSES = "tiswarm.study.runner"
 """Module that composes a case of all that computes it."""
 
 
-def case_code(method: str, suite: str = "") -> str:
+def case_code(method: str, suite: str = "", kind: str = "") -> str:
     """Return the digest of the code that computes cases of a localization method in this process.
 
     Other methods do not count, so that an edit of one leaves the cases of the others current. The
-    digests of plug-ins that the method and the suite are from follow after "+". The digest of an
-    unknown method is empty.
+    digests of plug-ins that the method, the suite and the kind of structure are from follow after
+    "+". The digest of an unknown method is empty.
     """
-    own = [registered("method").get(method), registered("sensor").get(suite)]
     if method not in names("method"):
         return ""
-    code = method_code(method)
-    return "+".join([code, *(found.plugin.digest for found in own if found)])
+    used = {"method": method, "sensor": suite, "structure": kind}
+    own = [registered(each).get(name) for each, name in used.items()]
+    digests = dict.fromkeys(found.plugin.digest for found in own if found)
+    return "+".join([method_code(method), *digests])
+
+
+def is_current(method: str, code: str) -> bool:
+    """Whether code of this process computed a case of a method, by the digest in its record."""
+    package, *own = code.split("+")
+    kinds = ("method", "sensor", "structure")
+    loaded = {each.plugin.digest for kind in kinds for each in registered(kind).values()}
+    its = registered("method").get(method)
+    return (
+        method in names("method")
+        and package == method_code(method)
+        and {*own} <= loaded
+        and (its is None or its.plugin.digest in own)
+    )
 
 
 @cache
@@ -58,7 +73,7 @@ def method_code(method: str) -> str:
 
 @cache
 def structure_code() -> str:
-    """Return the digest of the code that grows and keeps structures in this process."""
+    """Return the digest of the code that grows and keeps structures, without that of plug-ins."""
     return code_digest([grow.__module__, History.__module__])
 
 

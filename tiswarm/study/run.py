@@ -132,11 +132,7 @@ def _without(structures: Sequence[Group], stored: dict[str, CaseRecord]) -> list
 
 
 def _start_device(
-    whole: Plan,
-    arch: AnyArch,
-    threads: int | None,
-    execution: Execution,
-    progress: Progress,
+    whole: Plan, arch: AnyArch, threads: int | None, execution: Execution, progress: Progress
 ) -> Arch:
     """Start the device of a study before anything is written, and return its name.
 

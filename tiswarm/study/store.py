@@ -42,7 +42,7 @@ from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.cases import Case
-from tiswarm.study.provenance import Cost, Used, case_code, manifest, structure_code
+from tiswarm.study.provenance import Cost, Used, is_current, manifest, structure_code
 from tiswarm.world.history import History, read_history, write_history
 
 _COST = "cost.json"
@@ -116,8 +116,7 @@ class CaseRecord:
     @property
     def is_current(self) -> bool:
         """Whether the code of this process computed the case, or failed to."""
-        suites = ("", *registered("sensor"))
-        return bool(self.code) and any(self.code == case_code(self.method, s) for s in suites)
+        return is_current(self.method, self.code)
 
     def sealed(self) -> "CaseRecord":
         """Return the record with its digest."""
@@ -414,7 +413,9 @@ class RunFolder:
             return ()
 
     def _structure_path(self, case: Case) -> Path:
-        key = sha256(repr((case.structure_key, structure_code())).encode()).hexdigest()[:12]
+        own = registered("structure").get(case.settings.structure.kind)
+        code = (structure_code(), own.plugin.digest) if own else structure_code()
+        key = sha256(repr((case.structure_key, code)).encode()).hexdigest()[:12]
         return self.path / _STRUCTURES / f"seed{case.seed}-{key}.npz"
 
 

@@ -20,21 +20,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tiswarm.base.parts import find
+from tiswarm.base.parts import find, registered
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.evaluation.metrics import (
-    error_profile,
-    least_and_most,
-    mean_std_ci95,
-    paired_difference,
-    power_law_exponent,
-    relative_profile,
-)
-from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
+from tiswarm.evaluation import metrics, paper
+from tiswarm.evaluation.tables import own_scores
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records import measures
 from tiswarm.records.frames import read_frame, write_frame
+from tiswarm.records.positions import Truth, read_estimate
+from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
@@ -58,7 +53,7 @@ def write_tables(
 ) -> None:
     """Write all tables of a run folder from the records and costs of its stored cases, by name."""
     cases = [case for case in whole.cases if case.name in stored]
-    records = [stored[case.name] for case in cases]
+    records = [_with_own_scores(stored[case.name], run / "cases") for case in cases]
     settings = [case.settings for case in cases]
     written = {
         "summary": summary(records, settings),
@@ -72,6 +67,25 @@ def write_tables(
         written["suites"] = suites(records, settings, run / "cases")
     for name, content in written.items():
         write_frame(content, run / f"{name}.csv")
+
+
+def _with_own_scores(record: CaseRecord, cases: Path) -> CaseRecord:
+    """Add the measures of plug-ins to a record, from the files of its case.
+
+    Other tables follow from the record; the case itself stays as it is, so that an edit of a
+    measure computes no case again.
+    """
+    if not registered("measure") or not record.is_done:
+        return record
+    folder = cases / record.case
+    estimate = read_estimate(read_sensing_log(folder / "sensing.jsonl"), folder / "estimate.csv")
+    robots = read_frame(folder / "robots.csv", ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"])
+    truth = Truth(
+        robot_id=estimate.robot_id,
+        position=robots[["x_R", "y_R", "z_R"]].to_numpy(float),
+        orientation_wxyz=robots[["qw", "qx", "qy", "qz"]].to_numpy(float),
+    )
+    return replace(record, scores={**record.scores, **own_scores(truth, estimate)})
 
 
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
@@ -152,20 +166,22 @@ def _rounds(setting: Scenario) -> dict[str, float]:
     }
 
 
-def _published(setting: Scenario) -> Published | None:
+def _published(setting: Scenario) -> paper.Published | None:
     """Return the paper's numbers; it leaves open all gains, and how robots start, walk and call."""
     method, structure = setting.localization, setting.structure
+    if structure.kind not in {kind for kind, *_ in paper.PAPER}:
+        return None
     open_keys = ("anchor", "climb", "founders", "spawn_behind", *_RECRUITMENT)
     usual = replace(type(structure)(), **{key: getattr(structure, key) for key in open_keys})
     if (
-        setting.robots != PAPER_ROBOTS
+        setting.robots != paper.PAPER_ROBOTS
         or structure != usual
         or (setting.robot, setting.sensing) != (RobotGeometry(), SensingParams())
         or not isinstance(method, VirtualForceParams)
         or method.back_propagation
     ):
         return None
-    return PAPER.get((structure.kind, method.z_correction, method.undocked_repulsion))
+    return paper.PAPER.get((structure.kind, method.z_correction, method.undocked_repulsion))
 
 
 def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
@@ -175,8 +191,8 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
     return {
         measures.RMSE.published: rmse,
         measures.DISPARITY.published: disparity,
-        "rmse_mm_mean": ours[measures.RMSE.mean] * MM_PER_RADIUS,
-        "rmse_mm_ci95": ours[measures.RMSE.ci95] * MM_PER_RADIUS,
+        "rmse_mm_mean": ours[measures.RMSE.mean] * paper.MM_PER_RADIUS,
+        "rmse_mm_ci95": ours[measures.RMSE.ci95] * paper.MM_PER_RADIUS,
         **{
             f"{of.column}_to_paper": ours[of.mean] / rmse
             for of in (measures.RMSE, measures.RMSE_RHO)
@@ -193,7 +209,7 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
         if measure.averaged:
             column = scores.get(measure.column, pd.Series(dtype=float))
             values = column.to_numpy(np.float64)
-            found = mean_std_ci95(values) | least_and_most(values)
+            found = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
             full |= {measure.statistic(name): value for name, value in found.items()}
     return full
 
@@ -253,7 +269,8 @@ def differences(
     """Return a row for each measure: difference `after - before` over shared structures."""
     a, b = before.align(after, join="inner", axis=0)
     found = {
-        name: paired_difference(a[name].to_numpy(float), b[name].to_numpy(float)) for name in a
+        name: metrics.paired_difference(a[name].to_numpy(float), b[name].to_numpy(float))
+        for name in a
     }
     return [
         {**first_columns, "measure": name, **row, **last_columns} for name, row in found.items()
@@ -273,7 +290,10 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         relative = [
             read_frame(folder / "relative.csv", numbers=names, empty=True) for folder in folders
         ]
-        errors = [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
+        errors = [
+            metrics.error_profile(pd.concat(robots)),
+            metrics.relative_profile(pd.concat(relative)),
+        ]
         parts.append(pd.concat(errors))
         first = {"condition": of_row[0].condition, **of_row[0].point_cells}
         names_of += [first] * len(parts[-1])
@@ -310,7 +330,7 @@ def suites(
         }
         scores = pd.DataFrame(done, columns=[each.column for each in shown], dtype=float)
         for each in shown:
-            found = mean_std_ci95(scores[each.column].to_numpy())
+            found = metrics.mean_std_ci95(scores[each.column].to_numpy())
             row |= {each.mean: found["mean"], each.ci95: found["ci95"]}
         rows.append(row)
     return pd.DataFrame(rows)
@@ -393,4 +413,4 @@ def _with_powers(points: pd.DataFrame) -> pd.DataFrame:
     robots, mean = points["robots"].to_numpy(float), points["mean"].to_numpy(float)
     known = np.log(np.where(mean > 0.0, mean, math.nan))
     slope = np.diff(known, prepend=math.nan) / np.diff(np.log(robots), prepend=math.nan)
-    return points.assign(exponent=power_law_exponent(robots, mean), slope=slope)
+    return points.assign(exponent=metrics.power_law_exponent(robots, mean), slope=slope)

@@ -179,12 +179,7 @@ class GrowingStructure:
     """One growing structure: who has joined, its loads, and the next spawn."""
 
     def __init__(
-        self,
-        number: int,
-        seed: int,
-        params: StructureParams,
-        robot: RobotGeometry,
-        frames: Frames,
+        self, number: int, seed: int, params: StructureParams, robot: RobotGeometry, frames: Frames
     ) -> None:
         self.number, self.seed, self.params, self.robot = number, seed, params, robot
         self.frames = frames

@@ -1,8 +1,21 @@
-"""Kinds of structures, their settings: terrain, spawns, anchors, goals, climbing, recruitment."""
+"""Kinds of structures, their settings: terrain, spawns, anchors, goals, climbing, recruitment.
+
+Plug-ins register a class:
+
+    @tiswarm.structure("leaning")
+    class Leaning(TowerParams):
+        def goal(self, side):
+            return np.array([20.0, 0.0, self.goal_height])
+"""
 
 import math
-from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import fields
+from functools import partial, wraps
+from inspect import isfunction
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, Union
 
 import numpy as np
 from pydantic import (
@@ -18,7 +31,18 @@ from pydantic.dataclasses import dataclass
 from scipy.spatial.distance import pdist, squareform
 
 from tiswarm.base.aliases import Reals
-from tiswarm.base.params import STRICT
+from tiswarm.base.errors import InputError
+from tiswarm.base.params import STRICT, own_section
+from tiswarm.base.parts import (
+    PARTS,
+    Plugin,
+    PluginError,
+    fault_of_numbers,
+    find,
+    guarded,
+    register,
+    registered,
+)
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.messages import shown
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
@@ -109,7 +133,8 @@ class GrowthParams(RecruitParams):
     """What all kinds of structures have in common.
 
     Each kind has a `terrain`. For the robots of each side it says what they climb toward (`goal`),
-    how far docks are `behind` its edge, or from a tower's axis, and where robots `start`.
+    how far docks are `behind` its edge, or from a tower's axis, and where robots `start`. Where
+    anchors are given by their number, it spreads them (`spread`).
 
     Fields that are inherited carry their text as a description, for the JSON Schema does not
     find the docstrings of a base class.
@@ -223,6 +248,10 @@ class GrowthParams(RecruitParams):
     def robot(self, shape: RobotGeometry) -> RobotGeometry:
         """Return the robot of this shape that builds the structure, upright in a plane."""
         return PlanarRobot(**vars(shape)) if self.plane else shape
+
+    if TYPE_CHECKING:  # each kind has a name and what `structure` lists
+
+        def __getattr__(self, name: str) -> Any: ...  # noqa: ANN401
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -391,16 +420,128 @@ class ChainParams(EdgeParams):
         return np.array([EDGE_RADIUS, 0.0, -self.goal_depth])
 
 
-StructureParams = Annotated[
-    TowerParams | CantileverParams | BridgeParams | ChainParams, Field(discriminator="kind")
-]
+def all_kinds() -> Any:  # noqa: ANN401 - a type
+    """Return the type of the settings of any kind of structure, those of plug-ins included."""
+    ours = (find("structure", name) for name in PARTS["structure"])
+    own = (found.value for found in registered("structure").values())
+    return Annotated[Union[(*ours, *own)], Field(discriminator="kind")]
+
+
+if TYPE_CHECKING:
+    StructureParams = GrowthParams
+else:
+    StructureParams = all_kinds()
 """Any kind of structure."""
+
+
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_SHAPES: Mapping[str, Callable[..., tuple[int, ...]]] = {
+    "goal": lambda _side: (3,),
+    "behind": lambda _side, docks: (len(docks),),
+    "start": lambda _side, _rim, _draw: (2,),
+    "spread": lambda count, _behind: (count, 2),
+}
+"""By method of a kind, the shape of what it returns for its arguments."""
+
+_FARTHEST = 1e6
+"""Largest length that a method of a plug-in may return [R]."""
+
+_Kind = TypeVar("_Kind", bound=GrowthParams)
+
+
+def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
+    """Register a class as a kind of structure, which scenarios choose as `structure.kind`.
+
+    It derives from one of this package's kinds, such as `TowerParams`, from `EdgeParams` or from
+    `GrowthParams`. Its annotated fields are keys of scenarios. It may replace the property
+    `terrain` and these methods, whose lengths are in R; `side` is 0 if robots come from one side.
+
+    goal(side): what robots climb toward, shape (3,).
+    behind(side, docks): how far docks of shape (n, 3) are behind the edge, shape (n,).
+    start(side, rim, draw): where a robot starts, shape (2,), `rim` being how far the farthest dock
+        is behind, and `draw` two random numbers in [0, 1).
+    spread(count, behind): places of anchors given by their number, shape (count, 2).
+
+    Args:
+        name: Name of the kind: words of letters and digits, with "-".
+
+    Raises:
+        InputError: the name is taken or invalid, the class lacks a method, or a field cannot be
+            checked.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"{name!r} names no kind of structure; use words like my-structure")
+
+    def add(settings: type[_Kind]) -> type[_Kind]:
+        if not (isinstance(settings, type) and issubclass(settings, GrowthParams)):
+            problem = f"{name}: {settings!r} is no kind of structure; derive it from TowerParams"
+            raise InputError(problem)
+        if lacking := [each for each in ("terrain", *_SHAPES) if not hasattr(settings, each)]:
+            problem = f"{name} lacks {', '.join(lacking)}; define it, or derive from TowerParams"
+            raise InputError(problem)
+        methods = [each for each in vars(settings).values() if isfunction(each)]
+        source = next(iter(methods), settings)  # a class of a session has no file
+        if "__dataclass_fields__" not in vars(settings):
+            settings = plain_dataclass(frozen=True, kw_only=True)(settings)
+        guards: dict[str, object] = {each: _guarded(name, settings, each) for each in _SHAPES}
+        ground = partial(_ground, name, settings)
+        guards |= {"terrain": property(ground), "__reduce__": _reduced}
+        kind: type[_Kind] = own_section(name, "kind", settings, settings, guards)
+        register("structure", name, kind, source)
+        return kind
+
+    return add
+
+
+def _guarded(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
+    """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
+    theirs = getattr(settings, method)
+
+    @wraps(theirs)
+    def call(self: GrowthParams, *given: Any) -> Any:  # noqa: ANN401 - as the method
+        plugin, what = registered("structure")[name].plugin, f"{name}.{method}"
+        found = guarded(plugin, what, lambda: np.asarray(theirs(self, *given)))
+        shape, wrong = _SHAPES[method](*given), ""
+        if found.shape != shape:
+            wrong = f"shape {found.shape}; return numbers of shape {shape}"
+        elif fault := fault_of_numbers(found, _FARTHEST, f"within {_FARTHEST:g} R"):
+            wrong = f"numbers that are {fault}; correct them"
+        if wrong:
+            problem = f"{plugin.file}: {what} returned {wrong}"
+            raise PluginError(problem, f"{problem}\n")
+        return found.astype(np.float64)
+
+    return call
+
+
+def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
+    """Return the terrain of a plug-in's structure."""
+    plugin, what = registered("structure")[name].plugin, f"{name}.terrain"
+    theirs = getattr(settings.terrain, "fget", lambda _: settings.terrain)
+    found = guarded(plugin, what, lambda: theirs(of))
+    if not isinstance(found, Terrain):
+        problem = f"{plugin.file}: {what} returned {type(found).__name__}; return a Terrain"
+        raise PluginError(problem, f"{problem}\n")
+    return found
+
+
+def _reduced(self: GrowthParams) -> tuple[Callable[..., GrowthParams], tuple[object, ...]]:
+    """Send the plug-in ahead, so that a worker loads it before it needs the class."""
+    values = {each.name: getattr(self, each.name) for each in fields(self)}
+    return _received, (registered("structure")[self.kind].plugin, values)
+
+
+def _received(plugin: Plugin, values: Mapping[str, Any]) -> GrowthParams:  # noqa: ARG001
+    """Make settings on a worker, where the plug-in has been loaded."""
+    made: GrowthParams = find("structure", values["kind"])(**values)
+    return made
 
 
 def anchor_places(params: StructureParams, shape: RobotGeometry) -> Reals:
     """Place robots of a shape as anchors on the ground [R], shape (k, 2); none for a climber."""
     if isinstance(params.anchors, int):
-        return params.spread(params.anchors, _clearance(params, shape))
+        spread: Reals = params.spread(params.anchors, _clearance(params, shape))
+        return spread
     if params.anchors is not None:
         return np.array(params.anchors)
     return np.array([] if params.anchor is None else [[0.0 - params.anchor, 0.0]]).reshape(-1, 2)
