@@ -48,8 +48,8 @@ ASKED = {
 }
 """By part, a command that needs it."""
 
-SILENT = {"tiswarm.parts.questions"}
-"""Parts without which a page has less in it, and no command fails."""
+SILENT = {"tiswarm.parts.questions", "tiswarm.parts.units"}
+"""Parts without which a page or check has less in it, and no command fails."""
 
 ALSO_LACKING = {
     "tiswarm.parts.online": ["tiswarm.parts.between"],

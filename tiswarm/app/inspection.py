@@ -11,12 +11,11 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import find
+from tiswarm.base.parts import find, has
 from tiswarm.measurements.consistency import contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
-from tiswarm.measurements.units import Slip, lengths, slips
 from tiswarm.measurements.verdicts import (
     MOST_SHOWN,
     cautions,
@@ -31,20 +30,7 @@ from tiswarm.measurements.verdicts import (
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_log import NUMBERS, SensingLog
-
-_MARGIN = 20
-"""Robots in a row that a spawn position may be beyond all others."""
-
-_SPARSE = 1000
-"""Robots in a row that a range, or a coordinate of a robot without contacts, may be long."""
-
-
-_USUAL = (10.0, 25.4, 100.0, 1000.0)
-"""Factors between units of length."""
-
-_NEAR = (0.9, 3.5)
-"""The true factor is as many times the one found, which follows from bounds, about."""
+from tiswarm.records.sensing_log import SensingLog
 
 
 class Inspection(NamedTuple):
@@ -209,36 +195,9 @@ def _inspect_log(path: Path) -> Inspection:
         log = read_sensing_log(path)
     except InputError as mistake:
         return Inspection([mistake])
-    found = slips(log)
-    doubts = [*_slips(log, path, found), *_unlikely(log, path, found)]
+    can_doubt = has("command", "check units")
+    doubts = find("command", "check units")(log, path) if can_doubt else ()
     return Inspection(summary="\n".join([log.size, *doubts, *unknowns(log, path, by_cue(log))]))
-
-
-def _slips(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
-    """Describe in lines lengths that seem to be in another unit than the rest."""
-    for slip in found[:MOST_SHOWN]:
-        times = slip.factor if slip.factor > 1.0 else 1.0 / slip.factor
-        near = [usual for usual in _USUAL if _NEAR[0] * times <= usual <= _NEAR[1] * times]
-        many = f"about {near[0]:g}" if near else f"at least {float(f'{times:.2g}'):g}"
-        size = f"{many} times too {'long' if slip.factor > 1.0 else 'short'}"
-        problem = f"{slip.what}: {size} beside {slip.against}"
-        remedy = "correct the unit, or leave it out"
-        yield f"{path}:{log.line_of(slip.robot)}: {slip.key}: {problem}; {remedy}"
-    if (more := len(found) - MOST_SHOWN) > 0:
-        yield f"{path}: {counted(more, 'more such length')}"
-
-
-def _unlikely(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
-    """Describe in lines lengths beyond any likely size of the swarm, of keys without slips."""
-    size = 2.0 * np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius + 2.0
-    in_a_row, apart = (log.robot_count + _MARGIN) * size, max(log.robot_count, _SPARSE) * size
-    named = {slip.key for slip in found}
-    for key, column in lengths(log):
-        farthest = in_a_row if key in NUMBERS else apart
-        wrong = np.flatnonzero((column.size > farthest) & (key not in named))
-        for row in wrong[:MOST_SHOWN].tolist():
-            place = f"{path}:{log.line_of(int(column.robot[row]))}: {key}"
-            yield f"{place}: {column.described(log, row)} is unlikely; correct it or leave it out"
 
 
 def _inspect_scenario(path: Path) -> Inspection:

@@ -9,27 +9,33 @@ scenario, a log or the folder of a run never loads one. What a plug-in registers
 kind and name, with the digest of its source.
 """
 
+import ast
 import inspect
 import linecache
 import os
 import sys
+import textwrap
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from hashlib import sha256
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked_dataclass
 from pydantic.dataclasses import rebuild_dataclass
+from pydantic.errors import PydanticSchemaGenerationError
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError, did_you_mean
+from tiswarm.base.params import STRICT
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -106,6 +112,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "log_format": {"mcap": "tiswarm.parts.formats.mcap:sensing_lines"},
     "command": {
         "advise": "tiswarm.parts.advice.further:tabulate",
+        "check units": "tiswarm.parts.units:doubts",
         "compare": "tiswarm.parts.comparison",
         "doctor": "tiswarm.parts.doctor",
         "explain": "tiswarm.parts.advice.explanation",
@@ -295,6 +302,71 @@ def _rebuild(section: Any, retype: Callable[[], object]) -> None:  # noqa: ANN40
         if text and not any(getattr(note, "description", None) for note in notes):
             fields[name].type = Annotated[fields[name].type, Field(description=text)]
     rebuild_dataclass(section, force=True)
+
+
+def own_section(
+    name: str,
+    key: str,
+    settings: type[Any] | None,
+    base: type[Any],
+    namespace: Mapping[str, object],
+) -> Any:  # noqa: ANN401 - a class
+    """Make the parameter class of a section of scenarios from a class of a plug-in.
+
+    Args:
+        name: Name by which scenarios select the section.
+        key: Key of that name.
+        settings: Dataclass whose fields are further keys, described by the docstrings below them.
+        base: Base class of the section.
+        namespace: Further attributes.
+
+    Raises:
+        InputError: a field cannot be checked.
+    """
+    selects: Any = Annotated[Literal[name], Field(description=f"Name of the {key}.")]
+    kinds: dict[str, Any] = {key: selects}
+    given: dict[str, Any] = {key: name, **namespace}
+    if settings is not None:
+        hints, texts = get_type_hints(settings, include_extras=True), _texts(settings)
+        for each in fields(settings):
+            if each.name != key:
+                text = texts.get(each.name) or _inherited(settings, each.name)
+                kinds[each.name] = Annotated[hints[each.name], Field(description=text)]
+                if each.default is not MISSING:
+                    given[each.name] = each.default
+                elif each.default_factory is not MISSING:
+                    given[each.name] = field(default_factory=each.default_factory)
+    title = f"Own{''.join(word.capitalize() for word in name.split('-'))}Params"  # in the schema
+    given["__doc__"] = (settings and settings.__doc__) or f"Settings of {name}."
+    given |= {"__module__": base.__module__, "__annotations__": kinds}
+    made = type(title, (base,), given)
+    config = ConfigDict(**{**STRICT, "use_attribute_docstrings": False})
+    try:
+        return checked_dataclass(made, frozen=True, kw_only=True, config=config)
+    except PydanticSchemaGenerationError as error:
+        problem = f"settings of {name}: {str(error).splitlines()[0]}; use types like float or str"
+        raise InputError(problem) from error
+
+
+def _inherited(settings: Any, name: str) -> str | None:  # noqa: ANN401 - a class
+    """Return the text of a field as the parameter class that it is from has it."""
+    sections = (each.__dict__.get("__pydantic_fields__", {}) for each in settings.__mro__)
+    return next((each[name].description for each in sections if name in each), None)
+
+
+def _texts(settings: type[Any]) -> dict[str, str]:
+    """Read the docstrings below the fields of a class; empty where it has no source."""
+    try:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
+    except (OSError, TypeError, SyntaxError):
+        return {}
+    body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
+    return {
+        named.target.id: inspect.cleandoc(str(text.value.value))
+        for named, text in pairwise(body)
+        if isinstance(named, ast.AnnAssign) and isinstance(named.target, ast.Name)
+        and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+    }  # fmt: skip
 
 
 def registered(kind: str) -> dict[str, Registered]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.base.params import AnyArch, AnyPrecision, own_section
+from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.parts import (
     PARTS,
     Plugin,
@@ -30,6 +30,7 @@ from tiswarm.base.parts import (
     find,
     guarded,
     load,
+    own_section,
     register,
     registered,
 )

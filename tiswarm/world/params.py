@@ -32,7 +32,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.params import STRICT, own_section
+from tiswarm.base.params import STRICT
 from tiswarm.base.parts import (
     PARTS,
     Plugin,
@@ -40,6 +40,7 @@ from tiswarm.base.parts import (
     fault_of_numbers,
     find,
     guarded,
+    own_section,
     register,
     registered,
 )

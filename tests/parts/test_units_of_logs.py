@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.structures import Rule, structure, with_fixes, with_ranges
-from tiswarm.measurements.units import HEADER, slips
 from tiswarm.parts.suites import SUITES
+from tiswarm.parts.units import HEADER, slips
 from tiswarm.sensing import SensingParams, observe
 
 

@@ -1,11 +1,12 @@
-"""Lengths of a log that seem to be in another unit than the rest: one of them, or a whole column.
+"""Optional: lengths of a log that are probably in another unit than the rest, one or a column.
 
 Two robots are at most as far apart as a chain of contacts between them is long. A length that is
 longer many times over is no noise, but a slip of the unit or of the decimal point. Lengths in R.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import inf
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,9 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import UNKNOWN, Odometry
-from tiswarm.records.sensing_log import KEYS, LISTS, SensingLog
+from tiswarm.measurements.verdicts import MOST_SHOWN
+from tiswarm.records.messages import counted
+from tiswarm.records.sensing_log import KEYS, LISTS, NUMBERS, SensingLog
 
 _SLIP = 4.0
 """Factor by which a length exceeds its bound, from which on it is no noise."""
@@ -38,6 +41,19 @@ _LONGEST_ARM = 100.0
 
 _MOST_STARTS = 500
 """Robots from which chains of contacts are followed; of more, a sample."""
+
+_MARGIN = 20
+"""Robots in a row that a spawn position may be beyond all others."""
+
+_SPARSE = 1000
+"""Robots in a row that a range, or a coordinate of a robot without contacts, may be long."""
+
+
+_USUAL = (10.0, 25.4, 100.0, 1000.0)
+"""Factors between units of length."""
+
+_NEAR = (0.9, 3.5)
+"""The true factor is as many times the one found, which follows from bounds, about."""
 
 HEADER = -1
 """In place of a robot: the header's line."""
@@ -109,6 +125,40 @@ def lengths(log: SensingLog) -> Iterator[tuple[str, Lengths]]:
         known, scale = np.isfinite(away), 1.0 / log.dock_radius
         size, of_pair = scale * np.abs(away[known]), key.robot is not None
         yield name, Lengths(robot[known], other[known], size, scale * sd[known], of_pair)
+
+
+def doubts(log: SensingLog, path: Path) -> Iterator[str]:
+    """Describe in lines the lengths of a log, or of its file, that are probably wrong."""
+    found = slips(log)
+    yield from _slips(log, path, found)
+    yield from _unlikely(log, path, found)
+
+
+def _slips(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
+    """Describe in lines lengths that seem to be in another unit than the rest."""
+    for slip in found[:MOST_SHOWN]:
+        times = slip.factor if slip.factor > 1.0 else 1.0 / slip.factor
+        near = [usual for usual in _USUAL if _NEAR[0] * times <= usual <= _NEAR[1] * times]
+        many = f"about {near[0]:g}" if near else f"at least {float(f'{times:.2g}'):g}"
+        size = f"{many} times too {'long' if slip.factor > 1.0 else 'short'}"
+        problem = f"{slip.what}: {size} beside {slip.against}"
+        remedy = "correct the unit, or leave it out"
+        yield f"{path}:{log.line_of(slip.robot)}: {slip.key}: {problem}; {remedy}"
+    if (more := len(found) - MOST_SHOWN) > 0:
+        yield f"{path}: {counted(more, 'more such length')}"
+
+
+def _unlikely(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
+    """Describe in lines lengths beyond any likely size of the swarm, of keys without slips."""
+    size = 2.0 * np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius + 2.0
+    in_a_row, apart = (log.robot_count + _MARGIN) * size, max(log.robot_count, _SPARSE) * size
+    named = {slip.key for slip in found}
+    for key, column in lengths(log):
+        farthest = in_a_row if key in NUMBERS else apart
+        wrong = np.flatnonzero((column.size > farthest) & (key not in named))
+        for row in wrong[:MOST_SHOWN].tolist():
+            place = f"{path}:{log.line_of(int(column.robot[row]))}: {key}"
+            yield f"{place}: {column.described(log, row)} is unlikely; correct it or leave it out"
 
 
 def slips(log: SensingLog) -> list[Slip]:
