@@ -73,6 +73,17 @@ def test_a_table_reads_back_to_the_same_bits(tmp_path, numbers):
     assert read_frame(path, numbers=["x"])["x"].astype(float).tolist() == numbers
 
 
+def test_a_verdict_beside_an_empty_cell_is_a_number(tmp_path):
+    """A condition whose cases all failed leaves gaps in a column of True and False."""
+    path = tmp_path / "t.csv"
+    path.write_text("x,converged\n1,True\n2,\n3,False\n")
+
+    table = read_frame(path, numbers_after="x")
+
+    assert pd.api.types.is_float_dtype(table["converged"])
+    assert table["converged"].fillna(-1.0).tolist() == [1.0, -1.0, 0.0]
+
+
 def test_a_folder_named_as_the_home_is_another(tmp_path, monkeypatch):
     """A shell makes ~ the home of the user; a program reads the folder that was named."""
     (tmp_path / "home").mkdir()

@@ -84,6 +84,8 @@ def read_frame(
     after = [name for name in after if name not in notes]
     swept = [name for name in found if name == "robots"]
     for column in [*columns, *after, *swept]:
+        if table[column].dtype == object:  # as pandas reads True beside an empty cell
+            table[column] = table[column].map(_truth_as_number).infer_objects()
         _check_numbers(table[column], path, gaps=column not in numbers)
     return table.copy()  # pandas 3 reads columns into pieces, and warns of more of them
 
@@ -99,6 +101,11 @@ def _check_numbers(cells: pd.Series, path: Path, *, gaps: bool) -> None:
         text = "an empty cell" if pd.isna(cell) else repr(str(cell)[:40])
         problem = f"{text} is not a number up to {_GREATEST:g}; run the scenario again"
         raise InputError(problem, path=path, line=int(wrong.index[0]) + 2, key=str(cells.name))
+
+
+def _truth_as_number(cell: object) -> object:
+    """Replace True by 1 and False by 0."""
+    return float(cell) if isinstance(cell, bool) else cell
 
 
 def _as_number(cell: object) -> float:
