@@ -4,10 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from tests.structures import Rule, structure
-from tiswarm.localization.mixture.verdict import Assessment, Evidence, judge
+from tests.structures import Rule, silent, structure
+from tiswarm.localization.methods import localize
+from tiswarm.localization.mixture.verdict import Assessment, Evidence, assess, judge, widened
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.cues import measure
+from tiswarm.records.sensing_log import SensingLog
 
 ROBOTS = 12
 NEARER = (
@@ -55,15 +60,83 @@ def test_a_rule_asks_for_what_a_method_knows(known, what, reason):
     assert found.reason == reason
 
 
-def test_robots_that_outliers_alone_tie_are_nowhere(known):
-    """Without the contact in the middle of a chain, nothing says where its end is."""
-    later = int(np.argmax(known.rows.robot[: len(known.rows.other)] == ROBOTS - 3))
-    outlier = np.arange(len(known.rows)) == later
+@pytest.mark.parametrize(("length", "torn"), [(10.0, False), (3.0, True)])
+def test_a_robot_that_an_outlier_alone_ties_is_disconnected(length, torn):
+    """Known planes hold its x and y; only a range says how high it is, which may be too short."""
+    log = ranged_pair(length)
+    place, sd = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), np.array([0.0, 0.5])
 
-    found = judge(replace(known, outlier=outlier))
+    found = assess(log, ("fixes", "ranges"), place, is_guess=np.zeros(2, np.bool_), sd=sd)
+    other = localize(log, JointParams(chains=2, steps=300, hold_steps=100))
 
-    assert not found.converged
-    assert found.reason == "outliers alone tie 3 robots to the anchor"
+    assert found.torn.tolist() == other.disconnected.tolist() == [False, torn]
+    assert found.fields(np.zeros(2, np.bool_), 1.0)["disconnected"].tolist() == [False, torn]
+    assert found.convergence.converged != torn
+    assert found.sd[1] >= 0.5
+
+
+def ranged_pair(length: float) -> SensingLog:
+    """Log two robots 10 R apart: x and y of the second are known, and so is a range of theirs."""
+    fixes = [[1, 1, 0, 0, 10.0, 1e-9, -1], [1, 0, 1, 0, 0.0, 1e-9, -1]]
+    return silent(
+        np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]),
+        fixes=np.array(fixes, np.float64),
+        ranges=np.array([[1, 0, length, 0.01, -1]]),
+    )
+
+
+def test_few_robots_that_outliers_alone_tie_do_not_end_a_search(known):
+    """They are listed; most robots are somewhere, unless outliers alone tie more than half."""
+    few, most = (judge(replace(known, torn=torn)) for torn in (ROBOTS // 2, ROBOTS // 2 + 1))
+
+    assert few.converged
+    assert not most.converged
+    assert most.reason == "outliers alone tie 7 of 12 robots to the anchor"
+
+
+@given(st.lists(st.floats(0.0, 20.0), min_size=2, max_size=9), st.floats(1.0, 1e3))
+def test_no_factor_makes_an_error_wider_than_the_swarm(sd, factor):
+    """Otherwise it multiplies; what a method itself states stays."""
+    position = np.arange(len(sd))[:, None] * np.array([3.0, 0.0, 0.0])
+    apart = np.linalg.norm(position[:, None] - position, axis=2)
+
+    found = widened(np.array(sd), factor, position)
+
+    bound = np.sqrt((apart**2).mean(axis=1)) * (1.0 + 1e-9)
+    assert (found >= np.array(sd)).all()
+    assert (found <= np.maximum(sd, bound)).all()
+    is_within = factor * np.array(sd) < bound
+    np.testing.assert_allclose(found[is_within], factor * np.array(sd)[is_within])
+
+
+@pytest.mark.parametrize("off", [0.0, 0.3])
+@pytest.mark.parametrize("sd", [0.01, 2.0])
+def test_a_method_states_no_less_than_measurements_leave_open(off, sd):
+    """Three fixes of .1 R hold a robot, and the estimate may lie beside where they say."""
+    axes = [[1, *row, 10.0 * row[0], 0.1, -1] for row in np.eye(3).tolist()]
+    place = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+    log = silent(place, fixes=np.array(axes))
+    position = place + np.array([[0.0, 0.0, 0.0], [0.0, off, 0.0]])
+
+    found = assess(
+        log, ("fixes",), position, is_guess=np.zeros(2, np.bool_), sd=np.array([0.0, sd])
+    )
+
+    oracle = np.sqrt(3.0 * 0.1**2 + off**2)
+    assert found.sd[1] == pytest.approx(max(sd, oracle), rel=0.3)  # of 64 draws, which may count
+
+
+def test_an_arm_of_hinges_is_as_uncertain_as_a_random_walk(known):
+    """Each robot touches the one before it, at one dock: errors add up along the arm."""
+    sd = np.full(ROBOTS, 1e-3)
+
+    found = assess(
+        known.log, ("contacts",), structure(Rule(kind="chain"), ROBOTS, 0)[1],
+        is_guess=np.zeros(ROBOTS, np.bool_), sd=sd,
+    )  # fmt: skip
+
+    assert found.sd[1] > 1.0
+    assert found.sd[-1] > 2.0 * found.sd[1]
 
 
 def test_noise_that_explains_no_rows_widens_stated_errors_alone(known):
@@ -79,7 +152,10 @@ def test_noise_that_explains_no_rows_widens_stated_errors_alone(known):
 
 def test_a_doubt_of_a_method_ends_what_it_says_of_outliers(known):
     """Whether noise explains the rows stands."""
-    good = Assessment(judge(known), None, np.empty((0, 5), int), np.empty((0, 3), int))
+    nothing = np.zeros(ROBOTS, np.bool_)
+    good = Assessment(
+        judge(known), None, np.empty((0, 5), int), np.empty((0, 3), int), nothing, None
+    )
 
     found = good.doubted("robots search near each other only")
 

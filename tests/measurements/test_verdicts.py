@@ -20,7 +20,7 @@ from tiswarm.measurements.verdicts import (
     headline,
     verdict,
 )
-from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Solution
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Observability, Solution
 from tiswarm.records.messages import percent
 from tiswarm.sensing import SensingParams, observe
 
@@ -199,6 +199,29 @@ def test_cautions_say_which_robots_are_mirrored_and_that_the_frame_is_arbitrary(
         "were replaced by their mirror image; sd_R is that of the shape"
     )
     assert [*cautions(log, estimate)] == []
+
+
+def test_cautions_name_robots_that_outliers_alone_tie(log, estimate):
+    """The log itself ties them: what cues determine does not show it."""
+    known = Observability(
+        cues=("contacts",), yaw_unknown=False, unknowns=87, gauge_yaw_sd=None, floppy_modes=0,
+        floppy=_which(), disconnected=_which(9),
+    )  # fmt: skip
+    found = replace(
+        estimate,
+        observability=known,
+        disconnected=_which(4, 9),
+        outlier_contacts=np.zeros((1, 5), np.int64),
+    )
+
+    assert [*cautions(log, found)] == [
+        (
+            "only outliers tie 1 robot (104) to the anchor (positions are guesses); look at the "
+            "contacts and ranges of these robots"
+        )
+    ]
+    assert found.known[4] == found.known[9] == "disconnected"
+    assert [*cautions(log, replace(found, outlier_contacts=None))] == []
 
 
 def test_each_solution_is_listed_with_its_weight_and_where_it_differs(log, estimate):

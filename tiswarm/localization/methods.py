@@ -432,8 +432,7 @@ def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:
     return Estimate(
         robot_id=log.robot_id,
         position=position,
-        disconnected=untied,
-        **assess(log, cues, center, is_guess=untied)._asdict(),
+        **assess(log, cues, center, is_guess=untied).fields(untied, log.dock_radius),
         iteration=np.zeros(1, np.int64),
         trace=position[None],
         residual=np.array([rms(gap)]) * log.dock_radius,

@@ -114,6 +114,11 @@ def _remedy(found: Convergence, carriers: Ints, log: SensingLog, beyond: Ints) -
 
 def cautions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
     """Describe in lines what even an estimate that is trusted leaves ambiguous."""
+    if (torn := _torn(estimate)).size:
+        yield (
+            f"only outliers tie {named(log, torn)} to the anchor (positions are guesses); look at "
+            "the contacts and ranges of these robots"
+        )
     for text in _mirrored(log, estimate):
         yield (
             f"{text}; configurations that fit put them farther apart than their sd, and their "
@@ -193,6 +198,20 @@ def _fitting(estimate: Estimate) -> Iterator[str]:
 def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:
     if estimate.mirrored is not None and (robots := np.flatnonzero(estimate.mirrored)).size:
         yield f"mirrored: {named(log, robots)}"
+
+
+def _torn(estimate: Estimate) -> Ints:
+    """Find the robots that measurements tie to the anchor, but outliers alone."""
+    known = estimate.observability
+    if known is None or not _outliers(estimate):
+        return np.empty(0, np.int64)
+    return np.flatnonzero(estimate.disconnected & ~known.disconnected)
+
+
+def _outliers(estimate: Estimate) -> int:
+    """Count contacts, ranges and coordinates that are outliers."""
+    listed = (estimate.outlier_contacts, estimate.outlier_places)
+    return sum(len(rows) for rows in listed if rows is not None)
 
 
 def _carriers(estimate: Estimate) -> Ints:

@@ -77,8 +77,8 @@ class Convergence:
     outliers are left out."""
 
     sd_factor: float = 1.0
-    """Factor that `sd` was multiplied by: the Birge ratio sqrt(chi-square / degrees of freedom) of
-    measurements that are not consistent, else 1."""
+    """Factor that `sd` was multiplied by, up to the size of the swarm: the Birge ratio
+    sqrt(chi-square / degrees of freedom) of measurements that are not consistent, else 1."""
 
     reason: str = ""
     """Why the estimate did not converge, or is not consistent; empty if neither."""
@@ -144,8 +144,8 @@ class Estimate:
     """Estimated centers [log unit], shape (N, 3)."""
 
     disconnected: Bools
-    """Whether nothing that was used ties the robot to the anchor, so that its position is a guess,
-    shape (N,)."""
+    """Whether nothing that was used, outliers left out, ties the robot to the anchor, so that its
+    position is a guess, shape (N,)."""
 
     sd: Reals | None = None
     """Standard deviation of each position [log unit], shape (N,); None where the method has none.
@@ -252,9 +252,13 @@ class Estimate:
         Empty where there are too many robots to find out.
         """
         words = [] if self.observability is None else self.observability.known
+        words = [
+            "disconnected" if is_lost else word
+            for word, is_lost in zip(words, self.disconnected.tolist(), strict=False)
+        ]
         if self.mirrored is None:
             return words
-        pairs = zip(words, self.mirrored.tolist(), strict=True)
+        pairs = zip(words, self.mirrored.tolist(), strict=False)
         return [
             "mirrored" if is_mirrored and word == "yes" else word for word, is_mirrored in pairs
         ]

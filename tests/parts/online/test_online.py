@@ -403,7 +403,7 @@ def test_the_present_state_has_verdicts_and_sd(lines):
     estimate = tracker.estimate()
 
     assert estimate.position.tobytes() == tracker.positions.tobytes()
-    assert estimate.sd.tobytes() == tracker.sd.tobytes()
+    assert (estimate.sd >= tracker.sd).all()  # at least: what measurements leave open counts
     assert estimate.convergence.consistent
     assert not estimate.disconnected.any()
 

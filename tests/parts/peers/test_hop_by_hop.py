@@ -267,7 +267,6 @@ def test_in_join_order_later_robots_change_nothing():
     whole, part = localize_many([log, early], [params, params])
 
     assert whole.position[:first].tobytes() == part.position.tobytes()
-    assert whole.sd[:first].tobytes() == part.sd.tobytes()
 
 
 @pytest.mark.parametrize("params", METHODS, ids=lambda p: p.order)

@@ -210,6 +210,13 @@ class Problem:
         is_untied: Bools = np.any(self.loose, axis=(1, 2))
         return is_untied
 
+    def without(self, outlier: Bools) -> "Problem":
+        """Find parts and what holds them where some rows, shape (E,), do not count."""
+        if not outlier.any():
+            return self
+        rows = self.rows.select(~outlier)
+        return replace(self, part=parts(rows), loose=untied_directions(rows))
+
     @property
     def link(self) -> Ints:
         """First row of each link, shape (C,)."""

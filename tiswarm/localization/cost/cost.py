@@ -163,7 +163,9 @@ class Cost:
         variance = rows.variance()
         self.is_known = are_known(variance, len(rows.other))
         further_variance = np.where(self.is_known, 0.0, further_variance)
-        self.variance = variance - rows.shared_variance + further_variance
+        # Beside a large error of a source, a small one of the row's own is lost to rounding.
+        unshared = np.maximum(variance - rows.shared_variance, rows.own_variance)
+        self.variance = unshared + further_variance
         self.own_variance = self.variance
         if not are_independent:
             self.own_variance = rows.own_variance + further_variance

@@ -23,7 +23,7 @@ from tiswarm.localization.cost.cost import SETTLED, grouped, moments
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
 from tiswarm.localization.mixture.frames import images
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
-from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms
+from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms, widened
 from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import Convergence, Estimate, Solution
@@ -87,6 +87,9 @@ class Mixture(NamedTuple):
     free_frame: tuple[str, ...]
     """Rigid motions of all robots that change no measurement."""
 
+    disconnected: Bools
+    """Whether no measurement but outliers ties the robot to the world, shape (N,)."""
+
     outlier: Bools
     """Measurements that every solution misses, shape (E,)."""
 
@@ -132,10 +135,11 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
     position = np.where(is_held[:, None], mean, np.tensordot(ends.weight, annealed.mean, 1))
     # Chains agree where disconnected parts are, but nothing measures it.
     whole = [position, *(each.configuration for each in minima)]
-    placed, loose = place_disconnected(np.array(whole), problem)
+    tied = problem.without(outlier)
+    placed, loose = place_disconnected(np.array(whole), tied)
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
-    verdict = judge(_evidence(ends, outlier, best))
-    sd = np.sqrt((verdict.sd_factor * sd) ** 2 + loose[0])
+    verdict = judge(_evidence(ends, outlier, tied.untied, best))
+    sd = np.sqrt(widened(sd, verdict.sd_factor, placed[0]) ** 2 + loose[0])
     gap = problem.residual(placed[1:], np.array([each.yaw for each in minima]))
     width = np.sqrt(problem.variance + annealed.sigma**2)
     solutions = tuple(
@@ -156,6 +160,7 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
         sd=sd,
         mirrored=between > within,
         free_frame=ends.frame.names,
+        disconnected=tied.untied,
         outlier=outlier,
         misfit=misfit_by_robot(problem.rows, best.square),
         convergence=verdict,
@@ -178,7 +183,7 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
     return Estimate(
         robot_id=fit.log.robot_id,
         position=position * unit,
-        disconnected=problem.untied,
+        disconnected=mixture.disconnected,
         sd=mixture.sd * unit,
         yaw=yaw if problem.yaw_precision else None,
         convergence=replace(mixture.convergence, restarted=restarted),
@@ -306,7 +311,7 @@ def _outliers(ends: Ends) -> Bools:
     return outlier
 
 
-def _evidence(ends: Ends, outlier: Bools, best: Minimum) -> Evidence:
+def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evidence:
     """Gather what chains and the likeliest solution say of an estimate."""
     problem, links = ends.fit.problem, len(ends.fit.problem.variance)
     chance = MIXTURE.alike * np.sqrt(2.0 * len(problem.rows))
@@ -316,7 +321,8 @@ def _evidence(ends: Ends, outlier: Bools, best: Minimum) -> Evidence:
         log=ends.fit.log,
         rows=problem.rows,
         outlier=outlier,
-        is_guess=problem.untied,
+        is_guess=is_guess,
+        torn=int((is_guess & ~problem.untied).sum()),
         chi_square=best.chi_square,
         unknowns=3 * (len(problem.part) - 1),
         freedom=best.freedom,

@@ -23,6 +23,7 @@ from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.ends import Fit, Posed
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
+from tiswarm.localization.mixture.verdict import widened
 from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted
@@ -87,7 +88,7 @@ def without_outlier_robots(fit: Fit, estimate: Estimate) -> Estimate:
     return replace(
         again,
         convergence=verdict,
-        sd=again.sd * (factor / after.sd_factor),
+        sd=widened(again.sd, factor / after.sd_factor, again.position),
         outlier_robots=np.sort(found.robots),
         # Wrong contacts make a robot suspect, too: they stay listed.
         outlier_contacts=np.unique(np.concatenate(contacts), axis=0) if contacts else None,

@@ -8,18 +8,19 @@ determine; an estimate that exceeds it by more did not converge. Lengths in R.
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.chains.problem import Problem, pose_problem
-from tiswarm.localization.cost.cost import SETTLED, Cost
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.views import place_disconnected
+from tiswarm.localization.cost.cost import SETTLED
 from tiswarm.localization.cost.settings import ROBUST_SD
+from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
 from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
 from tiswarm.measurements.consistency import are_known, stuck_robots
-from tiswarm.measurements.contacts import untied_directions
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence
 from tiswarm.records.messages import counted
@@ -33,6 +34,10 @@ _STAYS = 1e-6
 
 _CLEARANCE = 1e4
 """Distance between robots that are guesses, so that their docks meet no others [R]."""
+
+_NOTICED = 1.25
+"""Ratio of what measurements leave open to the sd that a method states, from which on it counts
+[1]: it is computed from draws, and methods have priors."""
 
 _NINE_OF_TEN = 0.9
 """Share of robots that should be within `MOST_WITHIN` sd [1]."""
@@ -55,6 +60,9 @@ class Evidence:
 
     is_guess: Bools
     """Robots whose positions the method only guesses, shape (N,)."""
+
+    torn: int = 0
+    """How many of these robots outliers tie to the world."""
 
     chi_square: float
     """Squared residuals of all others in variances, and priors [1]."""
@@ -136,12 +144,12 @@ def _failures(known: Evidence, *, is_explained: bool) -> Iterator[str]:
         yield "no two chains ended at the same least cost"
     if known.is_guess[1:].all() and len(known.is_guess) > 1:
         yield "all positions are guesses"
+    if 2 * known.torn > len(known.is_guess):
+        yield f"outliers alone tie {known.torn} of {len(known.is_guess)} robots to the anchor"
     if known.missed > CONVERGENCE.torn_anyway + CONVERGENCE.most_torn * links:
         yield f"the best chain misses {known.missed} contacts or ranges"
     if outliers > CONVERGENCE.most_outliers * links:
         yield f"{outliers} of {links} contacts and ranges are outliers"
-    if (torn := _torn(known)) > 0:
-        yield f"outliers alone tie {counted(torn, 'robot')} to the anchor"
     if known.excess > known.chance and not known.is_within:
         yield (
             "positions nearby fit the measurements better: their chi-square is "
@@ -152,22 +160,6 @@ def _failures(known: Evidence, *, is_explained: bool) -> Iterator[str]:
             f"of more than {LARGE} robots only the estimate itself is judged, and noise does not "
             "explain its chi-square"
         )
-
-
-def _torn(known: Evidence) -> int:
-    """Count the robots that contacts and ranges tie to the anchor, but outliers alone.
-
-    Chains cannot bring a part of many robots to where a contact says that is far away.
-    """
-    links = len(known.rows.other)
-    if not known.outlier[:links].any():
-        return 0
-    counts = np.ones(len(known.rows), np.bool_)
-    counts[:links] = ~known.outlier[:links]
-    before, after = (
-        untied_directions(rows).any(axis=(1, 2)) for rows in (known.rows, known.rows.select(counts))
-    )
-    return int((after & ~before).sum())
 
 
 def _wrong_sensors(known: Evidence) -> Iterator[str]:
@@ -193,10 +185,28 @@ class Assessment(NamedTuple):
     outlier_contacts: Ints | None
     outlier_places: Ints | None
 
+    torn: Bools
+    """Robots that outliers alone tie to the world, shape (N,); no field of its own."""
+
+    sd: Reals | None
+    """Standard deviation that the method states, where measurements determine as much; more where
+    they leave more open [R], shape (N,)."""
+
+    def fields(self, untied: Bools, unit: float) -> dict[str, Any]:
+        """List fields of an `Estimate` by name.
+
+        Args:
+            untied: Robots that no measurement ties to the world, shape (N,).
+            unit: R, in the unit of the log.
+        """
+        found = self._asdict() | {"disconnected": untied | self.torn}
+        del found["torn"]
+        return found | {"sd": None if self.sd is None else self.sd * unit}
+
     def doubted(self, reason: str) -> "Assessment":
         """Take a method's own doubts of its search; whether noise explains rows stands."""
         verdict = replace(self.convergence, converged=False, reason=reason)
-        return Assessment(verdict, self.misfit, None, None)
+        return self._replace(convergence=verdict, outlier_contacts=None, outlier_places=None)
 
 
 class _NearestMinimum(NamedTuple):
@@ -248,38 +258,100 @@ def assess(
     """
     chosen = {cue: cue in cues for cue in SWITCHES}
     is_large = log.robot_count > LARGE
-    solve_yaw = yaw is not None or not is_large
-    problem = pose_problem(log, ChiSquareParams(**chosen, solve_yaw=solve_yaw))
+    params = ChiSquareParams(**chosen, solve_yaw=yaw is not None or not is_large)
+    problem = pose_problem(log, params)
+    posed = Posed(log, params, problem)
     counts = ~is_guess[problem.rows.robot]
     counts[: len(problem.rows.other)] &= ~is_guess[problem.rows.other]
     rows = problem.rows.select(counts)
     state = position, np.zeros(log.robot_count) if yaw is None else yaw
     unknowns = 3 * int((~is_guess[1:]).sum())
-    if is_large:
-        found = _itself(rows, state, unknowns)
-    else:
-        found = _minimum(log, chosen, problem, rows, state, is_guess)
+    found = _itself(rows, state, unknowns) if is_large else _minimum(posed, rows, state, is_guess)
+    missed = np.zeros(len(problem.rows), np.bool_)
+    missed[counts] = found.outlier
+    tied = problem.without(missed)
+    torn = tied.untied & ~problem.untied
     known = Evidence(
         log=log,
         rows=rows,
         outlier=found.outlier,
-        is_guess=is_guess,
+        is_guess=is_guess | torn,
+        torn=int(torn.sum()),
         chi_square=found.chi_square,
         unknowns=unknowns,
         freedom=found.freedom,
         is_counted=not is_large,
         has_sd=sd is not None,
         excess=found.excess,
-        is_within=_is_within(found.position - position, sd, is_guess),
+        is_within=_is_within(found.position - position, sd, is_guess | torn),
         is_unsearched=is_large,
     )
     verdicts = judge(known)
+    if sd is not None:
+        placed, loose = place_disconnected(position[None], tied)
+        loose += ((placed - position) ** 2).sum(axis=2)
+        square = widened(sd, verdicts.sd_factor, position) ** 2
+        if not is_large:
+            left = _left_open(posed, state, found.position, ~missed)
+            square = np.where(left > _NOTICED**2 * square, left, square)
+        sd = np.sqrt(square + np.where(torn, loose[0], 0.0))
     misfit = misfit_by_robot(rows, found.square)
     if not (verdicts.trusted and known.excess <= known.chance):
-        return Assessment(verdicts, misfit, None, None)
+        return Assessment(verdicts, misfit, None, None, torn, sd)
     outliers = rows.select(found.outlier)
     places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
-    return Assessment(verdicts, misfit, np.unique(outliers.sensed_contacts, axis=0), places)
+    contacts = np.unique(outliers.sensed_contacts, axis=0)
+    return Assessment(verdicts, misfit, contacts, places, torn, sd)
+
+
+def _left_open(posed: Posed, estimate: tuple[Reals, Reals], near: Reals, inlier: Bools) -> Reals:
+    """Compute how far off robots may be by what measurements leave open [R^2], shape (N,).
+
+    The minimum of the cost, which begins `near` (N, 3), is the mean of what is likely: the mean
+    square distance from an estimate is the variance there, and the square of how far it is away.
+    """
+    position, yaw = estimate
+    rows = posed.problem.rows.select(inlier).averaged().associated(position, yaw)
+    cost = posed.cost(rows, non_overlap=False, links=posed.problem.connections, robust_sd=ROBUST_SD)
+    there = cost.refine((near, yaw), _ROUNDS)[0].position
+    away: Reals = np.where(posed.problem.untied, 0.0, ((there - position) ** 2).sum(axis=1))
+    return open_variance(posed, (there, yaw), inlier) + away
+
+
+def open_variance(posed: Posed, state: tuple[Reals, Reals], inlier: Bools) -> Reals:
+    """Compute the variance of positions near a minimum, bounded where nothing determines them.
+
+    Robots in contact are joined by hinges, and no robot is farther away than the others are.
+
+    Args:
+        posed: A log and its E measurements.
+        state: Positions [R], shape (N, 3), and yaw corrections [rad], shape (N,).
+        inlier: Measurements that count, shape (E,).
+
+    Returns:
+        Variances [R^2], shape (N,); 0 of robots that no measurement ties to the world.
+    """
+    problem = posed.problem
+    hinged = np.unique(problem.pair[problem.is_final & inlier[problem.link]], axis=0)
+    rows = problem.rows.select(inlier).averaged().associated(*state)
+    cost = posed.cost(rows, non_overlap=False, links=problem.connections, hinged=hinged)
+    square = cost.refine(state, 0)[1].variance()
+    return np.where(problem.untied, 0.0, np.minimum(square, _extent(state[0]) ** 2))
+
+
+def widened(sd: Reals, factor: float, position: Reals) -> Reals:
+    """Multiply standard deviations [R], shape (N,), up to the size of the swarm.
+
+    A larger number would be a factor, and no error that a robot can have.
+    """
+    bound = np.maximum(sd, _extent(position))
+    return np.asarray(np.minimum(factor * sd, bound))
+
+
+def _extent(position: Reals) -> Reals:
+    """Compute the root mean square distance of each robot from all robots [R], shape (N,)."""
+    off = ((position - position.mean(axis=0)) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(off + off.mean()))
 
 
 def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) -> _NearestMinimum:
@@ -293,31 +365,21 @@ def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) ->
 
 
 def _minimum(
-    log: SensingLog,
-    chosen: dict[str, bool],
-    problem: Problem,
-    rows: Measurements,
-    estimate: tuple[Reals, Reals],
-    is_guess: Bools,
+    posed: Posed, rows: Measurements, estimate: tuple[Reals, Reals], is_guess: Bools
 ) -> _NearestMinimum:
     """Search for the least chi-square from an estimate on: first robust, then without outliers."""
-
-    def cost(rows: Measurements, robust_sd: float | None) -> Cost:
-        return Cost(
-            log, rows, yaw_precision=problem.yaw_precision, links=problem.connections,
-            robust_sd=robust_sd, non_overlap=chosen["non_overlap"],
-        )  # fmt: skip
-
+    links = posed.problem.connections
     aside = np.cumsum(is_guess)[:, None] * np.array([_CLEARANCE, 0.0, 0.0])
     start = estimate[0] + is_guess[:, None] * aside, estimate[1]
-    robust = cost(rows, ROBUST_SD)
+    robust = posed.cost(rows, links=links, robust_sd=ROBUST_SD)
     # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
-    _, own = robust.refine(start, _ROUNDS, np.full(log.robot_count, _STAYS))
+    _, own = robust.refine(start, _ROUNDS, np.full(len(is_guess), _STAYS))
     state, least = robust.refine(start, _ROUNDS)
     variance = rows.variance()
     missed = rows.residual(state.position, state.yaw) ** 2 / variance
     outlier = (missed > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
-    _, linear = cost(rows.select(~outlier), None).refine((state.position, state.yaw), _ROUNDS)
+    linear_cost = posed.cost(rows.select(~outlier), links=links)
+    _, linear = linear_cost.refine((state.position, state.yaw), _ROUNDS)
     square = np.zeros(len(rows))
     square[~outlier] = linear.square
     excess = own.chi_square - least.chi_square

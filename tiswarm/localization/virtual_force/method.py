@@ -121,8 +121,7 @@ def localize_batch(
             Estimate(
                 robot_id=log.robot_id,
                 position=scaled[-1],
-                disconnected=untied,
-                **found._asdict(),
+                **found.fields(untied, log.dock_radius),
                 iteration=frames,
                 trace=scaled,
                 residual=np.sqrt(np.mean(steps**2, axis=1)),
@@ -463,8 +462,7 @@ def _stepped(
             Estimate(
                 robot_id=log.robot_id,
                 position=trace[-1][a:b] * log.dock_radius,
-                disconnected=untied,
-                **found._asdict(),
+                **found.fields(untied, log.dock_radius),
                 iteration=frames,
                 trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
                 residual=moves * log.dock_radius,

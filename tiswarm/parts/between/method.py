@@ -91,9 +91,7 @@ def estimate_of(log: SensingLog, params: DistributedParams, found: Found) -> Est
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit,
-        disconnected=is_guess,
-        sd=sd * unit,
-        **verdicts._asdict(),
+        **verdicts.fields(is_guess, unit),
         iteration=np.array([found.steps]),
         trace=position[None] * unit,
         at_join=found.at_join * unit,

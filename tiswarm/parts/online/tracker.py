@@ -264,9 +264,7 @@ class Tracker:
         return Estimate(
             robot_id=log.robot_id,
             position=position * self._unit,
-            disconnected=problem.untied,
-            sd=sd * self._unit,
-            **verdicts._asdict(),
+            **verdicts.fields(problem.untied, self._unit),
             iteration=np.array([len(position)]),
             trace=position[None] * self._unit,
             residual=rms(gap[None]) * self._unit,
@@ -433,11 +431,13 @@ def reannealed(
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:
     """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`.
 
-    An estimate that is not to be trusted gives way to that of `joint`, if that is trusted.
+    An estimate that is not to be trusted, or whose outliers alone tie robots to the world, gives
+    way to that of `joint`, if that is trusted.
     """
     fit = _fitted(log, params, state)
     estimate = without_outlier_robots(fit, mixed(fit))
-    if estimate.convergence is None or estimate.convergence.trusted:
+    is_whole = not (estimate.disconnected & ~fit.problem.untied).any()
+    if estimate.convergence is None or (estimate.convergence.trusted and is_whole):
         return estimate
     other = _searched(log, params)
     is_better = other.convergence is not None and other.convergence.trusted

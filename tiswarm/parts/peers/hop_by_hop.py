@@ -382,10 +382,8 @@ def localize(
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit_length,
-        disconnected=disconnected(rows),
-        sd=found.convergence.sd_factor * placed.sd * unit_length,
         undetermined=placed.undetermined,
-        **found._asdict(),
+        **found.fields(disconnected(rows), unit_length),
         iteration=np.zeros(1, np.int64),
         trace=position[None] * unit_length,
         residual=np.array([rms(gap) * unit_length]),

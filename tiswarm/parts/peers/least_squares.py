@@ -17,6 +17,7 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import set_apart
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts, settled
 from tiswarm.localization.mixture.mixture import mixed
+from tiswarm.localization.mixture.verdict import open_variance
 from tiswarm.localization.settings import DOCKS_UNKNOWN
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING
@@ -67,7 +68,9 @@ def localize(
     )
     # Measurements decide where robots are that they determine; partners, where others are.
     extent = float(np.sqrt(position.var(axis=0).sum() + SPACING**2))
-    prior_sd = np.where(placed.is_located, extent, placed.sd)
+    inlier = np.ones(len(posed.problem.rows), np.bool_)
+    left_open = open_variance(posed, (end[0], yaw[0]), inlier)
+    prior_sd = np.where(placed.is_located, extent, np.maximum(placed.sd, np.sqrt(left_open)))
     fit = Fit(log, params, posed.problem, still, np.zeros(len(end), np.bool_))
     return mixed(fit, prior_sd=prior_sd)
 
