@@ -11,7 +11,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
-from tiswarm.measurements.consistency import contradictions
+from tiswarm.measurements.verdicts import contradictions
 from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

@@ -12,13 +12,13 @@ import numpy as np
 from tiswarm.base.aliases import Ints
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import find, has
-from tiswarm.measurements.consistency import contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
 from tiswarm.measurements.verdicts import (
     MOST_SHOWN,
     cautions,
+    contradictions,
     describe_outliers,
     describe_solutions,
     distrust,
