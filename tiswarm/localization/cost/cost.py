@@ -103,6 +103,17 @@ def moments(weight: Reals, position: Reals) -> tuple[Reals, Reals]:
     return mean, square
 
 
+def step_share(far: Reals, most: float) -> Reals:
+    """Compute the share to take of each step, so that none is longer than `most`.
+
+    Args:
+        far: Lengths of the steps.
+        most: Length of the longest step to take, in the same unit.
+    """
+    share: Reals = np.minimum(1.0, most / np.maximum(far, most))
+    return share
+
+
 def grouped(order: Ints, alike: Callable[[int, list[int]], Bools]) -> list[list[int]]:
     """Group items, each with the first one before it that it is like.
 
@@ -456,12 +467,11 @@ class Cost:
         # Such turns are far from linear: a full step could lead to another minimum.
         angle = np.linalg.norm(final[wide] * self.walks.turn_sd[self.walks.final[wide], :1], axis=1)
         most = min(radius, _LONGEST_TURN)
-        final[wide] *= np.minimum(1.0, most / np.maximum(angle, most))[:, None]
+        final[wide] *= step_share(angle, most)[:, None]
         turn[self.walks.final] += final
         shift = shift.reshape(-1, 3)
         longest = _LONGEST_STEP * max(1.0, self.reach)
-        far = np.linalg.norm(shift, axis=1, keepdims=True)
-        shift *= np.minimum(1.0, longest / np.maximum(far, longest))
+        shift *= step_share(np.linalg.norm(shift, axis=1, keepdims=True), longest)
         return State(state.position + shift, state.yaw + yaw, turn, state.shared + shared)
 
 

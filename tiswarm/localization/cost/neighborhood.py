@@ -22,7 +22,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.cost.cost import grouped
+from tiswarm.localization.cost.cost import grouped, step_share
 from tiswarm.localization.cost.kernels import (
     COORDINATE,
     DISTANCE,
@@ -335,8 +335,8 @@ class NearLinear:
         factor = self._factor(NEIGHBORS.damping)
         step, _ = _LAPACK.dpotrs(factor, -np.roll(slope, count), lower=1)
         steps = np.roll(step, count).reshape(2, -1, _AXES)
-        far, most = np.linalg.norm(steps[0], axis=1), NEIGHBORS.longest_step
-        steps[0] *= np.minimum(1.0, most / np.maximum(far, most))[:, None]
+        far = np.linalg.norm(steps[0], axis=1, keepdims=True)
+        steps[0] *= step_share(far, NEIGHBORS.longest_step)
         return steps[0], steps[1]
 
     def sd(self) -> Reals:
