@@ -191,14 +191,14 @@ class SensingLogBuilder:
 
     def _log(self, robots: Ints, standing: int = 0) -> SensingLog:
         """Assemble the log of some robots, ascending; so many of the first only stand."""
-        entry, start = np.array(self._entry)[robots], np.array(self._stance_start)
+        entry, start = _of_entries(self._entry, 1)[robots], _of_entries(self._stance_start, 1)
         final = self._final.arrays(entry, robots, standing)
         final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
         numbers: dict[str, Any] = {
             name: _of_entries(self._numbers[name], len(key.columns))[entry]
             for name, key in NUMBERS.items()
         }
-        line, count = np.array(self._line)[entry], np.diff(start)[entry]
+        line, count = _of_entries(self._line, 1)[entry], np.diff(start)[entry]
         count[:standing] = 0
         for number in numbers.values():
             number[:standing] = np.nan
@@ -207,7 +207,7 @@ class SensingLogBuilder:
         chosen = np.repeat(start[entry] - first[:-1], count) + np.arange(first[-1])
         stances = Stances(
             start=first,
-            pivot_dock=np.array(self._pivot_dock, dtype=np.int32)[chosen],
+            pivot_dock=_of_entries(self._pivot_dock, 1)[chosen],
             **self._earlier.arrays(chosen, robots),
         )
         in_order = np.array_equal(line, 2 + np.arange(len(line)))
@@ -219,7 +219,7 @@ class SensingLogBuilder:
             dock_offset_body=np.array(self.header.dock_offsets, dtype=np.float64),
             anchor_position=np.array(self.header.anchor_position, dtype=np.float64),
             ground_z=self.header.ground_z,
-            stances=stances if np.array(self._has_stances)[entry[standing:]].any() else None,
+            stances=stances if _of_entries(self._has_stances, 1)[entry[standing:]].any() else None,
             noise=self.header.noise,
             length_unit=self.header.length_unit,
             **self.header.source_arrays(),
@@ -458,20 +458,19 @@ class _StanceColumns:
         lists = {}
         for name, key in LISTS.items():
             table = self._table(name)
-            if len(table):
-                # Stances were appended one after the other, each with its items.
-                first = np.searchsorted(table[:, 0], chosen)
-                count = np.searchsorted(table[:, 0], chosen, "right") - first
-                if name != "fixes":
-                    count[:standing] = 0
-                end = np.cumsum(count)
-                table = table[np.repeat(first + count - end, count) + np.arange(count.sum())]
-                table[:, 0] = np.repeat(np.arange(len(chosen)), count)
-                if key.robot is not None:
-                    other = table[:, 1 + key.robot]
-                    other[:] = np.searchsorted(robots, other)
+            # Stances were appended one after the other, each with its items.
+            first = np.searchsorted(table[:, 0], chosen)
+            count = np.searchsorted(table[:, 0], chosen, "right") - first
+            if name != "fixes":
+                count[:standing] = 0
+            end = np.cumsum(count)
+            table = table[np.repeat(first + count - end, count) + np.arange(count.sum())]
+            table[:, 0] = np.repeat(np.arange(len(chosen)), count)
+            if key.robot is not None:
+                other = table[:, 1 + key.robot]
+                other[:] = np.searchsorted(robots, other)
             lists[name] = table
-        return {"orientation_wxyz": np.array(self._orientation).reshape(-1, 4)[chosen], **lists}
+        return {"orientation_wxyz": _of_entries(self._orientation, 4)[chosen], **lists}
 
     def _table(self, key: str) -> Any:  # noqa: ANN401 - of integers or floats
         """Return the items of a list of all stances, shape (n, 1 + numbers of an item)."""
@@ -485,7 +484,9 @@ class _StanceColumns:
 
 def _of_entries(numbers: "array[Any]", count: int) -> Any:  # noqa: ANN401 - of integers or floats
     """Return a row for each entry, shape (n, count), or (n,) where it has one number."""
-    rows = np.array(numbers)
+    # No copy: a join reads the rows of few stances. Arrays cannot grow while a view is in use.
+    rows = np.frombuffer(numbers, numbers.typecode)
+    rows.flags.writeable = False
     return rows if count == 1 else rows.reshape(-1, count)
 
 
