@@ -110,7 +110,7 @@ def measure(history: History, at: list[int]) -> dict[str, float]:
 
 
 def _tracked(log: SensingLog) -> tuple[Tracker, Reals, Reals, Reals, np.ndarray]:
-    """Let all robots join: the tracker, places, sd, time [ms], and whether all was annealed."""
+    """Let all robots join: the tracker, places, sd, time [ms], and whether chains annealed."""
     header, *lines = map(json.dumps, log_entries(log))
     tracker = Tracker(header)
     places, sd, cpu_ms, annealed = [], [], [], []

@@ -682,3 +682,43 @@ def test_settings_choose_which_structures_are_refined():
     assert not ALL.refines(LARGE + 1)
     assert replace(ALL, refine=True).refines(LARGE + 1)
     assert not replace(ALL, refine=False).refines(2)
+
+
+@pytest.mark.parametrize("kind", sorted({*KINDS} - {"sources"}))
+@pytest.mark.parametrize("robust_sd", [None, ROBUST_SD])
+def test_robots_that_stay_are_constants(towers, kind, robust_sd):
+    """Their rows and columns are left out of the normal equations, and nothing else."""
+    history = towers[0]
+    log, draw = sensed(history, kind), np.random.default_rng(100_000)
+    moves = draw.random(len(history.position)) < 0.3
+    position = history.position + 0.1 * draw.normal(size=history.position.shape)
+    position[0] = history.position[0]
+    _, whole = cost_of(log, robust_sd=robust_sd)
+    _, part = cost_of(log, robust_sd=robust_sd, moves=moves)
+    states = [state_at(whole, position, draw, turn=0.3)]
+    # Only robots that move move on.
+    shift = np.where(moves[:, None], 0.05 * draw.normal(size=position.shape), 0.0)
+    states.append(states[0]._replace(position=position + shift * (np.arange(30) > 0)[:, None]))
+
+    of_whole, of_part = (
+        [cost.linearized(state, cost.precision) for state in states] for cost in (whole, part)
+    )
+
+    at = np.searchsorted(whole.free, part.free)
+    assert (whole.free[at] == part.free).all()
+    assert set(part.free) == {*whole.free} & {
+        *np.flatnonzero(np.concatenate([np.repeat(np.tile(moves, 2), 3), moves]))
+    }
+    known, some = (
+        linear.information.toarray() + np.diag(linear.precision)
+        for linear in (of_whole[0], of_part[0])
+    )
+    np.testing.assert_allclose(some, known[np.ix_(at, at)], atol=1e-9 * np.abs(known).max())
+    slope = of_whole[0].slope
+    np.testing.assert_allclose(of_part[0].slope, slope[at], atol=1e-9 * np.abs(slope).max())
+    fall, its = (there.cost - here.cost for here, there in (of_whole, of_part))
+    assert its == pytest.approx(fall, rel=1e-7)
+    variance = of_part[0].variance()
+    assert variance.shape == moves.shape
+    assert (variance[~moves] == 0.0).all()
+    assert (variance[moves & (np.arange(30) > 0)] > 0.0).all()

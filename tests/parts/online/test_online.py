@@ -15,8 +15,9 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost, State
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.methods import centered, localize
+from tiswarm.parts.online import tracker
 from tiswarm.parts.online.settings import OnlineParams
-from tiswarm.parts.online.tracker import Tracker, annealed_estimate, reannealed
+from tiswarm.parts.online.tracker import Tracker, annealed_estimate, fitted, reannealed
 from tiswarm.parts.peers.settings import HopByHopParams
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import observe
@@ -441,6 +442,61 @@ def test_the_mean_is_the_minimum_where_chains_agree(towers):
         assert agrees.mean() > 0.5
         assert (np.linalg.norm(shift, axis=1) <= 2.0 * sd).all()
         assert found.position.shape == shift.shape
+
+
+def test_a_structure_is_annealed_where_it_has_changed(lines):
+    """Robots that were put elsewhere come back; those that chains do not move only give way."""
+    tracker = fed(lines, LOCAL)
+    log = centered(tracker.log)
+    minimum = tracker.positions - tracker.positions[0]
+    robots = np.arange(len(minimum))
+    moves, put = robots >= len(robots) - 6, robots >= len(robots) - 3
+    away = minimum + np.where(put[:, None], [1.5, -1.0, 0.5], 0.0)
+    state = Configuration(away, np.zeros_like(away))
+
+    found, _, sd = reannealed(log, OnlineParams(), state, moves=moves)
+    fit = fitted(log, OnlineParams(), state, moves)
+
+    assert (fit.annealed.last[:, ~moves] == away[~moves]).all()
+    assert (fit.annealed.last[:, moves] != away[moves]).any(axis=2).all()
+    off = np.linalg.norm(found.position - minimum, axis=1)
+    assert (off <= np.maximum(3.0 * sd, 0.3)).all()
+    assert 0.0 < np.linalg.norm(found.position - away, axis=1)[~moves].max() < 0.5
+
+
+def test_large_structures_are_annealed_where_lines_changed(tall_towers, monkeypatch):
+    """Each robot is annealed as it joins, with all that share rows with it, and once again."""
+    moved, whole = [], tracker.reannealed
+
+    def noted(log, params, state, *, moves=None, anew=False):
+        moved.append(moves)
+        return whole(log, params, state, moves=moves, anew=anew)
+
+    monkeypatch.setattr(tracker, "TIMES", replace(tracker.TIMES, whole=10, searched=0))
+    monkeypatch.setattr(tracker, "reannealed", noted)
+    header, *lines = lines_of(observe(tall_towers[0], NOISY))
+    followed, stayed = Tracker(header, QUICK), 0
+    times, changed = np.zeros(len(lines), np.int64), np.zeros(len(lines), np.bool_)
+    for line in lines:
+        if len(followed.names) == 20:
+            followed.update(lines[3])
+            changed[3] = True
+        followed.join(line)
+        robots = len(followed.names)
+        for moves in moved:
+            pair = pose_problem(followed.log, QUICK).pair
+            joined = np.flatnonzero((times[:robots] == 0) | changed[:robots])
+            changed[:] = False
+            near = np.unique(pair[np.isin(pair, joined).any(axis=1)])
+            assert moves[near].all()
+            assert moves.all() or robots > 10
+            times[:robots] += moves
+            stayed += int((~moves).sum())
+        moved.clear()
+
+    assert stayed > 10
+    assert times[: len(lines) // 2].min() > 1
+    assert not changed.any()
 
 
 def test_no_robot_is_farther_off_than_its_contacts_let_it(lines):

@@ -207,16 +207,16 @@ def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: R
     count = robots.label.shape[0]
     i, chain = r % count, r // count
     strayed = 0.0 * motion[r, BodyMotion.MASS]
-    number = robots.label[i, RobotLabel.NUMBER]
-    kick = kick_of(step.seed, chain, number, step.number)
-    sigma = sigma_of(i, step, robots)
-    k = chain * trees.table.shape[0] + robots.label[i, RobotLabel.SUBTREE]
-    for c in ti.static(range(3)):
-        if robots.label[i, RobotLabel.MOVES] == 1:
+    if robots.label[i, RobotLabel.MOVES] == 1:
+        number = robots.label[i, RobotLabel.NUMBER]
+        kick = kick_of(step.seed, chain, number, step.number)
+        sigma = sigma_of(i, step, robots)
+        k = chain * trees.table.shape[0] + robots.label[i, RobotLabel.SUBTREE]
+        for c in ti.static(range(3)):
             force, mass = motion[r, BodyMotion.FORCE + c], motion[r, BodyMotion.MASS]
             alone = _thermostat(motion, r, BodyMotion.VELOCITY + c, force, mass, sigma, kick[c])
             position[r, c] += alone + trees.motion[k, SubtreeMotion.SHIFT + c]
-        strayed += (position[r, c] - blocks.listed[4 * r + c]) ** 2
+            strayed += (position[r, c] - blocks.listed[4 * r + c]) ** 2
     if ti.static(variant.turning) and robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0:
         _turn_robot(r, step, robots, swarm)
     if step.number >= step.hold:

@@ -188,6 +188,9 @@ class Problem:
     gone: Ints
     """Robots that have left, whose docks are in nobody's way, shape (G,)."""
 
+    moves: Bools
+    """Robots that move, the anchor by its turn alone; all others are constants, shape (N,)."""
+
     @property
     def is_gone(self) -> Bools:
         """Whether each robot has left, shape (N,)."""
@@ -403,6 +406,7 @@ def pose_problem(
         connections=None if log.orientation_sd is None else connections_of(log),
         yaw_precision=bias**-2 if is_solved else 0.0,
         gone=log.gone,
+        moves=np.ones(rows.robots, np.bool_),
     )
     apart = _separating(problem, log.anchor_position / log.dock_radius, params.height_sd)
     every = zip(problem.planes, apart, strict=True)

@@ -237,10 +237,13 @@ def view_of(
     # holds a root is in the root's own mass: a part moves as one toward its root's place.
     stops = planes.along(robots)
     stops[problem.roots] = False
+    # What grows out of robots that stay moves as one, as what grows out of the anchor does.
+    pair = np.where(problem.moves[problem.pair], problem.pair, 0)
+    roots = problem.roots[problem.moves[problem.roots]]
     return ChainView(
         arm=dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius),
         begin=begin,
-        moves=np.arange(robots) > 0,
+        moves=problem.moves & (np.arange(robots) > 0),
         repels=params.non_overlap & ~problem.is_gone,
         sigma=cooled(
             start_sigma(problem, params) if start is None else params.start_sigma,
@@ -253,7 +256,7 @@ def view_of(
         links=_links_of(problem, params.extension_prior),
         planes=planes,
         plane_robust=np.where(gives_way, robust, 0.0),
-        forest=find_subtrees(problem.pair, problem.roots, robots),
+        forest=find_subtrees(pair, roots, robots),
         stops=stops,
         relocate=partial(reinitialize_lost, problem) if params.robust else None,
     )
@@ -464,7 +467,7 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
     for here, missed in zip(position, gap > far, strict=True):
         # A single lost contact may be wrong; the majority of them is not.
         lost = np.bincount(problem.robot[missed], minlength=len(count)) > 0.5 * count
-        for i in np.flatnonzero(lost).tolist():
+        for i in np.flatnonzero(lost & problem.moves).tolist():
             mine = rows[i]
             # The median: one wrong contact does not take the robot away from all others.
             met = np.median(here[problem.other[mine]] - across[mine], axis=0)

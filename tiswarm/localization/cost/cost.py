@@ -104,12 +104,7 @@ def moments(weight: Reals, position: Reals) -> tuple[Reals, Reals]:
 
 
 def step_share(far: Reals, most: float) -> Reals:
-    """Compute the share to take of each step, so that none is longer than `most`.
-
-    Args:
-        far: Lengths of the steps.
-        most: Length of the longest step to take, in the same unit.
-    """
+    """Compute the share to take of steps of such lengths, so that none is longer than `most`."""
     share: Reals = np.minimum(1.0, most / np.maximum(far, most))
     return share
 
@@ -153,6 +148,7 @@ class Cost:
         are_independent: bool = False,
         further_variance: Reals | float = 0.0,
         hinged: Ints | None = None,
+        moves: Bools | None = None,
     ) -> None:
         """Gather what does not change with the state.
 
@@ -167,8 +163,13 @@ class Cost:
                 annealer takes them, which is quicker.
             further_variance: Variance of rows but known ones beside their noise [R^2], (E,).
             hinged: Pairs of robots whose offset is known to `HINGE_SD` as well, shape (n, 2).
+            moves: Robots that move; all others are constants, and rows of robots without a row
+                about one that moves do not count. All if None, shape (N,).
         """
         self.hinged = hinged
+        self.moving = np.ones(rows.robots, np.bool_) if moves is None else moves
+        of_moving = np.bincount(rows.robot[: len(rows.other)], self.moving[rows.other], rows.robots)
+        rows = rows.select((self.moving | (of_moving > 0.0))[rows.robot])
         self.log, self.rows, self.walks, self.links = log, rows, rows.odometry, links
         self.robust_sd, self.non_overlap = robust_sd, non_overlap
         variance = rows.variance()
@@ -213,6 +214,8 @@ class Cost:
         is_free = self.precision > 0.0
         # Shifts have no prior of their own, and are free all the same.
         is_free[3 : 3 * robots] = True  # the anchor stays
+        is_free[: 6 * robots] &= np.tile(np.repeat(self.moving, 3), 2)
+        is_free[6 * robots : 7 * robots] &= self.moving
         self.free = np.flatnonzero(is_free)
         self.column = np.where(is_free, np.cumsum(is_free) - 1, -1)
         self.has_turns = bool(len(self.of_final) or len(self.of_earlier) or yaw_precision)
@@ -268,7 +271,7 @@ class Cost:
         for count in range(_MOST_ROUNDS * (rounds > 0)):
             if count >= rounds and gain < _FALLING * linear.cost:
                 break
-            trial = self._moved(state, linear, radius)
+            trial = self.moved(state, linear, radius)
             there = self.linearized(trial, precision)
             # The linear problem led uphill: trust it in a smaller region.
             if there.cost > linear.cost + SETTLED:
@@ -290,7 +293,8 @@ class Cost:
         """
         far = np.linalg.norm(point - self._listed, axis=2).max(initial=0.0)
         if self.non_overlap and far > 0.5 * _MARGIN:
-            self._listed, self._docks = point, close_docks(self.log, point, SPACING + _MARGIN)
+            docks = close_docks(self.log, point, SPACING + _MARGIN)
+            self._listed, self._docks = point, docks[self.moving[docks[:, [0, 2]]].any(axis=1)]
         return self._docks
 
     def linearized(self, state: State, precision: Reals) -> Linear:
@@ -341,7 +345,7 @@ class Cost:
             precision=precision[self.free],
             off=np.concatenate([part.ravel() for part in off])[self.free],
             excess=excess,
-            shifts=3 * self.rows.robots - 3,
+            moves=self.moving & (np.arange(self.rows.robots) > 0),
         )
 
     def _turned(self, state: State) -> tuple[Measurements, Reals]:
@@ -454,7 +458,7 @@ class Cost:
         moves = column >= 0
         return LinearRows(residual, row[moves], column[moves], value[moves], variance)
 
-    def _moved(self, state: State, linear: Linear, radius: float) -> State:
+    def moved(self, state: State, linear: Linear, radius: float = np.inf) -> State:
         """Go from a state to where the sum of squares, linearized there, is least."""
         free, earlier = linear.step(radius)
         step = np.zeros(len(self.precision))

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 
 _DRAWS = 64
@@ -124,11 +124,12 @@ class Linear:
     excess: Reals
     """Loss of each measurement beyond its square [1], shape (E,)."""
 
-    shifts: int
-    """Free shifts, which come first."""
+    moves: Bools
+    """Robots whose shifts are free; these come first, shape (N,)."""
 
     def __post_init__(self) -> None:
         """Compute the cost and its slope."""
+        self.shifts = 3 * int(self.moves.sum())
         self.residual = np.concatenate([table.residual for table in self.tables])
         self.own_variance = np.concatenate([table.variance for table in self.tables])
         first = np.cumsum([0, *(len(table.residual) for table in self.tables)])
@@ -292,11 +293,12 @@ class Linear:
         pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
         shift = self.undamped.solve(pull)[: self.shifts]
         if free is not None:
-            moved = free[3:]  # the anchor stays
+            moved = free[np.repeat(self.moves, 3)]
             # A motion that nothing measures is no error of the shape.
             shift -= moved @ (moved.T @ shift)
-        square: Reals = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
-        return np.concatenate([[0.0], square])
+        square = np.zeros(len(self.moves))  # of those that stay
+        square[self.moves] = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
+        return square
 
 
 def by_group(value: Reals, row: Ints, group: Ints, shape: tuple[int, int]) -> csc_array:

@@ -42,6 +42,7 @@ class Posed:
             rows,
             yaw_precision=self.problem.yaw_precision,
             non_overlap=non_overlap and self.params.non_overlap,
+            moves=self.problem.moves,
             **options,
         )
 

@@ -4,7 +4,7 @@ All that a robot brings as it joins is the rows of its own line, about itself an
 Robots have numbers, in join order. Lengths in R, relative to the anchor.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -209,11 +209,16 @@ class LocalLayers:
         """
         near, ring = {number: None}, [number]
         for _ in range(2):
-            further = {other for robot in ring for other in self._sharing[robot]} - near.keys()
+            further = self.with_partners(ring) - near.keys()
             # If not all may move, those nearest in steps do.
             ring = sorted(further, reverse=True)  # the last that joined are the least known
             near |= dict.fromkeys(ring)
         return np.sort([*near][:most])
+
+    def with_partners(self, robots: Iterable[int]) -> set[int]:
+        """Return robots, and all that share a row with one of them."""
+        chosen = {*robots}
+        return chosen.union(*(self._sharing[robot] for robot in chosen))
 
     def _weighed(
         self, found: list[tuple[Configuration, NearLinear]], number: int

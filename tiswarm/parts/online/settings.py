@@ -59,7 +59,7 @@ class OnlineParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
 
 @dataclass(frozen=True, kw_only=True)
 class AnnealSettings:
-    """When the whole structure is annealed."""
+    """When the structure is annealed, and how much of it."""
 
     fewest: int = 4
     """Robots from which on there is something to anneal [1]."""
@@ -77,6 +77,12 @@ class AnnealSettings:
 
     rounds: int = 2
     """Steps toward the minimum from the best end [1]. Joins that follow go on from there."""
+
+    whole: int = 100
+    """Robots up to which all are annealed [1]: wrong images of the first ones shift all others."""
+
+    frames: int = 8
+    """Times at which chains look for robots that they have lost [1]."""
 
 
 TIMES = AnnealSettings()

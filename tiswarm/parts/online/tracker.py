@@ -2,8 +2,8 @@
 
 A join measures the rows of the new robot alone, places it where they fit best, and solves for the
 robots near it. If its rows still miss, robots nearby try other places that their own rows allow.
-The whole structure is annealed, from where it is, once it has grown by a tenth. Lengths inside are
-in R, and relative to the anchor.
+The structure is annealed, from where it is, once it has grown by a tenth; a large one where lines
+have changed. Lengths inside are in R, and relative to the anchor.
 
 A log is fed to a tracker robot by robot, as if they joined now. The trace has a frame after some
 joins. Robots that have not joined by then stand where they are placed as they join: the first frame
@@ -29,9 +29,9 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
 from tiswarm.localization import methods
-from tiswarm.localization.chains.annealer import anneal
+from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.views import place_disconnected, set_apart
+from tiswarm.localization.chains.views import place_disconnected, set_apart, view_of
 from tiswarm.localization.cost.cost import Cost, moments
 from tiswarm.localization.cost.neighborhood import Configuration, NearCost
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
@@ -91,7 +91,7 @@ class Change(NamedTuple):
     """Standard deviation of each position now [log unit], shape (K,)."""
 
     annealed: bool
-    """Whether the whole structure was annealed."""
+    """Whether the structure was annealed; a large one, where lines have changed."""
 
 
 class Tracker:
@@ -122,6 +122,7 @@ class Tracker:
         self._builder = SensingLogBuilder(head)
         self._layers = LocalLayers(len(head.dock_offsets), chosen)
         self._annealed_at = 1
+        self._solved: set[int] = set()  # robots solved for since then
         self._outliers: set[int] = set()  # robots whose rows even a search did not explain
         self._said: Reals = np.empty(0)  # standard deviations [R]
 
@@ -305,7 +306,7 @@ class Tracker:
         return self._change(before, annealed=annealed)
 
     def _join(self, line: RobotLine) -> bool:
-        """Add a checked robot, and solve for what is near; return whether all was annealed."""
+        """Add a checked robot, and solve for what is near; return whether chains annealed it."""
         # A line that is refused leaves no trace.
         self._builder.add(line)
         number = self._builder.numbers[line.robot]
@@ -318,6 +319,7 @@ class Tracker:
         """Solve for what is near some robots; anneal all where that is due, and say whether."""
         backend.processor()
         surprised = [self._layers.solve_near(number, places) for number in numbers]
+        self._solved.update(numbers)
         # As growth is relative, annealing costs each robot the same in the mean.
         grown = len(self._builder.numbers) / self._annealed_at - 1.0
         least = TIMES.surprised_growth if any(surprised) else self._params.anneal_growth
@@ -325,8 +327,9 @@ class Tracker:
             return False
         self._annealed_at = len(self._builder.numbers)
         log = centered(self.log)
-        found = reannealed(log, self._params, self._layers.state)
+        found = reannealed(log, self._params, self._layers.state, moves=self._due())
         self._layers.state, self._layers.shift, self._layers.sd = found
+        self._solved.clear()
         is_small = len(self._builder.numbers) <= TIMES.searched
         if is_small and self._surprising() - self._outliers:
             found = reannealed(log, self._params, self._layers.state, anew=True)
@@ -334,6 +337,21 @@ class Tracker:
         # What a search has left is wrong in itself: no later join asks for another search.
         self._outliers = self._surprising() if is_small else set()
         return True
+
+    def _due(self) -> Bools:
+        """Find the robots to anneal: what is known of them has changed, shape (n,).
+
+        These are the robots that joined while the structure grew by twice as much as annealing
+        waits for, those with a new line, and all that share a row with one of them.
+        """
+        robots = len(self._builder.numbers)
+        since = int(robots / (1.0 + self._params.anneal_growth) ** 2)
+        if robots <= TIMES.whole:
+            since = 0
+        changed = self._solved.union(range(since, robots))
+        moves = np.zeros(robots, np.bool_)
+        moves[[*self._layers.with_partners(changed)]] = True
+        return moves
 
     def _surprising(self) -> set[int]:
         """Find the robots whose rows chance does not explain."""
@@ -347,7 +365,7 @@ class Tracker:
     def _measured_anew(self, changed: AbstractSet[int], solved: list[int]) -> bool:
         """Measure the rows of some robots anew, and solve for what is near some of them.
 
-        Positions are where they were before; return whether all robots were annealed.
+        Positions are where they were before; return whether chains annealed them.
         """
         anew = {number: self._measured(number) for number in changed}
         self._layers = self._layers.with_other(anew)
@@ -376,7 +394,12 @@ class Tracker:
 
 
 def reannealed(
-    log: SensingLog, params: OnlineParams, state: Configuration, *, anew: bool = False
+    log: SensingLog,
+    params: OnlineParams,
+    state: Configuration,
+    *,
+    moves: Bools | None = None,
+    anew: bool = False,
 ) -> tuple[Configuration, Reals, Reals]:
     """Anneal a structure of N robots from where it is, and keep the best minimum.
 
@@ -384,6 +407,7 @@ def reannealed(
         log: What was sensed; the anchor is at the origin.
         params: Settings.
         state: Where robots are.
+        moves: Robots that chains move, while others stay; all if None, shape (N,).
         anew: Whether to anneal it from the starts of `joint`, too.
 
     Returns:
@@ -391,41 +415,42 @@ def reannealed(
         there to the mean of all likely ends of chains [R], shape (N, 3); and the standard deviation
         of that [R], shape (N,).
     """
-    fit = _fitted(log, params, state)
-    problem, ends = fit.problem, ranked(fit)
-    cost = Cost(
-        log,
-        problem.rows,
-        robust_sd=ROBUST_SD if params.robust else None,
-        non_overlap=params.non_overlap,
-    )
+    fit = fitted(log, params, state, moves)
+    problem, ends, robust_sd = fit.problem, ranked(fit), ROBUST_SD if params.robust else None
     walks = problem.rows.odometry
     # Turns of earlier stances follow from those of final ones in a step.
     turn = np.zeros((len(walks.owner), 3))
     turn[walks.final] = state.turn
     yaw = np.zeros(log.robot_count)
     best = int(ends.cost.argmin())
+    cost = fit.cost(problem.rows, robust_sd=robust_sd)
     # Chains may all end higher than where they began, which is near a minimum already.
     found = [
         cost.refine((set_apart(problem, state.position), yaw), 0, turn=turn),
-        cost.refine((ends.position[best], yaw), TIMES.rounds),
+        cost.refine((ends.position[best], yaw), TIMES.rounds, turn=turn),
     ]
     if anew:
         start = _searched(log, params).solutions[0].position / log.dock_radius
-        found.append(cost.refine((set_apart(problem, start), yaw), TIMES.rounds))
-    there, linear = min(found, key=lambda each: each[1].cost)
-    placed, square = place_disconnected(there.position[None], problem)
-    own = linear.variance(draws=TIMES.draws)
+        found.append(cost.refine((start, yaw), TIMES.rounds))
+    there, least = min(found, key=lambda each: each[1].cost)
+    # Robots that stayed give way in a step that all take.
+    whole = Cost(log, problem.rows, robust_sd=robust_sd, non_overlap=params.non_overlap)
+    settled, linear = whole.refine((there.position, yaw), 0, turn=there.turn)
+    own = linear.variance(draws=TIMES.draws)  # its factors serve the step, too
+    trial = whole.moved(settled, linear)
+    if whole.linearized(trial, whole.precision).cost <= linear.cost:
+        settled = trial
+    placed, square = place_disconnected(settled.position[None], problem)
     # Ends are minima of a cost whose errors are independent: where they are is not where the cost
     # is least, but where they differ, several places are likely.
     apart = ends.position - ends.position[best] + found[1][0].position - there.position
     apart[np.linalg.norm(apart, axis=2) <= np.sqrt(own)] = 0.0
     mean, between = moments(ends.weight, apart)
     # Chains that ended far above the best minimum say nothing about it.
-    counts = ~problem.untied & (found[1][1].cost <= linear.cost + CANDIDATES.likely)
+    counts = ~problem.untied & (found[1][1].cost <= least.cost + CANDIDATES.likely)
     shift = np.where(counts[:, None], mean, 0.0)
     sd = np.sqrt(own + np.where(counts, between, square[0]))
-    return Configuration(placed[0], there.turn[walks.final]), shift, sd
+    return Configuration(placed[0], settled.turn[walks.final]), shift, sd
 
 
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:
@@ -434,7 +459,7 @@ def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuratio
     An estimate that is not to be trusted, or whose outliers alone tie robots to the world, gives
     way to that of `joint`, if that is trusted.
     """
-    fit = _fitted(log, params, state)
+    fit = fitted(log, params, state)
     estimate = without_outlier_robots(fit, mixed(fit))
     is_whole = not (estimate.disconnected & ~fit.problem.untied).any()
     if estimate.convergence is None or (estimate.convergence.trusted and is_whole):
@@ -468,14 +493,20 @@ def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
     return methods.localize_batch([log], [cold])[0]
 
 
-def _fitted(log: SensingLog, params: OnlineParams, state: Configuration) -> Fit:
-    """Anneal a structure from where it is."""
+def fitted(
+    log: SensingLog, params: OnlineParams, state: Configuration, moves: Bools | None = None
+) -> Fit:
+    """Anneal a structure from where it is, or the robots of it that move."""
     names = [*(field.name for field in fields(ChiSquareParams)), *_ANNEALER]
     warm = JointParams(**{name: getattr(params, name) for name in names})
     problem = pose_problem(log, warm)
+    if moves is not None:
+        problem = replace(problem, moves=moves)
     # All chains begin at one place; their kicks differ.
     start = np.tile(set_apart(problem, state.position), (warm.chains_for(log.robot_count), 1, 1))
-    chains = anneal([log], [warm], [problem], start=[start])[0]
+    views = [view_of(log, warm, problem, start)]
+    annealer = Annealer(views, seed=warm.seed, hold=warm.hold_steps, is_short=True)
+    [chains] = annealer.run(frames=TIMES.frames)
     return Fit.of(Posed(log, warm, problem), chains)
 
 
