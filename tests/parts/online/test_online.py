@@ -15,6 +15,7 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost, State
 from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.methods import centered, localize
+from tiswarm.localization.settings import JointParams
 from tiswarm.parts.online import tracker
 from tiswarm.parts.online.settings import OnlineParams
 from tiswarm.parts.online.tracker import Tracker, annealed_estimate, fitted, reannealed
@@ -497,6 +498,30 @@ def test_large_structures_are_annealed_where_lines_changed(tall_towers, monkeypa
     assert stayed > 10
     assert times[: len(lines) // 2].min() > 1
     assert not changed.any()
+
+
+@pytest.mark.parametrize("is_believed", [False, True])
+def test_the_final_answer_fits_as_well_as_the_present_state(lines, monkeypatch, is_believed):
+    """Chains that are too hot for their few steps end far from every minimum, searches too."""
+    heat = {"chains": 2, "steps": 10, "hold_steps": 2, "start_sigma": 4.0}
+    hot = replace(LOCAL, **heat)
+    state = fed(lines, hot)
+    log = centered(state.log)
+    lost = localize(log, JointParams(**heat))
+    verdict = replace(lost.convergence, converged=is_believed, consistent=is_believed)
+    monkeypatch.setattr(tracker, "_searched", lambda *_: replace(lost, convergence=verdict))
+    cost = Cost(log, pose_problem(log, hot).rows, robust_sd=ROBUST_SD)
+
+    final = state.estimate(final=True)
+
+    none, anchor = np.zeros(log.robot_count), state.positions[0]
+    found, present, elsewhere = (
+        cost.refine((position - position[0], none), 4)[1].cost
+        for position in (final.position, state.positions, lost.position)
+    )
+    assert (anchor == final.position[0]).all()
+    assert elsewhere > present + 100.0
+    assert found <= present + 1.0
 
 
 def test_no_robot_is_farther_off_than_its_contacts_let_it(lines):

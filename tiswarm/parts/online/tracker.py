@@ -39,7 +39,7 @@ from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
-from tiswarm.localization.mixture.settings import CONVERGENCE
+from tiswarm.localization.mixture.settings import CONVERGENCE, REFINEMENT
 from tiswarm.localization.mixture.verdict import Assessment, assess, rms
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured, refuse_header, refuse_line
@@ -64,6 +64,9 @@ _MOVED = 1e-3
 
 _SURER = 5e-3
 """Change of a standard deviation, relative to what was last said, that is said [1]."""
+
+_ALIKE = 1.0
+"""Difference of costs up to which two solutions fit alike [1]."""
 
 _ANNEALER = ("chains", "steps", "hold_steps", "start_sigma")
 """Settings that annealings from the present estimate take from those of `online`."""
@@ -456,17 +459,32 @@ def reannealed(
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:
     """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`.
 
-    An estimate that is not to be trusted, or whose outliers alone tie robots to the world, gives
-    way to that of `joint`, if that is trusted.
+    The present state counts as one more end. An estimate that is not to be trusted, or whose
+    outliers alone tie robots to the world, gives way to that of `joint`, if that is trusted and
+    fits no worse.
     """
     fit = fitted(log, params, state)
+    chains = fit.annealed
+    # A chain that stays is as warm as the others.
+    stays = chains.still(set_apart(fit.problem, state.position)[None], chains.last_yaw[:1])
+    stays = replace(stays, within=chains.within.mean(axis=0, keepdims=True))
+    fit = Fit.of(fit, chains.joined(stays))
     estimate = without_outlier_robots(fit, mixed(fit))
     is_whole = not (estimate.disconnected & ~fit.problem.untied).any()
     if estimate.convergence is None or (estimate.convergence.trusted and is_whole):
         return estimate
     other = _searched(log, params)
-    is_better = other.convergence is not None and other.convergence.trusted
+    is_trusted = other.convergence is not None and other.convergence.trusted
+    is_better = is_trusted and _cost_of(other, fit) <= _cost_of(estimate, fit) + _ALIKE
     return other if is_better else estimate
+
+
+def _cost_of(estimate: Estimate, posed: Posed) -> float:
+    """Compute the least cost near the likeliest solution of an estimate."""
+    rows, robust_sd = posed.problem.rows, ROBUST_SD if posed.params.robust else None
+    position = estimate.solutions[0].position / posed.log.dock_radius
+    start = set_apart(posed.problem, position), np.zeros(len(position))
+    return posed.cost(rows, robust_sd=robust_sd).refine(start, REFINEMENT.rounds)[1].cost
 
 
 def elsewhere(log: SensingLog, params: OnlineParams, position: Reals, sd: Reals) -> Bools:
