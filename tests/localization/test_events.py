@@ -8,10 +8,10 @@ import pytest
 
 from tests.parts.online.test_online import QUICK, fed, lines_of
 from tests.structures import NOISY
-from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.parts.advice.further import advise
+from tiswarm.parts.online.neighborhood import Configuration
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_file import SensingLogBuilder

@@ -13,10 +13,10 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import Cost, State
-from tiswarm.localization.cost.neighborhood import Configuration
 from tiswarm.localization.methods import centered, localize
 from tiswarm.localization.settings import JointParams
 from tiswarm.parts.online import tracker
+from tiswarm.parts.online.neighborhood import Configuration
 from tiswarm.parts.online.settings import OnlineParams
 from tiswarm.parts.online.tracker import Tracker, annealed_estimate, fitted, reannealed
 from tiswarm.parts.peers.settings import HopByHopParams

@@ -45,13 +45,13 @@ from tiswarm.localization.cost.kernels import (
     RowValue,
     Table,
 )
-from tiswarm.localization.cost.neighborhood import Block, Configuration, NearCost
 from tiswarm.localization.cost.settings import CANDIDATES, EXTENSION, NEIGHBORS, ROBUST_SD
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.parts.between import wire
 from tiswarm.parts.between.channel import Message
 from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
+from tiswarm.parts.online.neighborhood import Block, Configuration, NearCost
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import LISTS

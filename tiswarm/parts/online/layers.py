@@ -13,7 +13,13 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost.cost import moments, weights
-from tiswarm.localization.cost.neighborhood import (
+from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS, ROBUST_SD
+from tiswarm.localization.methods import centered
+from tiswarm.localization.settings import ChiSquareParams
+from tiswarm.measurements.cues import CUES
+from tiswarm.measurements.model import SPACING
+from tiswarm.measurements.odometry import Odometry
+from tiswarm.parts.online.neighborhood import (
     Block,
     Configuration,
     NearCost,
@@ -23,12 +29,6 @@ from tiswarm.localization.cost.neighborhood import (
     candidates,
     extension,
 )
-from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS, ROBUST_SD
-from tiswarm.localization.methods import centered
-from tiswarm.localization.settings import ChiSquareParams
-from tiswarm.measurements.cues import CUES
-from tiswarm.measurements.model import SPACING
-from tiswarm.measurements.odometry import Odometry
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 

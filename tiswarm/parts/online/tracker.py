@@ -33,7 +33,6 @@ from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected, set_apart, view_of
 from tiswarm.localization.cost.cost import Cost, moments
-from tiswarm.localization.cost.neighborhood import Configuration, NearCost
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
@@ -43,6 +42,7 @@ from tiswarm.localization.mixture.settings import CONVERGENCE, REFINEMENT
 from tiswarm.localization.mixture.verdict import Assessment, assess, rms
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured, refuse_header, refuse_line
+from tiswarm.parts.online.neighborhood import Configuration, NearCost
 from tiswarm.parts.online.settings import TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
