@@ -12,13 +12,20 @@ from tests import foreign
 from tests.strategies import rotations, unit_vectors
 from tests.structures import with_directions
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.mixture.frames import Frame, align, free_frame
 from tiswarm.localization.settings import JointParams
+from tiswarm.measurements.turns import Turn, align, free_frame
 from tiswarm.sensing import SensingParams, observe
 
 ROBOTS = 8
 EVERYONE = np.ones(ROBOTS, np.bool_)
-FREE = Frame(np.eye(3), is_hand_free=True)
+
+
+def frame(axes, moves=EVERYONE, *, is_hand_free=True):
+    """Free turns about the first robot."""
+    return Turn(moves, np.zeros(1, np.int64), axes, is_hand_free=is_hand_free)
+
+
+FREE = frame(np.eye(3))
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
@@ -126,7 +133,7 @@ def test_a_turned_or_mirrored_copy_comes_back(seed, turn, is_mirrored):
     matrix = Rotation.from_quat(turn, scalar_first=True).as_matrix()
     copy = turned(position, matrix @ MIRROR if is_mirrored else matrix)
 
-    (motion,) = align(copy[None], position, FREE, EVERYONE)
+    (motion,) = align(copy[None], position, FREE)
 
     np.testing.assert_allclose(motion.T @ motion, np.eye(3), atol=1e-9)
     assert np.linalg.det(motion) == pytest.approx(-1.0 if is_mirrored else 1.0)
@@ -143,7 +150,7 @@ def test_a_copy_turned_about_an_axis_comes_back_about_it(seed, axis, angle, hand
     mirror = np.eye(3) - 2.0 * np.outer(across, across)
     copy = turned(position, matrix @ mirror if hand else matrix)
 
-    (motion,) = align(copy[None], position, Frame(axis[None], is_hand_free=True), EVERYONE)
+    (motion,) = align(copy[None], position, frame(axis[None]))
 
     np.testing.assert_allclose(motion.T @ motion, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(axis @ motion, axis, atol=1e-9)
@@ -157,7 +164,7 @@ def test_a_mirror_image_stays_one_where_the_hand_is_known(seed, turn):
     matrix = Rotation.from_quat(turn, scalar_first=True).as_matrix() @ MIRROR
 
     (motion,) = align(
-        turned(position, matrix)[None], position, Frame(np.eye(3), is_hand_free=False), EVERYONE
+        turned(position, matrix)[None], position, frame(np.eye(3), is_hand_free=False)
     )
 
     assert np.linalg.det(motion) == pytest.approx(1.0)
@@ -173,9 +180,9 @@ def test_alignment_is_to_the_nearest_and_by_robots_that_move_alone():
     off = copies.copy()
     off[:, 6:] += 99.0
 
-    motions = align(copies, position, FREE, moves)
+    motions = align(copies, position, frame(np.eye(3), moves))
 
-    np.testing.assert_allclose(align(off, position, FREE, moves), motions, atol=1e-12)
+    np.testing.assert_allclose(align(off, position, frame(np.eye(3), moves)), motions, atol=1e-12)
     for copy, motion in zip(copies, motions, strict=True):
         least = np.linalg.norm((turned(copy, motion) - position)[moves])
         for near in Rotation.from_rotvec(1e-3 * rng.normal(size=(20, 3))).as_matrix():
@@ -185,8 +192,8 @@ def test_alignment_is_to_the_nearest_and_by_robots_that_move_alone():
 def test_nothing_moves_without_a_free_frame():
     """Copies are left as they are."""
     position = np.random.default_rng(0).normal(size=(2, ROBOTS, 3))
-    nothing = Frame(np.empty((0, 3)), is_hand_free=False)
+    nothing = frame(np.empty((0, 3)), is_hand_free=False)
 
-    motions = align(position, position[0], nothing, EVERYONE)
+    motions = align(position, position[0], nothing)
 
     np.testing.assert_array_equal(motions, np.tile(np.eye(3), (2, 1, 1)))

@@ -479,7 +479,7 @@ def test_chains_that_differ_by_a_free_motion_are_one_solution(seed, angle, hand)
 
     mixture = mix(Fit(log, ALL, known, chains_at(position), SOUND))
 
-    assert mixture.free_frame == ("rotation", "hand")
+    assert mixture.motions["free_frame"] == ("rotation", "hand")
     assert len(mixture.solutions) == 1
     apart = np.linalg.norm(mixture.position[:, None] - mixture.position, axis=2)
     true = np.linalg.norm(place[:, None] - place, axis=2)

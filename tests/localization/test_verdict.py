@@ -154,7 +154,7 @@ def test_a_doubt_of_a_method_ends_what_it_says_of_outliers(known):
     """Whether noise explains the rows stands."""
     nothing = np.zeros(ROBOTS, np.bool_)
     good = Assessment(
-        judge(known), None, np.empty((0, 5), int), np.empty((0, 3), int), nothing, None
+        judge(known), None, np.empty((0, 5), int), np.empty((0, 3), int), nothing, None, {}
     )
 
     found = good.doubted("robots search near each other only")

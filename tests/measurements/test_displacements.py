@@ -14,7 +14,7 @@ from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations
-from tiswarm.measurements.rigidity import floppy_modes, weld
+from tiswarm.measurements.rigidity import weld
 from tiswarm.measurements.verdicts import describe_outliers
 from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_log import SensingNoise
@@ -50,7 +50,7 @@ def test_the_true_positions_have_no_residual(log, towers):
     np.testing.assert_allclose(rows.residual(towers[0].position), 0.0, atol=1e-9)
     assert len(rows) == 87
     np.testing.assert_allclose(rows.own_variance, SD**2)
-    assert floppy_modes(weld(rows, towers[0].position)) == 0
+    assert weld(rows, towers[0].position).floppy_modes == 0
 
 
 def test_noise_of_the_orientation_counts_across_the_vector(log):

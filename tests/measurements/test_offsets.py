@@ -14,7 +14,7 @@ from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import Odometry
-from tiswarm.measurements.rigidity import floppy_modes, weld
+from tiswarm.measurements.rigidity import weld
 from tiswarm.records.sensing_log import SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
@@ -182,7 +182,7 @@ def test_floppy_modes_are_the_null_space(towers, log, share, turning):
     null = free.shape[1] - np.linalg.matrix_rank(free, tol=1e-5)
 
     bodies = weld(rows, towers[0].position, yaw_unknown=turning)
-    assert floppy_modes(bodies) == null - bodies.has_gauge_yaw
+    assert bodies.floppy_modes == null - bodies.has_gauge_yaw
     assert (null == 0) == (share == 1.0 and not turning)
 
 

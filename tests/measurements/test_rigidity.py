@@ -14,7 +14,7 @@ from tiswarm.measurements.contacts import hops
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import by_cue, common_modes, observability
 from tiswarm.measurements.odometry import displacements
-from tiswarm.measurements.rigidity import SHIFTED, FloppyMotions, floppy_modes, weld
+from tiswarm.measurements.rigidity import SHIFTED, FloppyMotions, weld
 from tiswarm.sensing import SensingParams, observe
 
 CUES = ("contacts", "ground", "height", "walk_contacts", "odometry")
@@ -135,7 +135,7 @@ def test_floppy_modes_are_the_null_space(towers, logs, cues, turning):
         bodies = weld(measure(log, cues), history.position, yaw_unknown=turning)
         marked = FloppyMotions(bodies).robots()
 
-        assert floppy_modes(bodies) == len(null) - swings
+        assert bodies.floppy_modes == len(null) - swings
         assert not marked[0]
         clear = (share < SHIFTED / 2) | (share > 2 * SHIFTED)  # 16 probes tell shares to some 15 %
         assert (marked == (share > SHIFTED))[clear].all()

@@ -20,7 +20,7 @@ from tiswarm.measurements import contacts
 from tiswarm.measurements.cues import Measured
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import with_orientations
-from tiswarm.measurements.rigidity import floppy_modes, weld
+from tiswarm.measurements.rigidity import weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
@@ -42,7 +42,7 @@ def score(
     of_contacts = metrics.relative_errors(estimated, true, log.contacts[:, [0, 2]])
     unknown = np.isnan(log.known_position[:, 0])
     place, free = true / log.dock_radius, estimate.yaw is not None
-    modes = floppy_modes(weld(rows, place, yaw_unknown=free))
+    modes = weld(rows, place, yaw_unknown=free).floppy_modes
     return {
         "joined": log.robot_count,
         "contacts_per_robot": _mean(contacts.earlier_contact_count(log)[unknown]),

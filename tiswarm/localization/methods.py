@@ -247,8 +247,8 @@ def localize_many(
 def _observed(estimate: Estimate, log: SensingLog, params: MethodParams) -> Estimate:
     """Add to an estimate what its log determines."""
     # Half way between two images, measurements may resist less than at either.
-    at = estimate.solutions[0] if estimate.solutions else estimate
-    known = observability(log, params.cues, at.position, yaw_unknown=estimate.yaw is not None)
+    at, yaw_unknown = estimate.configuration, estimate.yaw is not None
+    known = observability(log, params.cues, at, yaw_unknown=yaw_unknown)
     return replace(estimate, observability=known)
 
 
@@ -301,6 +301,7 @@ def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
         trace=estimate.trace + by,
         at_join=None if estimate.at_join is None else estimate.at_join + by,
         solutions=tuple(replace(s, position=s.position + by) for s in estimate.solutions),
+        turns=tuple(replace(turn, place=turn.place + by) for turn in estimate.turns),
     )
 
 

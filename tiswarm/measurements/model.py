@@ -19,7 +19,7 @@ value, is then in all rows of the source. Beside it each row has errors of its o
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,9 @@ from tiswarm.measurements.equations import (
 )
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.records.sensing_log import KNOWN_SD
+
+if TYPE_CHECKING:
+    from tiswarm.measurements.turns import Turns
 
 SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""
@@ -350,6 +353,13 @@ class Measurements:
         return is_contact
 
     @property
+    def is_central(self) -> Bools:
+        """Which distances are between centers, and turn with their robots, shape (C,)."""
+        arms = (self.arm[: len(self.distances.stance)], self.other_arm)
+        is_central: Bools = ~np.any([arm[: len(arms[0])].any(axis=1) for arm in arms], axis=0)
+        return is_central & ~self.distances.is_hinge
+
+    @property
     def touch(self) -> Ints:
         """Distances with an unknown dock, shape (T,)."""
         d = self.distances
@@ -426,6 +436,12 @@ class Measurements:
             arm=self.arm[row],
             other_arm=self.other_arm[pair],
         )
+
+    def free_turns(self, position: Reals) -> "Turns":
+        """Find sets of robots that may turn without a change of these rows, at centers (N, 3)."""
+        from tiswarm.measurements.turns import Turns  # noqa: PLC0415 - for logs with ranges alone
+
+        return Turns.of(self, position)
 
     def averaged(self) -> "Measurements":
         """Replace readings of the same quantity by the same source by their weighted mean.

@@ -8,7 +8,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import Measured, cue_names, measure
-from tiswarm.measurements.rigidity import common_motions, floppy_modes, floppy_motions, weld
+from tiswarm.measurements.rigidity import common_motions, floppy_motions, weld
 from tiswarm.records.estimate import Observability
 from tiswarm.records.sensing_log import SensingLog
 
@@ -46,7 +46,7 @@ def observability(
         gauge_yaw_sd=(
             float(log.yaw_bias / np.sqrt(log.robot_count)) if bodies.has_gauge_yaw else None
         ),
-        floppy_modes=floppy_modes(bodies),
+        floppy_modes=bodies.floppy_modes,
         floppy=None if motions is None else motions.robots(),
         disconnected=disconnected(rows),
     )

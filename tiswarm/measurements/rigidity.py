@@ -87,6 +87,22 @@ class Bodies(NamedTuple):
         of_world = (self.constraints.first == self.fixed) | (self.constraints.second == self.fixed)
         return not self.constraints.stiffness[of_world, _SHIFTS, _SHIFTS].any()
 
+    @property
+    def floppy_modes(self) -> int | None:
+        """Number of independent motions that change no measurement; None for too large structures.
+
+        These are dim ker R, with R the rigidity matrix. Bodies whose constraints are independent
+        are peeled off first; the rest has as many floppy modes as its stiffness matrix R^T R has
+        eigenvalues below _UNNOTICED^2. Where yaw is unknown a turn of the whole swarm about the
+        anchor does not count: the mean of all compasses fixes it.
+        """
+        peeled, core = _peel(self)
+        if _is_too_large(core):
+            return None
+        factors = _factors(core)
+        left = 0 if factors is None else int((factors.U.diagonal() < 0.0).sum())
+        return peeled + left - self.has_gauge_yaw
+
 
 def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> Bodies:
     """Join robots that cannot move against each other into bodies, until no more can be joined.
@@ -165,22 +181,6 @@ def _directions(rows: Measurements, position: Reals, *, yaw_unknown: bool) -> Re
         return direction
     x, y, _ = (position[rows.robot] - position[0] + rows.arm).T
     return np.column_stack([direction, direction[:, 1] * x - direction[:, 0] * y])
-
-
-def floppy_modes(bodies: Bodies) -> int | None:
-    """Count the independent motions that change no measurement; None for too large structures.
-
-    These are dim ker R, with R the rigidity matrix. Bodies whose constraints are independent are
-    peeled off first; the rest has as many floppy modes as its stiffness matrix R^T R has
-    eigenvalues below _UNNOTICED^2. Where yaw is unknown a turn of the whole swarm about the anchor
-    does not count: the mean of all compasses fixes it.
-    """
-    peeled, core = _peel(bodies)
-    if _is_too_large(core):
-        return None
-    factors = _factors(core)
-    left = 0 if factors is None else int((factors.U.diagonal() < 0.0).sum())
-    return peeled + left - bodies.has_gauge_yaw
 
 
 class Further(NamedTuple):

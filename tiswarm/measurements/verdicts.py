@@ -17,7 +17,7 @@ from tiswarm.measurements.consistency import ALLOWED_SD
 from tiswarm.measurements.contacts import parts, reach
 from tiswarm.measurements.cues import CUES, WALKED, Measured, measure
 from tiswarm.measurements.model import SPACING, Measurements
-from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, OpenTurn
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import NUMBERS, SensingLog
 
@@ -36,6 +36,12 @@ _ALLOWED_GAP = 0.05
 _FEW = 1.0 / 3.0
 """Share of the robots that carry most of a misfit, below which these are what to look at."""
 
+_MOSTLY = 0.5
+"""Share of the robots from which on free motions are named [1]."""
+
+_VERTICAL = 1.0 - 1e-6
+"""Least part of an axis along z that counts as vertical [1]."""
+
 _MOTIONS = {
     "rotation": "turned about the anchor",
     "axis": "turned about one axis through the anchor",
@@ -53,7 +59,8 @@ def headline(log: SensingLog, estimate: Estimate) -> str:
     if estimate.convergence is None:
         return ""
     found = ["converged", *_untestable(estimate.convergence)]
-    return "; ".join([*found, *_fitting(estimate), *_mirrored(log, estimate)])
+    more = [*_fitting(estimate), *_mirrored(log, estimate), *_turning(log, estimate)]
+    return "; ".join([*found, *more, *_mostly_floppy(estimate)])
 
 
 def _untestable(found: Convergence) -> Iterator[str]:
@@ -134,6 +141,17 @@ def cautions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
         yield (
             f"{text}; configurations that fit put them farther apart than their sd, and their "
             "estimate is the mean of these; measure what would exclude all but one"
+        )
+    for turn in estimate.turns:
+        yield (
+            f"free to turn about {_pivot(log, turn)}: {named(log, turn.robots)}; no measurement "
+            f"would change, and sd_{log.length_unit} includes all turns; measure ranges to robots "
+            "elsewhere, or heights or places"
+        )
+    for text in _mostly_floppy(estimate):
+        yield (
+            f"{text}; no measurement resists these, and sd_{log.length_unit} says how far they may "
+            "move; tiswarm advise names measurements that would exclude them"
         )
     if estimate.free_frame:
         motions = " or ".join(_MOTIONS[name] for name in estimate.free_frame)
@@ -223,6 +241,36 @@ def _outliers(estimate: Estimate) -> int:
     """Count contacts, ranges and coordinates that are outliers."""
     listed = (estimate.outlier_contacts, estimate.outlier_places)
     return sum(len(rows) for rows in listed if rows is not None)
+
+
+def _turning(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    """Name the robots that are free to turn about others."""
+    if estimate.turns:
+        robots = np.unique(np.concatenate([turn.robots for turn in estimate.turns]))
+        yield f"free to turn: {named(log, robots)}"
+
+
+def _pivot(log: SensingLog, turn: OpenTurn) -> str:
+    """Name the robot, or the line of robots, about which others turn."""
+    where = f"robot {log.robot_id[turn.about[0]]}"
+    if len(turn.about) > 1:
+        return f"the line through {named(log, np.sort(turn.about))}"
+    if turn.axis is None:
+        return f"every axis through {where}"
+    return f"the {'vertical' if abs(turn.axis[2]) > _VERTICAL else 'axis'} through {where}"
+
+
+def _mostly_floppy(estimate: Estimate) -> Iterator[str]:
+    """State that free motions move more than half of the robots that are tied to the anchor."""
+    known = estimate.observability
+    if known is None or known.floppy is None:
+        return
+    floppy = known.floppy & ~known.disconnected
+    for turn in estimate.turns:
+        floppy[turn.robots] = False
+    tied = int((~known.disconnected).sum())
+    if floppy.sum() > _MOSTLY * (tied - 1):
+        yield f"most robots hang on free motions: {floppy.sum()} of {tied}"
 
 
 def _carriers(estimate: Estimate) -> Ints:

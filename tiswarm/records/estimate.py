@@ -53,6 +53,25 @@ class Solution:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OpenTurn:
+    """Robots that measurements leave free to turn about others."""
+
+    robots: Ints
+    """Robots that turn, each alone or with others, shape (k,)."""
+
+    about: Ints
+    """Robots about which they turn: one, or several in a line, shape (n,)."""
+
+    axis: Reals | None
+    """Unit vector of the axis, shape (3,); None where they turn about every axis through a
+    robot."""
+
+    place: Reals
+    """Centers of the former in one configuration, and of the latter, in a line [log unit], shape
+    (k + n, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Convergence:
     """Two verdicts on an estimate: on the search, and on the measurements."""
 
@@ -195,6 +214,10 @@ class Estimate:
     the anchor, "axis" about one axis, and "hand", a mirror image. `sd` is that of the shape
     then."""
 
+    turns: tuple[OpenTurn, ...] = ()
+    """Robots that are free to turn about others, which changes no measurement, or less than noise
+    does. Their `sd` includes that; in solutions they stand at one of all places."""
+
     solutions: tuple[Solution, ...] = ()
     """Distinct configurations that the measurements allow, the likeliest first. `position` is the
     mean of their mixture. Empty where the method looks for one only."""
@@ -239,6 +262,14 @@ class Estimate:
 
     length_unit: str = "R"
     """Name of the log's unit of length."""
+
+    @property
+    def configuration(self) -> Reals:
+        """Centers of one configuration, not halfway between several [log unit], shape (N, 3)."""
+        found = (self.solutions[0] if self.solutions else self).position.copy()
+        for turn in self.turns:
+            found[np.concatenate([turn.robots, turn.about])] = turn.place
+        return found
 
     @property
     def robot_count(self) -> int:

@@ -353,14 +353,14 @@ def test_the_error_of_a_source_does_not_average_out():
 
 @pytest.mark.parametrize("reach", [6.0, 10.0])
 def test_a_robot_with_one_range_is_as_unsure_as_its_sphere_is_large(reach):
-    """Across the range, the prior of one partner leaves a variance of a third of its square."""
+    """From one point of a sphere, the mean square distance of all is twice that of its center."""
     log = silent(np.zeros((2, 3)))
     log = dataclasses.replace(log, ranges=np.array([[1, 0, reach, 0.1, -1.0]]))
 
     found = localize(log, HOPS)
 
-    along = 1.0 / (0.1**-2 + 3.0 / reach**2)
-    assert found.sd[1] == pytest.approx(np.sqrt(along + 2.0 * reach**2 / 3.0), rel=1e-6)
+    assert np.linalg.norm(found.position[1]) == pytest.approx(reach)
+    assert found.sd[1] == pytest.approx(np.sqrt(2.0 * reach**2), rel=0.01)
 
 
 def test_a_dock_in_the_way_excludes_a_mirror_image():

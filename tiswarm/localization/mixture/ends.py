@@ -15,7 +15,7 @@ from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost.cost import Cost, grouped, weights
 from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.mixture.frames import HELD, Frame, align, free_frame, scaled_distances
+from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import SPACING, Measurements
@@ -88,8 +88,8 @@ class Ends:
     solution: Ints
     """Solution of each, counted by descending weight, shape (K,)."""
 
-    frame: Frame = HELD
-    """Rigid motions of the anchor's part that nothing resists, by which ends are aligned."""
+    turns: Any = ()
+    """`Turns`, rigid motions that nothing resists, by which ends are aligned."""
 
 
 def failed(problem: Problem, annealed: Annealed) -> Bools:
@@ -215,26 +215,20 @@ def further_starts(posed: Posed) -> list[Reals]:
 def aligned(ends: Ends) -> Ends:
     """Move all ends by rigid motions that nothing resists to where the best one is."""
     problem, annealed = ends.fit.problem, ends.fit.annealed
-    best = ends.position[int(ends.cost.argmin())]
-    moves = problem.part == problem.part[0]
-    frame = free_frame(problem.rows, best, moves)
-    if not frame.names:
+    least = int(ends.cost.argmin())
+    rows = problem.rows.select(ends.missed[least] <= CONVERGENCE.outlier_sd**2)
+    if not rows.is_central.any():
         return ends
-    turn = align(ends.position, best, frame, moves)
-
-    def turned(position: Reals) -> Reals:
-        about = position[:, :1]
-        return np.where(moves[:, None], about + (position - about) @ turn, position)
-
-    position = turned(ends.position)
-    solution = _solutions(position, ends.weight)
-    chains = replace(annealed, mean=turned(annealed.mean), last=turned(annealed.last))
+    turns = rows.free_turns(ends.position[least])
+    if not turns:
+        return ends
+    position, mean, last = turns.aligned(ends.position, annealed.mean, annealed.last, to=least)
     return replace(
         ends,
-        fit=replace(ends.fit, annealed=chains),
+        fit=replace(ends.fit, annealed=replace(annealed, mean=mean, last=last)),
         position=position,
-        solution=solution,
-        frame=frame,
+        solution=_solutions(position, ends.weight),
+        turns=turns,
     )
 
 

@@ -10,8 +10,9 @@ A chain moves about its mean for three reasons: measurements are noisy, they lea
 and the temperature lets them be missed. Only the first two are errors, and make `sd`. Lengths in R.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,10 @@ class Minimum(NamedTuple):
     is_held: Bools
     """Whether measurements hold the robot; else chains say where it is, shape (N,)."""
 
+    aside: Reals
+    """Square of how far free turns move a robot's mean from where it is at the minimum, 0 of all
+    others [R^2], shape (N,)."""
+
     cost: float
     """Squared residuals and overlaps in variances, priors of turns included [1]."""
 
@@ -84,8 +89,8 @@ class Mixture(NamedTuple):
     mirrored: Bools
     """Whether solutions put the robot farther apart than its sd within one, shape (N,)."""
 
-    free_frame: tuple[str, ...]
-    """Rigid motions of all robots that change no measurement."""
+    motions: Mapping[str, Any]
+    """Rigid motions that change no measurement: fields of `Estimate`."""
 
     disconnected: Bools
     """Whether no measurement but outliers ties the robot to the world, shape (N,)."""
@@ -150,7 +155,7 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
             residual=float(np.sqrt((gap[n] ** 2).mean())) if gap.size else 0.0,
             residual_sd=float(np.sqrt(((gap[n] / width) ** 2).mean())) if gap.size else 0.0,
             position=placed[1 + n],
-            sd=np.sqrt(each.sd**2 + loose[1 + n]),
+            sd=np.sqrt(each.sd**2 + each.aside + loose[1 + n]),
         )
         for n, each in enumerate(minima)
     )
@@ -159,7 +164,7 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
         yaw=np.tensordot(share, np.array([each.yaw for each in minima]), 1),
         sd=sd,
         mirrored=between > within,
-        free_frame=ends.frame.names,
+        motions=ends.turns.stated(best.configuration, fit.log.dock_radius) if ends.turns else {},
         disconnected=tied.untied,
         outlier=outlier,
         misfit=misfit_by_robot(problem.rows, best.square),
@@ -192,7 +197,7 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
         outlier_robots=stuck if len(stuck) else None,
         misfit=mixture.misfit,
         mirrored=mixture.mirrored,
-        free_frame=mixture.free_frame,
+        **mixture.motions,
         solutions=tuple(
             replace(
                 each,
@@ -233,6 +238,7 @@ def _unrefined(ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
         yaw=ends.weight @ annealed.mean_yaw,
         sd=sd,
         is_held=np.zeros(len(sd), np.bool_),
+        aside=np.zeros(len(sd)),
         cost=float(square.sum()),
         chi_square=float(square.sum()),
         freedom=int(inlier.sum()),
@@ -358,20 +364,23 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
     )
     prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * sd, REFINEMENT.least_prior)
     state, linear = cost.refine((position, yaw), REFINEMENT.rounds, prior)
-    free = ends.frame.motions(state.position, problem.part == problem.part[0])
+    free, mean, swept = None, state.position, np.zeros(sd.shape)
+    if ends.turns:
+        free, (mean, swept) = ends.turns.motions(mean), ends.turns.swept(mean)
     left = REFINEMENT.sd_scale * np.sqrt(linear.variance(free))
     is_biased = 0.0 < problem.yaw_precision < REFINEMENT.most_yaw_bias**-2
     is_biased &= bool(annealed.within.any())  # only chains say better
     small = np.maximum(REFINEMENT.open_sd * sd, REFINEMENT.linear_sd)
-    is_held = (left <= small) & ~problem.untied & (not is_biased)
+    is_held = ((left <= small) | (swept > 0.0)) & ~problem.untied & (not is_biased)
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
     return Minimum(
         configuration=state.position,
-        position=np.where(is_held[:, None], state.position, np.tensordot(weight, annealed.mean, 1)),
+        position=np.where(is_held[:, None], mean, np.tensordot(weight, annealed.mean, 1)),
         yaw=np.where(is_held, state.yaw, weight @ annealed.mean_yaw),
-        sd=np.where(is_held, left, sd),
+        sd=np.where(is_held, np.hypot(left, np.sqrt(swept)), sd),
         is_held=is_held,
+        aside=((state.position - mean) ** 2).sum(axis=1),
         cost=linear.cost,
         chi_square=linear.chi_square,
         freedom=linear.freedom(),

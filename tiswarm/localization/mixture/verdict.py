@@ -18,6 +18,7 @@ from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.cost.cost import SETTLED
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.ends import Posed
+from tiswarm.localization.mixture.frames import opened
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
 from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
 from tiswarm.measurements.consistency import are_known, stuck_robots
@@ -192,6 +193,9 @@ class Assessment(NamedTuple):
     """Standard deviation that the method states, where measurements determine as much; more where
     they leave more open [R], shape (N,)."""
 
+    motions: dict[str, Any]
+    """Rigid motions that change no measurement: fields of `Estimate`."""
+
     def fields(self, untied: Bools, unit: float) -> dict[str, Any]:
         """List fields of an `Estimate` by name.
 
@@ -199,8 +203,8 @@ class Assessment(NamedTuple):
             untied: Robots that no measurement ties to the world, shape (N,).
             unit: R, in the unit of the log.
         """
-        found = self._asdict() | {"disconnected": untied | self.torn}
-        del found["torn"]
+        found = self._asdict() | {"disconnected": untied | self.torn} | self.motions
+        del found["torn"], found["motions"]
         return found | {"sd": None if self.sd is None else self.sd * unit}
 
     def doubted(self, reason: str) -> "Assessment":
@@ -287,6 +291,7 @@ def assess(
         is_unsearched=is_large,
     )
     verdicts = judge(known)
+    motions: dict[str, Any] = {}
     if sd is not None:
         placed, loose = place_disconnected(position[None], tied)
         loose += ((placed - position) ** 2).sum(axis=2)
@@ -294,14 +299,17 @@ def assess(
         if not is_large:
             left = _left_open(posed, state, found.position, ~missed)
             square = np.where(left > _NOTICED**2 * square, left, square)
+            of_turns, motions = opened(log, problem.rows.select(~missed), position)
+            wide = widened(of_turns, verdicts.sd_factor, position)
+            square = np.where(of_turns > 0.0, wide**2, square)
         sd = np.sqrt(square + np.where(torn, loose[0], 0.0))
     misfit = misfit_by_robot(rows, found.square)
     if not (verdicts.trusted and known.excess <= known.chance):
-        return Assessment(verdicts, misfit, None, None, torn, sd)
+        return Assessment(verdicts, misfit, None, None, torn, sd, motions)
     outliers = rows.select(found.outlier)
     places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
     contacts = np.unique(outliers.sensed_contacts, axis=0)
-    return Assessment(verdicts, misfit, contacts, places, torn, sd)
+    return Assessment(verdicts, misfit, contacts, places, torn, sd, motions)
 
 
 def _left_open(posed: Posed, estimate: tuple[Reals, Reals], near: Reals, inlier: Bools) -> Reals:

@@ -7,8 +7,9 @@ It follows from the covariance of all unknowns at the estimate, to first order,
 with J the Jacobian of the measurements and V their variances. P is what is known besides: the
 vector between two docks in contact has the length D and any direction, so that each of its
 coordinates has the variance D^2 / 3. The same holds for ranges. Robots are within the swarm's
-extent, and yaw biases have the variance that the log states. Rows R of variance W reduce C by
-C R^T (W + R C R^T)^-1 R C.
+extent, and yaw biases have the variance that the log states. Robots that are free to turn about
+others have the variance of all turns instead, shared by all that turn together. Rows R of variance
+W reduce C by C R^T (W + R C R^T)^-1 R C.
 
 Where robots are mirrored, the two likeliest solutions add the variance w w' d^2, with w and w'
 their weights and d the distance of a robot between them. If they predict measurements that differ
@@ -69,7 +70,18 @@ class Images(NamedTuple):
 class Posterior:
     """Covariance C of the centers of all but the anchor, and of the yaws where they are biased."""
 
-    def __init__(self, rows: Measurements, center: Reals, yaw_bias: float) -> None:
+    def __init__(
+        self, rows: Measurements, center: Reals, yaw_bias: float, turning: Reals | None = None
+    ) -> None:
+        """Sum what is known.
+
+        Args:
+            rows: Measurements.
+            center: Centers [R], shape (N, 3).
+            yaw_bias: Standard deviation of yaws [rad].
+            turning: Root mean square distance by free turns, 0 of robots that do not turn [R],
+                shape (N,); none turns if None.
+        """
         self.robots = rows.robots
         self.coordinates = 3 * (self.robots - 1)
         self.free = slice(3, (4 if yaw_bias > 0.0 else 3) * self.robots)
@@ -79,6 +91,8 @@ class Posterior:
         i, j = rows.robot[:distances], rows.other[:distances]
         ends = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
         weight = np.tile(3.0 / np.maximum(rows.distances.length, SPACING) ** 2, 4)
+        turns = np.zeros(self.robots) if turning is None else turning
+        weight[np.tile((turns[i] > 0.0) | (turns[j] > 0.0), 4)] = 0.0
         # As in a Laplacian: a bond holds the difference of its two ends.
         weight[2 * len(i) :] *= -1.0
         extent = (center - center.mean(axis=0)).var(axis=0).sum()
@@ -86,7 +100,9 @@ class Posterior:
         resolved = self.free.stop * np.finfo(float).eps * measured.diagonal().max(initial=0.0)
         within = max(1.0 / max(extent, SPACING**2), resolved)
         bonds = coo_array((weight, ends), shape=(self.robots, self.robots))
-        loose = bonds + within * eye_array(self.robots)
+        own = np.full(self.robots, within)
+        own[turns > 0.0] = turns[turns > 0.0] ** -2.0
+        loose = bonds + diags_array(own)
         # Without a bias yaws are no unknowns, and `free` leaves this block out.
         yaws = eye_array(self.robots) / (yaw_bias**2 or 1.0)
         precision = csc_array(measured + block_diag([kron(loose, eye_array(3)), yaws]))

@@ -17,11 +17,13 @@ from scipy.spatial.distance import cdist
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.compute.math import normal
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING, Coordinates, Distances, Measurements
 from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
 from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
+from tiswarm.measurements.turns import Turns
 from tiswarm.measurements.verdicts import IMAGES_APART, named
 from tiswarm.parts.advice.expected_error import Images, Posterior
 from tiswarm.records.estimate import Estimate, Solution
@@ -48,6 +50,9 @@ _SEEN = 1e-3
 
 _DECISIVE = 5.0
 """Difference between two solutions from which on a measurement excludes one of them [sd]."""
+
+_NO_WEIGHT = 1e-12
+"""Weight of a solution that only shows what a measurement would change [1]."""
 
 _AXES = 3
 """Rows of a known position."""
@@ -134,7 +139,11 @@ class _Question(NamedTuple):
         candidates = [*_candidates(log, odometry, center)]
         if pair is not None and len(log.ranges) and is_small:
             candidates.append(_ranges(log, odometry, pair))
-        posterior = Posterior(rows.averaged(), center, log.yaw_bias) if is_small else None
+        posterior = None
+        if is_small:
+            is_turn = pair is not None and images[1].weight <= _NO_WEIGHT
+            turning = images[1].sd if is_turn else None
+            posterior = Posterior(rows.averaged(), center, log.yaw_bias, turning)
         return cls(odometry, center, bodies, motions, posterior, pair, candidates)
 
     @property
@@ -380,9 +389,9 @@ def _ranges(log: SensingLog, odometry: Odometry, pair: Images) -> _Candidates:
     later, earlier = np.maximum(robot, other), np.minimum(robot, other)
     chosen = np.unique(np.column_stack([later, earlier])[later > earlier], axis=0)
     chosen = chosen[~log.is_gone[chosen].any(axis=1)]
-    later, earlier = chosen.T
-    center = np.full(len(chosen), CENTER)
     sd = float(np.median(log.ranges[:, 3])) / log.dock_radius
+    later, earlier = chosen.T[:, change[tuple(chosen.T)] > sd]
+    center = np.full(len(later), CENTER)
     ranges = Distances.of(
         odometry.final[later], center, odometry.final[earlier], center,
         length=first[later, earlier], sd=sd,
@@ -462,7 +471,7 @@ def tabulate(
         InputError: the budget is not positive, a kind is unknown, or there are too many robots.
     """
     together = None if budget is None else _together(log, cues, estimate, budget, kinds)
-    found = advise(log, cues, estimate.position, _images(estimate))
+    found = advise(log, cues, *_images(log, cues, estimate))
     table = AdviceTable(_advice_rows(log, found or [], "with it"))
     table.together = together
     return table
@@ -476,8 +485,8 @@ def _together(
     known = get_args(Kind)
     if unknown := [kind for kind in kinds if kind not in known]:
         raise InputError(f"{unknown[0]!r} should be one of {', '.join(known)}", argument="kinds")
-    images = _images(estimate)
-    found = advise_together(log, cues, estimate.position, images, budget=budget, kinds=kinds)
+    at, images = _images(log, cues, estimate)
+    found = advise_together(log, cues, at, images, budget=budget, kinds=kinds)
     if found is None:
         problem = f"is for up to {MOST_ROBOTS:,} robots without too many loops; leave it out"
         raise InputError(problem, argument="budget")
@@ -490,10 +499,41 @@ def _together(
     return table
 
 
-def _images(estimate: Estimate) -> Sequence[Solution]:
-    """Return the solutions between which robots are mirrored; none if none are."""
-    is_mirrored = estimate.mirrored is not None and estimate.mirrored.any()
-    return estimate.solutions if is_mirrored else ()
+def _images(
+    log: SensingLog, cues: Collection[str], estimate: Estimate
+) -> tuple[Reals, Sequence[Solution]]:
+    """Return positions [log unit], and the solutions between which robots are mirrored, if any.
+
+    Where robots are free to turn, the two are opposite places. The second one has no weight: each
+    turn is a motion of its own, whose error `Posterior` takes from `sd` [R].
+    """
+    if estimate.mirrored is not None and estimate.mirrored.any():
+        return estimate.position, estimate.solutions
+    unit, center = log.dock_radius, estimate.configuration / log.dock_radius
+    rows = measure(log, cues).associated(center)
+    if not estimate.solutions and not estimate.turns and estimate.sd is not None:
+        # A table of positions may have means of circles, where robots fit no range.
+        way = normal(0, "aside", np.arange(len(center))[:, None], np.arange(_AXES))
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        center += way * (estimate.sd / unit)[:, None]
+    found = Turns.of(rows, center)
+    mean, square = found.swept(center)
+    if not square.any():
+        return estimate.position, ()
+    first = replace(estimate, **found.stated(center, unit), solutions=()).configuration
+    opposite = np.where((square > 0.0)[:, None], 2.0 * unit * mean - first, first)
+    # Robots that turn together share one error, not one each.
+    together = np.sqrt(square)
+    for turn in found:
+        together[turn.moves] *= np.sqrt(turn.moves.sum())
+    pair = [
+        Solution(
+            weight=weight, chains=0, chi_square=math.nan, residual=math.nan, residual_sd=math.nan,
+            position=position, sd=together,
+        )
+        for weight, position in ((1.0, first), (_NO_WEIGHT, opposite))
+    ]  # fmt: skip
+    return first, pair
 
 
 def _advice_rows(log: SensingLog, advice: Sequence[Advice], after: str) -> list[dict[str, str]]:
