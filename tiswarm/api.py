@@ -3,7 +3,7 @@
 import tiswarm
 
 log = tiswarm.read_log("sensing.jsonl")
-estimate = log.localize("joint", cues=["contacts", "height"], chains=4)
+estimate = log.localize(cues=["contacts", "height"], chains=4)
 print(estimate)
 estimate.position, estimate.observability.known, estimate.to_frame()
 estimate.view(out="view.html")
@@ -39,7 +39,7 @@ from tiswarm.app.results import (
     plain,
 )
 from tiswarm.base.errors import InputError, warn
-from tiswarm.base.params import AnyArch, AnyMovie, AnyPrecision
+from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.parts import find, load_plugins
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
@@ -66,7 +66,7 @@ def read_log(path: File) -> Log:
 
 def localize(
     log: SensingLog | File,
-    method: str = "joint",
+    method: str = METHOD,
     *,
     cues: Sequence[str] | None = None,
     overrides: Overrides = (),

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.structures import Rule, structure, with_fixes, with_ranges
-from tiswarm.parts.suites import SUITES
+from tests.structures import SUITES, Rule, structure, with_fixes, with_ranges
 from tiswarm.parts.units import HEADER, slips
 from tiswarm.sensing import SensingParams, observe
 

@@ -8,10 +8,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.structures import SUITES
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.localization.settings import VirtualForceParams
-from tiswarm.parts.suites import SUITES
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash, scenario_schema
 from tiswarm.sensing import SensingParams

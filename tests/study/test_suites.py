@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from tests.runs import REPOSITORY
+from tests.structures import SUITES
 from tiswarm import study
 from tiswarm.base.progress import Progress
-from tiswarm.parts.suites import SUITES
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
 from tiswarm.report.run_data import load_run

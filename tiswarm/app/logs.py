@@ -17,7 +17,7 @@ from tiswarm.app.inspection import Findings
 from tiswarm.app.results import Figures, File, Overrides, PageFile, as_path, as_texts, plain
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
-from tiswarm.base.params import AnyArch, AnyPrecision
+from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
 from tiswarm.base.parts import find, has
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
@@ -47,7 +47,7 @@ class Log(SensingLog):
 
     def localize(
         self,
-        method: str = "joint",
+        method: str = METHOD,
         *,
         cues: Sequence[str] | None = None,
         overrides: Overrides = (),

@@ -32,3 +32,6 @@ ARCHS: tuple[Arch, ...] = get_args(Arch)
 
 AnyMovie = Literal["mp4", "webp", "gif"]
 """File formats of an animation."""
+
+METHOD = "joint"
+"""Method of calls and commands that name none."""

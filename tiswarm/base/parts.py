@@ -49,8 +49,6 @@ _PACKAGE = __name__.partition(".")[0]
 GROUP = "tiswarm.plugins"
 """Entry points of installed plug-ins."""
 
-_SUITES = "tiswarm.parts.suites:SUITES"
-
 PARTS: Mapping[str, Mapping[str, str]] = {
     "method": {
         "virtual-force": "tiswarm.localization.settings:VirtualForceParams",
@@ -61,15 +59,15 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "distributed": "tiswarm.parts.between.settings:DistributedParams",
     },
     "sensor": {
-        "fireant-v3": _SUITES,
-        "coachbot-v1": _SUITES,
-        "coachbot-v2": _SUITES,
-        "zooids": _SUITES,
-        "kilobot": _SUITES,
-        "freesn": _SUITES,
-        "m-blocks": _SUITES,
-        "atron": _SUITES,
-        "swarmbang": _SUITES,
+        "fireant-v3": "tiswarm.parts.suites:FIREANT_V3",
+        "coachbot-v1": "tiswarm.parts.suites:COACHBOT_V1",
+        "coachbot-v2": "tiswarm.parts.suites:COACHBOT_V2",
+        "zooids": "tiswarm.parts.suites:ZOOIDS",
+        "kilobot": "tiswarm.parts.suites:KILOBOT",
+        "freesn": "tiswarm.parts.suites:FREESN",
+        "m-blocks": "tiswarm.parts.suites:M_BLOCKS",
+        "atron": "tiswarm.parts.suites:ATRON",
+        "swarmbang": "tiswarm.parts.suites:SWARMBANG",
     },
     "structure": {
         "tower": "tiswarm.world.params:TowerParams",
@@ -127,7 +125,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
 }
 """By kind and name, a module, or an attribute of one as `module:attribute`.
 
-An attribute that is a dictionary has what is meant by the same name. The kinds:
+The kinds:
 
 method: the class of its settings, see `localization.methods`, in the order of the schema.
 sensor: a `sensing.plugins.Suite`.
@@ -166,8 +164,7 @@ def find(kind: str, name: str, argument: str = "") -> Any:  # noqa: ANN401 - see
     if name not in PARTS[kind]:
         meant = did_you_mean(name, names(kind)) or f"; use {', '.join(names(kind))}"
         raise InputError(f"there is no {_words(kind, name)}{meant}", argument=argument)
-    value = load(PARTS[kind][name], _words(kind, name))
-    return value[name] if isinstance(value, dict) else value
+    return load(PARTS[kind][name], _words(kind, name))
 
 
 def load(place: str, use: str) -> Any:  # noqa: ANN401 - as the place

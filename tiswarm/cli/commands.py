@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from tiswarm.base.params import AnyPrecision
+from tiswarm.base.params import METHOD, AnyPrecision
 from tiswarm.cli.app import (
     Animate,
     Debug,
@@ -43,7 +43,7 @@ def localize(
             help="joint (most accurate), virtual-force (the paper's), least-squares, hop-by-hop, "
             "online, distributed (by messages; one robot solves for all), or that of a plug-in."
         ),
-    ] = "joint",
+    ] = METHOD,
     cues: Annotated[
         str | None, Option(metavar="CUE,...", help="Cues to use (default: the method's own).")
     ] = None,

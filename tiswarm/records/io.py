@@ -22,7 +22,6 @@ from socket import gethostname
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
-import psutil
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
@@ -61,6 +60,8 @@ def is_abandoned(path: Path) -> bool:
 
     Processes of other machines cannot be seen: what they write is abandoned after an hour.
     """
+    import psutil  # noqa: PLC0415 - slow to import
+
     writer = _NAME.fullmatch(path.name)
     if writer is None:
         return False

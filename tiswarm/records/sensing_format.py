@@ -10,6 +10,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import fields
+from types import new_class
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -23,7 +24,6 @@ from pydantic import (
     GetPydanticSchema,
     TypeAdapter,
     ValidationError,
-    create_model,
     model_validator,
 )
 from pydantic_core import CoreSchema, core_schema
@@ -98,14 +98,17 @@ def _value(name: str) -> Any:  # noqa: ANN401 - a type
 
 def _with(keys: Mapping[str, Key], base: type[BaseModel]) -> Any:  # noqa: ANN401 - a class
     """Add keys to a model; all but contacts may be left out or null."""
-    found: dict[str, Any] = {}
+    kinds: dict[str, Any] = {}
+    found: dict[str, Any] = {"__module__": __name__, "__annotations__": kinds}
+    found["model_config"] = ConfigDict(use_attribute_docstrings=False)  # slow to look for
     for name, key in keys.items():
         text = key.meaning if base is _RobotFields else None
         if name == _STATED:
-            found[name] = _value(name), Field(... if base is _RobotFields else [], description=text)
+            kinds[name] = _value(name)
+            found[name] = Field(... if base is _RobotFields else [], description=text)
         else:
-            found[name] = _value(name) | None, Field(None, description=text)
-    return create_model(base.__name__, __base__=base, **found)
+            kinds[name], found[name] = _value(name) | None, Field(None, description=text)
+    return new_class(base.__name__, (base,), {}, lambda names: names.update(found))
 
 
 _PYTHON: dict[str, Any] = {

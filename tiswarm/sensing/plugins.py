@@ -32,7 +32,6 @@ _Sense = TypeVar("_Sense", bound=Callable[..., Any])
 class Suite:
     """Sensors of one system and their price."""
 
-    name: str
     senses: str
     """What robots sense."""
 
@@ -93,7 +92,7 @@ def sensor(
 
     def add(sense: _Sense) -> _Sense:
         suite = OwnSuite(
-            name=name, senses=fills, settings=dict(settings), robot_usd=robot_usd, needs="unknown",
+            senses=fills, settings=dict(settings), robot_usd=robot_usd, needs="unknown",
             fills=fills, sense=sense,
         )  # fmt: skip
         register("sensor", name, suite, sense)
@@ -116,9 +115,9 @@ def own_rows(history: History, params: Any) -> Iterator[tuple[str, Reals]]:  # n
     if found is None:
         return
     suite: OwnSuite = found.value
-    rows = guarded(found.plugin, suite.name, lambda: np.asarray(suite.sense(history, params)))
+    rows = guarded(found.plugin, params.suite, lambda: np.asarray(suite.sense(history, params)))
     if wrong := _fault(rows, COLUMNS[suite.fills], history):
-        problem = f"{found.plugin.file}: {suite.name} returned {wrong}"
+        problem = f"{found.plugin.file}: {params.suite} returned {wrong}"
         raise PluginError(problem, f"{problem}\n")
     yield suite.fills, rows.astype(np.float64)
 

@@ -63,7 +63,7 @@ def write_tables(
     }
     if len({setting.robots for setting in settings}) > 1:
         written["scaling"] = scaling(whole.structures, stored, costs)
-    if {setting.sensing.suite for setting in settings} != {"fireant-v3"}:
+    if {setting.sensing.suite for setting in settings} != {SensingParams().suite}:
         written["suites"] = suites(records, settings, run / "cases")
     for name, content in written.items():
         write_frame(content, run / f"{name}.csv")
@@ -322,7 +322,7 @@ def suites(
         row = {
             "condition": first.condition,
             **first.point_cells,
-            "suite": suite.name,
+            "suite": setting.sensing.suite,
             "way": setting.localization.method + ", touch" * touch,
             "needs": suite.needs,
             "cases": len(done),

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tiswarm.parts.suites import CEILING, STATIONS, SUITES
+from tests.structures import SUITES
+from tiswarm.parts.suites import CEILING, STATIONS
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_log import LISTS
 from tiswarm.scenario.expansion import load_scenario, variants
@@ -100,12 +101,12 @@ def test_the_page_has_every_suite():
     rows = [line.split(" | ") for line in page]
 
     assert SUITES.keys() == SENSED.keys()
-    for suite in SUITES.values():
-        assert SensingParams(suite=suite.name).suite == suite.name
+    for name, suite in SUITES.items():
+        assert SensingParams(suite=name).suite == name
         around = suite.infrastructure_usd
         usd = [f"{suite.robot_usd:g}", "not stated" if around is None else f"{around:g}"]
-        assert f"| `{suite.name}` | {suite.senses} | {' | '.join(usd)} | {suite.needs} |" in page
-        assert any(row[0] == f"| `{suite.name}`" and row[3:4] and row[3] in KINDS for row in rows)
+        assert f"| `{name}` | {suite.senses} | {' | '.join(usd)} | {suite.needs} |" in page
+        assert any(row[0] == f"| `{name}`" and row[3:4] and row[3] in KINDS for row in rows)
 
 
 def test_a_suite_sets_defaults_that_keys_override(tmp_path):
