@@ -14,6 +14,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
@@ -95,12 +96,16 @@ def main() -> int:
     """Grade all logs, and print and write the tables."""
     options = _options()
     grades: list[Grade] = []
-    for found in _all_graded(options):
-        grades += found
-        silent = " ".join(each.method for each in found if each.silent)
-        if silent:
-            one = found[0]
-            print(f"{one.set} {one.number}: {one.kind}, {one.lie}: silent: {silent}", flush=True)
+    # What is graded so far is written in any case.
+    with suppress(KeyboardInterrupt):
+        for found in _all_graded(options):
+            grades += found
+            silent = " ".join(each.method for each in found if each.silent)
+            if silent:
+                one = found[0]
+                print(
+                    f"{one.set} {one.number}: {one.kind}, {one.lie}: silent: {silent}", flush=True
+                )
     table = pd.DataFrame([asdict(each) for each in grades])
     options.out.mkdir(parents=True, exist_ok=True)
     table.to_csv(options.out / "grades.csv", index=False, float_format="%.5g")

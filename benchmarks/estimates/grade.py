@@ -9,12 +9,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
 from benchmarks.estimates.sets import Case
-from benchmarks.logs.grade import ALIKE, HONEST
-from benchmarks.logs.limit import optimum
+from benchmarks.logs.grade import ALIKE, HONEST, claims
+from benchmarks.logs.limit import known_robots, optimum
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.evaluation.metrics import robot_errors
-from tiswarm.localization.settings import JointParams
-from tiswarm.measurements.observability import observability
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -23,6 +21,9 @@ FAR_SD = 5.0
 
 MOSTLY = 0.8
 """Share of robots in their 90 % spheres from which on an estimate is right in spite of a lie."""
+
+SETTLED, MOST_CALLS = 1e-3, 40
+"""Longest step of a determined robot at the optimum [dock radii], and calls of the optimizer."""
 
 _LEAST_DETERMINED = 3
 
@@ -97,13 +98,13 @@ class Grade:
 
 def bound(case: Case) -> Bound:
     """Find what a log determines, and minimize the cost from the truth."""
-    log, truth, cues = case.log, case.truth, JointParams().cues
-    seen = observability(log, cues, truth, yaw_unknown=log.yaw_bias > 0.0)
-    tied = ~seen.disconnected & ~is_beacon(log)
-    determined = tied if seen.floppy is None else tied & ~seen.floppy
+    log, truth = case.log, case.truth
+    known, _ = known_robots(log, truth, "known")
+    tied, determined = (robots & ~is_beacon(log) for robots in known)
     least = np.nan
     if determined.sum() >= _LEAST_DETERMINED:
-        off = robot_errors(optimum(log, truth), truth)[determined]
+        place = optimum(log, truth, determined, settled=SETTLED, calls=MOST_CALLS)
+        off = robot_errors(place, truth)[determined]
         least = float(np.sqrt(np.mean(off**2))) / log.dock_radius
     return Bound(tied=tied, determined=determined, optimum_rmse=least)
 
@@ -174,17 +175,6 @@ def grade(
         cpu_s=cpu_s,
         **scores,
     )
-
-
-def claims(estimate: Estimate) -> Bools:
-    """Find the robots whose positions an estimate claims to know, to their sd, shape (N,).
-
-    Those are neither disconnected nor of a method that did not locate them.
-    """
-    known = ~estimate.disconnected
-    if estimate.located is not None:
-        known = known & estimate.located
-    return known if estimate.sd is None else known & np.isfinite(estimate.sd)
 
 
 def as_claimed(log: SensingLog, estimate: Estimate, truth: Reals) -> Reals:

@@ -180,7 +180,7 @@ def _put_together(kind: str, robots: int, rng: np.random.Generator) -> Made:
 
 _PLANAR: Mapping[str, RobotGeometry] = {
     "triangle": RobotGeometry(),
-    "wide triangle": RobotGeometry(rho=2.2),
+    "wide triangle": RobotGeometry(rho=3.0),
     "square": RobotGeometry(shape="square", rho=1.6),
 }
 _SIZES = (10, 20, 30)

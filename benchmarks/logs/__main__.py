@@ -5,11 +5,13 @@
     python -m benchmarks.logs chain --plugin chain.py            # a method of yours
     python -m benchmarks.logs --estimates my-estimates           # NAME.csv for each NAME.jsonl
     python -m benchmarks.logs joint --logs tower-a room          # some logs
+    python -m benchmarks.logs joint --rounding all               # as another processor rounds
 
 The table has a row a log and method, and the summary one a method. Both are written to --out, too.
 """
 
 import argparse
+import os
 import sys
 import time
 import warnings
@@ -22,7 +24,8 @@ import pandas as pd
 
 import tiswarm
 from benchmarks.logs.grade import Bound, Grade, grade, refused, summary
-from benchmarks.logs.limit import tied_robots
+from benchmarks.logs.limit import known_robots
+from tests.roundings import KINDS
 from tiswarm.base.errors import TiswarmError
 from tiswarm.base.parts import load_plugins
 from tiswarm.records.estimate import Estimate
@@ -30,12 +33,20 @@ from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_log import SensingLog
 
 FOLDER = Path(__file__).parent / "data"
+ROUNDING = "TISWARM_BENCHMARK_ROUNDING"
+"""Variable that says which rounding this process has."""
+
 PEERS = ("scipy", "gtsam", "isam2")
 
 
 def main() -> int:
     """Grade methods or estimates, and print and write the tables."""
     options = _options()
+    if options.rounding != os.environ.get(ROUNDING, "own"):
+        # Libraries read their variables as they load.
+        command = [sys.executable, "-m", "benchmarks.logs", *sys.argv[1:]]
+        variables = KINDS[options.rounding] | {ROUNDING: options.rounding}
+        os.execve(sys.executable, command, os.environ | variables)  # noqa: S606
     bounds = _bounds(options.logs)
     load_plugins(options.plugin)
     if set(PEERS) & set(options.methods):
@@ -59,12 +70,12 @@ def _graded(options: argparse.Namespace, bounds: list[Bound]) -> Iterator[Grade]
     for bound in bounds:
         log = tiswarm.read_log(FOLDER / f"{bound.log}.jsonl")
         truth = read_positions_of(log, FOLDER / f"{bound.log}.truth.csv")
-        tied = tied_robots(log)
+        known, _ = known_robots(log, truth, bound.frame)
         if options.estimates is not None:
             path = options.estimates / f"{bound.log}.csv"
             if path.exists():
                 estimate = read_estimate(log, path)
-                yield grade(options.estimates.name, bound, estimate, truth, tied, np.nan)
+                yield grade(options.estimates.name, bound, estimate, truth, known, np.nan)
             continue
         for method in options.methods:
             begun = time.process_time()
@@ -73,7 +84,7 @@ def _graded(options: argparse.Namespace, bounds: list[Bound]) -> Iterator[Grade]
             except TiswarmError as problem:
                 yield refused(method, bound, str(problem).partition(";")[0])
                 continue
-            yield grade(method, bound, found, truth, tied, time.process_time() - begun)
+            yield grade(method, bound, found, truth, known, time.process_time() - begun)
 
 
 def _localized(log: SensingLog, method: str) -> Estimate:
@@ -114,6 +125,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--plugin", nargs="*", default=[], type=Path, help="files with methods")
     parser.add_argument("--estimates", type=Path, metavar="FOLDER", help="estimates to grade")
     parser.add_argument("--logs", nargs="*", default=[], metavar="NAME", help="some logs alone")
+    parser.add_argument(
+        "--rounding", choices=KINDS, default="own", help="a kind of python -m tests.roundings"
+    )
     parser.add_argument("--out", type=Path, default=Path("reports/logs"))
     options = parser.parse_args()
     if bool(options.methods) == bool(options.estimates):

@@ -1,7 +1,7 @@
 """Grades estimates of logs by the limits of these, and sums grades of a method up."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -21,7 +21,17 @@ FAR_OFF = 10.0
 """Error over the limit from which on an estimate without a warning is wrong, if no `sd` says."""
 
 HALF = 0.5
-"""Share of positions that a method calls floppy from which on it claims nothing."""
+"""Share of robots that are floppy from which on a log is open, or a method claims nothing."""
+
+
+class Known(NamedTuple):
+    """What a log determines of N robots, at the truth."""
+
+    tied: Bools
+    """Robots that measurements tie to the anchor, shape (N,)."""
+
+    determined: Bools
+    """Those that no floppy motion shifts but one of the whole structure, shape (N,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +58,11 @@ class Bound:
     images: int
     """Configurations that fit what was sensed as well as the truth does."""
 
+    determined: int
+    """Tied robots that no floppy motion shifts at the truth."""
+
     limit: float
-    """RMSE at the least cost nearest to the truth [unit]."""
+    """RMSE of these robots at the least cost nearest to the truth [unit]."""
 
     frame: Literal["known", "free"]
     """Whether measurements say where the structure stands, or its shape alone."""
@@ -58,10 +71,9 @@ class Bound:
     def is_open(self) -> bool:
         """Whether no method gets to the limit, but by chance.
 
-        There are several configurations, or more motions are floppy than a tenth of the robots:
-        the optimum nearest to the truth leaves a floppy motion where it truly is.
+        There are several configurations, or floppy motions shift more than half of the robots.
         """
-        return self.images > 1 or self.floppy > 0.1 * self.robots
+        return self.images > 1 or self.determined < HALF * self.robots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,10 +87,12 @@ class Grade:
     """Root mean square error of tied robots [dock radii]; NaN if the method cannot use the log."""
 
     over_limit: float
-    """Error over the limit, `ALIKE` added to both squares [1]; NaN for logs that are open."""
+    """Error of determined robots over the limit, `ALIKE` added to both squares [1]; NaN for logs
+    that are open."""
 
     within_90: float
-    """Share of tied robots in their 90 % spheres [1]; NaN where the method states no `sd`."""
+    """Share of tied robots in their 90 % spheres, of those that the method claims to know [1]; NaN
+    where there are none, or the method states no `sd`."""
 
     verdict: str
     """`trusted`, `warned`; `none` if the method has no verdicts; else why it cannot use the log."""
@@ -103,7 +117,7 @@ def error(estimate: Reals, truth: Reals, frame: Literal["known", "free"]) -> flo
 
 
 def grade(
-    method: str, bound: Bound, estimate: Estimate, truth: Reals, tied: Bools, cpu_s: float
+    method: str, bound: Bound, estimate: Estimate, truth: Reals, known: Known, cpu_s: float
 ) -> Grade:
     """Grade an estimate.
 
@@ -112,20 +126,26 @@ def grade(
         bound: What can be known from the log.
         estimate: The estimate.
         truth: True centers [log unit], shape (N, 3).
-        tied: Robots that measurements tie to the anchor, shape (N,).
+        known: Robots that the log ties and determines.
         cpu_s: Processor time [s].
     """
+    tied, determined = known
     missed = error(estimate.position[tied], truth[tied], bound.frame)
     least = ALIKE * bound.dock_radius
-    over = float(np.hypot(missed, least) / np.hypot(bound.limit, least))
+    some = determined if determined.any() else tied
+    of_determined = error(estimate.position[some], truth[some], bound.frame)
+    over = float(np.hypot(of_determined, least) / np.hypot(bound.limit, least))
     within = np.nan
-    if estimate.sd is not None and bound.frame == "known":
-        off = robot_errors(estimate.position, truth)[1:]
-        within = float((off <= MOST_WITHIN * estimate.sd[1:] + least)[tied[1:]].mean())
+    has_spheres = estimate.sd is not None and bound.frame == "known"
+    claimed = claims(estimate) & tied
+    claimed[0] = False
+    if estimate.sd is not None and has_spheres and claimed.any():
+        off = robot_errors(estimate.position, truth)[claimed]
+        within = float((off <= MOST_WITHIN * estimate.sd[claimed] + least).mean())
     verdicts = estimate.convergence
     trusted = verdicts is None or verdicts.trusted
     is_wrong = within < HONEST
-    if np.isnan(within):
+    if not has_spheres:
         is_wrong = over > FAR_OFF and not bound.is_open and _claims_most(estimate)
     return Grade(
         method=method,
@@ -138,6 +158,17 @@ def grade(
         silent=trusted and is_wrong,
         cpu_s=cpu_s,
     )
+
+
+def claims(estimate: Estimate) -> Bools:
+    """Find the robots whose positions an estimate claims to know, to their sd, shape (N,).
+
+    Those are neither disconnected nor of a method that did not locate them, and their sd is finite.
+    """
+    known = ~estimate.disconnected
+    if estimate.located is not None:
+        known = known & estimate.located
+    return known if estimate.sd is None else known & np.isfinite(estimate.sd)
 
 
 def _claims_most(estimate: Estimate) -> bool:

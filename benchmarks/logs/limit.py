@@ -4,17 +4,20 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from benchmarks.logs.grade import error
+from benchmarks.logs.grade import Known, error
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost.cost import SETTLED, Cost
+from tiswarm.localization.cost.cost import Cost
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
 
-ROUNDS, MOST_CALLS = 30, 40
-"""Rounds of the optimizer in a call, and calls until it must have converged."""
+ROUNDS, MOST_CALLS = 30, 500
+"""Rounds of the optimizer in a call, and calls."""
+
+SETTLED = 1e-5
+"""Longest step of a robot in a call at the optimum [dock radii]."""
 
 PARAMS = JointParams()
 
@@ -25,26 +28,51 @@ _TURNS = 3
 class Limit(NamedTuple):
     """What can be known from one log."""
 
-    tied: Bools
-    """Robots that measurements tie to the anchor, shape (N,)."""
+    known: Known
 
     floppy: int
     """Motions within the structure that no measurement resists, but that docks must not overlap."""
 
     optimum: float
-    """RMSE of tied robots at the least cost nearest to the truth [log unit]."""
+    """RMSE of determined robots at the least cost nearest to the truth [log unit]."""
 
 
-def tied_robots(log: SensingLog) -> Bools:
-    """Find the robots that measurements tie to the anchor, shape (N,)."""
-    return ~observability(log, PARAMS.cues).disconnected
+def known_robots(
+    log: SensingLog, truth: Reals, frame: Literal["known", "free"]
+) -> tuple[Known, int]:
+    """Find the robots that measurements tie and determine, and count floppy motions.
+
+    Args:
+        log: What was sensed.
+        truth: True centers [log unit], shape (N, 3).
+        frame: As for `grade.error`; turns of the whole structure in a free one do not count.
+    """
+    seen = observability(log, PARAMS.cues, truth, yaw_unknown=log.yaw_bias > 0.0)
+    tied, modes = ~seen.disconnected, (seen.floppy_modes or 0) - _TURNS * (frame == "free")
+    floppy = np.zeros_like(tied) if seen.floppy is None or not modes else seen.floppy
+    return Known(tied, tied & ~floppy), modes
 
 
-def optimum(log: SensingLog, truth: Reals) -> Reals:
-    """Minimize the cost of `joint` from the truth, until it no longer falls.
+def optimum(
+    log: SensingLog,
+    truth: Reals,
+    counted: Bools,
+    *,
+    settled: float = SETTLED,
+    calls: int = MOST_CALLS,
+) -> Reals:
+    """Minimize the cost of `joint` from the truth, until some robots no longer move.
 
     The cost is the chi-square of all measurements under Cauchy's loss, squared overlaps of docks,
-    and priors.
+    and priors. A call of the optimizer ends as the cost hardly falls, which along a shallow valley
+    is far from the minimum.
+
+    Args:
+        log: What was sensed.
+        truth: True centers [log unit], shape (N, 3).
+        counted: Robots that have to come to rest, shape (N,); floppy ones may never.
+        settled: Longest step of these in the last call [dock radii].
+        calls: Calls of the optimizer at most.
 
     Returns:
         Centers at the minimum [log unit], shape (N, 3).
@@ -58,12 +86,13 @@ def optimum(log: SensingLog, truth: Reals) -> Reals:
         links=problem.connections,
         robust_sd=ROBUST_SD,
     )
-    least, turn = np.inf, None
-    for _ in range(MOST_CALLS):
-        state, linear = cost.refine(start, ROUNDS, turn=turn)
-        if linear.cost > least - SETTLED:
+    turn = None
+    for _ in range(calls):
+        state, _ = cost.refine(start, ROUNDS, turn=turn)
+        step = np.linalg.norm(state.position - start[0], axis=1)[counted].max(initial=0.0)
+        start, turn = (state.position, state.yaw), state.turn
+        if step < settled:
             break
-        start, turn, least = (state.position, state.yaw), state.turn, linear.cost
     return start[0] * log.dock_radius
 
 
@@ -75,8 +104,6 @@ def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Lim
         truth: True centers [log unit], shape (N, 3).
         frame: As for `grade.error`.
     """
-    seen = observability(log, PARAMS.cues, truth, yaw_unknown=log.yaw_bias > 0.0)
-    tied = ~seen.disconnected
-    least = error(optimum(log, truth)[tied], truth[tied], frame)
-    whole = _TURNS if frame == "free" else 0
-    return Limit(tied, (seen.floppy_modes or 0) - whole, least)
+    known, floppy = known_robots(log, truth, frame)
+    some = known.determined if known.determined.any() else known.tied
+    return Limit(known, floppy, error(optimum(log, truth, some)[some], truth[some], frame))

@@ -15,13 +15,13 @@ from benchmarks.estimates.grade import (
     Grade,
     as_claimed,
     bound,
-    claims,
     grade,
     is_beacon,
     share,
     summary,
 )
 from benchmarks.estimates.sets import NONE, SETS, TRAINING, Case
+from benchmarks.logs.grade import claims
 from tests.benchmarks.commands import call
 from tests.structures import exact_estimate
 from tiswarm.measurements.cues import cue_names, measure

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import tiswarm
 from benchmarks.logs.__main__ import FOLDER, _bounds
 from benchmarks.logs.catalog import SOURCES
-from benchmarks.logs.grade import ALIKE, Bound, Grade, error, grade, summary
+from benchmarks.logs.grade import ALIKE, Bound, Grade, Known, error, grade, summary
 from benchmarks.logs.limit import limit
 from benchmarks.logs.make import made
 from tests.benchmarks.commands import call
@@ -34,6 +34,7 @@ BOUND = Bound(
     tied=10,
     floppy=0,
     images=1,
+    determined=10,
     limit=0.1,
     frame="known",
 )
@@ -107,7 +108,9 @@ def test_a_limit_is_that_of_the_least_cost_near_the_truth(name):
     found = limit(log, truth, bound.frame)
 
     assert found.optimum == pytest.approx(bound.limit, rel=1e-2, abs=1e-6)
-    assert (found.floppy, found.tied.sum()) == (bound.floppy, bound.tied)
+    known = found.known
+    assert (found.floppy, known.tied.sum()) == (bound.floppy, bound.tied)
+    assert known.determined.sum() == bound.determined
 
 
 def test_of_a_free_frame_only_the_shape_counts():
@@ -143,7 +146,7 @@ def test_an_estimate_is_silent_if_it_is_wrong_and_trusted(off, sd, converged, si
         convergence=replace(estimate.convergence, converged=converged, consistent=True),
     )
 
-    found = grade("mine", BOUND, estimate, truth, np.ones(10, np.bool_), 1.0)
+    found = grade("mine", BOUND, estimate, truth, Known(*np.ones((2, 10), np.bool_)), 1.0)
 
     assert found.silent == silent
     assert found.rmse == pytest.approx(off / 0.1)
