@@ -263,6 +263,33 @@ def test_steps_are_the_same_however_threads_share_them(towers):
         assert a.within.tobytes() == b.within.tobytes()
 
 
+@pytest.mark.parametrize("robots", [40, 300])
+def test_a_pair_of_overlapping_robots_is_found_once_or_twice_with_the_same_bits(robots):
+    """One thread sums each pair once, from lists in the order of numbers, or sorted by cells.
+
+    All threads sum it at both robots, from rows that list all others.
+    """
+    place = np.random.default_rng(7).uniform(0.0, 2.5 * robots ** (1.0 / 3.0), (robots, 3))
+    log, params = silent(place), JointParams(chains=2, steps=30, hold_steps=5)
+    swarms = [
+        annealer_of(
+            [log],
+            [params],
+            [pose_problem(log, params)],
+            start=[place + np.zeros((2, 1, 1))],
+            by_block=by_block,
+        )
+        for by_block in (True, False)
+    ]
+
+    one, all_threads = (annealer.run()[0] for annealer in swarms)
+
+    assert np.linalg.norm(one.last - place, axis=2).max() > 0.1
+    assert one.last.tobytes() == all_threads.last.tobytes()
+    entries = [a.memory.download(a.neighbors.rows.count).sum() for a in swarms]
+    assert entries[0] < entries[1]
+
+
 def test_rows_serve_as_if_made_anew_for_each_step(log):
     """Thin ones while all is hot, thick ones for many steps later: no overlap is missed."""
     known = [pose_problem(log, SHORT)]

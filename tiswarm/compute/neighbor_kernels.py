@@ -18,6 +18,7 @@ some unit of length, which is that of the cutoff then. `grid` is a struct:
 - docks: docks of a robot
 - own_bits: bits of an entry that number the own dock within its row
 - entry_stride: from one entry of a row to the next
+- earlier: 1 if rows list the docks of all other robots, 0 if only those of later ones
 - cutoff: docks nearer than this are neighbors
 - stride_y, stride_z: from a bucket to that of the next cell along y and z; 1 along x
 - buckets: size of the hash table, a power of two
@@ -110,6 +111,8 @@ CELL_WIDTH = 2.0
 """Edge along y and z, in cutoffs: the ball around a dock reaches at most one cell more."""
 BLOCK = 16
 """Sorted docks that are compared at a time."""
+_FEW = 256
+"""Docks up to which each is compared with all later ones: sorting them into cells takes longer."""
 SCAN_BLOCK = 256
 """Numbers that one thread sums up: buckets, then totals of these, then totals of those."""
 
@@ -186,9 +189,15 @@ def sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
             to -= 1
         cells.dock[to] = m
     for slot in range(first, last):
-        at = dock_at(dock, base, cells.dock[slot])
-        for c in ti.static(range(4)):
-            cells.place[slot + c * (cells.place.shape[0] // 4)] = at[c]
+        _note_place(slot, base, dock, cells)
+
+
+@ti.func
+def _note_place(slot, base, dock: Ref, cells: Ref):
+    """Write the place of the dock in a slot."""
+    at = dock_at(dock, base, cells.dock[slot])
+    for c in ti.static(range(4)):
+        cells.place[slot + c * (cells.place.shape[0] // 4)] = at[c]
 
 
 @ti.func
@@ -338,7 +347,7 @@ def _add_slot(grid: Ref, here, own, robot_first, slot, cells: Ref, rows: Ref, sp
     # Always write, and count neighbors only: a branch could not be predicted.
     entry = space[0] + ti.min(count, space[1]) * grid.entry_stride
     rows.entry[entry] = (other << (grid.own_bits + 1)) | own
-    foreign = (other < robot_first) | (other >= robot_first + grid.docks)
+    foreign = (other < grid.earlier * robot_first) | (other >= robot_first + grid.docks)
     fellow = cells.place[slot + cells.place.shape[0] // 4 * 3] == here[3]
     return count + (ti.cast(foreign, ti.i32) & ti.cast(fellow, ti.i32))
 
@@ -425,13 +434,14 @@ def _without_connected(grid: Ref, connected, rows: Ref, place, count):
 
 @ti.func
 def _fill_rows_of(
-    on_card: Static, grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref,
-    rows: Ref, space,
+    on_card: Static, grid: Ref, base, first, last, is_sorted, dock: Ref, cells: Ref,
+    connections: Ref, rows: Ref, space,
 ):  # fmt: skip
     """Write rows `first` to `last` in succession; return how many entries.
 
-    A row lists the connected docks, then all others that are near. From `space[0]` on `space[1]`
-    entries fit and a spare one. Entries that do not fit are counted, not written.
+    Where docks are not sorted by cells, their slots are in the order of their numbers. A row lists
+    the connected docks, then all others that are near. From `space[0]` on `space[1]` entries fit
+    and a spare one. Entries that do not fit are counted, not written.
     """
     row_docks = 1 if ti.static(on_card) else grid.docks
     used = 0
@@ -446,9 +456,14 @@ def _fill_rows_of(
         robot_first = row - row % grid.docks if ti.static(on_card) else row * grid.docks
         for own in range(row_docks):
             here = dock_at(dock, base, row * row_docks + own)
-            count = _add_dock(
-                on_card, grid, here, own, robot_first, cells, rows, ti.Vector([at, free]), count
-            )
+            room = ti.Vector([at, free])
+            if is_sorted:
+                count = _add_dock(on_card, grid, here, own, robot_first, cells, rows, room, count)
+            else:
+                later = grid.slot + ti.Vector([row + 1 - first, last - first]) * grid.docks
+                count = _add_run(
+                    on_card, grid, here, own, robot_first, later, cells, rows, room, count
+                )
         if count <= free:
             count = _without_connected(grid, connected, rows, at, count)
         rows.first[row] = at
@@ -471,23 +486,36 @@ def fits(s, structure: Ref):
 
 
 @ti.func
-def list_structure(
-    grid: Ref, s, base, dock: Ref, cells: Ref, connections: Ref, rows: Ref, structure: Ref
-):
-    """Sort the docks of one small structure and write its rows, on one thread; see above."""
-    first, last = structure[s, StructureTable.FIRST], structure[s, StructureTable.END]
+def _sort_structure(grid: Ref, base, first, last, dock: Ref, cells: Ref):
+    """Sort the docks `first` to `last` of one structure into cells, on one thread."""
     for k in range(grid.buckets + 2):
         cells.begin[grid.table + k] = 0
-    for m in range(first * grid.docks, last * grid.docks):
+    for m in range(first, last):
         count_dock(grid, base, m, dock, cells)
-    for k in range(1, grid.buckets):
-        cells.begin[grid.table + k + 2] += cells.begin[grid.table + k + 1]
-    for m in range(first * grid.docks, last * grid.docks):
+    _sum_up(cells.begin, grid.table + 2, grid.table + grid.buckets + 2)
+    for m in range(first, last):
         scatter_dock(grid, base, m, dock, cells)
     for bucket in range(grid.buckets):
         sort_bucket(grid, base, bucket, dock, cells)
+
+
+@ti.func
+def list_structure(
+    grid: Ref, s, base, dock: Ref, cells: Ref, connections: Ref, rows: Ref, structure: Ref
+):
+    """Write the rows of one small structure, on one thread; see above."""
+    first, last = structure[s, StructureTable.FIRST], structure[s, StructureTable.END]
+    is_sorted = grid.earlier == 1 or (last - first) * grid.docks > _FEW
+    if is_sorted:
+        _sort_structure(grid, base, first * grid.docks, last * grid.docks, dock, cells)
+    else:
+        for m in range((last - first) * grid.docks):
+            cells.dock[grid.slot + m] = first * grid.docks + m
+            _note_place(grid.slot + m, base, dock, cells)
     space = ti.Vector([structure[s, StructureTable.ROW], structure[s, StructureTable.ROOM]])
-    used = _fill_rows_of(False, grid, base, first, last, dock, cells, connections, rows, space)
+    used = _fill_rows_of(
+        False, grid, base, first, last, is_sorted, dock, cells, connections, rows, space
+    )
     structure[s, StructureTable.LONGEST] = ti.max(structure[s, StructureTable.LONGEST], used)
     structure[s, StructureTable.BUILDS] += 1
 
@@ -516,8 +544,8 @@ def fill_rows(
     connections = ti.static(ConnectedDocks(start, connection))
     rows = ti.static(Rows(entry_out, row_first_out, row_count_out))
     grid = ti.Struct(
-        docks=docks, own_bits=own_bits, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
-        buckets=begin.shape[0] - 2, entry_stride=entry_stride, table=0, slot=0,
+        docks=docks, own_bits=own_bits, earlier=1, cutoff=cutoff, stride_y=stride_y,
+        stride_z=stride_z, buckets=begin.shape[0] - 2, entry_stride=entry_stride, table=0, slot=0,
     )  # fmt: skip
     longest_out[0] = 0
     count = row_count_out.shape[0]
@@ -528,7 +556,7 @@ def fill_rows(
                 place = first // docks + first % docks * (count // docks)
             last = ti.min(first + run, count)
             used = _fill_rows_of(
-                on_card, grid, base, first, last, dock, cells, connections, rows,
+                on_card, grid, base, first, last, True, dock, cells, connections, rows,
                 ti.Vector([place, room]),
             )  # fmt: skip
             if used > longest_out[0]:  # most runs need no atomic operation then

@@ -449,7 +449,7 @@ def relax_structures(
         if idle == 0:
             first, end = table[s, StructureTable.FIRST], table[s, StructureTable.END]
             grid = ti.Struct(
-                docks=docks, own_bits=own_bits, cutoff=cutoff, slot=first * docks,
+                docks=docks, own_bits=own_bits, earlier=1, cutoff=cutoff, slot=first * docks,
                 table=table[s, StructureTable.TABLE], buckets=table[s, StructureTable.BUCKETS],
                 stride_y=table[s, StructureTable.STRIDE_Y],
                 stride_z=table[s, StructureTable.STRIDE_Z], entry_stride=1, unit=unit,

@@ -215,7 +215,7 @@ class Annealer:
             sums = sum_rows(len(position))
         self.sums = memory.longs(sums, 4)
         self.swarm = swarm_arrays(memory, arm, position, inertia_factor)
-        self.blocks = block_arrays(memory, first_of_block, views, self.chains)
+        self.blocks = block_arrays(memory, first_of_block, views, self.chains, self.steps)
 
     def _is_quicker_by_block(self, running: Backend) -> bool:
         """Whether the busiest thread has fewer copies to move; launches count as copies."""
@@ -313,8 +313,8 @@ class Annealer:
         """Take steps, at most until so many have been taken."""
         rows, robots, contacts, plane = self.neighbors, *self.measured
         known = (
-            self.docks, self.traits, self.near, self.seed, until, self.steps, self.schedule,
-            *robots, *contacts, plane, *self.trees,
+            self.docks, self.traits, self.near, self.seed, until, self.schedule, *robots, *contacts,
+            plane, *self.trees,
         )  # fmt: skip
         if self.on_card:
             from tiswarm.localization.chains import card_kernels  # noqa: PLC0415 - slow to import

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.backend import Allocator
-from tiswarm.compute.lang import Columns, DeviceArray, Ints2, Reals1, Reals2, Reals3
+from tiswarm.compute.lang import Columns, DeviceArray, Ints2, Longs2, Reals1, Reals2, Reals3
 from tiswarm.localization.chains.problem import Planes
 from tiswarm.localization.chains.views import ChainView, Links, weights
 
@@ -270,6 +270,22 @@ class Heading(Columns):
     """Sum of the angles that are averaged [rad]."""
 
 
+class OverlapSums(Columns):
+    """Columns of `Copies.overlap`: sums over the docks that are too near to those of a copy.
+
+    All but the number are in parts of one.
+    """
+
+    FORCE = 3
+    """Force."""
+    TORQUE = 1
+    """Its torque about the vertical."""
+    INERTIA = 1
+    """Squared horizontal arms of the robot's docks."""
+    COUNT = 1
+    """Number of pairs of docks."""
+
+
 class Moments(Columns):
     """Columns of `Copies.total`: sums over the steps that are averaged."""
 
@@ -297,6 +313,9 @@ class Copies(NamedTuple):
     total: Reals2
     """Columns of `Moments`, shape (C N, 4)."""
 
+    overlap: Longs2
+    """Columns of `OverlapSums`, shape (C N, 6)."""
+
 
 class BlockProgress(Columns):
     """Columns of `Blocks.progress`."""
@@ -305,6 +324,8 @@ class BlockProgress(Columns):
     """First copy of a subtree."""
     TREE_END = 1
     """The one after the last."""
+    HOLD = 1
+    """First step that counts for the averages."""
     TAKEN = 1
     """Steps taken so far."""
     AGE = 1
@@ -321,7 +342,7 @@ class Blocks(NamedTuple):
     """Progress of each block, and its Verlet rows."""
 
     progress: Ints2
-    """Columns of `BlockProgress`, shape (B, 7)."""
+    """Columns of `BlockProgress`, shape (B, 8)."""
 
     listed: Reals1
     """Where robots were as rows were built, and last their block [R], rows of four."""
@@ -485,17 +506,20 @@ def swarm_arrays(memory: Allocator, arm: Reals, position: Reals, lightest: float
         motion=upload(motion),
         heading=upload(heading),
         total=upload(np.zeros((copies, Moments.TOTAL))),
+        overlap=memory.longs(copies, OverlapSums.TOTAL),
     )
 
 
-def block_arrays(memory: Allocator, start: Ints, views: Sequence[ChainView], chains: int) -> Blocks:
+def block_arrays(
+    memory: Allocator, start: Ints, views: Sequence[ChainView], chains: int, hold: int
+) -> Blocks:
     """Put blocks that have taken no step on the device; `start` has the first copy of each."""
     blocks = len(start) - 1
     first = np.cumsum([0, *np.tile([len(v.forest.parent) for v in views], chains)])
     none = np.zeros(blocks, np.int64)
     progress = BlockProgress.pack(
-        TREE=first[:-1], TREE_END=first[1:], TAKEN=none, AGE=none + STALE, IS_THIN=none,
-        HAS_STRAYED=none, IS_FAST=none,
+        TREE=first[:-1], TREE_END=first[1:], HOLD=none + hold, TAKEN=none, AGE=none + STALE,
+        IS_THIN=none, HAS_STRAYED=none, IS_FAST=none,
     )  # fmt: skip
     listed = np.zeros((start[-1], 4))
     listed[:, 3] = np.repeat(np.arange(blocks), np.diff(start))

@@ -39,7 +39,7 @@ from tiswarm.localization.chains.arrays import (
     Subtrees,
     variant_of,
 )
-from tiswarm.localization.chains.force_kernels import pull_robot
+from tiswarm.localization.chains.force_kernels import pull_robot, push_docks
 from tiswarm.localization.chains.kernels import (
     end_step,
     is_beyond_rows,
@@ -139,7 +139,7 @@ def gather_shifts(k, trees: Ref):
 
 @ti.kernel
 def take_steps_on_card(
-    docks: Static, traits: Static, near: Float, seed: I32, until: I32, hold: I32, schedule: Reals2,
+    docks: Static, traits: Static, near: Float, seed: I32, until: I32, schedule: Reals2,
     robot_label: Ints2, robot_weight: Reals2,  # Robots
     contact_label: Ints2, contact_value: Reals2, candidates: Reals3,  # Contacts
     plane: Reals2,
@@ -147,7 +147,7 @@ def take_steps_on_card(
     sums_out: Longs2,
     entry_stride: I32, entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     arm_out: Reals3, position_out: Reals2, motion_out: Reals2, heading_out: Reals2,
-    total_out: Reals2,  # Copies
+    total_out: Reals2, overlap_out: Longs2,  # Copies
     progress_out: Ints2, listed: Reals1,  # Blocks
 ):  # fmt: skip
     """Move every robot but the anchors a few times, until rows are stale.
@@ -164,12 +164,14 @@ def take_steps_on_card(
     measured = ti.static(MeasuredColumns(robots, contacts, plane))
     trees = ti.static(Subtrees(subtree, subtree_motion_out))
     rows = ti.static(Rows(entry, row_first, row_count))
-    swarm = ti.static(Copies(arm_out, position_out, motion_out, heading_out, total_out))
+    swarm = ti.static(Copies(
+        arm_out, position_out, motion_out, heading_out, total_out, overlap_out
+    ))  # fmt: skip
     blocks = ti.static(Blocks(progress_out, listed))
     grid = ti.Struct(own_bits=0, near=near, entry_stride=entry_stride)
     for _ in ti.static(range(STEPS_A_LAUNCH)):
         t = progress_out[0, BlockProgress.TAKEN]
-        step = ti.static(Step(t, seed, hold, schedule))
+        step = ti.static(Step(t, seed, progress_out[0, BlockProgress.HOLD], schedule))
         goes = progress_out[0, BlockProgress.AGE] != STALE and t < until
         # Computed here, the bounds of loops need no launch before each loop.
         copies = ti.select(goes, row_count.shape[0], 0)
@@ -177,7 +179,8 @@ def take_steps_on_card(
         runs = (copies + RUN - 1) // RUN
         groups = (runs + RUN - 1) // RUN
         for r in range(copies):
-            pull_robot(r, variant, step, measured, grid, rows, swarm)
+            push_docks(r, variant, step, robots, grid, rows, swarm)
+            pull_robot(r, variant, step, measured, swarm)
             count_pull(r, sums_out, swarm)
         for run in range(runs):
             add_up(run, 0, copies, sums_out)

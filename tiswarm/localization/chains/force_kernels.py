@@ -22,6 +22,7 @@ from tiswarm.localization.chains.arrays import (
     Heading,
     LinkLabel,
     LinkValue,
+    OverlapSums,
     PlaneValue,
     RobotLabel,
     RobotWeight,
@@ -66,19 +67,8 @@ def _pull_of_offset(
         sigma^2 c^2 / 2 log(1 + sum_k e_k^2 / (c^2 w_k)).
 
     The measured vector, and with it the axes, turn with the robot that measured it: the force on
-    that robot acts at the partner's dock.
-
-    Args:
-        r: Copy of the robot.
-        partner: Copy of its partner.
-        slot: Entry of the offset.
-        apart: From the partner's dock to the robot's [R].
-        arm: From the center of the robot to its dock, horizontal part [R].
-        turning: Whether any robot turns.
-        square: Temperature sigma^2 [R^2].
-        robust: One over the squared width of the robust loss [1].
-        contacts: Contacts.
-        swarm: State of the copies.
+    that robot acts at the partner's dock. `apart` leads from the partner's dock to the robot's,
+    `arm` from the center of the robot to its dock, without its vertical part. `square` is sigma^2.
     """
     vector = part_at(contacts.value, slot, LinkValue.VECTOR)
     lever = arm
@@ -108,16 +98,8 @@ def _pull_of_offset(
 def _nearest_docks(r, partner, slot, between, variant: Static, contacts: Ref, swarm: Ref):
     """Find which docks of copy r and its partner touch: those whose distance is nearest to D.
 
-    Of equally near pairs the first is taken.
-
-    Args:
-        r: Copy of the robot.
-        partner: Copy of its partner.
-        slot: Entry of the touch.
-        between: From the partner's center to the robot's [R].
-        variant: What this is compiled for.
-        contacts: Contacts.
-        swarm: State of the copies.
+    Of equally near pairs the first is taken. `between` leads from the partner's center to the
+    robot's.
 
     Returns:
         From the partner's dock to the robot's, and the horizontal arm of the robot's dock [R].
@@ -145,18 +127,7 @@ def _nearest_docks(r, partner, slot, between, variant: Static, contacts: Ref, sw
 
 @ti.func
 def _docks_of(r, partner, slot, between, turns, variant: Static, contacts: Ref, swarm: Ref):
-    """Find the offset of the docks of an entry, and the robot's arm; see `_nearest_docks`.
-
-    Args:
-        r: Copy of the robot.
-        partner: Copy of its partner.
-        slot: Entry.
-        between: From the partner's center to the robot's [R].
-        turns: Whether the robot turns.
-        variant: What this is compiled for.
-        contacts: Contacts.
-        swarm: State of the copies.
-    """
+    """Find the offset of the docks of an entry, and the robot's arm; see `_nearest_docks`."""
     apart = between + part_at(contacts.value, slot, LinkValue.ARMS)
     arm = 0.0 * between
     if ti.static(variant.turning) and turns:
@@ -187,8 +158,8 @@ def _pull_of_distance(slot, length, square, robust, contacts: Ref):
     than a spring's. The logarithm still holds a robot whose contacts are all outliers.
 
     Returns:
-        Stiffness; pull for a stiffness of 1, as a part of the offset of the docks; and the share of
-        a force that acts although the distance gives way, w / (w + e^2 / c^2).
+        Stiffness; pull for a stiffness of 1, as a part of the offset of the docks; the share of a
+        force that acts although the distance gives way, w / (w + e^2 / c^2); and 1 / `length`.
     """
     measured = contacts.value[slot, LinkValue.LENGTH]
     residual = length - measured
@@ -201,33 +172,31 @@ def _pull_of_distance(slot, length, square, robust, contacts: Ref):
     inside = push_inside(length * length, 0.5 / ti.max(measured * measured, TINY))
     # pull, e / d, or that of an overlap
     pull = ti.select(residual < 0.0, -inside, residual * within * inverse)
-    return stiff, pull, width * length * inverse
+    return stiff, pull, width * length * inverse, within * inverse
 
 
 @ti.func
-def _push_of_extension(between, apart, arm, length, pushed):
-    """Compute the force that parts robots in contact at the end, in two parts with their torques.
+def _push_of_extension(between, apart, arm, length, inverse, pushed):
+    """Compute the force that parts robots in contact at the end, with its torque.
 
     Robots extend outward: the farther apart their centers would be if their docks just touched, the
     likelier. This prior has the energy -sigma^2 `extension` times that distance, which only the
     direction between the docks decides. The push is perpendicular to the contact: along it, it
-    would lengthen uncertain contacts. Where a contact gives way, so does the push.
-
-    Args:
-        between: From the partner's center to the robot's [R].
-        apart: From the partner's dock to the robot's [R].
-        arm: Horizontal arm of the robot's dock [R].
-        length: Distance of the docks [R].
-        pushed: Size of the push, sigma^2 `extension` as far as the contact holds [R].
+    would lengthen uncertain contacts. Where a contact gives way, so does the push: its size
+    `pushed` is sigma^2 `extension` as far as the contact holds. `between` leads from the partner's
+    center to the robot's, `apart` from dock to dock; `inverse` is 1 / `length` of the latter.
     """
-    # h = b + (D / d - 1) a, from center to center if the docks just touched
-    held = between + (SPACING / length - 1.0) * apart
-    push = pushed / ti.max(held.norm(), 1.0) * held
-    # F = p - (p a) a / a^2, perpendicular to the contact
-    across = push - push.dot(apart) / (length * length) * apart
-    across *= SPACING / ti.max(length, SPACING)
-    # The turn of an arm turns `apart`, and would move `held` were it not for the contact.
-    return with_torque(across, arm) - with_torque(push, arm), with_torque(push, 0.0 * arm)
+    # h = b + l a, l = D / d - 1: from center to center if the docks just touched
+    lacking = SPACING * inverse - 1.0
+    # Its square needs no component of it, which would wait for 1 / d.
+    along = between.dot(apart)
+    square = between.norm_sqr() + lacking * (2.0 * along + lacking * length * length)
+    size = pushed / ti.sqrt(ti.max(square, 1.0))
+    # F = p - (p a) a / a^2, perpendicular to the contact, with p along h; so is b for h
+    across = size * ti.min(SPACING * inverse, 1.0) * (between - along * inverse * inverse * apart)
+    # The turn of an arm turns `apart`, and would move h were it not for the contact.
+    push = with_torque(across - size * (between + lacking * apart), arm)
+    return ti.Vector([across[0], across[1], across[2], push[3]])
 
 
 @ti.func
@@ -235,17 +204,7 @@ def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts
     """Sum the forces of the contacts of copy r of robot i, their torque, stiffness and inertia.
 
     Docks in contact at the end do not repel each other as all others do: this function subtracts
-    the push that `_push_of_overlaps` gives them.
-
-    Args:
-        r: Copy of the robot.
-        i: The robot.
-        slope: 1 / (2 D^2) of overlaps [R^-2].
-        square: Temperature sigma^2 [R^2].
-        variant: What this is compiled for.
-        robots: Robots.
-        contacts: Contacts.
-        swarm: State of the copies.
+    the push that `push_docks` gives them, with `slope` for 1 / (2 D^2). `square` is sigma^2.
     """
     base = r - i
     turns, robust = (
@@ -261,7 +220,7 @@ def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts
         between = here - vector_at(swarm.position, partner)
         apart, arm = _docks_of(r, partner, slot, between, turns, variant, contacts, swarm)
         length = ti.max(apart.norm(), TINY)
-        stiff, pull, trust = _pull_of_distance(slot, length, square, robust, contacts)
+        stiff, pull, trust, inverse = _pull_of_distance(slot, length, square, robust, contacts)
         overlap = contacts.label[slot, LinkLabel.IS_FINAL] * push_inside(length * length, slope)
         if ti.static(variant.has_offsets):
             if contacts.value[slot, LinkValue.ACROSS] > 0.0:
@@ -274,9 +233,7 @@ def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts
         force -= with_torque((stiff * pull + overlap) * apart, arm)
         if contacts.label[slot, LinkLabel.IS_FINAL] == 1:
             pushed = trust * square * contacts.value[slot, LinkValue.EXTENSION]
-            swung, parted = _push_of_extension(between, apart, arm, length, pushed)
-            force += swung
-            force += parted
+            force += _push_of_extension(between, apart, arm, length, inverse, pushed)
         stiff -= ti.select(overlap > 0.0, 1.0, 0.0)
         stiffness += stiff
         inertia += stiff * arm.norm_sqr()
@@ -302,6 +259,14 @@ def sigma_of(i, step: Ref, robots: Ref):
 
 
 @ti.func
+def _slope_of(i, step: Ref, robots: Ref):
+    """Compute how the push of overlaps of robot i falls in a step, 1 / (2 D^2) [R^-2]."""
+    growth = step.schedule[step.schedule.shape[0] - 1, step.number]
+    width = robots.label[i, RobotLabel.NON_OVERLAP] * SPACING * growth
+    return 0.5 / ti.max(width * width, TINY)
+
+
+@ti.func
 def _is_there(robot, variant: Static, robots: Ref):
     """Whether a robot's docks are in the way of others: not if it has left."""
     there = 1
@@ -311,39 +276,69 @@ def _is_there(robot, variant: Static, robots: Ref):
 
 
 @ti.func
-def _push_of_overlaps(r, i, variant: Static, slope, robots: Ref, grid: Ref, rows: Ref, swarm: Ref):
-    """Sum the forces of docks that are too near to copy r, with their stiffness and inertia.
+def _push_of_pair(between, own, other, slope, variant: Static, swarm: Ref):
+    """Sum the forces between the docks of a robot and of another one that are too near.
 
-    Integers make the sum independent of the order of a row.
+    Integers make sums of pairs independent of their order. Seen from the other robot, `between` and
+    all forces have the opposite sign and the same bits. `own` are the arms of the first one's
+    docks, `slope` is 1 / (2 D^2).
+
+    Returns:
+        Columns of `OverlapSums` of the first robot, then torque and inertia of the other one.
     """
     docks = ti.static(variant.docks)
-    here = vector_at(swarm.position, r)
-    own = ti.Matrix([[swarm.arm[r, k, c] for c in range(3)] for k in range(docks)])
-    units = ti.cast(with_torque(0.0 * here, here), ti.i64)
-    inertia = ti.i64(0)
-    overlaps = 0
+    sums = ti.Vector([ti.i64(0) for _ in range(OverlapSums.TOTAL + 2)])
     widest = 0.5 / slope  # D^2
-    for e in range(rows.count[r]):
-        other = rows.entry[rows.first[r] + e * grid.entry_stride] >> (grid.own_bits + 1)
-        between = here - vector_at(swarm.position, other)
-        is_near = between.norm_sqr() < grid.near * grid.near
-        if is_near and _is_there(other - r + i, variant, robots):
-            for m in range(docks):
-                its = ti.Vector([swarm.arm[other, m, c] for c in range(3)])
-                off = between - its
-                for k in ti.static(range(docks)):
-                    apart = off + own[k, :]
-                    square_length = apart.norm_sqr()
-                    if square_length < widest:
-                        push = with_torque(push_inside(square_length, slope) * apart, own[k, :])
-                        units += ti.cast(push * _WHOLE, ti.i64)
-                        inertia += ti.cast((own[k, 0] ** 2 + own[k, 1] ** 2) * _WHOLE, ti.i64)
-                        overlaps += 1
-    return (
-        ti.cast(units, float) / _WHOLE,
-        ti.cast(overlaps, float),
-        ti.cast(inertia, float) / _WHOLE,
-    )
+    for m in range(docks):
+        its = ti.Vector([swarm.arm[other, m, c] for c in range(3)])
+        is_close = False
+        for k in ti.static(range(docks)):
+            is_close |= (between + (own[k, :] - its)).norm_sqr() < widest
+        if is_close:
+            for k in ti.static(range(docks)):
+                apart = between + (own[k, :] - its)
+                square_length = apart.norm_sqr()
+                if square_length < widest:
+                    push = push_inside(square_length, slope) * apart
+                    acting, opposite = with_torque(push, own[k, :]), with_torque(-push, its)
+                    for c in ti.static(range(4)):
+                        sums[c] += ti.cast(acting[c] * _WHOLE, ti.i64)
+                    lag, its_lag = own[k, 0] ** 2 + own[k, 1] ** 2, its[0] ** 2 + its[1] ** 2
+                    sums[OverlapSums.INERTIA] += ti.cast(lag * _WHOLE, ti.i64)
+                    sums[OverlapSums.COUNT] += 1
+                    sums[OverlapSums.TOTAL] += ti.cast(opposite[3] * _WHOLE, ti.i64)
+                    sums[OverlapSums.TOTAL + 1] += ti.cast(its_lag * _WHOLE, ti.i64)
+    return sums
+
+
+@ti.func
+def push_docks(r, variant: Static, step: Ref, robots: Ref, grid: Ref, rows: Ref, swarm: Ref):
+    """Sum the forces between docks of copy r and others that are too near.
+
+    Where one thread moves a block, rows list later copies only, and sums are added to both copies.
+    """
+    overlap, docks = ti.static(swarm.overlap, variant.docks)
+    i = r % robots.label.shape[0]
+    total = ti.Vector([ti.i64(0) for _ in range(OverlapSums.TOTAL)])
+    if robots.label[i, RobotLabel.NON_OVERLAP] == 1:
+        here, slope = vector_at(swarm.position, r), _slope_of(i, step, robots)
+        own = ti.Matrix([[swarm.arm[r, k, c] for c in range(3)] for k in range(docks)])
+        for e in range(rows.count[r]):
+            other = rows.entry[rows.first[r] + e * grid.entry_stride] >> (grid.own_bits + 1)
+            between = here - vector_at(swarm.position, other)
+            is_near = between.norm_sqr() < grid.near * grid.near
+            if is_near and _is_there(other - r + i, variant, robots):
+                sums = _push_of_pair(between, own, other, slope, variant, swarm)
+                for c in ti.static(range(OverlapSums.TOTAL)):
+                    total[c] += sums[c]
+                if ti.static(variant.by_block):
+                    if sums[OverlapSums.COUNT] > 0:
+                        its = [-sums[0], -sums[1], -sums[2], sums[6], sums[7], sums[5]]
+                        for c in ti.static(range(OverlapSums.TOTAL)):
+                            overlap[other, c] = overlap[other, c] + its[c]
+    for c in ti.static(range(OverlapSums.TOTAL)):
+        # No `+=`: it would be atomic.
+        overlap[r, c] = total[c] + (overlap[r, c] if ti.static(variant.by_block) else 0)
 
 
 @ti.func
@@ -384,7 +379,7 @@ def _hold_of_planes(r, i, square, stiffness, inertia, variant: Static, measured:
 
 
 @ti.func
-def pull_robot(r, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Ref, swarm: Ref):
+def pull_robot(r, variant: Static, step: Ref, measured: Ref, swarm: Ref):
     """Write the force on copy r and the mass that it needs, and both for its turn if it turns.
 
     A robot that becomes heavier keeps its kinetic energy, not its velocity. One that neither moves
@@ -395,27 +390,25 @@ def pull_robot(r, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Re
     if ti.static(variant.turning):
         goes = True  # anchors turn, too
     if goes:
-        _pull_robot(r, i, variant, step, measured, grid, rows, swarm)
+        _pull_robot(r, i, variant, step, measured, swarm)
 
 
 @ti.func
-def _pull_robot(r, i, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Ref, swarm: Ref):
+def _pull_robot(r, i, variant: Static, step: Ref, measured: Ref, swarm: Ref):
     """Do what `pull_robot` does for copy r of robot i."""
     robots = ti.static(measured.robots)
     motion, heading = ti.static(swarm.motion, swarm.heading)
     sigma = sigma_of(i, step, robots)
     square = sigma * sigma
-    growth = step.schedule[step.schedule.shape[0] - 1, step.number]
-    width = robots.label[i, RobotLabel.NON_OVERLAP] * SPACING * growth
-    slope = 0.5 / ti.max(width * width, TINY)
+    slope = _slope_of(i, step, robots)
     pull, stiffness, inertia = pull_of_contacts(
         r, i, slope, square, variant, robots, measured.contacts, swarm
     )
     if robots.label[i, RobotLabel.NON_OVERLAP] == 1:
-        push, hardness, lag = _push_of_overlaps(r, i, variant, slope, robots, grid, rows, swarm)
-        pull += push
-        stiffness += hardness
-        inertia += lag
+        for c in ti.static(range(4)):
+            pull[c] += ti.cast(swarm.overlap[r, c], float) / _WHOLE
+        inertia += ti.cast(swarm.overlap[r, OverlapSums.INERTIA], float) / _WHOLE
+        stiffness += ti.cast(swarm.overlap[r, OverlapSums.COUNT], float)
     hold, stiffness, inertia = _hold_of_planes(
         r, i, square, stiffness, inertia, variant, measured, swarm
     )
@@ -426,7 +419,7 @@ def _pull_robot(r, i, variant: Static, step: Ref, measured: Ref, grid: Ref, rows
     motion[r, BodyMotion.MASS] = _mass_for(stiffness / MOST_STIFFNESS, before, lightest)
     slower = ti.sqrt(before / motion[r, BodyMotion.MASS])
     for c in ti.static(range(3)):
-        motion[r, BodyMotion.VELOCITY + c] *= slower
+        motion[r, BodyMotion.VELOCITY + c] = slower * motion[r, BodyMotion.VELOCITY + c]
     if ti.static(variant.turning) and robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0:
         stiff = square * robots.weight[i, RobotWeight.YAW_PRECISION]
         torque = pull[3] + hold[3] - stiff * heading[r, Heading.YAW]
@@ -435,4 +428,6 @@ def _pull_robot(r, i, variant: Static, step: Ref, measured: Ref, grid: Ref, rows
         heading[r, Heading.INERTIA] = _mass_for(
             (inertia + stiff) / _MOST_TURN_STIFFNESS, before, lightest
         )
-        heading[r, Heading.SPIN] *= ti.sqrt(before / heading[r, Heading.INERTIA])
+        heading[r, Heading.SPIN] = heading[r, Heading.SPIN] * ti.sqrt(
+            before / heading[r, Heading.INERTIA]
+        )

@@ -12,6 +12,7 @@ from tiswarm.compute.lang import (
     Float,
     Ints1,
     Ints2,
+    Longs2,
     Reals1,
     Reals2,
     Reals3,
@@ -39,6 +40,7 @@ from tiswarm.localization.chains.arrays import (
     Heading,
     MeasuredColumns,
     Moments,
+    OverlapSums,
     RobotLabel,
     Robots,
     RobotWeight,
@@ -48,10 +50,8 @@ from tiswarm.localization.chains.arrays import (
     Subtrees,
     variant_of,
 )
-from tiswarm.localization.chains.force_kernels import pull_robot, sigma_of
+from tiswarm.localization.chains.force_kernels import pull_robot, push_docks, sigma_of
 
-_STEP = 1.0
-"""Time step, where a robot held by one equation swings in 2 pi."""
 MEMORY = 0.985
 """What friction leaves of a velocity in one step."""
 _SUBTREE_KICKS = 2**30
@@ -59,30 +59,26 @@ _SUBTREE_KICKS = 2**30
 
 
 @ti.func
-def _thermostat(table: Ref, i, column, force, mass, sigma, kick):
-    """Change a velocity, a column of a table, by any force; return how far it leads.
-
-    A step of the force and friction, then a kick that keeps the temperature (Langevin). Robots,
-    their turns and subtrees all move so.
-    """
-    # s = sigma sqrt((1 - a^2) / m)
-    heat = sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass)
-    # v' = v + F h / m
-    speed = table[i, column] + _STEP * force / mass
-    # v <- a v' + s xi
-    table[i, column] = MEMORY * speed + heat * kick
-    # x = h (v' + v) / 2
-    return 0.5 * _STEP * (speed + table[i, column])
+def _heat_of(sigma, mobility):
+    """Compute the size of the kicks that keep a temperature, s = sigma sqrt((1 - a^2) / m)."""
+    return sigma * ti.sqrt((1.0 - MEMORY * MEMORY) * mobility)
 
 
 @ti.func
-def _turn_dock(turn, r, k, arm: Ref):
-    """Turn dock `k` of copy r of a robot about the vertical through its center."""
-    if turn != 0.0:
-        c, s = ti.cos(turn), ti.sin(turn)
-        x, y = arm[r, k, 0], arm[r, k, 1]
-        arm[r, k, 0] = c * x - s * y
-        arm[r, k, 1] = s * x + c * y
+def _thermostat(table: Ref, i, column, force, mobility, kick):
+    """Change a velocity, a column of a table, by any force; return how far it leads.
+
+    A step of the force and friction, then a kick that keeps the temperature (Langevin). Robots,
+    their turns and subtrees all move so. `mobility` is 1 / m. In a unit of time, the step h is 1,
+    and a robot held by one equation swings in 2 pi.
+    """
+    # v' = v + F h / m
+    speed = table[i, column] + force * mobility
+    # v <- a v' + s xi
+    kept = MEMORY * speed + kick
+    table[i, column] = kept
+    # x = h (v' + v) / 2
+    return 0.5 * (speed + kept)
 
 
 @ti.func
@@ -93,23 +89,20 @@ def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
         step.seed, r // count, -1 - robots.label[r % count, RobotLabel.NUMBER], step.number
     )[0]
     heading = ti.static(swarm.heading)
-    sigma = sigma_of(r % count, step, robots)
-    turn = _thermostat(
-        heading,
-        r,
-        Heading.SPIN,
-        heading[r, Heading.TORQUE],
-        heading[r, Heading.INERTIA],
-        sigma,
-        kick,
-    )
-    heading[r, Heading.YAW] += turn
-    heading[r, Heading.COS] = ti.cos(heading[r, Heading.YAW])
-    heading[r, Heading.SIN] = ti.sin(heading[r, Heading.YAW])
+    mobility = 1.0 / heading[r, Heading.INERTIA]
+    kick *= _heat_of(sigma_of(r % count, step, robots), mobility)
+    turn = _thermostat(heading, r, Heading.SPIN, heading[r, Heading.TORQUE], mobility, kick)
+    yaw = heading[r, Heading.YAW] + turn
+    heading[r, Heading.YAW] = yaw
+    heading[r, Heading.COS] = ti.cos(yaw)
+    heading[r, Heading.SIN] = ti.sin(yaw)
+    c, s = ti.cos(turn), ti.sin(turn)
     for k in range(swarm.arm.shape[1]):
-        _turn_dock(turn, r, k, swarm.arm)
+        x, y = swarm.arm[r, k, 0], swarm.arm[r, k, 1]
+        swarm.arm[r, k, 0] = c * x - s * y
+        swarm.arm[r, k, 1] = s * x + c * y
     if step.number >= step.hold:
-        heading[r, Heading.SUM] += heading[r, Heading.YAW]
+        heading[r, Heading.SUM] = heading[r, Heading.SUM] + yaw
 
 
 @ti.func
@@ -133,11 +126,11 @@ def pull_subtree(k, robots, trees: Ref, swarm: Ref):
 @ti.func
 def note_pull(k, pull, mass, trees: Ref):
     """Write the force on copy k of a subtree, and its mass; velocities shrink as this grows."""
-    lighter = ti.sqrt(trees.motion[k, BodyMotion.MASS] / mass)
+    slower = ti.sqrt(trees.motion[k, BodyMotion.MASS] / mass)
     trees.motion[k, BodyMotion.MASS] = mass
     for c in ti.static(range(3)):
         trees.motion[k, BodyMotion.FORCE + c] = pull[c]
-        trees.motion[k, BodyMotion.VELOCITY + c] *= lighter
+        trees.motion[k, BodyMotion.VELOCITY + c] = slower * trees.motion[k, BodyMotion.VELOCITY + c]
 
 
 @ti.func
@@ -149,20 +142,15 @@ def gather_pulls(b, blocks: Ref, trees: Ref):
     for back in range(1, last - first):
         k = last - back
         parent = chain * count + trees.table[k - chain * count, SubtreeLabel.PARENT]
-        for c in ti.static(range(3)):
-            trees.motion[parent, BodyMotion.FORCE + c] += trees.motion[k, BodyMotion.FORCE + c]
+        for c in ti.static(range(BodyMotion.FORCE, BodyMotion.FORCE + 3)):
+            trees.motion[parent, c] = trees.motion[parent, c] + trees.motion[k, c]
 
 
 @ti.func
 def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
     """Write the shift of copy k of a subtree, without that of the subtrees it grows out of.
 
-    Args:
-        k: Copy of the subtree.
-        on_card: Whether `gather_shifts` follows, not `spread_shifts`.
-        step: The step.
-        robots: Robots.
-        trees: Subtrees.
+    `gather_shifts` follows on cards, `spread_shifts` on processors.
     """
     count = trees.table.shape[0]
     n = k % count
@@ -172,13 +160,14 @@ def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
     motion, shift = ti.static(
         trees.motion, SubtreeMotion.OWN_SHIFT if on_card else SubtreeMotion.SHIFT
     )
-    sigma = sigma_of(trees.table[n, SubtreeLabel.OWN], step, robots)
+    mobility = 1.0 / motion[k, BodyMotion.MASS]
+    kick *= _heat_of(sigma_of(trees.table[n, SubtreeLabel.OWN], step, robots), mobility)
     for c in ti.static(range(3)):
         motion[k, shift + c] = 0.0
         if trees.table[n, SubtreeLabel.MOVES + c] == 1:
-            force, mass = motion[k, BodyMotion.FORCE + c], motion[k, BodyMotion.MASS]
+            force = motion[k, BodyMotion.FORCE + c]
             motion[k, shift + c] = _thermostat(
-                motion, k, BodyMotion.VELOCITY + c, force, mass, sigma, kick[c]
+                motion, k, BodyMotion.VELOCITY + c, force, mobility, kick[c]
             )
 
 
@@ -190,10 +179,8 @@ def spread_shifts(b, blocks: Ref, trees: Ref):
     chain = first // count
     for k in range(first + 1, last):
         parent = chain * count + trees.table[k - chain * count, SubtreeLabel.PARENT]
-        for c in ti.static(range(3)):
-            trees.motion[k, SubtreeMotion.SHIFT + c] += trees.motion[
-                parent, SubtreeMotion.SHIFT + c
-            ]
+        for c in ti.static(range(SubtreeMotion.SHIFT, SubtreeMotion.SHIFT + 3)):
+            trees.motion[k, c] = trees.motion[k, c] + trees.motion[parent, c]
 
 
 @ti.func
@@ -210,19 +197,23 @@ def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: R
     if robots.label[i, RobotLabel.MOVES] == 1:
         number = robots.label[i, RobotLabel.NUMBER]
         kick = kick_of(step.seed, chain, number, step.number)
-        sigma = sigma_of(i, step, robots)
+        mobility = 1.0 / motion[r, BodyMotion.MASS]
+        kick *= _heat_of(sigma_of(i, step, robots), mobility)
         k = chain * trees.table.shape[0] + robots.label[i, RobotLabel.SUBTREE]
         for c in ti.static(range(3)):
-            force, mass = motion[r, BodyMotion.FORCE + c], motion[r, BodyMotion.MASS]
-            alone = _thermostat(motion, r, BodyMotion.VELOCITY + c, force, mass, sigma, kick[c])
-            position[r, c] += alone + trees.motion[k, SubtreeMotion.SHIFT + c]
+            force = motion[r, BodyMotion.FORCE + c]
+            alone = _thermostat(motion, r, BodyMotion.VELOCITY + c, force, mobility, kick[c])
+            shift = alone + trees.motion[k, SubtreeMotion.SHIFT + c]
+            position[r, c] = position[r, c] + shift
             strayed += (position[r, c] - blocks.listed[4 * r + c]) ** 2
     if ti.static(variant.turning) and robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0:
         _turn_robot(r, step, robots, swarm)
     if step.number >= step.hold:
+        square = swarm.total[r, Moments.SQUARE]
         for c in ti.static(range(3)):
-            swarm.total[r, c] += position[r, c]
-            swarm.total[r, Moments.SQUARE] += position[r, c] * position[r, c]
+            swarm.total[r, c] = swarm.total[r, c] + position[r, c]
+            square += position[r, c] * position[r, c]
+        swarm.total[r, Moments.SQUARE] = square
     return strayed
 
 
@@ -270,26 +261,23 @@ def _take_step(
     """Take one step of some blocks that stand in a row in memory.
 
     At the top of a kernel, all threads share each of these loops; within a loop of the kernel, one
-    thread runs them all.
-
-    Args:
-        span: Struct of the first block, the one after the last, and the same of copies of robots
-            and of subtrees.
-        variant: What this is compiled for.
-        step: The step.
-        measured: All that is known of robots.
-        trees: Subtrees.
-        grid: Struct of `neighbor_kernels`, with `near`, the largest distance of robots whose docks
-            overlap [R].
-        rows: Verlet rows.
-        blocks: Progress of the blocks.
-        swarm: State of the copies.
+    thread runs them all. `span` is a struct of the first block, the one after the last, and the
+    same of copies of robots and of subtrees. `grid` is that of `neighbor_kernels`, with `near`, the
+    largest distance of robots whose docks overlap [R].
 
     Returns:
         The largest squared distance of a robot from where its row was built [R^2].
     """
+    if ti.static(variant.by_block):
+        for r in range(span.first, span.end):
+            for c in ti.static(range(OverlapSums.TOTAL)):
+                swarm.overlap[r, c] = ti.i64(0)
+        for r in range(span.first, span.end):
+            push_docks(r, variant, step, measured.robots, grid, rows, swarm)
     for r in range(span.first, span.end):
-        pull_robot(r, variant, step, measured, grid, rows, swarm)
+        if ti.static(not variant.by_block):
+            push_docks(r, variant, step, measured.robots, grid, rows, swarm)
+        pull_robot(r, variant, step, measured, swarm)
     for k in range(span.tree, span.tree_end):
         pull_subtree(k, measured.robots.label.shape[0], trees, swarm)
     # These sums are few additions: one thread does a block's.
@@ -311,7 +299,7 @@ def _take_step(
 
 @ti.kernel
 def take_steps(
-    docks: Static, traits: Static, near: Float, seed: I32, until: I32, hold: I32, schedule: Reals2,
+    docks: Static, traits: Static, near: Float, seed: I32, until: I32, schedule: Reals2,
     robot_label: Ints2, robot_weight: Reals2,  # Robots
     contact_label: Ints2, contact_value: Reals2, candidates: Reals3,  # Contacts
     plane: Reals2,
@@ -321,7 +309,7 @@ def take_steps(
     none: Ints1,
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
     arm_out: Reals3, position_out: Reals2, motion_out: Reals2, heading_out: Reals2,
-    total_out: Reals2,  # Copies
+    total_out: Reals2, overlap_out: Longs2,  # Copies
     progress_out: Ints2, listed_out: Reals1,  # Blocks
 ):  # fmt: skip
     """Move every robot but the anchors on a processor, from the step that was taken last.
@@ -334,7 +322,6 @@ def take_steps(
         near: Largest distance of robots whose docks overlap [R].
         seed: Seed of the random numbers.
         until: Step before which to stop.
-        hold: First step that counts for the averages.
         schedule: As `Step` describes it.
         plane: As `MeasuredColumns` describes it.
         structure_out: Blocks, or the whole swarm, as structures of `neighbor_kernels`.
@@ -348,7 +335,9 @@ def take_steps(
     cells = ti.static(Cells(begin_out, sorted_dock_out, sorted_place_out))
     connections = ti.static(ConnectedDocks(none, none))
     rows = ti.static(Rows(entry_out, row_first_out, row_count_out))
-    swarm = ti.static(Copies(arm_out, position_out, motion_out, heading_out, total_out))
+    swarm = ti.static(Copies(
+        arm_out, position_out, motion_out, heading_out, total_out, overlap_out
+    ))  # fmt: skip
     blocks = ti.static(Blocks(progress_out, listed_out))
     if ti.static(variant.by_block):
         for i in range(progress_out.shape[0] * GRAIN):
@@ -361,8 +350,8 @@ def take_steps(
                     tree_end=progress_out[b, BlockProgress.TREE_END],
                 )  # fmt: skip
                 grid = ti.Struct(
-                    docks=1, own_bits=0, cutoff=near, near=near, entry_stride=1, slot=span.first,
-                    table=structure_out[b, StructureTable.TABLE],
+                    docks=1, own_bits=0, earlier=0, cutoff=near, near=near, entry_stride=1,
+                    slot=span.first, table=structure_out[b, StructureTable.TABLE],
                     buckets=structure_out[b, StructureTable.BUCKETS],
                     stride_y=structure_out[b, StructureTable.STRIDE_Y],
                     stride_z=structure_out[b, StructureTable.STRIDE_Z],
@@ -379,9 +368,11 @@ def take_steps(
                         )
                         progress_out[b, BlockProgress.AGE] = 0
                     if fits(b, structure_out):
-                        step = ti.static(
-                            Step(progress_out[b, BlockProgress.TAKEN], seed, hold, schedule)
+                        t, hold = (
+                            progress_out[b, BlockProgress.TAKEN],
+                            progress_out[b, BlockProgress.HOLD],
                         )
+                        step = ti.static(Step(t, seed, hold, schedule))
                         farthest = _take_step(
                             span, variant, step, measured, trees, grid, rows, blocks, swarm
                         )
@@ -396,7 +387,7 @@ def take_steps(
             end=goes * row_count_out.shape[0], tree=0, tree_end=goes * subtree_motion_out.shape[0],
         )  # fmt: skip
         grid = ti.Struct(own_bits=0, near=near, entry_stride=1)
-        step = ti.static(Step(t, seed, hold, schedule))
+        step = ti.static(Step(t, seed, progress_out[0, BlockProgress.HOLD], schedule))
         farthest = _take_step(span, variant, step, measured, trees, grid, rows, blocks, swarm)
         if goes == 1:
             end_step(0, is_beyond_rows(farthest, 0, blocks), is_fast(farthest), blocks)
