@@ -154,7 +154,7 @@ def run(
         arch: Compute device, as for `localize`.
         threads: CPU threads; all that this process may use if None.
         workers: Number of worker processes; none if None.
-        plugins: Python files that register methods and sensors, see `tiswarm.method`.
+        plugins: Python files that register methods, sensors, structures, measures or figures.
         pictures: Whether to draw figures, renders and report.html.
         pdf: Whether to draw figures as vector PDF, too.
         movie: File format of an animation of the growth; none if None.
@@ -217,7 +217,7 @@ def report(
 
     Args:
         run: Run, or its folder.
-        plugins: Python files that register the methods of the run.
+        plugins: Python files that register what the run used, or further measures and figures.
         pdf: Whether to draw figures as vector PDF, too.
         quiet: Whether to hide progress.
 
@@ -235,7 +235,7 @@ def check(path: File, *, plugins: Sequence[File] = ()) -> Inspection:
 
     Args:
         path: File.
-        plugins: Python files that register methods and sensors, see `tiswarm.method`.
+        plugins: As for `run`.
 
     Returns:
         Its mistakes, as errors, and if there are none a summary.

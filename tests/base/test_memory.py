@@ -93,7 +93,7 @@ def test_the_command_line_names_what_did_not_fit(call, monkeypatch, capsys):
     def allocate(*_, **__):
         np.empty(2**50)
 
-    monkeypatch.setattr(sys.modules["tiswarm.cli.app"], "app", allocate)
+    monkeypatch.setattr(sys.modules["tiswarm.cli.options"], "app", allocate)
 
     assert call("localize") == 1
     [line] = capsys.readouterr().err.splitlines()

@@ -13,7 +13,7 @@ from typer import Argument, Option
 from tiswarm.app.console import fail
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import find
-from tiswarm.cli.app import Plugins, app, main
+from tiswarm.cli.options import Plugins, app, main
 
 # Each module adds its commands, in the order of the help.
 # isort: off

@@ -7,25 +7,8 @@ import typer
 from typer import Argument, Option
 
 from tiswarm.base.params import METHOD, AnyPrecision
-from tiswarm.cli.app import (
-    Animate,
-    Debug,
-    Movie,
-    OneArch,
-    Open,
-    Overrides,
-    Overwrite,
-    Pdf,
-    Plugins,
-    Quiet,
-    RunFolderPath,
-    Threads,
-    app,
-    chosen_movie,
-    refuse,
-    show_page,
-    showing_traceback,
-)
+from tiswarm.cli import options
+from tiswarm.cli.options import app
 
 EstimateTable = Annotated[
     Path | None,
@@ -52,21 +35,21 @@ def localize(
         int | None,
         Option(metavar="K", help="Write solution K, the likeliest first, not their mean."),
     ] = None,
-    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    overrides: options.Overrides = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, Option(help="Table of positions to write.")] = Path("estimate.csv"),
     report: Annotated[
         Path | None, Option(metavar="PAGE", help="Also write a page with a 3D view.")
     ] = None,
-    arch: OneArch = "cpu",
-    threads: Threads = None,
+    arch: options.OneArch = "cpu",
+    threads: options.Threads = None,
     precision: Annotated[AnyPrecision, Option(help="Floating-point type of joint.")] = "auto",
-    plugins: Plugins = [],  # noqa: B006 - typer never changes it
+    plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     verbose: Annotated[bool, Option("--verbose", "-v", help="List the solutions.")] = False,
-    overwrite: Overwrite = False,
-    opened: Open = False,
-    debug: Debug = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    opened: options.Open = False,
+    debug: options.Debug = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Estimate the robots' positions from a sensing log.
 
@@ -81,7 +64,7 @@ def localize(
         raise InputError("needs a page; add --report PAGE", key="--open")
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
     seeded = {} if seed is None else {"seed": seed}
-    with showing_traceback(debug=debug):
+    with options.showing_traceback(debug=debug):
         found = api.localize(
             log, method, cues=names, overrides=overrides, solution=solution, arch=arch,
             threads=threads, precision=precision, plugins=plugins, out=out, report=report,
@@ -96,7 +79,7 @@ def localize(
                 "likeliest consistent configuration, --verbose lists all"
             )
     if report is not None and (opened or not quiet):
-        show_page(report, opened=opened)
+        options.show_page(report, opened=opened)
     if found.findings.doubt:
         raise typer.Exit(NOT_TRUSTED)
 
@@ -117,10 +100,10 @@ def track(
     estimate: Annotated[
         Path | None, Option(metavar="TABLE", help="Table of positions to write at the end.")
     ] = None,
-    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    overrides: options.Overrides = [],  # noqa: B006 - typer never changes it
     *,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Estimate the robots' positions while they join, line by line.
 
@@ -156,12 +139,12 @@ def view(
     port: Annotated[
         int | None, Option(min=1, max=65535, help="Port of --live (default: a free one).")
     ] = None,
-    plugins: Plugins = [],  # noqa: B006 - typer never changes it
+    plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     live: Annotated[bool, Option("--live", help="Serve a run to this machine's browser.")] = False,
-    overwrite: Overwrite = False,
-    opened: Open = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    opened: options.Open = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Show an estimate on a page with a 3D view.
 
@@ -171,17 +154,17 @@ def view(
     if live:
         from tiswarm.base.parts import find, load_plugins
 
-        refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
+        options.refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
         load_plugins(plugins)
         serve = find("command", "view --live")
-        serve(log, port or 0, lambda page: show_page(page, opened=opened))
+        serve(log, port or 0, lambda page: options.show_page(page, opened=opened))
         return
     from tiswarm import api
 
-    refuse({"--port": port, "--plugin": plugins}, "only --live serves a page")
+    options.refuse({"--port": port, "--plugin": plugins}, "only --live serves a page")
     page = api.view(log, estimate, truth, out=out, overwrite=overwrite, quiet=quiet)
     if opened or not quiet:
-        show_page(page, opened=opened)
+        options.show_page(page, opened=opened)
 
 
 @app.command(epilog="Example: tiswarm advise sensing.jsonl estimate.csv --budget 5")
@@ -222,8 +205,8 @@ def explain(
     estimate: EstimateTable = None,
     out: Annotated[Path, Option(help="Picture to write: .png or .pdf.")] = Path("explain.png"),
     *,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Show how the measurements of one robot narrow its place.
 
@@ -293,7 +276,7 @@ def import_(
     length_unit: Annotated[
         str, Option(help="Length unit, unless columns name it, such as x_mm.")
     ] = "unit",
-    plugins: Plugins = [],  # noqa: B006 - typer never changes it
+    plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
     conjugate: Annotated[
@@ -306,9 +289,9 @@ def import_(
     drop_incomplete: Annotated[
         bool, Option("--drop-incomplete", help="Drop rows with empty cells or NaN.")
     ] = False,
-    overwrite: Overwrite = False,
-    debug: Debug = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    debug: options.Debug = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Convert poses of any simulator to a sensing log and a truth.
 
@@ -326,7 +309,7 @@ def import_(
         problem = f"{anchor!r} is not a list of robots; write it like 0,5"
         raise InputError(problem, argument="anchor") from None
     body = None if dock_offset is None else docks_in_plane(dock_offset)
-    with showing_traceback(debug=debug):
+    with options.showing_traceback(debug=debug):
         found = api.import_poses(
             poses, out=out, plugins=plugins, overwrite=overwrite, dock_radius=dock_radius,
             dock_offset_body=body, docks=docks, gap=gap, overlap=overlap, contacts=contacts,
@@ -351,8 +334,8 @@ def score(
         ),
     ] = None,
     *,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Print and draw the errors of an estimate.
 
@@ -370,12 +353,12 @@ _RunOrLog = Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sens
 
 @app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
 def report(
-    run: RunFolderPath,
-    plugins: Plugins = [],  # noqa: B006 - typer never changes it
+    run: options.RunFolderPath,
+    plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
-    pdf: Pdf = False,
-    opened: Open = False,
-    quiet: Quiet = False,
+    pdf: options.Pdf = False,
+    opened: options.Open = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Redraw tables, figures and report.html of a run."""
     from tiswarm import api
@@ -384,7 +367,7 @@ def report(
     if not quiet:
         typer.echo(found)
     if opened or not quiet:
-        show_page(found.page, opened=opened)
+        options.show_page(found.page, opened=opened)
 
 
 @app.command(epilog="Example: tiswarm render reports/tower-1a2b3c4d --renderer open3d")
@@ -400,15 +383,15 @@ def render(
         Path | None, Option(help="With LOG: folder to write to (default: renders).")
     ] = None,
     *,
-    animate: Animate = False,
-    movie: Movie = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    animate: options.Animate = False,
+    movie: options.Movie = None,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Draw 3D pictures of a run, or of a log and its estimate."""
     from tiswarm import api
 
-    animated = chosen_movie(movie, animate=animate)
+    animated = options.chosen_movie(movie, animate=animate)
     api.render(
         source, estimate, truth,
         renderer=renderer, case=case, movie=animated, out=out, overwrite=overwrite, quiet=quiet,
@@ -420,8 +403,8 @@ def compare(
     runs: Annotated[list[Path], Argument(metavar="RUN RUN ...", help="Run folders.")],
     out: Annotated[Path, Option(help="Folder to write to.")] = Path("reports/comparison"),
     *,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Compare runs in a table and a figure.
 
@@ -449,11 +432,11 @@ def export(
         Path | None, Option(help="Folder to write to (default: export, in RUN if there is one).")
     ] = None,
     case: Annotated[str | None, Option(help="Case to export (default: the largest).")] = None,
-    plugins: Plugins = [],  # noqa: B006 - typer never changes it
+    plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
-    overwrite: Overwrite = False,
-    debug: Debug = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    debug: options.Debug = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Export a case, or a log and its estimate, for other programs.
 
@@ -461,7 +444,7 @@ def export(
     """
     from tiswarm import api
 
-    with showing_traceback(debug=debug):
+    with options.showing_traceback(debug=debug):
         api.export(
             source, form, estimate, truth,
             out=out, case=case, plugins=plugins, overwrite=overwrite, quiet=quiet,

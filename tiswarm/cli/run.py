@@ -8,23 +8,8 @@ import typer
 from typer import Argument, Option
 
 from tiswarm.base.errors import CasesFailedError, InputError
-from tiswarm.cli.app import (
-    Animate,
-    Debug,
-    Movie,
-    OneArch,
-    Open,
-    Overrides,
-    Overwrite,
-    Pdf,
-    Plugins,
-    Quiet,
-    Threads,
-    app,
-    chosen_movie,
-    show_page,
-    show_tracebacks,
-)
+from tiswarm.cli import options
+from tiswarm.cli.options import app
 
 ScenarioFile = Annotated[
     Path, Argument(metavar="SCENARIO", help="Scenario file, or name of a shipped one.")
@@ -34,10 +19,10 @@ ScenarioFile = Annotated[
 @app.command(epilog="Example: tiswarm run scenarios/tower.yaml --set robots=20 --set seeds=2")
 def run(
     scenario: ScenarioFile,
-    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    overrides: options.Overrides = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, Option(help="Parent of the run folder.")] = Path("reports"),
-    arch: OneArch = "cpu",
-    threads: Threads = None,
+    arch: options.OneArch = "cpu",
+    threads: options.Threads = None,
     workers: Annotated[int | None, Option(min=1, help="Number of worker processes.")] = None,
     scheduler: Annotated[
         str | None, Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
@@ -46,7 +31,7 @@ def run(
     case_limit: Annotated[
         float | None, Option(min=0.001, metavar="SECONDS", help="Abort a case after this time.")
     ] = None,
-    plugins: Plugins = [],  # noqa: B006 - typer never changes it
+    plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     only_plan: Annotated[
         bool, Option("--plan", help="Print an estimate of time and memory, and run nothing.")
@@ -55,13 +40,13 @@ def run(
         bool, Option("--fail-fast", help="Stop at the first failed case.")
     ] = False,
     pictures: Annotated[bool, Option(help="Draw figures, renders and report.html.")] = True,
-    pdf: Pdf = False,
-    animate: Animate = False,
-    movie: Movie = None,
-    overwrite: Overwrite = False,
-    opened: Open = False,
-    debug: Debug = False,
-    quiet: Quiet = False,
+    pdf: options.Pdf = False,
+    animate: options.Animate = False,
+    movie: options.Movie = None,
+    overwrite: options.Overwrite = False,
+    opened: options.Open = False,
+    debug: options.Debug = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Run a scenario: grow, sense, localize, evaluate and draw.
 
@@ -69,7 +54,7 @@ def run(
     """
     from tiswarm import api
 
-    animated = chosen_movie(movie, animate=animate)
+    animated = options.chosen_movie(movie, animate=animate)
     execution: dict[str, Any] = {
         "workers": workers, "scheduler": scheduler, "shard": _shard(shard),
         "case_limit_s": case_limit, "fail_fast": fail_fast,
@@ -85,9 +70,9 @@ def run(
     if not quiet:
         typer.echo(found)
     if not found.missing and (opened or not quiet):
-        show_page(found.page, opened=opened)
+        options.show_page(found.page, opened=opened)
     if found.failed:
-        show_tracebacks(found.folder, debug=debug)
+        options.show_tracebacks(found.folder, debug=debug)
         raise typer.Exit(CasesFailedError.exit_status)
 
 

@@ -19,21 +19,10 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
+from tiswarm.base import parts as door
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import AnyArch, AnyPrecision
-from tiswarm.base.parts import (
-    PARTS,
-    Plugin,
-    PluginError,
-    fault_of_numbers,
-    find,
-    guarded,
-    load,
-    own_section,
-    register,
-    registered,
-)
 from tiswarm.base.progress import Advance, by_share, ignore
 from tiswarm.localization.settings import DOCKS_UNKNOWN, MethodParams, all_cues
 from tiswarm.measurements.observability import observability
@@ -62,18 +51,18 @@ def settings_of(name: str) -> type[MethodParams]:
     Raises:
         EnvironmentTroubleError: this copy of the package lacks the method.
     """
-    found: type[MethodParams] = find("method", name)
+    found: type[MethodParams] = door.find("method", name)
     return found
 
 
 def all_params() -> Any:  # noqa: ANN401 - a type
     """Return the type of the settings of any method that is here, those of plug-ins included."""
-    kinds = (*_built_in(), *(found.value.params for found in registered("method").values()))
+    kinds = (*_built_in(), *(found.value.params for found in door.registered("method").values()))
     return Annotated[Union[kinds], pydantic.Field(discriminator="method")]  # noqa: UP007
 
 
 def _built_in() -> Iterator[type[MethodParams]]:
-    for name in PARTS["method"]:
+    for name in door.PARTS["method"]:
         try:
             yield settings_of(name)
         except EnvironmentTroubleError:  # a copy of the package without this part
@@ -95,7 +84,7 @@ def modules(name: str) -> set[str]:
     try:
         params = settings_of(name)
         used = [each.module for each in (params, params.calls) if each]
-        return {PARTS["method"][name].partition(":")[0], *used}
+        return {door.PARTS["method"][name].partition(":")[0], *used}
     except EnvironmentTroubleError:
         return set()
 
@@ -282,7 +271,7 @@ def localize_batch(
 def _module_of(params: MethodParams) -> Any:  # noqa: ANN401 - a module
     """Import the module of a method; that of a plug-in is the class of its settings."""
     is_own = isinstance(params, OwnParams)
-    return OwnParams if is_own else load(params.module, f"method {params.method}")
+    return OwnParams if is_own else door.load(params.module, f"method {params.method}")
 
 
 def centered(log: SensingLog) -> SensingLog:
@@ -350,17 +339,17 @@ class OwnParams(MethodParams):
         Raises:
             PluginError: the function failed, or returned something else.
         """
-        own, plugin = _own(params.method), registered("method")[params.method].plugin
+        own, plugin = _own(params.method), door.registered("method")[params.method].plugin
         settings = () if own.settings is None else (params.settings,)
 
         def locate() -> tuple[Any, NDArray[Any]]:
             found = own.locate(log, *settings)
             return found, np.asarray(found.position if isinstance(found, Estimate) else found)
 
-        found, position = guarded(plugin, own.name, locate)
+        found, position = door.guarded(plugin, own.name, locate)
         if wrong := _fault(log, found, position):
             problem = f"{plugin.file}: {own.name} returned {wrong}"
-            raise PluginError(problem, f"{problem}\n")
+            raise door.PluginError(problem, f"{problem}\n")
         if isinstance(found, Estimate):
             return found
         return _judged(log, own.cues, position.astype(np.float64))
@@ -369,9 +358,11 @@ class OwnParams(MethodParams):
         names = (each.name for each in fields(self))  # type: ignore[arg-type]
         return {name: getattr(self, name) for name in names if name != "method"}
 
-    def __reduce__(self) -> tuple[Callable[..., "OwnParams"], tuple[Plugin, str, dict[str, Any]]]:
+    def __reduce__(
+        self,
+    ) -> tuple[Callable[..., "OwnParams"], tuple[door.Plugin, str, dict[str, Any]]]:
         """Send the plug-in ahead, so that a worker loads it before it needs the class."""
-        plugin = registered("method")[self.method].plugin
+        plugin = door.registered("method")[self.method].plugin
         return _received, (plugin, self.method, self._values())
 
 
@@ -404,7 +395,7 @@ def method(
         own = OwnMethod(
             name=name, locate=locate, settings=settings, cues=tuple(cues), params=section
         )
-        register("method", name, own, locate)
+        door.register("method", name, own, locate)
         return locate
 
     return add
@@ -417,7 +408,7 @@ def _fault(log: SensingLog, found: object, position: NDArray[Any]) -> str:
         return f"{what}; return positions of shape ({log.robot_count}, 3), or an Estimate"
     farthest = FARTHEST * log.dock_radius
     where = f"within {farthest:g} {log.length_unit} of the origin"
-    wrong = fault_of_numbers(position, farthest, where)
+    wrong = door.fault_of_numbers(position, farthest, where)
     return wrong and f"positions that are {wrong}; give guesses"
 
 
@@ -441,11 +432,11 @@ def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:
 
 
 def _own(name: str) -> OwnMethod:
-    found: OwnMethod = registered("method")[name].value
+    found: OwnMethod = door.registered("method")[name].value
     return found
 
 
-def _received(plugin: Plugin, name: str, values: Mapping[str, Any]) -> OwnParams:  # noqa: ARG001
+def _received(plugin: door.Plugin, name: str, values: Mapping[str, Any]) -> OwnParams:  # noqa: ARG001
     """Make settings on a worker, where the plug-in has been loaded."""
     return _own(name).params(**values)
 
@@ -467,7 +458,7 @@ def _section(name: str, settings: type[Any] | None) -> type[OwnParams]:
     def check(self: OwnParams) -> None:
         self.settings  # noqa: B018 - raises what the plug-in's own check finds
 
-    section: type[OwnParams] = own_section(
+    section: type[OwnParams] = door.own_section(
         name, "method", settings, OwnParams, {"__post_init__": check}
     )
     return section

@@ -30,20 +30,10 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 from scipy.spatial.distance import pdist, squareform
 
+from tiswarm.base import parts as door
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
-from tiswarm.base.parts import (
-    PARTS,
-    Plugin,
-    PluginError,
-    fault_of_numbers,
-    find,
-    guarded,
-    own_section,
-    register,
-    registered,
-)
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.messages import shown
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
@@ -423,8 +413,8 @@ class ChainParams(EdgeParams):
 
 def all_kinds() -> Any:  # noqa: ANN401 - a type
     """Return the type of the settings of any kind of structure, those of plug-ins included."""
-    ours = (find("structure", name) for name in PARTS["structure"])
-    own = (found.value for found in registered("structure").values())
+    ours = (door.find("structure", name) for name in door.PARTS["structure"])
+    own = (found.value for found in door.registered("structure").values())
     return Annotated[Union[(*ours, *own)], Field(discriminator="kind")]
 
 
@@ -487,8 +477,8 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
         guards: dict[str, object] = {each: _guarded(name, settings, each) for each in _SHAPES}
         ground = partial(_ground, name, settings)
         guards |= {"terrain": property(ground), "__reduce__": _reduced}
-        kind: type[_Kind] = own_section(name, "kind", settings, settings, guards)
-        register("structure", name, kind, source)
+        kind: type[_Kind] = door.own_section(name, "kind", settings, settings, guards)
+        door.register("structure", name, kind, source)
         return kind
 
     return add
@@ -500,16 +490,16 @@ def _guarded(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
 
     @wraps(theirs)
     def call(self: GrowthParams, *given: Any) -> Any:  # noqa: ANN401 - as the method
-        plugin, what = registered("structure")[name].plugin, f"{name}.{method}"
-        found = guarded(plugin, what, lambda: np.asarray(theirs(self, *given)))
+        plugin, what = door.registered("structure")[name].plugin, f"{name}.{method}"
+        found = door.guarded(plugin, what, lambda: np.asarray(theirs(self, *given)))
         shape, wrong = _SHAPES[method](*given), ""
         if found.shape != shape:
             wrong = f"shape {found.shape}; return numbers of shape {shape}"
-        elif fault := fault_of_numbers(found, _FARTHEST, f"within {_FARTHEST:g} R"):
+        elif fault := door.fault_of_numbers(found, _FARTHEST, f"within {_FARTHEST:g} R"):
             wrong = f"numbers that are {fault}; correct them"
         if wrong:
             problem = f"{plugin.file}: {what} returned {wrong}"
-            raise PluginError(problem, f"{problem}\n")
+            raise door.PluginError(problem, f"{problem}\n")
         return found.astype(np.float64)
 
     return call
@@ -517,24 +507,24 @@ def _guarded(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
 
 def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
     """Return the terrain of a plug-in's structure."""
-    plugin, what = registered("structure")[name].plugin, f"{name}.terrain"
+    plugin, what = door.registered("structure")[name].plugin, f"{name}.terrain"
     theirs = getattr(settings.terrain, "fget", lambda _: settings.terrain)
-    found = guarded(plugin, what, lambda: theirs(of))
+    found = door.guarded(plugin, what, lambda: theirs(of))
     if not isinstance(found, Terrain):
         problem = f"{plugin.file}: {what} returned {type(found).__name__}; return a Terrain"
-        raise PluginError(problem, f"{problem}\n")
+        raise door.PluginError(problem, f"{problem}\n")
     return found
 
 
 def _reduced(self: GrowthParams) -> tuple[Callable[..., GrowthParams], tuple[object, ...]]:
     """Send the plug-in ahead, so that a worker loads it before it needs the class."""
     values = {each.name: getattr(self, each.name) for each in fields(self)}
-    return _received, (registered("structure")[self.kind].plugin, values)
+    return _received, (door.registered("structure")[self.kind].plugin, values)
 
 
-def _received(plugin: Plugin, values: Mapping[str, Any]) -> GrowthParams:  # noqa: ARG001
+def _received(plugin: door.Plugin, values: Mapping[str, Any]) -> GrowthParams:  # noqa: ARG001
     """Make settings on a worker, where the plug-in has been loaded."""
-    made: GrowthParams = find("structure", values["kind"])(**values)
+    made: GrowthParams = door.find("structure", values["kind"])(**values)
     return made
 
 

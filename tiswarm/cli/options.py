@@ -52,7 +52,11 @@ Threads = Annotated[
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only warnings and errors.")]
 Plugins = Annotated[
     list[Path],
-    Option("--plugin", metavar="FILE", help="Load your own methods from a file (repeatable)."),
+    Option(
+        "--plugin",
+        metavar="FILE",
+        help="Load a plug-in of yours from a file (repeatable).",
+    ),
 ]
 Debug = Annotated[bool, Option("--debug", help="Print the traceback if a plug-in fails.")]
 RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
