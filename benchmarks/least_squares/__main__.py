@@ -25,7 +25,7 @@ from benchmarks.least_squares.factor_graph import Array, Minimum, levenberg_marq
 from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse
 from tiswarm.localization.chains.problem import Problem, pose_problem
-from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.cost import WholeCost
 from tiswarm.parts.peers.hop_by_hop import place
 from tiswarm.parts.peers.settings import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
@@ -36,11 +36,11 @@ SCENARIOS = ("tower", "cantilever")
 
 def ours(log: SensingLog, problem: Problem, position: Array, yaw: Array) -> Minimum:
     """Minimize the chi-square of a problem by the steps of `least-squares`."""
-    cost = Cost(
+    cost = WholeCost(
         log, problem.rows, yaw_precision=problem.yaw_precision, non_overlap=False,
         are_independent=True,
     )  # fmt: skip
-    state, linear = cost.refine((position, yaw), PARAMS.rounds)
+    state, linear = cost.refine(cost.at(position, yaw), PARAMS.rounds)
     return Minimum(state.position, state.yaw, linear.chi_square)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.logs.grade import Known, error
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.cost import WholeCost
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
@@ -79,21 +79,21 @@ def optimum(
     """
     problem = pose_problem(log, PARAMS)
     start = truth / log.dock_radius, np.zeros(len(truth))
-    cost = Cost(
+    cost = WholeCost(
         log,
         problem.rows.associated(*start),
         yaw_precision=problem.yaw_precision,
         links=problem.connections,
         robust_sd=ROBUST_SD,
     )
-    turn = None
+    state = cost.at(*start)
     for _ in range(calls):
-        state, _ = cost.refine(start, ROUNDS, turn=turn)
-        step = np.linalg.norm(state.position - start[0], axis=1)[counted].max(initial=0.0)
-        start, turn = (state.position, state.yaw), state.turn
+        before = state.position
+        state, _ = cost.refine(state, ROUNDS)
+        step = np.linalg.norm(state.position - before, axis=1)[counted].max(initial=0.0)
         if step < settled:
             break
-    return start[0] * log.dock_radius
+    return state.position * log.dock_radius
 
 
 def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Limit:

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.compute.lang import Reals2, ti
 from tiswarm.compute.math import normal, uniform
-from tiswarm.compute.math_kernels import axis_rotation, mixed, quaternion_product, rotate
+from tiswarm.compute.math_kernels import mixed, rotate
+from tiswarm.world.climb_kernels import axis_rotation, quaternion_product
 
 whole = st.integers(0, 2**40)
 

@@ -14,8 +14,8 @@ from tiswarm.compute.neighbor_list import (
     FEWEST_BUCKETS,
     NeighborList,
     hash_strides,
-    morton_order,
 )
+from tiswarm.engine.stepping import morton_order
 
 SIDE = st.floats(0.0, 1e12)
 

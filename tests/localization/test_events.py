@@ -8,10 +8,10 @@ import pytest
 
 from tests.parts.online.test_online import QUICK, fed, lines_of
 from tests.structures import NOISY
+from tiswarm.localization.cost.cost import State
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.parts.advice.further import advise
-from tiswarm.parts.online.neighborhood import Configuration
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_file import SensingLogBuilder
@@ -120,7 +120,7 @@ def test_a_tracker_after_events_has_the_rows_of_the_log_after_them(lines):
     for line in lines_of(log)[1:]:
         fresh.take(line)
     rng = np.random.default_rng(0)
-    state = Configuration(3.0 * rng.normal(size=(12, 3)), rng.normal(size=(12, 3)))
+    state = State(3.0 * rng.normal(size=(12, 3)), rng.normal(size=(12, 3)))
     state.position[0] = 0.0
     every = np.arange(12)
     ours, theirs = (each.neighborhood(every).linearized(state) for each in (tracker, fresh))

@@ -21,8 +21,7 @@ from tests.structures import (
 )
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost import cost as refinement
-from tiswarm.localization.cost.cost import SETTLED, Cost, State
+from tiswarm.localization.cost.cost import SETTLED, State, WholeCost
 from tiswarm.localization.cost.linear import NOMINAL
 from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.localization.settings import LARGE, JointParams
@@ -77,38 +76,36 @@ def cost_of(log, params=ALL, **options):
     """Pose the problem of a log and its cost."""
     known = pose_problem(log, params)
     options = {"yaw_precision": known.yaw_precision, "links": known.connections, **options}
-    return known, Cost(log, known.rows, **options)
+    return known, WholeCost(log, known.rows, **options)
 
 
 def state_at(cost, position, draw=None, *, turn=1.0):
     """State at some positions, its other parts drawn in their standard deviations."""
-    robots, stances = len(position), len(cost.walks.owner)
+    robots = len(position)
     if draw is None:
-        parts = [np.zeros(robots), np.zeros((stances, 3)), np.zeros(len(cost.rows.shared_sd))]
-        return State(position, *parts)
+        return cost.at(position, np.zeros(robots))
     yaw = draw.normal(size=robots) * (cost.precision[6 * robots] > 0.0)
-    turns, shared = draw.normal(size=(stances, 3)), draw.normal(size=len(cost.rows.shared_sd))
-    return State(position, yaw, turn * turns, shared)
+    turns = turn * draw.normal(size=(len(cost.walks.owner), 3))
+    shared = draw.normal(size=len(cost.rows.shared_sd))
+    found = cost.at(position, yaw, turns[cost.walks.final], turns[cost.is_earlier])
+    return found._replace(shared=shared)
 
 
 def residuals(cost, state):
     """Residuals of measurements, with what turns of earlier stances add to them."""
-    linear = cost.linearized(state, cost.precision)
+    linear = cost.linearized(state)
     missed = linear.residual[: len(cost.rows)]
-    return missed + linear.noise @ state.turn[cost.is_earlier].ravel()
+    return missed + linear.noise @ state.earlier.ravel()
 
 
 def unknowns(cost, state):
     """Concatenate the unknowns of a state: positions, turns of final stances, yaw, and sources."""
-    final = state.turn[cost.walks.final]
-    return np.concatenate([state.position.ravel(), final.ravel(), state.yaw, state.shared])
+    return np.concatenate([state.position.ravel(), state.turn.ravel(), state.yaw, state.shared])
 
 
 def with_prior(cost, width):
-    """Precisions of all unknowns, with a prior of positions around the start."""
-    precision = cost.precision.copy()
-    precision[: 3 * cost.rows.robots] = width**-2
-    return precision
+    """Add a prior of all positions around the start."""
+    return cost.held(np.full(cost.rows.robots, width))
 
 
 def dense(linear):
@@ -133,7 +130,9 @@ def _walked_slowly(log, walks, state):
     """Docks and centers at every stance, flip by flip, back from where robots stand at last."""
     sd = walks.turn_sd[:, [0, 0, 1]]
     yaw = Rotation.from_rotvec(np.array([0.0, 0.0, 1.0]) * state.yaw[walks.owner, None])
-    true = Rotation.from_rotvec(-state.turn * sd) * yaw * _orientations(log)
+    turn, final = np.empty((len(sd), 3)), np.isin(np.arange(len(sd)), walks.final)
+    turn[final], turn[~final] = state.turn, state.earlier
+    true = Rotation.from_rotvec(-turn * sd) * yaw * _orientations(log)
     center = np.zeros((len(walks.owner), 3))
     dock = np.array([true.apply(d) for d in log.dock_offset_body]).swapaxes(0, 1)
     pivot = iter([] if log.stances is None else log.stances.pivot_dock[::-1])
@@ -200,7 +199,8 @@ def test_nothing_is_left_where_robots_truly_are(towers, robots):
         true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
         wrong = _orientations(log) * Rotation.from_quat(true, scalar_first=True).inv()
         turn = wrong.as_rotvec() / np.radians([10.0, 10.0, 20.0])
-        state = state_at(cost, history.position)._replace(turn=turn)
+        turns = turn[cost.walks.final], turn[cost.is_earlier]
+        state = cost.at(history.position, np.zeros(log.robot_count), *turns)
 
         left = residuals(cost, state)
 
@@ -221,13 +221,13 @@ def test_derivatives_are_those_of_the_residuals(towers, kind):
     at = state_at(cost, position, draw, turn=0.0)
     motion = state_at(cost, draw.normal(size=(robots, 3)), draw)
     motion.position[0] = 0.0
-    linear = cost.linearized(at, cost.precision)
+    linear = cost.linearized(at)
     slope = linear.jacobian @ unknowns(cost, motion)[cost.free]
-    slope[: len(known.rows)] += linear.noise @ motion.turn[cost.is_earlier].ravel()
+    slope[: len(known.rows)] += linear.noise @ motion.earlier.ravel()
 
     def moved(by):
         state = State(*(a + by * d for a, d in zip(at, motion, strict=True)))
-        connections = cost.linearized(state, cost.precision).residual[len(known.rows) :]
+        connections = cost.linearized(state).residual[len(known.rows) :]
         return np.concatenate([residuals(cost, state), connections])
 
     change = (moved(UNIT) - moved(-UNIT)) / (2.0 * UNIT)
@@ -246,13 +246,13 @@ def test_derivatives_of_overlaps_are_those_of_distances(towers, kind):
     at = state_at(cost, position, draw, turn=0.0)
     motion = state_at(cost, draw.normal(size=(robots, 3)), draw)
     motion.position[0] = 0.0
-    linear = cost.linearized(at, cost.precision)
+    linear = cost.linearized(at)
     overlap = len(cost.rows) + np.arange(len(linear.tables[1].residual))
     slope = (linear.jacobian @ unknowns(cost, motion)[cost.free])[overlap]
 
     def moved(by):
         state = State(*(a + by * d for a, d in zip(at, motion, strict=True)))
-        return cost.linearized(state, cost.precision).tables[1].residual
+        return cost.linearized(state).tables[1].residual
 
     change = (moved(UNIT) - moved(-UNIT)) / (2.0 * UNIT)
     assert len(change) > 4
@@ -267,8 +267,8 @@ def test_a_prior_does_not_move_the_minimum(towers):
     near = towers[0].position + 0.05 * draw.normal(size=towers[0].position.shape)
     near[0] = towers[0].position[0]
 
-    free, least = cost.refine((near, yaw), 30)
-    _, found = cost.refine((near, yaw), 30, np.full(log.robot_count, 0.3))
+    free, least = cost.refine(cost.at(near, yaw), 30)
+    _, found = with_prior(cost, 0.3).refine(cost.at(near, yaw), 30)
 
     assert np.linalg.norm(free.position - near, axis=1).max() > 0.05
     assert found.cost == pytest.approx(least.cost, abs=0.2)
@@ -281,10 +281,10 @@ def test_residuals_of_connections_are_those_of_the_turned_robots(towers):
     draw = np.random.default_rng(3)
     small = state_at(cost, towers[0].position, draw, turn=1e-4)
 
-    linear = cost.linearized(small, cost.precision)
+    linear = cost.linearized(small)
 
     sd = known.rows.odometry.turn_sd[known.rows.odometry.final][:, [0, 0, 1]]
-    turn = Rotation.from_rotvec(-small.turn[known.rows.odometry.final] * sd)
+    turn = Rotation.from_rotvec(-small.turn * sd)
     right = (turn * _orientations(log)).as_quat(scalar_first=True)
     turned = connections_of(replace(log, orientation_wxyz=right))
     changed = linear.residual[len(known.rows) :] - known.connections.residual.ravel()
@@ -306,9 +306,9 @@ def test_steps_and_variances_are_those_of_generalized_least_squares(towers, kind
     begin = state_at(cost, towers[0].position)
     at = state_at(cost, begin.position + 0.01 * draw.normal(size=(robots, 3)), draw, turn=0.1)
     at.position[0] = begin.position[0]
-    linear = cost.linearized(at, with_prior(cost, 0.7))
+    linear = with_prior(cost, 0.7).linearized(at)
     jacobian, weight = linear.jacobian.toarray(), dense(linear)
-    prior = with_prior(cost, 0.7)[cost.free]
+    prior = with_prior(cost, 0.7).precision[cost.free]
     posterior = np.linalg.inv(jacobian.T @ weight @ jacobian + np.diag(prior))
     slope = jacobian.T @ weight @ linear.residual + prior * linear.off
     step = -posterior @ slope
@@ -337,7 +337,7 @@ def test_the_width_of_a_minimum_is_the_root_of_a_determinant(towers, kind):
 
     for width in (0.1, 0.5):
         start = (towers[0].position, np.zeros(30))
-        linear = cost.refine(start, 0, np.full(30, width))[1]
+        linear = with_prior(cost, width).linearized(cost.at(*start))
         volumes.append(linear.log_volume)
         information = linear.jacobian.T @ dense(linear) @ linear.jacobian.toarray()
         information += np.diag(linear.precision)
@@ -354,12 +354,12 @@ def test_steps_within_a_radius_are_those_with_a_prior_of_that_width(towers, radi
     _, cost = cost_of(log)
     draw = np.random.default_rng(4)
     at = state_at(cost, towers[0].position + 0.3 * draw.normal(size=(30, 3)), draw, turn=0.1)
-    linear = cost.linearized(at, cost.precision)
+    linear = cost.linearized(at)
 
     found, _ = linear.step(radius)
 
     weight, jacobian = dense(linear), linear.jacobian.toarray()
-    prior = with_prior(cost, radius)[cost.free]
+    prior = with_prior(cost, radius).precision[cost.free]
     posterior = np.linalg.inv(jacobian.T @ weight @ jacobian + np.diag(prior))
     np.testing.assert_allclose(found, -posterior @ linear.slope, rtol=1e-4, atol=1e-6)
 
@@ -371,17 +371,17 @@ def test_a_round_goes_where_its_step_leads(towers, kind, monkeypatch):
     _, cost = cost_of(log, non_overlap=False)
     begin = state_at(cost, towers[0].position)
     width = 1e-3
-    free, earlier = cost.linearized(begin, with_prior(cost, width)).step(np.inf)
+    free, earlier = with_prior(cost, width).linearized(begin).step(np.inf)
     step = np.zeros(len(cost.precision))
     step[cost.free] = free
-    monkeypatch.setattr(refinement, "_MOST_ROUNDS", 1)
+    monkeypatch.setattr(WholeCost, "most_rounds", 1)
 
-    state, _ = cost.refine((begin.position, begin.yaw), 1, np.full(log.robot_count, width))
+    state, _ = with_prior(cost, width).refine(cost.at(begin.position, begin.yaw), 1)
 
     assert 1e-4 < np.abs(step[: 3 * log.robot_count]).max() < 0.5  # none is cut
     moved = State(*(a - b for a, b in zip(state, begin, strict=True)))
     np.testing.assert_allclose(unknowns(cost, moved), step, atol=1e-9)
-    np.testing.assert_allclose(state.turn[cost.is_earlier].ravel(), earlier, atol=1e-9)
+    np.testing.assert_allclose(state.earlier.ravel(), earlier, atol=1e-9)
     np.testing.assert_array_equal(begin.position, towers[0].position)
 
 
@@ -396,7 +396,7 @@ def test_the_cost_is_the_chi_square_written_out(towers, kind):
     draw = np.random.default_rng(5)
     at = state_at(cost, towers[0].position + 0.3 * draw.normal(size=(log.robot_count, 3)), draw)
 
-    linear = cost.linearized(at, with_prior(cost, 0.7))
+    linear = with_prior(cost, 0.7).linearized(at)
 
     weight, inverse = dense(linear), linear.inverse
     inverse = np.diag(inverse) if isinstance(inverse, np.ndarray) else inverse.toarray()
@@ -422,7 +422,7 @@ def test_the_robust_cost_is_cauchys_loss_written_out(towers, kind):
     far = draw.normal(size=(log.robot_count, 3)) * draw.choice([0.01, 3.0], (log.robot_count, 1))
     at = state_at(cost, towers[0].position + far, draw)
 
-    linear = cost.linearized(at, cost.precision)
+    linear = cost.linearized(at)
 
     rows = known.rows
     variance = rows.variance() - rows.shared_variance + 0.02**2
@@ -454,11 +454,11 @@ def test_the_slope_of_the_robust_cost_is_its_derivative(towers, kind):
         moved = width * draw.normal(size=(log.robot_count, 3))
         at = state_at(cost, towers[0].position + moved, draw, turn=0.0)
 
-        slope = cost.linearized(at, cost.precision).slope
+        slope = cost.linearized(at).slope
 
         def total(by, at=at):
             state = State(*(a + by * d for a, d in zip(at, motion, strict=True)))
-            return cost.linearized(state, cost.precision).cost
+            return cost.linearized(state).cost
 
         change = (total(UNIT) - total(-UNIT)) / (2.0 * UNIT)
         assert 2.0 * slope @ unknowns(cost, motion)[cost.free] == pytest.approx(change, rel=1e-4)
@@ -481,7 +481,7 @@ def test_freedom_is_rows_less_the_rank_of_their_derivatives(kind, docks, robots,
     log = replace(log, noise=SensingNoise(tilt_deg=0.0, yaw_deg=0.0))
     log = with_heights(log, truth) if level else log
     known, cost = cost_of(log, ALL if level else CONTACTS_ONLY, non_overlap=False)
-    linear = cost.refine((truth, np.zeros(robots)), 0)[1]
+    linear = cost.refine(cost.at(truth, np.zeros(robots)), 0)[1]
     weighted = linear.jacobian.toarray() / np.sqrt(linear.own_variance)[:, None]
     size = np.linalg.svd(weighted)[1]
     assume(not ((size > 1e-6 * size[0]) & (size < 1e-3 * size[0])).any())  # hardly floppy
@@ -503,8 +503,8 @@ def test_freedom_counts_priors_as_rows(towers, kind):
     log = with_orientations(sensed(towers[0], kind))
     _, cost = cost_of(log, non_overlap=False)
     start = (towers[0].position, np.zeros(30))
-    linear = cost.refine(start, 0)[1]
-    held = cost.refine(start, 0, np.full(30, 0.1))[1]
+    linear = cost.linearized(cost.at(*start))
+    held = with_prior(cost, 0.1).linearized(cost.at(*start))
 
     freedom = linear.freedom()
 
@@ -529,11 +529,11 @@ def test_rounds_never_raise_the_cost(seed, far, robust):
     last = np.inf
 
     for rounds in (0, 1, 3, 10):
-        state, linear = cost.refine((start, np.zeros(15)), rounds)
+        state, linear = cost.refine(cost.at(start, np.zeros(15)), rounds)
 
         assert linear.cost <= last + SETTLED
         last = linear.cost
-        again = cost.linearized(state, cost.precision)
+        again = cost.linearized(state)
         assert again.cost == pytest.approx(linear.cost)
 
 
@@ -546,11 +546,11 @@ def test_rounds_end_where_no_step_is_left(towers, kind):
     start = towers[0].position + 0.02 * draw.normal(size=(30, 3))
     start[0] = towers[0].position[0]
 
-    state, linear = cost.refine((start, np.zeros(30)), 40, np.full(30, 0.3))
+    state, linear = with_prior(cost, 0.3).refine(cost.at(start, np.zeros(30)), 40)
 
     gain = -linear.slope @ linear.step(np.inf)[0]
     assert np.abs(state.turn).max() > 0.1
-    assert 0.0 <= gain < 0.05 < 1e-3 * cost.refine((start, np.zeros(30)), 0)[1].cost
+    assert 0.0 <= gain < 0.05 < 1e-3 * cost.refine(cost.at(start, np.zeros(30)), 0)[1].cost
 
 
 def test_no_round_moves_a_robot_far(monkeypatch):
@@ -560,9 +560,9 @@ def test_no_round_moves_a_robot_far(monkeypatch):
     _, cost = cost_of(log, non_overlap=False)
     start = truth + 8.0 * np.random.default_rng(0).normal(size=truth.shape)
     start[0] = truth[0]
-    monkeypatch.setattr(refinement, "_MOST_ROUNDS", 1)
+    monkeypatch.setattr(WholeCost, "most_rounds", 1)
 
-    state, _ = cost.refine((start, np.zeros(15)), 1)
+    state, _ = cost.refine(cost.at(start, np.zeros(15)), 1)
 
     moved = np.linalg.norm(state.position - start, axis=1)
     assert moved.max() == pytest.approx(1.0)  # docks that touch are 2 R apart
@@ -603,12 +603,12 @@ def test_docks_that_overlap_are_pushed_apart(angle):
     folded, turn = truth.copy(), Rotation.from_rotvec([0.0, 0.0, angle])
     folded[5:] = truth[4] + turn.apply(truth[5:] - truth[4])
 
-    before = cost.refine((folded, np.zeros(8)), 0)[1]
-    state, after = cost.refine((folded, np.zeros(8)), 30)
+    before = cost.refine(cost.at(folded, np.zeros(8)), 0)[1]
+    state, after = cost.refine(cost.at(folded, np.zeros(8)), 30)
 
     turned = Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
     turn_sd = cost.walks.turn_sd[cost.walks.final][:, [0, 0, 1]]
-    turned = Rotation.from_rotvec(-state.turn[cost.walks.final] * turn_sd) * turned
+    turned = Rotation.from_rotvec(-state.turn * turn_sd) * turned
     right = replace(log, orientation_wxyz=turned.as_quat(scalar_first=True))
     assert before.overlap == pytest.approx(_overlap_slowly(log, folded))
     assert after.overlap == pytest.approx(_overlap_slowly(right, state.position))
@@ -643,7 +643,7 @@ def test_an_error_that_fixes_share_is_found(towers):
     _, cost = cost_of(log, non_overlap=False)
     start = history.position + 0.1 * draw.normal(size=(30, 3))
 
-    state, linear = cost.refine((start, np.zeros(30)), 8)
+    state, linear = cost.refine(cost.at(start, np.zeros(30)), 8)
 
     np.testing.assert_allclose(state.shared, shared, atol=0.15)
     off = np.linalg.norm(state.position - history.position, axis=1)[1:]
@@ -669,7 +669,7 @@ def test_what_fixes_share_does_not_average_out(towers, sources):
     )  # fmt: skip
     _, cost = cost_of(log, non_overlap=False)
 
-    sd = np.sqrt(cost.refine((history.position, np.zeros(30)), 4)[1].variance()[1:])
+    sd = np.sqrt(cost.refine(cost.at(history.position, np.zeros(30)), 4)[1].variance()[1:])
 
     floor = np.sqrt(3.0) * shared / np.sqrt(sources)
     assert sd == pytest.approx(floor, rel=0.25)  # of 64 draws, all robots alike
@@ -700,9 +700,7 @@ def test_robots_that_stay_are_constants(towers, kind, robust_sd):
     shift = np.where(moves[:, None], 0.05 * draw.normal(size=position.shape), 0.0)
     states.append(states[0]._replace(position=position + shift * (np.arange(30) > 0)[:, None]))
 
-    of_whole, of_part = (
-        [cost.linearized(state, cost.precision) for state in states] for cost in (whole, part)
-    )
+    of_whole, of_part = ([cost.linearized(state) for state in states] for cost in (whole, part))
 
     at = np.searchsorted(whole.free, part.free)
     assert (whole.free[at] == part.free).all()

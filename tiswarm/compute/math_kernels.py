@@ -22,35 +22,11 @@ def vector_in(array: Ref, i, j):
 
 
 @ti.func
-def quaternion_at(array: Ref, i, j):
-    """Read a quaternion from the last axis of a three-dimensional array."""
-    return ti.Vector([array[i, j, c] for c in range(4)])
-
-
-@ti.func
-def quaternion_product(p, q):
-    """Compose rotations: first `q`, then `p`."""
-    return ti.Vector([
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-    ])  # fmt: skip
-
-
-@ti.func
 def rotate(q, v):
     """Turn the vector `v` by the unit quaternion `q`."""
     axis = ti.Vector([q[1], q[2], q[3]])
     half = 2.0 * axis.cross(v)
     return v + q[0] * half + axis.cross(half)
-
-
-@ti.func
-def axis_rotation(axis, angle):
-    """Rotation by `angle` [rad] about the unit vector `axis`."""
-    s = ti.sin(0.5 * angle)
-    return ti.Vector([ti.cos(0.5 * angle), s * axis[0], s * axis[1], s * axis[2]])
 
 
 @ti.func

@@ -9,7 +9,6 @@ written again: no neighbor is dropped.
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
@@ -28,42 +27,6 @@ _RUN = 512
 """Rows that a core writes in succession, so that they lie close in memory."""
 _ROOM = 1.25
 """Factor of the room that was needed, when more is made."""
-
-
-def morton_order(point: Reals, structure: Ints) -> Ints:
-    """Order points along a Morton curve, structure by structure.
-
-    Points near each other in space come near each other in memory.
-
-    Args:
-        point: Shape (N, 3).
-        structure: Number of each point's structure, 0 to S - 1, none empty, shape (N,).
-
-    Returns:
-        Points in the order of the curve, shape (N,).
-    """
-    by_structure = np.argsort(structure, kind="stable")
-    first = np.searchsorted(structure[by_structure], np.arange(structure.max() + 1))
-    low = np.minimum.reduceat(point[by_structure], first)
-    extent = (np.maximum.reduceat(point[by_structure], first) - low).max(axis=1)
-    scale = (2**20 - 1) / np.where(extent > 0.0, extent, 1.0)
-    place = ((point - low[structure]) * scale[structure][:, None]).astype(np.uint64)
-    x, y, z = (_spread(place[:, axis]) << np.uint64(axis) for axis in range(3))
-    order: Ints = np.lexsort((x | y | z, structure))
-    return order
-
-
-def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Put two zeros after each of the 21 low bits."""
-    for shift, mask in (
-        (32, 0x001F00000000FFFF),
-        (16, 0x001F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
-    return value
 
 
 def hash_strides(extent: Reals, cutoff: float, buckets: int) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
@@ -19,7 +19,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_kernels import StructureTable
-from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
+from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import (
     FREE,
@@ -452,3 +452,39 @@ def _bytes_of_robot(dtype: type[np.floating[Any]], docks: int, *, guided: bool) 
         docks * (1 + 16 + 16) + 12,
     )
     return numbers * np.dtype(dtype).itemsize + 4 * integers
+
+
+def morton_order(point: Reals, structure: Ints) -> Ints:
+    """Order points along a Morton curve, structure by structure.
+
+    Points near each other in space come near each other in memory.
+
+    Args:
+        point: Shape (N, 3).
+        structure: Number of each point's structure, 0 to S - 1, none empty, shape (N,).
+
+    Returns:
+        Points in the order of the curve, shape (N,).
+    """
+    by_structure = np.argsort(structure, kind="stable")
+    first = np.searchsorted(structure[by_structure], np.arange(structure.max() + 1))
+    low = np.minimum.reduceat(point[by_structure], first)
+    extent = (np.maximum.reduceat(point[by_structure], first) - low).max(axis=1)
+    scale = (2**20 - 1) / np.where(extent > 0.0, extent, 1.0)
+    place = ((point - low[structure]) * scale[structure][:, None]).astype(np.uint64)
+    x, y, z = (_spread(place[:, axis]) << np.uint64(axis) for axis in range(3))
+    order: Ints = np.lexsort((x | y | z, structure))
+    return order
+
+
+def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Put two zeros after each of the 21 low bits."""
+    for shift, mask in (
+        (32, 0x001F00000000FFFF),
+        (16, 0x001F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
+    return value

@@ -584,16 +584,12 @@ class Measurements:
         """
         return self._missed(position, yaw)[0]
 
-    def directions(self, position: Reals, yaw: Reals | None = None) -> Reals:
-        """Compute the derivative of each residual by its robot's center, shape (..., E, 3).
-
-        It is a unit vector, or 0 where docks coincide or a hinge is open. Arguments as in
-        `vectors`.
-        """
-        return self.linearized(position, yaw)[1]
-
     def linearized(self, position: Reals, yaw: Reals | None = None) -> tuple[Reals, Reals]:
-        """Compute `residual` and `directions` at once."""
+        """Compute residuals (..., E), and the derivative of each by its robot's center.
+
+        It is a unit vector, or 0 where docks coincide or a hinge is open, shape (..., E, 3).
+        Arguments as in `vectors`.
+        """
         residual, along = self._missed(position, yaw)
         fixed = [self.axes(yaw), self.places.direction]
         shape = position.shape[:-2]
@@ -621,7 +617,7 @@ class Measurements:
         Returns:
             Derivatives by x, y and z of each center [1], then by each yaw [R], shape (E, 4 N).
         """
-        direction = self.directions(position, yaw)
+        direction = self.linearized(position, yaw)[1]
         count, i, j = len(self.other), self.robot, self.other
         arm = turned(self.arm, None if yaw is None else yaw[i]).copy()
         its = turned(self.other_arm, None if yaw is None else yaw[j])

@@ -176,7 +176,7 @@ def _directions(rows: Measurements, position: Reals, *, yaw_unknown: bool) -> Re
 
     A turn is about the vertical through the anchor.
     """
-    direction = rows.directions(position)
+    direction = rows.linearized(position)[1]
     if not yaw_unknown:
         return direction
     x, y, _ = (position[rows.robot] - position[0] + rows.arm).T

@@ -265,8 +265,8 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     members, pairs = np.flatnonzero(turn.moves), len(rows.other)
     column = np.cumsum(turn.moves) * turn.moves - 1  # the last one is of robots that stay
     sd, every = np.sqrt(rows.variance()), np.arange(len(rows))
-    residual = rows.residual(position) / sd
-    way = rows.directions(position) / sd[:, None]
+    residual, way = rows.linearized(position)
+    residual, way = residual / sd, way / sd[:, None]
     of_robot = np.zeros((len(position), len(rows), len(members) + 1, _AXES))
     of_robot[:, every, column[rows.robot]] += way
     of_robot[:, every[:pairs], column[rows.other]] -= way[:, :pairs]

@@ -32,14 +32,7 @@ from tiswarm.compute.lang import (  # fmt: skip  # fmt: skip
     kernel_struct,
     ti,
 )
-from tiswarm.compute.math_kernels import (  # fmt: skip
-    axis_rotation,
-    quaternion_at,
-    quaternion_product,
-    rotate,
-    vector_at,
-    vector_in,
-)
+from tiswarm.compute.math_kernels import rotate, vector_at, vector_in
 from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
 
 FLAT, EDGE = 1, 2
@@ -162,6 +155,30 @@ _NUDGE = 1e-3
 """Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
 _MAX_STEPS = 500
 """Most steps along an edge; 10 to 40 are usual."""
+
+
+@ti.func
+def quaternion_at(array: Ref, i, j):
+    """Read a quaternion from the last axis of a three-dimensional array."""
+    return ti.Vector([array[i, j, c] for c in range(4)])
+
+
+@ti.func
+def quaternion_product(p, q):
+    """Compose rotations: first `q`, then `p`."""
+    return ti.Vector([
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    ])  # fmt: skip
+
+
+@ti.func
+def axis_rotation(axis, angle):
+    """Rotation by `angle` [rad] about the unit vector `axis`."""
+    s = ti.sin(0.5 * angle)
+    return ti.Vector([ti.cos(0.5 * angle), s * axis[0], s * axis[1], s * axis[2]])
 
 
 @ti.func

@@ -12,11 +12,10 @@ from tests.structures import NOISY, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost.cost import Cost, State
+from tiswarm.localization.cost.cost import State, WholeCost
 from tiswarm.localization.methods import centered, localize
 from tiswarm.localization.settings import JointParams
 from tiswarm.parts.online import tracker
-from tiswarm.parts.online.neighborhood import Configuration
 from tiswarm.parts.online.settings import OnlineParams
 from tiswarm.parts.online.tracker import Tracker, annealed_estimate, fitted, reannealed
 from tiswarm.parts.peers.settings import HopByHopParams
@@ -74,15 +73,11 @@ def test_blocks_sum_to_the_normal_equations_of_the_refinement(towers, kind, robu
     position[0] = history.position[0]
     turn = rng.normal(size=position.shape)
     problem = pose_problem(log, params)
-    walks = problem.rows.odometry
-    every = np.zeros((len(walks.owner), 3))
-    every[walks.final] = turn
-    cost = Cost(log, problem.rows, robust_sd=ROBUST_SD if robust else None)
-    none = np.zeros(len(position))
-    whole = cost.linearized(State(position, none, every, np.zeros(0)), cost.precision)
+    cost = WholeCost(log, problem.rows, robust_sd=ROBUST_SD if robust else None)
+    whole = cost.linearized(cost.at(position, np.zeros(len(position)), turn))
 
     robots = np.arange(len(position))
-    state = Configuration(position - log.anchor_position, turn)
+    state = State(position - log.anchor_position, turn)
     every_robot = tracker.neighborhood(robots)
     summed = every_robot.linearized(state)
     some = robots[3::2]
@@ -390,7 +385,7 @@ def test_a_part_is_brought_to_the_contacts_that_tie_it():
     true = bridge.position - bridge.position[0]
     away = true + np.where(part[:, None], [25.0, 8.0, 0.0], 0.0)
 
-    found = annealed_estimate(log, OnlineParams(), Configuration(away, np.zeros_like(away)))
+    found = annealed_estimate(log, OnlineParams(), State(away, np.zeros_like(away)))
 
     assert part.sum() == 5
     assert not len(found.outlier_contacts)
@@ -435,7 +430,7 @@ def test_the_mean_is_the_minimum_where_chains_agree(towers):
     for history in (towers[0], cantilever):
         log = centered(observe(history, NOISY))
         minimum = fed(lines_of(log), LOCAL)
-        state = Configuration(minimum.positions - minimum.positions[0], 0.0 * minimum.positions)
+        state = State(minimum.positions - minimum.positions[0], 0.0 * minimum.positions)
 
         found, shift, sd = reannealed(log, OnlineParams(), state)
 
@@ -453,7 +448,7 @@ def test_a_structure_is_annealed_where_it_has_changed(lines):
     robots = np.arange(len(minimum))
     moves, put = robots >= len(robots) - 6, robots >= len(robots) - 3
     away = minimum + np.where(put[:, None], [1.5, -1.0, 0.5], 0.0)
-    state = Configuration(away, np.zeros_like(away))
+    state = State(away, np.zeros_like(away))
 
     found, _, sd = reannealed(log, OnlineParams(), state, moves=moves)
     fit = fitted(log, OnlineParams(), state, moves)
@@ -510,13 +505,13 @@ def test_the_final_answer_fits_as_well_as_the_present_state(lines, monkeypatch, 
     lost = localize(log, JointParams(**heat))
     verdict = replace(lost.convergence, converged=is_believed, consistent=is_believed)
     monkeypatch.setattr(tracker, "_searched", lambda *_: replace(lost, convergence=verdict))
-    cost = Cost(log, pose_problem(log, hot).rows, robust_sd=ROBUST_SD)
+    cost = WholeCost(log, pose_problem(log, hot).rows, robust_sd=ROBUST_SD)
 
     final = state.estimate(final=True)
 
     none, anchor = np.zeros(log.robot_count), state.positions[0]
     found, present, elsewhere = (
-        cost.refine((position - position[0], none), 4)[1].cost
+        cost.refine(cost.at(position - position[0], none), 4)[1].cost
         for position in (final.position, state.positions, lost.position)
     )
     assert (anchor == final.position[0]).all()

@@ -1,4 +1,7 @@
-"""The least cost of all measurements near given positions: generalized nonlinear least squares.
+"""The cost of configurations, and steps to its minima: generalized nonlinear least squares.
+
+`Cost` says when a step counts. `WholeCost`, of all unknowns of a log, solves sparse matrices;
+`NearCost`, of some robots, all others as they are, sums dense ones in a kernel.
 
 The cost of a configuration is its chi-square: squared residuals of all measurements in variances,
 under a robust loss where asked for, squared overlaps of docks, and priors. Residuals are functions
@@ -10,16 +13,18 @@ orientations were chained, their turns have no prior of their own: connections a
 Lengths in R.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows, by_group
+from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows
 from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.measurements import equations
 from tiswarm.measurements.consistency import are_known
@@ -44,9 +49,8 @@ _LONGEST_STEP = 0.5
 _LONGEST_TURN = 0.3
 """Longest turn in a round of a robot whose orientation is hardly known [rad]."""
 
-_FALLING, _MOST_ROUNDS = 0.3, 30
-"""Share of the cost by which a round must lower it for more rounds than asked for, and rounds at
-most."""
+_FALLING = 0.3
+"""Share of the cost by which a round must lower it for more rounds than asked for [1]."""
 
 _SMALLER, _LEAST_RADIUS = 0.4, 1e-4
 """Radius within which a step is trusted, relative to one that raised the cost [1], and the least
@@ -54,23 +58,95 @@ radius [R]."""
 
 _AXES = np.arange(3)
 _NO_ROWS = LinearRows(*(np.empty(0, kind) for kind in (float, int, int, float, float)))
+NOTHING: Reals = np.empty(0)
 
 
 class State(NamedTuple):
-    """All that residuals depend on."""
+    """All that residuals depend on; of some robots alone, only positions and turns."""
 
     position: Reals
     """Centers [R], shape (N, 3)."""
 
-    yaw: Reals
+    turn: Reals
+    """Error of each final orientation beside yaw, as a rotation vector in standard deviations,
+    shape (N, 3)."""
+
+    earlier: Reals = NOTHING
+    """As `turn`, of stances before the final ones, shape (M, 3)."""
+
+    yaw: Reals = NOTHING
     """Yaw corrections [rad], shape (N,)."""
 
-    turn: Reals
-    """Error of each sensed orientation beside that, as a rotation vector in standard deviations,
-    shape (S, 3)."""
-
-    shared: Reals
+    shared: Reals = NOTHING
     """Error of each source of measurements, in standard deviations, shape (K,)."""
+
+
+class Solvable(Protocol):
+    """A cost near a state."""
+
+    cost: float
+
+
+L = TypeVar("L", bound=Solvable)
+
+
+class Cost(ABC, Generic[L]):
+    """A cost of configurations whose robots and errors are unknown, all or some."""
+
+    most_rounds, widest, promised = 30, np.inf, -np.inf
+    """Rounds at most, where the cost still falls fast; radius within which a step is trusted at
+    first [R]; gain that a step must promise to be tried."""
+
+    @abstractmethod
+    def linearized(self, state: State) -> L:
+        """Linearize the cost at a state, which is where priors of positions are."""
+
+    @abstractmethod
+    def moved(self, state: State, linear: L, radius: float) -> tuple[State, float]:
+        """Go to where the cost, linearized at a state, is least; return the promised gain, too.
+
+        Steps of robots much beyond a radius [R] are damped, and none is too long to be trusted.
+        """
+
+    def refine(self, state: State, rounds: int | None = None) -> tuple[State, L]:
+        """Take Levenberg-Marquardt steps to a minimum of the cost.
+
+        Args:
+            state: Where to begin.
+            rounds: Rounds; more if the cost still falls fast. As many as there may be if None.
+
+        Returns:
+            The best state, and the cost linearized there.
+        """
+        linear = self.linearized(state)
+        rounds = self.most_rounds if rounds is None else rounds
+        radius, gain = self.widest, np.inf
+        for count in range(self.most_rounds * (rounds > 0)):
+            if count >= rounds and gain < _FALLING * linear.cost:
+                break
+            trial, promised = self.moved(state, linear, radius)
+            if promised < self.promised:
+                break
+            there = self.linearized(trial)
+            # The linear problem led uphill: trust it in a smaller region.
+            if there.cost > linear.cost + SETTLED:
+                far = np.linalg.norm(trial.position - state.position, axis=1).max()
+                radius = _SMALLER * min(radius, float(far))
+                if radius < _LEAST_RADIUS:
+                    break
+                continue
+            gain = linear.cost - there.cost
+            state, linear, radius = trial, there, min(radius / _SMALLER, self.widest)
+            if gain < SETTLED:
+                break
+        return state, linear
+
+
+def shortened(step: Reals, most: float, length: Reals | None = None) -> Reals:
+    """Shorten steps (n, 3) whose lengths (n,), if not their own, are beyond the most."""
+    far = np.linalg.norm(step, axis=1) if length is None else length
+    short: Reals = step * (most / np.maximum(far, most))[:, None]
+    return short
 
 
 def weights(cost: Reals, temperature: float = 1.0) -> Reals:
@@ -103,12 +179,6 @@ def moments(weight: Reals, position: Reals) -> tuple[Reals, Reals]:
     return mean, square
 
 
-def step_share(far: Reals, most: float) -> Reals:
-    """Compute the share to take of steps of such lengths, so that none is longer than `most`."""
-    share: Reals = np.minimum(1.0, most / np.maximum(far, most))
-    return share
-
-
 def grouped(order: Ints, alike: Callable[[int, list[int]], Bools]) -> list[list[int]]:
     """Group items, each with the first one before it that it is like.
 
@@ -129,7 +199,7 @@ def grouped(order: Ints, alike: Callable[[int, list[int]], Bools]) -> list[list[
     return groups
 
 
-class Cost:
+class WholeCost(Cost[Linear]):
     """The cost of configurations of N robots with E measurements of K sources.
 
     Unknowns are shifts (3 N), turns of final stances (3 N), yaw (N), and errors of sources (K),
@@ -166,12 +236,11 @@ class Cost:
             moves: Robots that move; all others are constants, and rows of robots without a row
                 about one that moves do not count. All if None, shape (N,).
         """
-        self.hinged = hinged
+        self.robust_sd, self.non_overlap, self.hinged = robust_sd, non_overlap, hinged
         self.moving = np.ones(rows.robots, np.bool_) if moves is None else moves
         of_moving = np.bincount(rows.robot[: len(rows.other)], self.moving[rows.other], rows.robots)
         rows = rows.select((self.moving | (of_moving > 0.0))[rows.robot])
         self.log, self.rows, self.walks, self.links = log, rows, rows.odometry, links
-        self.robust_sd, self.non_overlap = robust_sd, non_overlap
         variance = rows.variance()
         self.is_known = are_known(variance, len(rows.other))
         further_variance = np.where(self.is_known, 0.0, further_variance)
@@ -241,50 +310,24 @@ class Cost:
         self.row_of, self.column_of = row[self.moves], column[self.moves]
         self.of_source = rows.shared_sd[rows.source[with_source]]
 
-    def refine(
-        self,
-        start: tuple[Reals, Reals],
-        rounds: int,
-        prior: Reals | None = None,
-        turn: Reals | None = None,
-    ) -> tuple[State, Linear]:
-        """Take Levenberg-Marquardt steps to a minimum of the cost.
+    def held(self, prior: Reals) -> "WholeCost":
+        """Add a prior of positions around where each round begins.
+
+        It bounds variances and steps, and does not move the minimum.
 
         Args:
-            start: Positions [R], shape (N, 3), and yaw corrections [rad], shape (N,).
-            rounds: Rounds; more if the cost still falls fast.
-            prior: Width of a prior of positions [R], shape (N,); none if None. It is around where
-                each round begins: it bounds variances and steps, and does not move the minimum.
-            turn: Errors of orientations to start with, as in `State`; none if None.
-
-        Returns:
-            The best state, and the cost linearized there.
+            prior: Its width [R], shape (N,).
         """
-        turn = np.zeros((len(self.is_earlier), 3)) if turn is None else turn
-        shared = np.zeros(len(self.rows.shared_sd))
-        state = State(*start, turn, shared)
-        precision = self.precision.copy()
-        if prior is not None:
-            precision[: 3 * len(prior)] = np.repeat(prior**-2, 3)
-        linear = self.linearized(state, precision)
-        radius, gain = np.inf, np.inf
-        for count in range(_MOST_ROUNDS * (rounds > 0)):
-            if count >= rounds and gain < _FALLING * linear.cost:
-                break
-            trial = self.moved(state, linear, radius)
-            there = self.linearized(trial, precision)
-            # The linear problem led uphill: trust it in a smaller region.
-            if there.cost > linear.cost + SETTLED:
-                far = np.linalg.norm(trial.position - state.position, axis=1).max()
-                radius = _SMALLER * min(radius, float(far))
-                if radius < _LEAST_RADIUS:
-                    break
-                continue
-            gain = linear.cost - there.cost
-            state, linear, radius = trial, there, radius / _SMALLER
-            if gain < SETTLED:
-                break
-        return state, linear
+        cost = copy(self)
+        cost.precision = self.precision.copy()
+        cost.precision[: 3 * len(prior)] = np.repeat(prior**-2, 3)
+        return cost
+
+    def at(self, position: Reals, yaw: Reals, *turns: Reals) -> State:
+        """Return a state; errors are 0, but for turns of final and of earlier stances if given."""
+        size = len(position), int(self.is_earlier.sum())
+        every: list[Reals] = [*turns, *(np.zeros((n, 3)) for n in size[len(turns) :])]
+        return State(position, every[0], every[1], yaw, np.zeros(len(self.rows.shared_sd)))
 
     def _close_docks(self, point: Reals) -> Ints:
         """List docks at points (N, docks, 3) that do not touch, with all that overlap, (n, 4).
@@ -297,8 +340,8 @@ class Cost:
             self._listed, self._docks = point, docks[self.moving[docks[:, [0, 2]]].any(axis=1)]
         return self._docks
 
-    def linearized(self, state: State, precision: Reals) -> Linear:
-        """Linearize at a state; priors have that precision (U,), those of positions are there."""
+    def linearized(self, state: State) -> Linear:
+        """As for all costs."""
         rows, arm = self._turned(state)
         residual, direction = rows.linearized(state.position)
         noise, final, yaw = self._no_noise, np.empty((0, 3)), np.empty(0)
@@ -307,13 +350,12 @@ class Cost:
             across = _by_turns(direction[self.row], np.where(self.is_own[:, None], arm, -arm))
             final, yaw = (across * self.sd)[self.of_final], -across[self.of_yaw, 2]
         if len(self.of_earlier):
-            noise = by_group(
-                (across * self.sd)[self.of_earlier],
-                self.row[self.of_earlier],
-                self.earlier,
-                noise.shape,
-            )
-            residual -= noise @ state.turn[self.is_earlier].ravel()
+            # Three columns a stance; values of docks at the same stance add up.
+            row = np.repeat(self.row[self.of_earlier], 3)
+            column = (3 * self.earlier[:, None] + _AXES).ravel()
+            value = (across * self.sd)[self.of_earlier].ravel()
+            noise = csc_array((value, (row, column)), shape=noise.shape)
+            residual -= noise @ state.earlier.ravel()
         if len(self.of_axis):  # the axes of offsets turn with the robot, too
             apart = rows.vectors(state.position)[self.of_axis]
             turning = _by_turns(direction[self.of_axis], apart)[:, 2]
@@ -336,13 +378,13 @@ class Cost:
             *([] if self.hinged is None else [self._hinges(self.hinged)]),
         ]
         at_rest = np.zeros_like(state.position)
-        off = (at_rest, state.turn[self.walks.final], state.yaw, state.shared)
+        off = (at_rest, state.turn, state.yaw, state.shared)
         return Linear(
             tables=tables,
             noise=noise,
             related=self._related,
             column=self.column,
-            precision=precision[self.free],
+            precision=self.precision[self.free],
             off=np.concatenate([part.ravel() for part in off])[self.free],
             excess=excess,
             moves=self.moving & (np.arange(self.rows.robots) > 0),
@@ -356,7 +398,9 @@ class Cost:
         if state.yaw.any():
             yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
             arm = Rotation.from_rotvec(yaw).apply(arm)
-        arm = Rotation.from_rotvec(-state.turn[self.stance] * self.sd).apply(arm)
+        turn = np.empty((len(self.is_earlier), 3))
+        turn[self.walks.final], turn[self.is_earlier] = state.turn, state.earlier
+        arm = Rotation.from_rotvec(-turn[self.stance] * self.sd).apply(arm)
         offsets, size = self.rows.offsets, len(self.rows)
         rows = replace(
             self.rows,
@@ -392,7 +436,7 @@ class Cost:
         """Arms of all docks at the end [R], shape (N, docks, 3)."""
         arm = self.rows.docks(state.yaw if state.yaw.any() else None)
         if len(self.of_final):
-            turn = -(state.turn * self._turn_sd)[self.walks.final]
+            turn = -state.turn * self._turn_sd[self.walks.final]
             every = np.repeat(turn, arm.shape[1], axis=0)
             arm = Rotation.from_rotvec(every).apply(arm.reshape(-1, 3)).reshape(arm.shape)
         return arm
@@ -433,22 +477,21 @@ class Cost:
     def _links_of(self, state: State, links: Connections) -> LinearRows:
         """Compute residuals of connections [rad], and their derivatives by turns."""
         sd = self._turn_sd[self.walks.final]
-        turn = state.turn[self.walks.final] * sd
+        turn, ends = state.turn * sd, np.stack([links.robot, links.other])
         left = links.residual - turn[links.robot] + turn[links.other]
-        ends = np.concatenate([links.robot, links.other])
-        column = 3 * (self.rows.robots + ends[:, None]) + _AXES
-        sign = np.repeat([-1.0, 1.0], left.size)
-        row, variance = np.tile(np.arange(left.size), 2), np.full(left.size, links.sd**2)
-        value = sign * sd[ends].ravel()
-        return self._rows_of(left.ravel(), row, column.ravel(), value, variance)
+        slope = np.stack([-sd[links.robot], sd[links.other]])
+        return self._differences(left, self.rows.robots + ends, slope, links.sd)
 
     def _hinges(self, pair: Ints) -> LinearRows:
         """Hold the offsets of pairs of robots where they are, along each axis."""
-        rows = _AXES.size * len(pair)
-        column = 3 * pair.T[:, :, None] + _AXES
-        value, row = np.repeat([1.0, -1.0], rows), np.tile(np.arange(rows), 2)
-        variance = np.full(rows, HINGE_SD**2)
-        return self._rows_of(np.zeros(rows), row, column.ravel(), value, variance)
+        slope = np.broadcast_to([[[1.0]], [[-1.0]]], (2, len(pair), 3))
+        return self._differences(np.zeros((len(pair), 3)), pair.T, slope, HINGE_SD)
+
+    def _differences(self, left: Reals, ends: Ints, slope: Reals, sd: float) -> LinearRows:
+        """Make rows about two triples of unknowns each, given by their numbers (2, n)."""
+        column = 3 * ends[:, :, None] + _AXES
+        row, variance = np.tile(np.arange(left.size), 2), np.full(left.size, sd**2)
+        return self._rows_of(left.ravel(), row, column.ravel(), slope.ravel(), variance)
 
     def _rows_of(
         self, residual: Reals, row: Ints, unknown: Ints, value: Reals, variance: Reals
@@ -458,25 +501,25 @@ class Cost:
         moves = column >= 0
         return LinearRows(residual, row[moves], column[moves], value[moves], variance)
 
-    def moved(self, state: State, linear: Linear, radius: float = np.inf) -> State:
-        """Go from a state to where the sum of squares, linearized there, is least."""
+    def moved(self, state: State, linear: Linear, radius: float) -> tuple[State, float]:
+        """Step all unknowns."""
         free, earlier = linear.step(radius)
         step = np.zeros(len(self.precision))
         step[self.free] = free
-        turn = state.turn.copy()
-        turn[self.is_earlier] = earlier.reshape(-1, 3)
         count = state.position.size
-        shift, final, yaw, shared = np.split(step, [count, 2 * count, 2 * count + count // 3])
-        final, wide = final.reshape(-1, 3), self.walks.wide
+        shift, turn, yaw, shared = np.split(step, [count, 2 * count, 2 * count + count // 3])
+        turn, wide = turn.reshape(-1, 3), self.walks.wide
         # Such turns are far from linear: a full step could lead to another minimum.
-        angle = np.linalg.norm(final[wide] * self.walks.turn_sd[self.walks.final[wide], :1], axis=1)
-        most = min(radius, _LONGEST_TURN)
-        final[wide] *= step_share(angle, most)[:, None]
-        turn[self.walks.final] += final
-        shift = shift.reshape(-1, 3)
-        longest = _LONGEST_STEP * max(1.0, self.reach)
-        shift *= step_share(np.linalg.norm(shift, axis=1, keepdims=True), longest)
-        return State(state.position + shift, state.yaw + yaw, turn, state.shared + shared)
+        angle = np.linalg.norm(turn[wide] * self.walks.turn_sd[self.walks.final[wide], :1], axis=1)
+        turn[wide] = shortened(turn[wide], min(radius, _LONGEST_TURN), angle)
+        shift = shortened(shift.reshape(-1, 3), _LONGEST_STEP * max(1.0, self.reach))
+        return State(
+            state.position + shift,
+            state.turn + turn,
+            earlier.reshape(-1, 3),
+            state.yaw + yaw,
+            state.shared + shared,
+        ), float(-linear.slope @ free)
 
 
 def _by_turns(direction: Reals, arm: Reals) -> Reals:

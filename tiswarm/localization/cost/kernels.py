@@ -223,7 +223,7 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
 
 @ti.func
 def give_way(b, robust_square, table: Ref, scratch: Ref):
-    """Widen rows that are missed by far, as `Cost` does; return the loss beyond their squares.
+    """Widen rows that are missed by far, as `WholeCost` does; return the loss beyond their squares.
 
     Known positions never give way.
 

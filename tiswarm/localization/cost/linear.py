@@ -26,8 +26,6 @@ _CHECKED = 1e-3
 _LEAST_DAMPING = 1e-12
 """Precision, relative to the largest one, that stops motions that no measurement resists."""
 
-_AXES = np.arange(3)
-
 
 class LinearRows(NamedTuple):
     """Rows of a linear problem, n of them."""
@@ -299,16 +297,3 @@ class Linear:
         square = np.zeros(len(self.moves))  # of those that stay
         square[self.moves] = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
         return square
-
-
-def by_group(value: Reals, row: Ints, group: Ints, shape: tuple[int, int]) -> csc_array:
-    """Assemble a sparse matrix of three columns a group; values at the same place add up.
-
-    Args:
-        value: Values, shape (n, 3).
-        row: Row of each, shape (n,).
-        group: Group of columns of each, shape (n,).
-        shape: Of the matrix.
-    """
-    column = (3 * group[:, None] + _AXES).ravel()
-    return csc_array((value.ravel(), (np.repeat(row, 3), column)), shape=shape)

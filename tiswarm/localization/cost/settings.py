@@ -70,8 +70,8 @@ class NeighborhoodSettings:
     rounds: int = 3
     """Linear problems solved [1], each at where the last one led."""
 
-    damping: float = 0.1
-    """Precision that stops motions which no row resists [R^-2]."""
+    radius: float = 3.2
+    """Radius within which a step is trusted at first [R]: it stops motions that no row resists."""
 
     settled: float = 0.2
     """Gain of a step, as predicted, below which none is taken [1]."""

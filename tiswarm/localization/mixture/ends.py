@@ -13,7 +13,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
-from tiswarm.localization.cost.cost import Cost, grouped, weights
+from tiswarm.localization.cost.cost import WholeCost, grouped, weights
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
@@ -35,9 +35,9 @@ class Posed:
         """Whether estimates of so many robots are moved to a minimum."""
         return self.params.refines(self.log.robot_count)
 
-    def cost(self, rows: Measurements, *, non_overlap: bool = True, **options: Any) -> Cost:  # noqa: ANN401
-        """Return the cost of some of its rows; further options as for `Cost`."""
-        return Cost(
+    def cost(self, rows: Measurements, *, non_overlap: bool = True, **options: Any) -> WholeCost:  # noqa: ANN401
+        """Return the cost of some of its rows; further options as for `WholeCost`."""
+        return WholeCost(
             self.log,
             rows,
             yaw_precision=self.problem.yaw_precision,
@@ -147,7 +147,7 @@ def _descended(
         are_independent=True,
         further_variance=(MIXTURE.tempered * sigma) ** 2,
     )
-    state, linear = cost.refine(start, rounds)
+    state, linear = cost.refine(cost.at(*start), rounds)
     return state.position, state.yaw, linear.cost
 
 

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.chains.problem import Problem
-from tiswarm.localization.cost.cost import Cost
+from tiswarm.localization.cost.cost import WholeCost
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog
@@ -49,8 +49,8 @@ def opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals,
     start = position + aside * normal(0, "aside", np.arange(len(position))[:, None], range(_AXES))
     start[0] = position[0]
     rows = rows.associated(position)
-    cost = Cost(log, rows, robust_sd=ROBUST_SD, non_overlap=False, are_independent=True)
-    state, linear = cost.refine((start, nowhere), _ROUNDS)
+    cost = WholeCost(log, rows, robust_sd=ROBUST_SD, non_overlap=False, are_independent=True)
+    state, linear = cost.refine(cost.at(start, nowhere), _ROUNDS)
     turns = rows.free_turns(state.position)
     if not turns:
         return nowhere, {}

@@ -263,7 +263,7 @@ def _hinged_variance(ends: Ends, inlier: Bools) -> Reals:
         further_variance=ANNEALING.coldest**2,
         hinged=np.unique(problem.pair[joins], axis=0),
     )
-    square = cost.refine(start, 0)[1].variance()
+    square = cost.linearized(cost.at(*start)).variance()
     return np.where(problem.untied, 0.0, square)
 
 
@@ -363,7 +363,7 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         further_variance=(MIXTURE.tepid * annealed.sigma) ** 2,
     )
     prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * sd, REFINEMENT.least_prior)
-    state, linear = cost.refine((position, yaw), REFINEMENT.rounds, prior)
+    state, linear = cost.held(prior).refine(cost.at(position, yaw), REFINEMENT.rounds)
     free, mean, swept = None, state.position, np.zeros(sd.shape)
     if ends.turns:
         free, (mean, swept) = ends.turns.motions(mean), ends.turns.swept(mean)

@@ -152,10 +152,10 @@ def _fitted(
     robots: Ints,
     posed: Posed,
     start: tuple[Reals, Reals],
-    turn: Reals | None = None,
+    turns: tuple[Reals, Reals] | None = None,
     sd: float = 0.0,
 ) -> _Trial:
-    """Find the minimum of the robust cost near positions, yaws and turns.
+    """Find the minimum of the robust cost near positions, yaws, and turns as in `WholeCost.at`.
 
     Measurements may be missed by some standard deviation [R] beside their noise; docks may overlap
     then.
@@ -166,7 +166,8 @@ def _fitted(
         non_overlap=not sd,
         further_variance=sd**2,
     )
-    return _Trial(robots, posed, *cost.refine(start, OUTLIER_ROBOTS.rounds, turn=turn))
+    begin = cost.at(*start, *(turns or ()))
+    return _Trial(robots, posed, *cost.refine(begin, OUTLIER_ROBOTS.rounds))
 
 
 def _without(trial: _Trial, robots: Ints) -> _Trial:
@@ -176,9 +177,10 @@ def _without(trial: _Trial, robots: Ints) -> _Trial:
     """
     posed, state = _posed(trial.posed, robots), trial.state
     sd, before = (each.problem.rows.odometry.turn_sd for each in (posed, trial.posed))
-    ratio = np.divide(before, sd, out=np.zeros_like(sd), where=sd > 0.0)
-    turn = state.turn * ratio[:, [0, 0, 1]]
-    return _fitted(robots, posed, (state.position, state.yaw), turn)
+    ratio = np.divide(before, sd, out=np.zeros_like(sd), where=sd > 0.0)[:, [0, 0, 1]]
+    final = posed.problem.rows.odometry.final
+    turns = state.turn * ratio[final], state.earlier * np.delete(ratio, final, axis=0)
+    return _fitted(robots, posed, (state.position, state.yaw), turns)
 
 
 def _next(trial: _Trial) -> _Trial | None:
@@ -206,17 +208,16 @@ def _searched(trial: _Trial, robot: int) -> _Trial:
     missed by more than their noise, since far from all minima the robust loss is flat.
     """
     robots, posed, state, _ = trial
-    final = posed.problem.rows.odometry.final[robot]
     found = []
     for axis in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         turn = state.turn.copy()
         # States hold turns in standard deviations.
-        turn[final] += axis * _TRIAL_TURN / DISREGARDED_SD
+        turn[robot] += axis * _TRIAL_TURN / DISREGARDED_SD
         start = state.position, state.yaw
-        found.append(_fitted(robots, posed, start, turn, sd=_TRIAL_SD))
+        found.append(_fitted(robots, posed, start, (turn, state.earlier), sd=_TRIAL_SD))
     best = min(found, key=lambda each: each.linear.cost).state
     # Costs of the search let contacts be missed: only those without that can be compared.
-    again = _fitted(robots, posed, (best.position, best.yaw), best.turn)
+    again = _fitted(robots, posed, (best.position, best.yaw), (best.turn, best.earlier))
     return min(trial, again, key=lambda each: each.linear.cost)
 
 
@@ -277,7 +278,7 @@ def _turned(trial: _Trial) -> SensingLog:
     robots, log, walks = trial.robots, trial.posed.log, trial.posed.problem.rows.odometry
     final = walks.final[robots]
     yaw = Rotation.from_rotvec(np.outer(trial.state.yaw[robots], [0.0, 0.0, 1.0]))
-    turn = Rotation.from_rotvec(-trial.state.turn[final] * walks.turn_sd[final][:, [0, 0, 1]])
+    turn = Rotation.from_rotvec(-trial.state.turn[robots] * walks.turn_sd[final][:, [0, 0, 1]])
     sensed = Rotation.from_quat(log.orientation_wxyz[robots], scalar_first=True)
     orientation = log.orientation_wxyz.copy()
     # Yaw corrections of the new log come first, too.

@@ -321,7 +321,7 @@ def _left_open(posed: Posed, estimate: tuple[Reals, Reals], near: Reals, inlier:
     position, yaw = estimate
     rows = posed.problem.rows.select(inlier).averaged().associated(position, yaw)
     cost = posed.cost(rows, non_overlap=False, links=posed.problem.connections, robust_sd=ROBUST_SD)
-    there = cost.refine((near, yaw), _ROUNDS)[0].position
+    there = cost.refine(cost.at(near, yaw), _ROUNDS)[0].position
     away: Reals = np.where(posed.problem.untied, 0.0, ((there - position) ** 2).sum(axis=1))
     return open_variance(posed, (there, yaw), inlier) + away
 
@@ -343,7 +343,7 @@ def open_variance(posed: Posed, state: tuple[Reals, Reals], inlier: Bools) -> Re
     hinged = np.unique(problem.pair[problem.is_final & inlier[problem.link]], axis=0)
     rows = problem.rows.select(inlier).averaged().associated(*state)
     cost = posed.cost(rows, non_overlap=False, links=problem.connections, hinged=hinged)
-    square = cost.refine(state, 0)[1].variance()
+    square = cost.linearized(cost.at(*state)).variance()
     return np.where(problem.untied, 0.0, np.minimum(square, _extent(state[0]) ** 2))
 
 
@@ -380,14 +380,15 @@ def _minimum(
     aside = np.cumsum(is_guess)[:, None] * np.array([_CLEARANCE, 0.0, 0.0])
     start = estimate[0] + is_guess[:, None] * aside, estimate[1]
     robust = posed.cost(rows, links=links, robust_sd=ROBUST_SD)
+    begin = robust.at(*start)
     # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
-    _, own = robust.refine(start, _ROUNDS, np.full(len(is_guess), _STAYS))
-    state, least = robust.refine(start, _ROUNDS)
+    _, own = robust.held(np.full(len(is_guess), _STAYS)).refine(begin, _ROUNDS)
+    state, least = robust.refine(begin, _ROUNDS)
     variance = rows.variance()
     missed = rows.residual(state.position, state.yaw) ** 2 / variance
     outlier = (missed > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
-    linear_cost = posed.cost(rows.select(~outlier), links=links)
-    _, linear = linear_cost.refine((state.position, state.yaw), _ROUNDS)
+    within = posed.cost(rows.select(~outlier), links=links)
+    _, linear = within.refine(within.at(state.position, state.yaw), _ROUNDS)
     square = np.zeros(len(rows))
     square[~outlier] = linear.square
     excess = own.chi_square - least.chi_square

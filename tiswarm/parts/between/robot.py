@@ -36,7 +36,7 @@ from tiswarm.localization.chains.views import (
     cooled,
     find_subtrees,
 )
-from tiswarm.localization.cost.cost import weights
+from tiswarm.localization.cost.cost import State, weights
 from tiswarm.localization.cost.kernels import (
     COORDINATE,
     OFFSET,
@@ -51,7 +51,7 @@ from tiswarm.parts.between import wire
 from tiswarm.parts.between.channel import Message
 from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
-from tiswarm.parts.online.neighborhood import Block, Configuration, NearCost
+from tiswarm.parts.online.neighborhood import Block, NearCost
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import LISTS
@@ -191,7 +191,7 @@ class LocalSwarm:
             if each.place is not None:
                 position[k], turn[k], sd[k, 0] = each.place
         count = len(self.numbers)
-        self.layers.state = Configuration(position[:count], turn[:count])
+        self.layers.state = State(position[:count], turn[:count])
         self.layers.sd = sd[:count, 0]
 
     def solve(self, number: int, *, anew: bool, everywhere: bool = False) -> Solved:
@@ -203,7 +203,7 @@ class LocalSwarm:
             everywhere: Whether to anneal all robots.
         """
         layers, k = self.layers, self._index[number]
-        before = Configuration(*(each.copy() for each in layers.state))
+        before = State(*(each.copy() for each in layers.state))
         # A robot that has a place keeps it, unless those near it move.
         layers.solve_near(k, layers.place(k) if anew else None)
         if self._program.params.chains:
@@ -671,7 +671,7 @@ class Peer:
 class NearAnnealed(NamedTuple):
     """The best of several chains, for the K robots that moved."""
 
-    state: Configuration
+    state: State
     """All robots."""
 
     sd: Reals
@@ -690,11 +690,11 @@ def annealed(
         number: Number of the robot that is solved for, which kicks depend on.
     """
     problem = layers.neighborhood(moving)
-    begin, turn = layers.state
+    begin, turn = layers.state[:2]
     view = view_near(layers, moving, problem, params)
     seed = (params.seed * 4_099 + number) % 2**31
     [chains] = Annealer([view], seed=seed, hold=1, is_short=True).run(frames=2)
-    starts = [Configuration(each.copy(), turn.copy()) for each in (begin, *chains.last)]
+    starts = [State(each.copy(), turn.copy()) for each in (begin, *chains.last)]
     found = [problem.refine(start) for start in starts]
     reach = problem.shapes.reach
     score = np.array([each[1].cost - _gain(layers, moving, each[0], reach) for each in found])
@@ -707,7 +707,7 @@ def annealed(
     return NearAnnealed(state, np.sqrt(linear.sd() ** 2 + spread))
 
 
-def _gain(layers: LocalLayers, moving: Ints, state: Configuration, reach: float) -> float:
+def _gain(layers: LocalLayers, moving: Ints, state: State, reach: float) -> float:
     """Compute what some robots gain by their extension [1], up to the reach of a contact [R]."""
     total = 0.0
     for k in moving.tolist():

@@ -12,7 +12,7 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import chosen_rows
-from tiswarm.localization.cost.cost import moments, weights
+from tiswarm.localization.cost.cost import State, moments, weights
 from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS, ROBUST_SD
 from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import ChiSquareParams
@@ -21,7 +21,6 @@ from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.parts.online.neighborhood import (
     Block,
-    Configuration,
     NearCost,
     NearLinear,
     Shapes,
@@ -72,7 +71,7 @@ class LocalLayers:
         self._touching: list[set[tuple[int, int, int]]] = []
         self.places: list[Reals] = []
         """Where each robot may be, relative to the mean of those it shares rows with [R]."""
-        self.state = Configuration(np.empty((0, _AXES)), np.empty((0, _AXES)))
+        self.state = State(np.empty((0, _AXES)), np.empty((0, _AXES)))
         self.shift: Reals = np.empty((0, _AXES))
         """From the state to the mean of likely states [R], shape (N, 3)."""
         self.sd: Reals = np.empty(0)
@@ -102,7 +101,7 @@ class LocalLayers:
             self._sharing[partner].add(number)
             self._sharing[number].add(partner)
         zero = np.zeros((1, _AXES))
-        self.state = Configuration(*(np.concatenate([each, zero]) for each in self.state))
+        self.state = State(*(np.concatenate([each, zero]) for each in self.state[:2]))
         self.shift = np.concatenate([self.shift, zero])
         self.sd = np.append(self.sd, 0.0)
         self._shapes = self._shapes.with_robot(block.arm, block.turn_sd, touching)
@@ -142,18 +141,18 @@ class LocalLayers:
                 likeliest one, and what is reported is the mean.
         """
         near, is_new = self.near(number, NEIGHBORS.most), places is not None
-        position, turn = self.state
+        position, turn = self.state[:2]
         # Each solution has an array of its own: the best one may be where steps begin.
         starts = np.tile(position, (len(places) if places is not None else 1, 1, 1))
         if places is not None:
             starts[:, number] = places
-        self.state = Configuration(starts[0], turn)
+        self.state = State(starts[0], turn)
         if not self.blocks_about(near):  # nothing says where it is
             self.sd[number] = np.linalg.norm(starts[0], axis=1).max() + SPACING
             return False
         problem = self.neighborhood(near)
         # Robots nearby may give way to one place more than to another.
-        found = [problem.refine(Configuration(start, turn)) for start in starts]
+        found = [problem.refine(State(start, turn)) for start in starts]
         state, linear, weight = self._weighed(found, number)
         spread = 0.0
         if surprised := self._is_surprise(problem, linear, number):
@@ -221,8 +220,8 @@ class LocalLayers:
         return chosen.union(*(self._sharing[robot] for robot in chosen))
 
     def _weighed(
-        self, found: list[tuple[Configuration, NearLinear]], number: int
-    ) -> tuple[Configuration, NearLinear, Reals]:
+        self, found: list[tuple[State, NearLinear]], number: int
+    ) -> tuple[State, NearLinear, Reals]:
         """Choose the likeliest of the places of a robot, and weigh all, shape (k,)."""
         block = self.blocks[number]
         score = np.zeros(len(found))
@@ -248,8 +247,8 @@ class LocalLayers:
         return bool(square > chance or overlap > NEIGHBORS.overlap_sd)
 
     def _exchanged(
-        self, problem: NearCost, state: Configuration, linear: NearLinear, number: int
-    ) -> tuple[Configuration, NearLinear]:
+        self, problem: NearCost, state: State, linear: NearLinear, number: int
+    ) -> tuple[State, NearLinear]:
         """Try other places of the robot and of those it shares rows with, one after the other."""
         tried = 0
         for robot in [number, *sorted(self._sharing[number], reverse=True)]:
@@ -263,7 +262,7 @@ class LocalLayers:
                 if np.linalg.norm(touched + place - position[robot]) < SPACING / 2.0:
                     continue
                 position[robot], turn[robot] = touched + place, 0.0
-                other, there = problem.refine(Configuration(position, turn))
+                other, there = problem.refine(State(position, turn))
                 tried += 1
                 if there.cost < linear.cost - NEIGHBORS.gain:
                     state, linear = other, there

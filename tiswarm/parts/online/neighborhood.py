@@ -5,8 +5,8 @@ which the anchor and the robots that it names only stand, and it alone sensed an
 earlier stances is in several of its rows at once; the covariance of two rows is d N e, with d and e
 the derivatives of the rows by its center and N a matrix that no position changes.
 
-The cost is that of `Cost`: rows in their covariance, turns of final orientations as unknowns, and
-overlaps of docks that do not touch.
+The cost is that of `WholeCost`: rows in their covariance, turns of final orientations as unknowns,
+and overlaps of docks that do not touch.
 
 `candidates` finds where a robot that joins may be: minima of its own rows, all other robots as they
 are. Two distances leave a circle and three leave two mirror images, so that rows of one robot often
@@ -22,7 +22,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.cost.cost import grouped, step_share
+from tiswarm.localization.cost.cost import Cost, State, grouped, shortened
 from tiswarm.localization.cost.kernels import (
     COORDINATE,
     DISTANCE,
@@ -48,16 +48,6 @@ _PARTS = 6
 _LAPACK: Any = scipy.linalg.lapack
 """Its functions have no types, and cost less to call than those above them."""
 _GOLDEN = np.pi * (1.0 + 5.0**0.5)
-
-
-class Configuration(NamedTuple):
-    """Where N robots are, and by how much their final orientations are off."""
-
-    position: Reals
-    """Centers [R], shape (N, 3)."""
-
-    turn: Reals
-    """Error of each final orientation as a rotation vector in standard deviations, shape (N, 3)."""
 
 
 class Shapes(NamedTuple):
@@ -109,7 +99,7 @@ class Shapes(NamedTuple):
         return 2.0 * float(np.linalg.norm(self.arm[0], axis=1).max()) + SPACING
 
 
-def robots_at(state: Configuration, shapes: Shapes, stays: Reals | float = 0.0) -> BelievedRobots:
+def robots_at(state: State, shapes: Shapes, stays: Reals | float = 0.0) -> BelievedRobots:
     """Put robots where they are, as kernels take them.
 
     Args:
@@ -275,7 +265,7 @@ def scratch_for(blocks: list[Block]) -> Scratch:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class NearLinear:
     """The cost near a state: cost + 2 slope . step + step . information . step.
 
@@ -325,19 +315,18 @@ class NearLinear:
             raise np.linalg.LinAlgError("the information of a neighborhood is not positive")
         return factor
 
-    def step(self) -> tuple[Reals, Reals]:
-        """Solve for the shifts and the turns of all robots that may move, (K, 3) both."""
+    def step(self, radius: float) -> tuple[Reals, Reals]:
+        """Solve for the shifts and the turns of all robots that may move, (K, 3) both.
+
+        Shifts much beyond a radius [R] are damped.
+        """
         slope = self.slope.copy()
         if self.holds_anchor:
             slope[:_AXES] = 0.0
         count = len(slope) // 2
-        # A robot with a free direction takes no step along it.
-        factor = self._factor(NEIGHBORS.damping)
-        step, _ = _LAPACK.dpotrs(factor, -np.roll(slope, count), lower=1)
-        steps = np.roll(step, count).reshape(2, -1, _AXES)
-        far = np.linalg.norm(steps[0], axis=1, keepdims=True)
-        steps[0] *= step_share(far, NEIGHBORS.longest_step)
-        return steps[0], steps[1]
+        step, _ = _LAPACK.dpotrs(self._factor(radius**-2.0), -np.roll(slope, count), lower=1)
+        shift, turn = np.roll(step, count).reshape(2, -1, _AXES)
+        return shift, turn
 
     def sd(self) -> Reals:
         """Compute the standard deviation of each robot that may move [R], shape (K,).
@@ -364,12 +353,15 @@ class NearLinear:
         return sd
 
 
-class NearCost:
-    """The cost of `Cost` as a function of K robots that may move; all others are constants.
+class NearCost(Cost[NearLinear]):
+    """The cost of `WholeCost` as a function of K robots that may move; others are constants.
 
     A kernel sums it over the B blocks with rows about these robots: of ten robots in a fifth of the
     time that sparse matrices take, of sixty in less than half. For a hundred these are quicker.
     """
+
+    # Most joins need one step; each costs as much as the first.
+    most_rounds, widest, promised = NEIGHBORS.rounds, NEIGHBORS.radius, NEIGHBORS.settled
 
     def __init__(
         self,
@@ -400,7 +392,7 @@ class NearCost:
         # Three axes share the variance.
         self._stays = np.where(self._column < 0, stays_sd / np.sqrt(_AXES), 0.0)
 
-    def linearized(self, state: Configuration) -> NearLinear:
+    def linearized(self, state: State) -> NearLinear:
         """Linearize the cost at a state."""
         moving, count = self.moving.astype(np.int32), _PARTS * len(self.moving)
         total = np.zeros((count + _AXES + 1, count + _AXES + 1))
@@ -428,24 +420,15 @@ class NearCost:
             holds_anchor=bool(self.moving[0] == 0),
         )
 
-    def refine(self, state: Configuration) -> tuple[Configuration, NearLinear]:
-        """Take steps toward the minimum; return the best state on the way, and the cost there."""
-        best = here = state, self.linearized(state)
-        for _ in range(NEIGHBORS.rounds):
-            state, linear = here
-            shift, turn = linear.step()
-            gain = -linear.slope @ np.concatenate([shift.ravel(), turn.ravel()])
-            # Most joins need one step; each costs as much as the first.
-            if gain < NEIGHBORS.settled:
-                break
-            position, turned = state.position.copy(), state.turn.copy()
-            position[self.moving] += shift
-            turned[self.moving] += turn
-            state = Configuration(position, turned)
-            here = state, self.linearized(state)
-            if here[1].cost < best[1].cost:
-                best = here
-        return best
+    def moved(self, state: State, linear: NearLinear, radius: float) -> tuple[State, float]:
+        """Step robots that may move, and their turns."""
+        shift, turn = linear.step(radius)
+        shift = shortened(shift, NEIGHBORS.longest_step)
+        position, turned = state.position.copy(), state.turn.copy()
+        position[self.moving] += shift
+        turned[self.moving] += turn
+        step = np.concatenate([shift.ravel(), turn.ravel()])
+        return State(position, turned), float(-linear.slope @ step)
 
     def missed(self, linear: NearLinear, robot: int) -> tuple[float, float]:
         """Chi-square of the rows of a robot, and its greatest overlap in standard deviations."""
@@ -453,7 +436,7 @@ class NearCost:
 
 
 def candidates(
-    block: Block, state: Configuration, shapes: Shapes, *, non_overlap: bool
+    block: Block, state: State, shapes: Shapes, *, non_overlap: bool
 ) -> tuple[Reals, Reals]:
     """Find the places of the robot of a block, the most likely one first.
 
@@ -480,7 +463,7 @@ def candidates(
     return _distinct(ends, square - extension(block, state, ends))
 
 
-def extension(block: Block, state: Configuration, place: Reals) -> Reals:
+def extension(block: Block, state: State, place: Reals) -> Reals:
     """Compute what a robot at some places (n, 3) gains by its extension [1], shape (n,)."""
     touched = state.position[block.partners]
     apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
@@ -500,7 +483,7 @@ SPHERE = _sphere(CANDIDATES.starts)
 """Where steps begin, on the unit sphere, shape (starts, 3)."""
 
 
-def _starts(block: Block, state: Configuration) -> Reals:
+def _starts(block: Block, state: State) -> Reals:
     """Spread starts over the sphere that the sharpest distance leaves, shape (starts, 3).
 
     Where only vectors are measured, the sphere is that of the sharpest of them.

@@ -32,7 +32,7 @@ from tiswarm.localization import methods
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected, set_apart, view_of
-from tiswarm.localization.cost.cost import Cost, moments
+from tiswarm.localization.cost.cost import State, WholeCost, moments
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
@@ -42,7 +42,7 @@ from tiswarm.localization.mixture.settings import CONVERGENCE, REFINEMENT
 from tiswarm.localization.mixture.verdict import Assessment, assess, rms
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured, refuse_header, refuse_line
-from tiswarm.parts.online.neighborhood import Configuration, NearCost
+from tiswarm.parts.online.neighborhood import NearCost
 from tiswarm.parts.online.settings import TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
@@ -399,11 +399,11 @@ class Tracker:
 def reannealed(
     log: SensingLog,
     params: OnlineParams,
-    state: Configuration,
+    state: State,
     *,
     moves: Bools | None = None,
     anew: bool = False,
-) -> tuple[Configuration, Reals, Reals]:
+) -> tuple[State, Reals, Reals]:
     """Anneal a structure of N robots from where it is, and keep the best minimum.
 
     Args:
@@ -420,28 +420,26 @@ def reannealed(
     """
     fit = fitted(log, params, state, moves)
     problem, ends, robust_sd = fit.problem, ranked(fit), ROBUST_SD if params.robust else None
-    walks = problem.rows.odometry
-    # Turns of earlier stances follow from those of final ones in a step.
-    turn = np.zeros((len(walks.owner), 3))
-    turn[walks.final] = state.turn
     yaw = np.zeros(log.robot_count)
     best = int(ends.cost.argmin())
     cost = fit.cost(problem.rows, robust_sd=robust_sd)
     # Chains may all end higher than where they began, which is near a minimum already.
     found = [
-        cost.refine((set_apart(problem, state.position), yaw), 0, turn=turn),
-        cost.refine((ends.position[best], yaw), TIMES.rounds, turn=turn),
+        # Turns of earlier stances follow from those of final ones in a step.
+        cost.refine(cost.at(set_apart(problem, state.position), yaw, state.turn), 0),
+        cost.refine(cost.at(ends.position[best], yaw, state.turn), TIMES.rounds),
     ]
     if anew:
         start = _searched(log, params).solutions[0].position / log.dock_radius
-        found.append(cost.refine((start, yaw), TIMES.rounds))
+        found.append(cost.refine(cost.at(start, yaw), TIMES.rounds))
     there, least = min(found, key=lambda each: each[1].cost)
     # Robots that stayed give way in a step that all take.
-    whole = Cost(log, problem.rows, robust_sd=robust_sd, non_overlap=params.non_overlap)
-    settled, linear = whole.refine((there.position, yaw), 0, turn=there.turn)
+    whole = WholeCost(log, problem.rows, robust_sd=robust_sd, non_overlap=params.non_overlap)
+    settled = whole.at(there.position, yaw, there.turn, there.earlier)
+    linear = whole.linearized(settled)
     own = linear.variance(draws=TIMES.draws)  # its factors serve the step, too
-    trial = whole.moved(settled, linear)
-    if whole.linearized(trial, whole.precision).cost <= linear.cost:
+    trial, _ = whole.moved(settled, linear, np.inf)
+    if whole.linearized(trial).cost <= linear.cost:
         settled = trial
     placed, square = place_disconnected(settled.position[None], problem)
     # Ends are minima of a cost whose errors are independent: where they are is not where the cost
@@ -453,10 +451,10 @@ def reannealed(
     counts = ~problem.untied & (found[1][1].cost <= least.cost + CANDIDATES.likely)
     shift = np.where(counts[:, None], mean, 0.0)
     sd = np.sqrt(own + np.where(counts, between, square[0]))
-    return Configuration(placed[0], settled.turn[walks.final]), shift, sd
+    return State(placed[0], settled.turn), shift, sd
 
 
-def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:
+def annealed_estimate(log: SensingLog, params: OnlineParams, state: State) -> Estimate:
     """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`.
 
     The present state counts as one more end. An estimate that is not to be trusted, or whose
@@ -484,7 +482,8 @@ def _cost_of(estimate: Estimate, posed: Posed) -> float:
     rows, robust_sd = posed.problem.rows, ROBUST_SD if posed.params.robust else None
     position = estimate.solutions[0].position / posed.log.dock_radius
     start = set_apart(posed.problem, position), np.zeros(len(position))
-    return posed.cost(rows, robust_sd=robust_sd).refine(start, REFINEMENT.rounds)[1].cost
+    cost = posed.cost(rows, robust_sd=robust_sd)
+    return cost.refine(cost.at(*start), REFINEMENT.rounds)[1].cost
 
 
 def elsewhere(log: SensingLog, params: OnlineParams, position: Reals, sd: Reals) -> Bools:
@@ -511,9 +510,7 @@ def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
     return methods.localize_batch([log], [cold])[0]
 
 
-def fitted(
-    log: SensingLog, params: OnlineParams, state: Configuration, moves: Bools | None = None
-) -> Fit:
+def fitted(log: SensingLog, params: OnlineParams, state: State, moves: Bools | None = None) -> Fit:
     """Anneal a structure from where it is, or the robots of it that move."""
     names = [*(field.name for field in fields(ChiSquareParams)), *_ANNEALER]
     warm = JointParams(**{name: getattr(params, name) for name in names})
