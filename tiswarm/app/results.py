@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     import matplotlib.figure
     import pandas as pd
 
+    from tiswarm.report.run_data import RunData
+
 if TYPE_CHECKING:
     _Path = Path
 else:
@@ -129,29 +131,26 @@ class Run:
             InputError: the run has no figure of that name; names those that it has.
         """
         from tiswarm.report.figures import draw_figure  # noqa: PLC0415 - slow to import
-        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
-        return draw_figure(load_run(self.folder), name)
+        return draw_figure(self._data(), name)
 
     def view(self, *, quiet: bool = False) -> PageFile:
         """Return the run's page, `report.html`; write it if there is none."""
         from tiswarm.app.drawing import PAGE, draw  # noqa: PLC0415 - slow to import
-        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
         page = self.folder / PAGE
         if not page.exists():
-            draw(load_run(self.folder), ConsoleProgress(quiet=quiet))
+            draw(self._data(), ConsoleProgress(quiet=quiet))
         return PageFile(page)
 
     def redraw(self, *, pdf: bool = False, quiet: bool = False) -> None:
         """Write tables, figures and page again from the stored cases; arguments as `api.report`."""
         from tiswarm import study  # noqa: PLC0415 - slow to import
         from tiswarm.app.drawing import draw  # noqa: PLC0415 - slow to import
-        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
         progress = ConsoleProgress(quiet=quiet)
         study.tabulate(self.folder, progress)
-        draw(load_run(self.folder), progress, figures=True, pdf=pdf)
+        draw(self._data(), progress, figures=True, pdf=pdf)
 
     def render(
         self,
@@ -163,9 +162,8 @@ class Run:
     ) -> Figures:
         """Draw 3D pictures of a case, which the page shows too; arguments as `tiswarm.render`."""
         from tiswarm.app.drawing import draw  # noqa: PLC0415 - slow to import
-        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
-        data, progress = load_run(self.folder), ConsoleProgress(quiet=quiet)
+        data, progress = self._data(), ConsoleProgress(quiet=quiet)
         draw(data, progress, renders=True, movie=movie, renderer=renderer, case=case)
         return self.figures
 
@@ -180,16 +178,20 @@ class Run:
     ) -> Path:
         """Write a case for other programs; `tiswarm.export` explains the arguments."""
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
-        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 
-        shown = read_case_view(load_run(self.folder).choose(case))
+        shown = read_case_view(self._data().choose(case))
         folder = as_path(out or self.folder / "export", "out")
         export_view(
             shown, form, folder, ConsoleProgress(quiet=quiet),
             inputs=[self.folder / "cases"], overwrite=overwrite,
         )  # fmt: skip
         return folder
+
+    def _data(self) -> "RunData":
+        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+
+        return load_run(self.folder)
 
     @property
     def answer(self) -> str:

@@ -23,19 +23,9 @@ from tiswarm.base.parts import registered
 from tiswarm.base.progress import Progress
 from tiswarm.base.version import __version__
 from tiswarm.compute import backend, numerics
+from tiswarm.records import io
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame, write_trace
-from tiswarm.records.io import (
-    digest,
-    is_abandoned,
-    is_temporary,
-    make_folder,
-    path_for,
-    read_json,
-    run_file,
-    write_bytes,
-    write_json,
-)
 from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.run_folder import Manifest, check_folders, read_manifest, write_manifest
 from tiswarm.records.sensing_file import write_sensing_log
@@ -153,7 +143,7 @@ class RunFolder:
         if overwrite or not path.is_dir() or (path / _LOCK).is_file():
             return
         with suppress(InputError, OSError):
-            stated = run_file(path / "scenario.yaml").read_bytes()
+            stated = io.run_file(path / "scenario.yaml").read_bytes()
             if stated == dump_scenario(scenario).encode():
                 return
         if any(not file.is_dir() for file in path.rglob("[!.]*")):
@@ -164,7 +154,7 @@ class RunFolder:
     def of(cls, scenario: Scenario, parent: Path) -> "RunFolder":
         """Make the folder of a scenario below `parent`, or open it where it exists."""
         folder = cls(_folder_of(scenario, parent))
-        make_folder(folder.cases)
+        io.make_folder(folder.cases)
         return folder
 
     @classmethod
@@ -192,7 +182,7 @@ class RunFolder:
                     f"{folder.path}: no file locks here; start this run only once at a time"
                 )
             # Its description may be new; a run that is at work here keeps its own.
-            write_bytes(folder.path / "scenario.yaml", dump_scenario(scenario).encode())
+            io.write_bytes(folder.path / "scenario.yaml", dump_scenario(scenario).encode())
             yield folder
 
     @contextmanager
@@ -241,20 +231,20 @@ class RunFolder:
 
     def _remove_partial_files(self) -> None:
         for partial in [*self.cases.glob(".*.part"), *self.path.rglob(".*.tmp")]:
-            if is_abandoned(partial):
+            if io.is_abandoned(partial):
                 remove(partial)
 
     def read_case(self, name: str) -> CaseRecord | None:
         """Read a case, finished or failed; None where a file is missing or damaged, or a link."""
         folder = self.cases / name
         path = folder / "case.json"
-        record = read_json(path, _RECORD_KIND, exact=True)
+        record = io.read_json(path, _RECORD_KIND, exact=True)
         if record is None or record.case != name or folder.is_symlink():
             return None
         if record.digest != record.sealed().digest:
             return None
         complete = not record.is_done or {f"{name}.csv" for name in _TABLES} <= set(record.files)
-        intact = all(digest(folder / file) == sha for file, sha in record.files.items())
+        intact = all(io.digest(folder / file) == sha for file, sha in record.files.items())
         return record if intact and complete else None
 
     def read_cases(self, cases: Sequence[Case]) -> dict[str, CaseRecord]:
@@ -268,7 +258,7 @@ class RunFolder:
             if traceback:
                 why = f"{record.reason}; cases/{record.case}/{TRACEBACK} has the traceback"
                 record = replace(record, reason=why)
-                write_bytes(folder / TRACEBACK, traceback.encode())
+                io.write_bytes(folder / TRACEBACK, traceback.encode())
             self._publish(record, folder)
         return record
 
@@ -290,8 +280,8 @@ class RunFolder:
             for name in _TABLES:
                 write_frame(tables[name], folder / f"{name}.csv")
             write_trace(folder / "trace.csv", estimate)
-            files = {path.name: digest(path) for path in sorted(folder.iterdir())}
-            write_json(folder / _COST, cost)
+            files = {path.name: io.digest(path) for path in sorted(folder.iterdir())}
+            io.write_json(folder / _COST, cost)
             complete = replace(record, files=files)
             self._publish(complete, folder)
         return complete
@@ -299,7 +289,7 @@ class RunFolder:
     @contextmanager
     def _new_folder(self, name: str) -> Iterator[Path]:
         """Make an empty folder for a case, which is gone at the end unless it was published."""
-        folder = path_for(self.cases / name, "part")
+        folder = io.path_for(self.cases / name, "part")
         folder.mkdir()
         try:
             yield folder
@@ -309,7 +299,7 @@ class RunFolder:
     def _publish(self, record: CaseRecord, folder: Path) -> None:
         """Give the folder of a case its name, unless another run has just stored the same case."""
         record = record.sealed()
-        write_json(folder / "case.json", asdict(record))
+        io.write_json(folder / "case.json", asdict(record))
 
         def publish() -> None:
             if record.is_done and self.read_case(record.case) == record:
@@ -323,7 +313,7 @@ class RunFolder:
 
     def read_cost(self, name: str) -> Mapping[str, Cost]:
         """Read the cost of a case by stage; empty where it is unknown."""
-        return read_json(self.cases / name / _COST, _COSTS_KIND) or {}
+        return io.read_json(self.cases / name / _COST, _COSTS_KIND) or {}
 
     def read_costs(self, cases: Sequence[Case]) -> dict[str, Mapping[str, Cost]]:
         """Read the costs of cases by name and stage."""
@@ -331,12 +321,12 @@ class RunFolder:
 
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write the cost of a stored case by stage."""
-        _again_while_replaced(lambda: write_json(self.cases / name / _COST, cost))
+        _again_while_replaced(lambda: io.write_json(self.cases / name / _COST, cost))
 
     def read_structure(self, case: Case) -> tuple[History, Cost] | None:
         """Read the structure of a case, and the cost of growing it; None where it is not kept."""
         path = self._structure_path(case)
-        cost = read_json(path.with_suffix(".json"), _COST_KIND)
+        cost = io.read_json(path.with_suffix(".json"), _COST_KIND)
         if cost is None:
             return None
         history = read_history(path, case.settings.structure, case.settings.robot)
@@ -347,8 +337,8 @@ class RunFolder:
         path = self._structure_path(case)
 
         def keep() -> None:
-            make_folder(path.parent)
-            write_json(path.with_suffix(".json"), cost)
+            io.make_folder(path.parent)
+            io.write_json(path.with_suffix(".json"), cost)
             write_history(history, path)
 
         _again_while_replaced(keep)
@@ -427,7 +417,7 @@ def _keep_others(old: Path, new: Path) -> None:
     """Move files of somebody else from the folder of a case to the one that is to replace it."""
     if old.is_dir() and not old.is_symlink():
         for path in old.iterdir():
-            if path.name not in _CASE_FILES and not is_temporary(path):
+            if path.name not in _CASE_FILES and not io.is_temporary(path):
                 path.rename(new / path.name)
 
 
