@@ -526,5 +526,5 @@ def test_hinges_make_no_robot_less_sure_that_nothing_ties():
     own = deviation(known, chains.mean, chains.within, np.full(4, 0.25), SIGMA) ** 2
     guess = place_disconnected(mixture.position[None], known)[1][0]
     assert known.untied[1:].all()
-    square = (1.0 - SD_CALIBRATION.hinged) * own + guess
+    square = SD_CALIBRATION.chains * own + guess
     np.testing.assert_allclose(mixture.sd[1:] ** 2, square[1:], rtol=1e-9)

@@ -20,7 +20,7 @@ from tiswarm.measurements.verdicts import (
     headline,
     verdict,
 )
-from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Observability, Solution
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Observability, OpenTurn, Solution
 from tiswarm.records.messages import percent
 from tiswarm.sensing import SensingParams, observe
 
@@ -222,6 +222,28 @@ def test_cautions_name_robots_that_outliers_alone_tie(log, estimate):
     ]
     assert found.known[4] == found.known[9] == "disconnected"
     assert [*cautions(log, replace(found, outlier_contacts=None))] == []
+
+
+@pytest.mark.parametrize("floppy", [0, 14, 15, 29])
+def test_an_estimate_whose_robots_mostly_hang_on_free_motions_says_so(log, estimate, floppy):
+    """From half of the robots beside the anchor on; those that turn freely are named elsewhere."""
+    known = Observability(
+        cues=(), yaw_unknown=False, unknowns=87, gauge_yaw_sd=None, floppy_modes=floppy,
+        floppy=_which(*range(1, 1 + floppy)), disconnected=_which(),
+    )  # fmt: skip
+    turn = OpenTurn(
+        robots=np.arange(1, 1 + floppy), about=np.zeros(1, int), axis=None, place=np.zeros((30, 3))
+    )
+    found = replace(estimate, observability=known)
+
+    texts = [*cautions(log, found)]
+
+    assert len(texts) == (floppy > 14)
+    for text in texts:
+        assert text.startswith(f"most robots hang on free motions: {floppy} of 30; ")
+        assert headline(log, found).endswith(text.partition("; ")[0])
+    (turning,) = cautions(log, replace(found, turns=(turn,)))
+    assert turning.startswith("free to turn about every axis through robot 100: ")
 
 
 def test_each_solution_is_listed_with_its_weight_and_where_it_differs(log, estimate):

@@ -127,8 +127,8 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
     if open_sd is None:
         open_sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
     if prior_sd is None and fit.is_refined:
-        hinged, part = _hinged_variance(ends, ~outlier), SD_CALIBRATION.hinged
-        open_sd = np.sqrt((1.0 - part) * open_sd**2 + part * hinged)
+        hinged = _hinged_variance(ends, ~outlier)
+        open_sd = np.sqrt(SD_CALIBRATION.chains * open_sd**2 + SD_CALIBRATION.hinged * hinged)
     minima, share = _minima(ends, ~outlier, open_sd)
     best = minima[0]
     # A robot that some solution leaves open has no mean over all: chains say where it is.
