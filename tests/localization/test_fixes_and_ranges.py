@@ -10,7 +10,7 @@ from tests.structures import with_fixes, with_ranges
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import start_sigma
 from tiswarm.localization.methods import localize
-from tiswarm.localization.mixture.verdict import assess
+from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams

@@ -14,8 +14,7 @@ from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture import outliers
 from tiswarm.localization.mixture.settings import OutlierRobotSettings
 from tiswarm.localization.settings import JointParams
-from tiswarm.measurements.consistency import stuck_robots
-from tiswarm.measurements.odometry import Odometry
+from tiswarm.measurements.odometry import Odometry, stuck_robots
 from tiswarm.measurements.verdicts import describe_outliers
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN
 from tiswarm.sensing import observe

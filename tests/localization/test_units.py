@@ -11,8 +11,8 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
-from tiswarm.measurements.verdicts import contradictions
 from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.units import contradictions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow

@@ -1,17 +1,25 @@
 """All methods are judged by the same rules, as far as they know what these ask for."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.structures import Rule, silent, structure
 from tiswarm.localization.methods import localize
-from tiswarm.localization.mixture.verdict import Assessment, Evidence, assess, judge, widened
+from tiswarm.localization.mixture.assessment import Assessment, assess
+from tiswarm.localization.mixture.verdict import Evidence, judge, widened
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.cues import measure
+from tiswarm.parts.online.settings import OnlineParams
+from tiswarm.parts.online.tracker import Tracker
+from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence
+from tiswarm.records.sensing_file import lines_of
 from tiswarm.records.sensing_log import SensingLog
 
 ROBOTS = 12
@@ -148,6 +156,141 @@ def test_noise_that_explains_no_rows_widens_stated_errors_alone(known):
     assert (found.converged, found.consistent, found.testable) == (True, False, True)
     assert found.reason == "noise as stated does not explain all rows"
     assert (found.sd_factor, silent.sd_factor) == (3.0, 1.0)
+
+
+def ranging(readings: int, error: Callable[[np.random.Generator, NDArray], NDArray]) -> SensingLog:
+    """Log ranges of sd 1 R between four known corners and six robots, each read several times."""
+    rng = np.random.default_rng(100_000)
+    corner = 40.0 * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    place = np.concatenate([corner, rng.uniform(5.0, 35.0, (6, 3))])
+    fixes = [
+        [1 + k, *axis, float(axis @ corner[1 + k]), 1e-3, -1]
+        for k in range(3)
+        for axis in np.eye(3)
+    ]
+    pair = np.array([(i, j) for i in range(4, 10) for j in range(i)])
+    length = np.linalg.norm(place[pair[:, 0]] - place[pair[:, 1]], axis=1)
+    read = np.repeat(length + error(rng, pair), readings)
+    read += rng.normal(size=len(read))
+    columns = [np.repeat(pair, readings, axis=0), read, np.ones(len(read)), np.full(len(read), -1)]
+    return silent(place, fixes=np.array(fixes), ranges=np.column_stack(columns))
+
+
+def none(_rng: np.random.Generator, pair: NDArray) -> NDArray:
+    """Read each range without an error of its own."""
+    return np.zeros(len(pair))
+
+
+def of_each_pair(rng: np.random.Generator, pair: NDArray) -> NDArray:
+    """Add an error that all readings of a pair share, half as large as their noise."""
+    return 0.5 * rng.normal(size=len(pair))
+
+
+def of_one_pair(_rng: np.random.Generator, pair: NDArray) -> NDArray:
+    """Add 1.5 R to all readings of the last pair."""
+    return np.where(np.arange(len(pair)) == len(pair) - 1, 1.5, 0.0)
+
+
+METHODS = {
+    "joint": JointParams(chains=2, steps=300, hold_steps=100),
+    "least-squares": LeastSquaresParams(),
+    "hop-by-hop": HopByHopParams(),
+    "online": OnlineParams(),
+}
+SHARED = "; readings of one pair share an error: state it as a source with shared_sd"
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(("error", "fault"), [(none, ""), (of_each_pair, "all rows")])
+def test_an_error_that_readings_share_is_no_noise(name, error, fault):
+    """However often a pair is read: of 1,560 readings, 18 means say whether it is there."""
+    log = ranging(40, error)
+
+    found = localize(log, METHODS[name]).convergence
+
+    assert found.spare == 39 - 18  # means, and what they determine
+    assert found.consistent == (not fault)
+    assert (
+        fault == ""
+        or (found.reason == f"noise as stated does not explain {fault}{SHARED}")
+        or (not found.converged)
+    )
+
+
+def test_readings_that_scatter_more_than_stated_are_said_to():
+    """Their means may fit all the same."""
+    log = ranging(40, none)
+    pair, first = np.unique(log.ranges[:, :2], axis=0, return_inverse=True)
+    mean = np.bincount(first, log.ranges[:, 2]) / 40.0
+    ranges = log.ranges.copy()
+    ranges[:, 2] = mean[first] + 1.5 * (ranges[:, 2] - mean[first])
+
+    found = localize(replace(log, ranges=ranges), METHODS["least-squares"]).convergence
+
+    assert len(pair) == 39
+    assert (found.consistent, found.converged) == (False, True)
+    assert found.reason == "readings of one quantity scatter more than their stated noise"
+    assert found.sd_factor == 1.0
+
+
+def test_a_wrong_kind_is_named_though_all_others_hide_it():
+    """Of 2,400 coordinates that fit, the sum does not show one pair that is read with an error."""
+    log = ranging(81, of_one_pair)
+    rng = np.random.default_rng(0)
+    further = np.repeat(np.arange(4, 10), 400)
+    direction = rng.normal(size=(len(further), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    place = localize(ranging(400, none), METHODS["least-squares"]).position
+    value = (direction * place[further]).sum(axis=1) + 30.0 * rng.normal(size=len(further))
+    many = np.column_stack(
+        [further, direction, value, np.full(len(further), 30.0), np.full(len(further), -1)]
+    )
+    log = replace(log, fixes=np.concatenate([log.fixes, many]))
+
+    found = localize(log, METHODS["least-squares"]).convergence
+
+    assert abs(found.misfit_sd) < MOST_MISFIT_SD
+    assert (found.consistent, found.converged) == (False, True)
+    assert found.reason == f"noise as stated does not explain ranges and displacements{SHARED}"
+
+
+def test_all_methods_have_one_judge(monkeypatch):
+    """What it says of a misfit, each of them says."""
+    log = ranging(1, none)
+    bad = Convergence(
+        converged=False, consistent=False, misfit_sd=9.0, chains=1, restarted=0, reason="as judged"
+    )
+    for room in ("mixture", "assessment"):
+        monkeypatch.setattr(f"tiswarm.localization.mixture.{room}.judge", lambda _: bad)
+
+    for params in METHODS.values():
+        assert localize(log, params).convergence.reason == "as judged"
+    header, lines = lines_of(log)
+    tracker = Tracker(header, OnlineParams())
+    for line in lines:
+        tracker.join(line)
+    assert tracker.estimate().convergence.reason == "as judged"
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.floats(0.0, 1e4), st.floats(0.0, 1e4), st.integers(0, 200), st.integers(0, 60),
+    st.integers(0, 12),
+)  # fmt: skip
+def test_no_further_fault_makes_a_bad_verdict_good(known, less, more, missed, further, torn):
+    """Of chi-square, of contacts that are missed, of outliers, of robots that these alone tie."""
+    rows = len(known.rows)
+    some = np.arange(rows) < missed % rows
+    worse = np.arange(rows) < min(missed % rows + further, rows)
+    one = replace(known, chi_square=less, missed=missed, outlier=some, torn=torn)
+    two = replace(
+        known, chi_square=less + more, missed=missed + further, outlier=worse, torn=torn + further
+    )
+
+    before, after = judge(one), judge(two)
+
+    assert before.converged or not after.converged
+    assert before.consistent or not after.consistent
 
 
 def test_a_doubt_of_a_method_ends_what_it_says_of_outliers(known):

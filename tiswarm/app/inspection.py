@@ -16,9 +16,7 @@ from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
 from tiswarm.measurements.verdicts import (
-    MOST_SHOWN,
     cautions,
-    contradictions,
     describe_outliers,
     describe_solutions,
     distrust,
@@ -158,11 +156,8 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
     if gauge_yaw_sd is not None:
         fixed = f"the mean compass fixes it to {math.degrees(gauge_yaw_sd):.2g} deg (1 sd)"
         yield f"global yaw is unobservable; {fixed}"
-    impossible = contradictions(log)
-    for line, problem in impossible[:MOST_SHOWN]:
-        yield f"{path}:{line}: contacts: {problem}"
-    if (more := len(impossible) - MOST_SHOWN) > 0:
-        yield f"{path}: contacts: {counted(more, 'more such contradiction')}"
+    if has("command", "check contacts"):
+        yield from find("command", "check contacts")(log, path)
 
 
 def _left_open(log: SensingLog, known: Observability) -> str:

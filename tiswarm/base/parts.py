@@ -111,6 +111,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "command": {
         "advise": "tiswarm.parts.advice.further:tabulate",
         "check units": "tiswarm.parts.units:doubts",
+        "check contacts": "tiswarm.parts.units:impossible",
         "compare": "tiswarm.parts.comparison",
         "doctor": "tiswarm.parts.doctor",
         "explain": "tiswarm.parts.advice.explanation",

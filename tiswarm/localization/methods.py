@@ -414,7 +414,9 @@ def _fault(log: SensingLog, found: object, position: NDArray[Any]) -> str:
 
 def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:
     """Make an estimate of positions [log unit], with verdicts by their measurements."""
-    from tiswarm.localization.mixture.verdict import assess, rms  # noqa: PLC0415 - slow to import
+    # slow to import
+    from tiswarm.localization.mixture.assessment import assess  # noqa: PLC0415
+    from tiswarm.localization.mixture.verdict import rms  # noqa: PLC0415
     from tiswarm.measurements.contacts import disconnected  # noqa: PLC0415 - slow to import
     from tiswarm.measurements.cues import measure  # noqa: PLC0415 - slow to import
 

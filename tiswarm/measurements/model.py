@@ -16,6 +16,7 @@ Rows may have a source, such as a plane of a lighthouse: one error, added to the
 value, is then in all rows of the source. Beside it each row has errors of its own.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -40,6 +41,12 @@ if TYPE_CHECKING:
 
 SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""
+
+ALLOWED_SD = 4.0
+"""Standard deviations that noise may explain."""
+
+_MOST_PAIRS = 4_000_000
+"""Pairs of coordinates that are compared; of more than 2,000, a sample is compared with all."""
 
 KNOWN = KNOWN_SD**2 * (1.0 + 1e-9)
 """Variance of a coordinate up to which it never gives way, as that of an anchor [R^2]."""
@@ -443,6 +450,19 @@ class Measurements:
 
         return Turns.of(self, position)
 
+    @property
+    def quantity(self) -> Ints:
+        """Number of what each row reads: equal where a source reads one quantity again, (E,)."""
+        d, o, p = self.distances, self.offsets, self.places
+        read = [d.stance, d.dock, d.other_stance, d.other_dock, d.is_hinge, d.source]
+        along = [p.stance, p.dock, *p.direction.T, p.source]
+        pair, place = (
+            np.unique(np.column_stack(key), axis=0, return_inverse=True)[1].ravel()
+            for key in (read, along)
+        )
+        alone = np.arange(len(o.stance)) + len(pair)
+        return np.concatenate([pair, alone, place + len(self.other)])
+
     def averaged(self) -> "Measurements":
         """Replace readings of the same quantity by the same source by their weighted mean.
 
@@ -657,3 +677,43 @@ def turned(arm: Reals, yaw: Reals | None) -> Reals:
     # A product of complex numbers turns all configurations in one broadcast.
     level = np.exp(1j * yaw) * (x + 1j * y)
     return np.stack([level.real, level.imag, np.broadcast_to(z, level.shape)], axis=-1)
+
+
+def are_known(variance: Reals, pairs: int) -> Bools:
+    """Find coordinates that never give way: rows so certain, after those of pairs, shape (E,)."""
+    is_known: Bools = variance <= KNOWN
+    is_known[:pairs] = False
+    return is_known
+
+
+def inconsistent_places(rows: Measurements, variance: Reals | None = None) -> Bools:
+    """Find coordinates that disagree with most others that the same robot measured.
+
+    The walk between two stances is known, so that what a robot measured at one of them predicts
+    what it measures at the other, wherever it is. A robot that takes a rounded edge for the flat
+    ground contradicts its own flips.
+
+    Args:
+        rows: All rows.
+        variance: Their variance [R^2], if it is known already, shape (E,).
+
+    Returns:
+        Rows that disagree with the one that most rows agree with, shape (E,); distances never do.
+    """
+    contacts = len(rows.other)
+    found = np.zeros(len(rows), np.bool_)
+    robot, direction = rows.robot[contacts:], rows.places.direction
+    value = rows.places.value - (direction * rows.arm[contacts:]).sum(axis=1)
+    own = (rows.own_variance + rows.shared_variance)[contacts:]
+    walked = (rows.variance() if variance is None else variance)[contacts:] - own
+    _, group = np.unique(np.column_stack([robot, direction]), axis=0, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+    for mine in groups if len(order) else []:
+        some = mine[:: math.ceil(len(mine) ** 2 / _MOST_PAIRS)]
+        # Both arms share the noise of all stances after the later one.
+        between = np.abs(walked[some, None] - walked[mine])
+        allowed = ALLOWED_SD**2 * (between + own[some, None] + own[mine])
+        agrees = (value[some, None] - value[mine]) ** 2 <= allowed
+        found[contacts + mine] = ~agrees[agrees.sum(axis=1).argmax()]
+    return found

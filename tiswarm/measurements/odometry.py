@@ -389,3 +389,14 @@ def displacements(log: SensingLog, stances: Stances) -> Reals:
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
     moved: Reals = walked[:-1] - walked[stances.start[1:]][_owners(stances)]
     return moved
+
+
+def stuck_robots(log: SensingLog) -> Ints:
+    """Find the robots whose orientation sensors repeat one value while they flip, shape (K,)."""
+    if log.stances is None:
+        return np.empty(0, np.int64)
+    flips = np.diff(log.stances.start)
+    owner = np.repeat(np.arange(log.robot_count), flips)
+    repeats = (log.stances.orientation_wxyz == log.orientation_wxyz[owner]).all(axis=1)
+    same = np.bincount(owner, weights=repeats, minlength=log.robot_count)
+    return np.flatnonzero((flips > 0) & (same == flips))

@@ -1,22 +1,14 @@
-"""An estimate in words: whether to trust it, which configurations fit, and what is an outlier.
+"""An estimate in words: whether to trust it, which configurations fit, and what is an outlier."""
 
-Of a log without one: contacts that cannot all be true.
-"""
-
-import math
-from collections import defaultdict
 from collections.abc import Iterator
-from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Ints, Reals
-from tiswarm.measurements.consistency import ALLOWED_SD
 from tiswarm.measurements.contacts import parts, reach
 from tiswarm.measurements.cues import CUES, WALKED, Measured, measure
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, OpenTurn
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import NUMBERS, SensingLog
@@ -29,9 +21,6 @@ IMAGES_APART = "images apart [sd]"
 
 _STRETCH = 1.5
 """A chain of contacts this many times as long as it can be is no error of a few dock radii."""
-
-_ALLOWED_GAP = 0.05
-"""Docks may sense each other though this much lies between them [R]."""
 
 _FEW = 1.0 / 3.0
 """Share of the robots that carry most of a misfit, below which these are what to look at."""
@@ -345,84 +334,3 @@ def _axis(direction: Reals) -> str:
     """Write a unit vector, an axis by its letter."""
     along = np.flatnonzero(direction == 1.0)
     return "xyz"[along[0]] if along.size else f"[{', '.join(f'{part:.3g}' for part in direction)}]"
-
-
-class Contradiction(NamedTuple):
-    """Contacts that cannot all be true."""
-
-    line: int
-    """Line of the log with the robot that joined last of those concerned."""
-
-    problem: str
-    """Which contacts they are, and what to do."""
-
-
-def contradictions(log: SensingLog) -> list[Contradiction]:
-    """Find contacts of a log that are inconsistent wherever the robots are, in join order.
-
-    With orientations known, a contact says that the later robot's center lies on a sphere of radius
-    D about a point fixed to the earlier one. Around a closed chain of n contacts the n vectors of
-    length D must make up for the sum of the fixed ones, which is therefore no longer than n D.
-    Chains of two and three contacts, and heights, are checked. Noise explains the rest.
-    """
-    found = [*_by_height(log), *_by_chain(log, measure(log, ["contacts"]))]
-    return [Contradiction(log.line_of(joiner), problem) for joiner, problem in sorted(set(found))]
-
-
-def _by_height(log: SensingLog) -> Iterator[tuple[int, str]]:
-    """Contacts of robots whose flips took them to heights too different."""
-    rows = measure(log, ["contacts", "height"])
-    contacts, variance = len(rows.other), rows.variance()
-    height, spread = np.full(log.robot_count, np.nan), np.zeros(log.robot_count)
-    measured = rows.robot[contacts:]
-    height[measured] = rows.places.value - rows.arm[contacts:, 2]
-    spread[measured] = variance[contacts:]
-    height[0], spread[0] = log.anchor_position[2] / log.dock_radius, 0.0
-    robot, other = rows.robot[:contacts], rows.other
-    slack = ALLOWED_SD * np.sqrt(spread[robot] + spread[other] + variance[:contacts]) + _ALLOWED_GAP
-    apart = np.abs(height[robot] - height[other] + _fixed_part(rows)[:, 2])
-    for row in np.flatnonzero(apart > SPACING + slack).tolist():
-        text = f"{_names(log, rows, [row])} is inconsistent: by their flips the docks are"
-        unit, length = log.length_unit, apart[row] * log.dock_radius
-        text = f"{text} {length:.3g} {unit} apart in height, not {log.spacing:g} {unit}; look at it"
-        yield int(robot[row]), text
-
-
-def _by_chain(log: SensingLog, rows: Measurements) -> Iterator[tuple[int, str]]:
-    """Two contacts with one robot, or with two that touch each other, that cannot both be."""
-    fixed = _fixed_part(rows)
-    # The variance is a mean over directions; along the worst one it is at most thrice that.
-    unsure = ALLOWED_SD * np.sqrt(3.0 * rows.variance().max(initial=0.0))
-    between = defaultdict(list)
-    of_joiner = defaultdict(list)
-    for row, (joiner, earlier) in enumerate(
-        zip(rows.robot.tolist(), rows.other.tolist(), strict=True)
-    ):
-        between[earlier, joiner].append(row)
-        of_joiner[joiner].append(row)
-    for joiner, mine in of_joiner.items():
-        for one, two in combinations(sorted(mine, key=lambda row: int(rows.other[row])), 2):
-            first, second = rows.other[[one, two]].tolist()
-            closing = [[]] if first == second else [[row] for row in between[first, second]]
-            for third in closing:
-                gap = np.linalg.norm(fixed[one] - fixed[two] - fixed[third].sum(axis=0))
-                count = 2 + len(third)
-                if gap > count * (SPACING + _ALLOWED_GAP) + unsure * math.sqrt(count):
-                    names = _names(log, rows, [one, two, *third])
-                    yield joiner, f"{names} are inconsistent; look at each"
-
-
-def _fixed_part(rows: Measurements) -> Reals:
-    """Arm of the robot's dock less that of the other's, shape (C, 3)."""
-    fixed: Reals = rows.arm[: len(rows.other)] - rows.other_arm
-    return fixed
-
-
-def _names(log: SensingLog, rows: Measurements, chosen: list[int]) -> str:
-    """Write contacts as the log's lines do: robot, then (own dock, other robot, its dock)."""
-    name, d = log.robot_id, rows.distances
-    return " and ".join(
-        f"robot {name[rows.robot[row]]}'s contact "
-        f"[{d.dock[row]}, {name[rows.other[row]]}, {d.other_dock[row]}]"
-        for row in chosen
-    )

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.settings import ChiSquareParams
-from tiswarm.measurements.consistency import ALLOWED_SD, are_known, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, spans, untied_directions
 from tiswarm.measurements.cues import Measured, Precision
-from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.model import ALLOWED_SD, Measurements, are_known, inconsistent_places
 from tiswarm.measurements.odometry import (
     ASSUMED,
     Connections,

@@ -27,9 +27,8 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows
 from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.measurements import equations
-from tiswarm.measurements.consistency import are_known
 from tiswarm.measurements.contacts import close_docks
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.model import SPACING, Measurements, are_known
 from tiswarm.measurements.odometry import Connections
 from tiswarm.records.sensing_log import SensingLog
 

@@ -281,6 +281,23 @@ class Linear:
             free: Orthonormal motions of all robots that do not count as errors, shape (3 N, k).
             draws: How many of them.
         """
+        shift = self._drawn(draws)[1][: self.shifts]
+        if free is not None:
+            moved = free[np.repeat(self.moves, 3)]
+            # A motion that nothing measures is no error of the shape.
+            shift -= moved @ (moved.T @ shift)
+        square = np.zeros(len(self.moves))  # of those that stay
+        square[self.moves] = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
+        return square
+
+    def left_of_draws(self) -> tuple[Reals, Reals]:
+        """Draw all errors as stated: residuals that a fit leaves, and `square`, (E, draws) both."""
+        error, off = self._drawn(_DRAWS)
+        left, count = error - self.jacobian @ off, self.noise.shape[0]
+        return left[:count], (left * self._weighted(left))[:count]
+
+    def _drawn(self, draws: int) -> tuple[Reals, Reals]:
+        """Draw errors of all rows, (n, draws), and solve for those of unknowns, (F, draws)."""
         turns = self.noise.shape[1]
         sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
         # The inverse of a sparse matrix is dense; draws of all errors take one solve.
@@ -289,11 +306,4 @@ class Linear:
         error = np.sqrt(self.own_variance)[:, None] * own
         error[: self.noise.shape[0]] += self.noise @ turn
         pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
-        shift = self.undamped.solve(pull)[: self.shifts]
-        if free is not None:
-            moved = free[np.repeat(self.moves, 3)]
-            # A motion that nothing measures is no error of the shape.
-            shift -= moved @ (moved.T @ shift)
-        square = np.zeros(len(self.moves))  # of those that stay
-        square[self.moves] = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
-        return square
+        return error, self.undamped.solve(pull)

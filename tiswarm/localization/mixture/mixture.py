@@ -21,12 +21,13 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED, grouped, moments
+from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
 from tiswarm.localization.mixture.frames import images
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms, widened
-from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.odometry import stuck_robots
 from tiswarm.records.estimate import Convergence, Estimate, Solution
 
 _LEAST_CHAINS = 1.5
@@ -72,6 +73,9 @@ class Minimum(NamedTuple):
 
     chains: int
     """Chains that lead to it."""
+
+    found: tuple[Bools, Linear] | None = None
+    """Measurements that count, shape (E,), and their cost linearized there; None unless refined."""
 
 
 class Mixture(NamedTuple):
@@ -330,6 +334,7 @@ def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evi
         is_guess=is_guess,
         torn=int((is_guess & ~problem.untied).sum()),
         chi_square=best.chi_square,
+        found=best.found,
         unknowns=3 * (len(problem.part) - 1),
         freedom=best.freedom,
         is_counted=ends.fit.is_refined,
@@ -387,6 +392,7 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         square=square,
         log_volume=linear.log_volume,
         chains=int(members.sum()),
+        found=(used, linear),
     )
 
 

@@ -24,7 +24,7 @@ from tiswarm.localization.mixture.ends import Fit, Posed
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
 from tiswarm.localization.mixture.verdict import widened
-from tiswarm.measurements.consistency import stuck_robots
+from tiswarm.measurements.odometry import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog

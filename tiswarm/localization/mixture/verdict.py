@@ -1,47 +1,26 @@
-"""Whether to trust an estimate: was a minimum found, and does noise explain what it misses?
+"""Whether to trust an estimate: was a minimum found, and does noise explain what it misses?"""
 
-Methods that minimize something else than the chi-square of their measurements are judged by it all
-the same. The search for its least value begins at the estimate. The true positions would exceed
-that value by a chi-square with one degree of freedom for each coordinate that measurements
-determine; an estimate that exceeds it by more did not converge. Lengths in R.
-"""
-
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.chains.views import place_disconnected
-from tiswarm.localization.cost.cost import SETTLED
-from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.localization.mixture.ends import Posed
-from tiswarm.localization.mixture.frames import opened
+from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
-from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
-from tiswarm.measurements.consistency import are_known, stuck_robots
+from tiswarm.localization.settings import LARGE
 from tiswarm.measurements.model import Measurements
-from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence
+from tiswarm.measurements.odometry import stuck_robots
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog
 
-_ROUNDS = 8
-"""Steps toward the minimum."""
+_CHANCE = 1e-4
+"""Chance that a right log has a group of measurements that noise does not explain [1]."""
 
-_STAYS = 1e-6
-"""Width of the prior that leaves robots where they are [R]."""
-
-_CLEARANCE = 1e4
-"""Distance between robots that are guesses, so that their docks meet no others [R]."""
-
-_NOTICED = 1.25
-"""Ratio of what measurements leave open to the sd that a method states, from which on it counts
-[1]: it is computed from draws, and methods have priors."""
-
-_NINE_OF_TEN = 0.9
-"""Share of robots that should be within `MOST_WITHIN` sd [1]."""
+_KINDS = ("contacts", "contacts of walks", "ranges and displacements", "coordinates")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +46,9 @@ class Evidence:
 
     chi_square: float
     """Squared residuals of all others in variances, and priors [1]."""
+
+    found: tuple[Bools, Linear] | None = None
+    """Measurements without outliers, shape (E,), and their cost linearized at its minimum."""
 
     unknowns: int
     """Unknown coordinates."""
@@ -113,26 +95,115 @@ def judge(known: Evidence) -> Convergence:
     Near 0 degrees of freedom, what a search leaves would look like a misfit: they count as at least
     `MIXTURE.spare` of the unknown coordinates.
     """
-    freedom = max(known.freedom, int(MIXTURE.spare * known.unknowns))
-    misfit_sd = float((known.chi_square - freedom) / np.sqrt(2.0 * max(freedom, 1)))
+    read = None
+    if known.found is not None and known.found[0].any():
+        read = _Readings.of(known.rows.select(known.found[0]), known.found[1])
+    spare = known.freedom - (0 if read is None else read.repeats)
+    chi_square = known.chi_square - (0.0 if read is None else read.scatter)
+    freedom = max(spare, int(MIXTURE.spare * known.unknowns))
+    misfit_sd = _misfit_sd(chi_square, freedom)
     is_explained = misfit_sd <= MOST_MISFIT_SD
     failures, wrong = [*_failures(known, is_explained=is_explained)], [*_wrong_sensors(known)]
-    if not is_explained:
-        wrong.insert(0, "noise as stated does not explain all rows")
+    wrong = [*_misfits(read, known.log, is_explained=is_explained), *wrong]
     factor = 1.0
     if not is_explained and known.has_sd:
-        factor = float(np.sqrt(known.chi_square / max(freedom, 1)))
+        factor = float(np.sqrt(chi_square / max(freedom, 1)))
     return Convergence(
         converged=not failures,
         consistent=not wrong,
-        testable=bool(wrong) or not known.is_counted or known.freedom == freedom > 0,
-        spare=known.freedom if known.is_counted else None,
+        testable=bool(wrong) or not known.is_counted or spare == freedom > 0,
+        spare=spare if known.is_counted else None,
         misfit_sd=misfit_sd,
         sd_factor=factor,
         reason=next(iter([*failures, *wrong]), ""),
         chains=known.chains,
         restarted=0,
     )
+
+
+class _Readings(NamedTuple):
+    """The chi-square of E measurements: misfit of their means, and scatter about these."""
+
+    rows: Measurements
+
+    square: Reals
+    """Part of each measurement in the chi-square of means [1], shape (E,)."""
+
+    expected: Reals
+    """Expectation of that [1], shape (E,)."""
+
+    scatter: float
+    """Squares of readings about the means of their quantities, in variances [1]."""
+
+    repeats: int
+    """Readings beyond the first of each quantity: the expectation of the scatter."""
+
+    @classmethod
+    def of(cls, rows: Measurements, linear: Linear) -> "_Readings":
+        """Split a chi-square: an error that all readings of a quantity share is in no scatter."""
+        _, first, quantity = np.unique(rows.quantity, return_index=True, return_inverse=True)
+        weight = 1.0 / linear.own_variance[: len(rows), None]
+        total = np.zeros((len(first), 1))
+        np.add.at(total, quantity, weight)
+
+        def scatter(residual: Reals) -> Reals:
+            mean = np.zeros((len(first), residual.shape[1]))
+            np.add.at(mean, quantity, weight / total[quantity] * residual)
+            return np.asarray(weight * (residual - mean[quantity]) ** 2)
+
+        left, square = linear.left_of_draws()
+        own = scatter(linear.residual[: len(rows), None])[:, 0]
+        expected = (square - scatter(left)).mean(axis=1)
+        repeats = len(rows) - len(first)
+        return cls(rows, linear.square - own, expected, float(own.sum()), repeats)
+
+
+def _misfits(read: _Readings | None, log: SensingLog, *, is_explained: bool) -> Iterator[str]:
+    """Say which measurements noise does not explain: all, or those of a group."""
+    group = "" if read is None else _worst_group(read, log)
+    is_steady = read is None or _misfit_sd(read.scatter, read.repeats) <= MOST_MISFIT_SD
+    is_shared = read is not None and read.repeats > 0 and is_steady
+    advice = "; readings of one pair share an error: state it as a source with shared_sd"
+    if group or not is_explained:
+        what = group if is_explained else "all rows"
+        yield f"noise as stated does not explain {what}{advice * is_shared}"
+    elif not is_steady:
+        yield "readings of one quantity scatter more than their stated noise"
+
+
+def _misfit_sd(chi_square: float, freedom: int) -> float:
+    """Compute how far a chi-square is from its expectation, in its standard deviations."""
+    return float((chi_square - freedom) / np.sqrt(2.0 * max(freedom, 1)))
+
+
+def _worst_group(read: _Readings, log: SensingLog) -> str:
+    """Name the robot, pair, source or kind of measurements that chance explains least, if any.
+
+    A sum over a large log hides a few wrong measurements. The sum over a group has a chi-square of
+    at most as many degrees of freedom as its expectation says, as no part of it is more than one.
+    """
+    rows, pairs, name = read.rows, len(read.rows.other), log.robot_id
+    kind = np.full(len(rows), 3)
+    kind[:pairs] = np.where(rows.is_contact, rows.is_walked[:pairs], 2)
+    both = np.column_stack([rows.robot[:pairs], rows.other])
+    pair, of_pair = np.unique(both, axis=0, return_inverse=True)
+    every, sensed = np.arange(len(rows)), np.flatnonzero(rows.source >= 0)
+    families: list[tuple[Ints, Ints, Callable[[int], str]]] = [
+        (np.append(every, every[:pairs]), np.append(rows.robot, rows.other),
+         lambda k: f"the measurements of robot {name[k]}"),
+        (every[:pairs], of_pair.ravel(),
+         lambda k: "the measurements between robots {} and {}".format(*name[pair[k]])),
+        (sensed, rows.source[sensed], lambda k: f"source {log.source_name[k]}"),
+        (every, kind, lambda k: _KINDS[k]),
+    ]  # fmt: skip
+    tests, least, worst = 0, 1.0, ""
+    for row, group, text in families:
+        square, expected = (np.bincount(group, part[row]) for part in (read.square, read.expected))
+        chance = chdtrc(np.maximum(expected, 1.0), np.maximum(square, 0.0))
+        tests += len(np.unique(group))
+        if len(chance) and chance.min() < least:
+            least, worst = float(chance.min()), text(int(chance.argmin()))
+    return worst if least * tests < _CHANCE else ""
 
 
 def _failures(known: Evidence, *, is_explained: bool) -> Iterator[str]:
@@ -178,238 +249,19 @@ def _wrong_sensors(known: Evidence) -> Iterator[str]:
         yield f"{counted(mute, 'robot')} sensed nothing that shows their orientation"
 
 
-class Assessment(NamedTuple):
-    """What the measurements say of an estimate of N robots; fields of `Estimate`."""
-
-    convergence: Convergence
-    misfit: Reals | None
-    outlier_contacts: Ints | None
-    outlier_places: Ints | None
-
-    torn: Bools
-    """Robots that outliers alone tie to the world, shape (N,); no field of its own."""
-
-    sd: Reals | None
-    """Standard deviation that the method states, where measurements determine as much; more where
-    they leave more open [R], shape (N,)."""
-
-    motions: dict[str, Any]
-    """Rigid motions that change no measurement: fields of `Estimate`."""
-
-    def fields(self, untied: Bools, unit: float) -> dict[str, Any]:
-        """List fields of an `Estimate` by name.
-
-        Args:
-            untied: Robots that no measurement ties to the world, shape (N,).
-            unit: R, in the unit of the log.
-        """
-        found = self._asdict() | {"disconnected": untied | self.torn} | self.motions
-        del found["torn"], found["motions"]
-        return found | {"sd": None if self.sd is None else self.sd * unit}
-
-    def doubted(self, reason: str) -> "Assessment":
-        """Take a method's own doubts of its search; whether noise explains rows stands."""
-        verdict = replace(self.convergence, converged=False, reason=reason)
-        return self._replace(convergence=verdict, outlier_contacts=None, outlier_places=None)
-
-
-class _NearestMinimum(NamedTuple):
-    """The least chi-square near an estimate."""
-
-    position: Reals
-    """Centers [R], shape (N, 3)."""
-
-    excess: float
-    """Robust chi-square of the estimate beyond that of the minimum [1]."""
-
-    outlier: Bools
-    """Measurements that the minimum misses, shape (E,)."""
-
-    chi_square: float
-    """Least chi-square of all others [1]."""
-
-    freedom: int
-    """Its degrees of freedom."""
-
-    square: Reals
-    """Part of it that each measurement carries [1], shape (E,)."""
-
-
-def assess(
-    log: SensingLog,
-    cues: Collection[str],
-    position: Reals,
-    *,
-    is_guess: Bools,
-    sd: Reals | None = None,
-    yaw: Reals | None = None,
-) -> Assessment:
-    """Judge an estimate by the chi-square of its measurements.
-
-    Args:
-        log: What was sensed.
-        cues: Cues in use.
-        position: Estimated centers [R], shape (N, 3).
-        is_guess: Robots whose measurements do not count, shape (N,).
-        sd: Standard deviation that the method states [R], shape (N,); None where it has none.
-        yaw: Yaw corrections [rad], shape (N,); zero if None. What the log states of a bias of yaw
-            is solved for, whether or not the method does, up to `LARGE` robots.
-
-    Returns:
-        The verdicts. The search converged if noise, or `sd`, explains how far the estimate is from
-        the minimum. Beyond `LARGE` robots the estimate itself is taken for it. Outliers are None
-        unless noise explains that, and all other measurements.
-    """
-    chosen = {cue: cue in cues for cue in SWITCHES}
-    is_large = log.robot_count > LARGE
-    params = ChiSquareParams(**chosen, solve_yaw=yaw is not None or not is_large)
-    problem = pose_problem(log, params)
-    posed = Posed(log, params, problem)
-    counts = ~is_guess[problem.rows.robot]
-    counts[: len(problem.rows.other)] &= ~is_guess[problem.rows.other]
-    rows = problem.rows.select(counts)
-    state = position, np.zeros(log.robot_count) if yaw is None else yaw
-    unknowns = 3 * int((~is_guess[1:]).sum())
-    found = _itself(rows, state, unknowns) if is_large else _minimum(posed, rows, state, is_guess)
-    missed = np.zeros(len(problem.rows), np.bool_)
-    missed[counts] = found.outlier
-    tied = problem.without(missed)
-    torn = tied.untied & ~problem.untied
-    known = Evidence(
-        log=log,
-        rows=rows,
-        outlier=found.outlier,
-        is_guess=is_guess | torn,
-        torn=int(torn.sum()),
-        chi_square=found.chi_square,
-        unknowns=unknowns,
-        freedom=found.freedom,
-        is_counted=not is_large,
-        has_sd=sd is not None,
-        excess=found.excess,
-        is_within=_is_within(found.position - position, sd, is_guess | torn),
-        is_unsearched=is_large,
-    )
-    verdicts = judge(known)
-    motions: dict[str, Any] = {}
-    if sd is not None:
-        placed, loose = place_disconnected(position[None], tied)
-        loose += ((placed - position) ** 2).sum(axis=2)
-        square = widened(sd, verdicts.sd_factor, position) ** 2
-        if not is_large:
-            left = _left_open(posed, state, found.position, ~missed)
-            square = np.where(left > _NOTICED**2 * square, left, square)
-            of_turns, motions = opened(log, problem.rows.select(~missed), position)
-            wide = widened(of_turns, verdicts.sd_factor, position)
-            square = np.where(of_turns > 0.0, wide**2, square)
-        sd = np.sqrt(square + np.where(torn, loose[0], 0.0))
-    misfit = misfit_by_robot(rows, found.square)
-    if not (verdicts.trusted and known.excess <= known.chance):
-        return Assessment(verdicts, misfit, None, None, torn, sd, motions)
-    outliers = rows.select(found.outlier)
-    places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
-    contacts = np.unique(outliers.sensed_contacts, axis=0)
-    return Assessment(verdicts, misfit, contacts, places, torn, sd, motions)
-
-
-def _left_open(posed: Posed, estimate: tuple[Reals, Reals], near: Reals, inlier: Bools) -> Reals:
-    """Compute how far off robots may be by what measurements leave open [R^2], shape (N,).
-
-    The minimum of the cost, which begins `near` (N, 3), is the mean of what is likely: the mean
-    square distance from an estimate is the variance there, and the square of how far it is away.
-    """
-    position, yaw = estimate
-    rows = posed.problem.rows.select(inlier).averaged().associated(position, yaw)
-    cost = posed.cost(rows, non_overlap=False, links=posed.problem.connections, robust_sd=ROBUST_SD)
-    there = cost.refine(cost.at(near, yaw), _ROUNDS)[0].position
-    away: Reals = np.where(posed.problem.untied, 0.0, ((there - position) ** 2).sum(axis=1))
-    return open_variance(posed, (there, yaw), inlier) + away
-
-
-def open_variance(posed: Posed, state: tuple[Reals, Reals], inlier: Bools) -> Reals:
-    """Compute the variance of positions near a minimum, bounded where nothing determines them.
-
-    Robots in contact are joined by hinges, and no robot is farther away than the others are.
-
-    Args:
-        posed: A log and its E measurements.
-        state: Positions [R], shape (N, 3), and yaw corrections [rad], shape (N,).
-        inlier: Measurements that count, shape (E,).
-
-    Returns:
-        Variances [R^2], shape (N,); 0 of robots that no measurement ties to the world.
-    """
-    problem = posed.problem
-    hinged = np.unique(problem.pair[problem.is_final & inlier[problem.link]], axis=0)
-    rows = problem.rows.select(inlier).averaged().associated(*state)
-    cost = posed.cost(rows, non_overlap=False, links=problem.connections, hinged=hinged)
-    square = cost.linearized(cost.at(*state)).variance()
-    return np.where(problem.untied, 0.0, np.minimum(square, _extent(state[0]) ** 2))
-
-
 def widened(sd: Reals, factor: float, position: Reals) -> Reals:
     """Multiply standard deviations [R], shape (N,), up to the size of the swarm.
 
     A larger number would be a factor, and no error that a robot can have.
     """
-    bound = np.maximum(sd, _extent(position))
+    bound = np.maximum(sd, extent(position))
     return np.asarray(np.minimum(factor * sd, bound))
 
 
-def _extent(position: Reals) -> Reals:
+def extent(position: Reals) -> Reals:
     """Compute the root mean square distance of each robot from all robots [R], shape (N,)."""
     off = ((position - position.mean(axis=0)) ** 2).sum(axis=1)
     return np.asarray(np.sqrt(off + off.mean()))
-
-
-def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) -> _NearestMinimum:
-    """Take an estimate for the minimum."""
-    variance = rows.variance()
-    square = rows.residual(*estimate) ** 2 / variance
-    outlier = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
-    square[outlier] = 0.0
-    freedom = int((~outlier).sum()) - unknowns
-    return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, square)
-
-
-def _minimum(
-    posed: Posed, rows: Measurements, estimate: tuple[Reals, Reals], is_guess: Bools
-) -> _NearestMinimum:
-    """Search for the least chi-square from an estimate on: first robust, then without outliers."""
-    links = posed.problem.connections
-    aside = np.cumsum(is_guess)[:, None] * np.array([_CLEARANCE, 0.0, 0.0])
-    start = estimate[0] + is_guess[:, None] * aside, estimate[1]
-    robust = posed.cost(rows, links=links, robust_sd=ROBUST_SD)
-    begin = robust.at(*start)
-    # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
-    _, own = robust.held(np.full(len(is_guess), _STAYS)).refine(begin, _ROUNDS)
-    state, least = robust.refine(begin, _ROUNDS)
-    variance = rows.variance()
-    missed = rows.residual(state.position, state.yaw) ** 2 / variance
-    outlier = (missed > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
-    within = posed.cost(rows.select(~outlier), links=links)
-    _, linear = within.refine(within.at(state.position, state.yaw), _ROUNDS)
-    square = np.zeros(len(rows))
-    square[~outlier] = linear.square
-    excess = own.chi_square - least.chi_square
-    moved = np.where(is_guess[:, None], estimate[0], state.position)
-    return _NearestMinimum(moved, excess, outlier, linear.chi_square, linear.freedom(), square)
-
-
-def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
-    """Judge whether nine of ten robots are within `MOST_WITHIN` sd of the minimum, and all near it.
-
-    The sd of others excuses no robot that is farther off than `CONVERGENCE.outlier_sd` of its own.
-    """
-    counts = ~is_guess[1:]
-    if sd is None or not counts.any():
-        return False
-    off, allowed = np.linalg.norm(away, axis=1)[1:][counts], sd[1:][counts]
-    is_near = off <= MOST_WITHIN * allowed
-    return bool(
-        is_near.mean() >= _NINE_OF_TEN
-        and (off <= np.maximum(CONVERGENCE.outlier_sd * allowed, SETTLED)).all()
-    )
 
 
 def misfit_by_robot(rows: Measurements, square: Reals) -> Reals:

@@ -33,7 +33,7 @@ from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_kernels import CellList
-from tiswarm.localization.mixture.verdict import assess
+from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.settings import BackPropagation, MethodParams, VirtualForceParams
 from tiswarm.localization.virtual_force import kernels
 from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach, stand_across

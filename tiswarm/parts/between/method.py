@@ -23,7 +23,8 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.localization import methods
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.mixture.verdict import assess, rms
+from tiswarm.localization.mixture.assessment import assess
+from tiswarm.localization.mixture.verdict import rms
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.parts.between.channel import HEADER, Channel, Message

@@ -35,11 +35,12 @@ from tiswarm.localization.chains.views import place_disconnected, set_apart, vie
 from tiswarm.localization.cost.cost import State, WholeCost, moments
 from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
 from tiswarm.localization.methods import centered, uncentered
+from tiswarm.localization.mixture.assessment import Assessment, assess
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
 from tiswarm.localization.mixture.settings import CONVERGENCE, REFINEMENT
-from tiswarm.localization.mixture.verdict import Assessment, assess, rms
+from tiswarm.localization.mixture.verdict import rms
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured, refuse_header, refuse_line
 from tiswarm.parts.online.neighborhood import NearCost

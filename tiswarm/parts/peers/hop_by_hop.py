@@ -31,7 +31,8 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
 from tiswarm.localization.cost.settings import EXTENSION, OVERLAP_SD
-from tiswarm.localization.mixture.verdict import assess, rms
+from tiswarm.localization.mixture.assessment import assess
+from tiswarm.localization.mixture.verdict import rms
 from tiswarm.measurements.contacts import disconnected, overlap, parts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.equations import components, missed_along, missed_distance

@@ -15,9 +15,9 @@ from tiswarm.compute.math import normal
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import set_apart
+from tiswarm.localization.mixture.assessment import open_variance
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts, settled
 from tiswarm.localization.mixture.mixture import mixed
-from tiswarm.localization.mixture.verdict import open_variance
 from tiswarm.localization.settings import DOCKS_UNKNOWN
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING

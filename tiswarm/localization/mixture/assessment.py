@@ -1,0 +1,267 @@
+"""Estimates of methods that minimize something else than the chi-square of their measurements.
+
+They are judged by it all the same. The search for its least value begins at the estimate. The true
+positions would exceed that value by a chi-square with one degree of freedom for each coordinate
+that measurements determine; an estimate that exceeds it by more did not converge. Lengths in R.
+"""
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.views import place_disconnected
+from tiswarm.localization.cost.cost import SETTLED
+from tiswarm.localization.cost.linear import Linear
+from tiswarm.localization.cost.settings import ROBUST_SD
+from tiswarm.localization.mixture.ends import Posed
+from tiswarm.localization.mixture.frames import opened
+from tiswarm.localization.mixture.settings import CONVERGENCE
+from tiswarm.localization.mixture.verdict import Evidence, extent, judge, misfit_by_robot, widened
+from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
+from tiswarm.measurements.model import Measurements, are_known
+from tiswarm.records.estimate import MOST_WITHIN, Convergence
+from tiswarm.records.sensing_log import SensingLog
+
+_ROUNDS = 8
+"""Steps toward the minimum."""
+
+_STAYS = 1e-6
+"""Width of the prior that leaves robots where they are [R]."""
+
+_CLEARANCE = 1e4
+"""Distance between robots that are guesses, so that their docks meet no others [R]."""
+
+_NOTICED = 1.25
+"""Ratio of what measurements leave open to the sd that a method states, from which on it counts
+[1]: it is computed from draws, and methods have priors."""
+
+_NINE_OF_TEN = 0.9
+"""Share of robots that should be within `MOST_WITHIN` sd [1]."""
+
+
+class Assessment(NamedTuple):
+    """What the measurements say of an estimate of N robots; fields of `Estimate`."""
+
+    convergence: Convergence
+    misfit: Reals | None
+    outlier_contacts: Ints | None
+    outlier_places: Ints | None
+
+    torn: Bools
+    """Robots that outliers alone tie to the world, shape (N,); no field of its own."""
+
+    sd: Reals | None
+    """Standard deviation that the method states, where measurements determine as much; more where
+    they leave more open [R], shape (N,)."""
+
+    motions: dict[str, Any]
+    """Rigid motions that change no measurement: fields of `Estimate`."""
+
+    def fields(self, untied: Bools, unit: float) -> dict[str, Any]:
+        """List fields of an `Estimate` by name.
+
+        Args:
+            untied: Robots that no measurement ties to the world, shape (N,).
+            unit: R, in the unit of the log.
+        """
+        found = self._asdict() | {"disconnected": untied | self.torn} | self.motions
+        del found["torn"], found["motions"]
+        return found | {"sd": None if self.sd is None else self.sd * unit}
+
+    def doubted(self, reason: str) -> "Assessment":
+        """Take a method's own doubts of its search; whether noise explains rows stands."""
+        verdict = replace(self.convergence, converged=False, reason=reason)
+        return self._replace(convergence=verdict, outlier_contacts=None, outlier_places=None)
+
+
+class _NearestMinimum(NamedTuple):
+    """The least chi-square near an estimate."""
+
+    position: Reals
+    """Centers [R], shape (N, 3)."""
+
+    excess: float
+    """Robust chi-square of the estimate beyond that of the minimum [1]."""
+
+    outlier: Bools
+    """Measurements that the minimum misses, shape (E,)."""
+
+    chi_square: float
+    """Least chi-square of all others [1]."""
+
+    freedom: int
+    """Its degrees of freedom."""
+
+    square: Reals
+    """Part of it that each measurement carries [1], shape (E,)."""
+
+    linear: Linear | None = None
+    """The cost linearized there; None of more than `LARGE` robots."""
+
+
+def assess(
+    log: SensingLog,
+    cues: Collection[str],
+    position: Reals,
+    *,
+    is_guess: Bools,
+    sd: Reals | None = None,
+    yaw: Reals | None = None,
+) -> Assessment:
+    """Judge an estimate by the chi-square of its measurements.
+
+    Args:
+        log: What was sensed.
+        cues: Cues in use.
+        position: Estimated centers [R], shape (N, 3).
+        is_guess: Robots whose measurements do not count, shape (N,).
+        sd: Standard deviation that the method states [R], shape (N,); None where it has none.
+        yaw: Yaw corrections [rad], shape (N,); zero if None. What the log states of a bias of yaw
+            is solved for, whether or not the method does, up to `LARGE` robots.
+
+    Returns:
+        The verdicts. The search converged if noise, or `sd`, explains how far the estimate is from
+        the minimum. Beyond `LARGE` robots the estimate itself is taken for it. Outliers are None
+        unless noise explains that, and all other measurements.
+    """
+    chosen = {cue: cue in cues for cue in SWITCHES}
+    is_large = log.robot_count > LARGE
+    params = ChiSquareParams(**chosen, solve_yaw=yaw is not None or not is_large)
+    problem = pose_problem(log, params)
+    posed = Posed(log, params, problem)
+    counts = ~is_guess[problem.rows.robot]
+    counts[: len(problem.rows.other)] &= ~is_guess[problem.rows.other]
+    rows = problem.rows.select(counts)
+    state = position, np.zeros(log.robot_count) if yaw is None else yaw
+    unknowns = 3 * int((~is_guess[1:]).sum())
+    found = _itself(rows, state, unknowns) if is_large else _minimum(posed, rows, state, is_guess)
+    missed = np.zeros(len(problem.rows), np.bool_)
+    missed[counts] = found.outlier
+    tied = problem.without(missed)
+    torn = tied.untied & ~problem.untied
+    known = Evidence(
+        log=log,
+        rows=rows,
+        outlier=found.outlier,
+        is_guess=is_guess | torn,
+        torn=int(torn.sum()),
+        chi_square=found.chi_square,
+        found=None if found.linear is None else (~found.outlier, found.linear),
+        unknowns=unknowns,
+        freedom=found.freedom,
+        is_counted=not is_large,
+        has_sd=sd is not None,
+        excess=found.excess,
+        is_within=_is_within(found.position - position, sd, is_guess | torn),
+        is_unsearched=is_large,
+    )
+    verdicts = judge(known)
+    motions: dict[str, Any] = {}
+    if sd is not None:
+        placed, loose = place_disconnected(position[None], tied)
+        loose += ((placed - position) ** 2).sum(axis=2)
+        square = widened(sd, verdicts.sd_factor, position) ** 2
+        if not is_large:
+            left = _left_open(posed, state, found.position, ~missed)
+            square = np.where(left > _NOTICED**2 * square, left, square)
+            of_turns, motions = opened(log, problem.rows.select(~missed), position)
+            wide = widened(of_turns, verdicts.sd_factor, position)
+            square = np.where(of_turns > 0.0, wide**2, square)
+        sd = np.sqrt(square + np.where(torn, loose[0], 0.0))
+    misfit = misfit_by_robot(rows, found.square)
+    if not (verdicts.trusted and known.excess <= known.chance):
+        return Assessment(verdicts, misfit, None, None, torn, sd, motions)
+    outliers = rows.select(found.outlier)
+    places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
+    contacts = np.unique(outliers.sensed_contacts, axis=0)
+    return Assessment(verdicts, misfit, contacts, places, torn, sd, motions)
+
+
+def _left_open(posed: Posed, estimate: tuple[Reals, Reals], near: Reals, inlier: Bools) -> Reals:
+    """Compute how far off robots may be by what measurements leave open [R^2], shape (N,).
+
+    The minimum of the cost, which begins `near` (N, 3), is the mean of what is likely: the mean
+    square distance from an estimate is the variance there, and the square of how far it is away.
+    """
+    position, yaw = estimate
+    rows = posed.problem.rows.select(inlier).averaged().associated(position, yaw)
+    cost = posed.cost(rows, non_overlap=False, links=posed.problem.connections, robust_sd=ROBUST_SD)
+    there = cost.refine(cost.at(near, yaw), _ROUNDS)[0].position
+    away: Reals = np.where(posed.problem.untied, 0.0, ((there - position) ** 2).sum(axis=1))
+    return open_variance(posed, (there, yaw), inlier) + away
+
+
+def open_variance(posed: Posed, state: tuple[Reals, Reals], inlier: Bools) -> Reals:
+    """Compute the variance of positions near a minimum, bounded where nothing determines them.
+
+    Robots in contact are joined by hinges, and no robot is farther away than the others are.
+
+    Args:
+        posed: A log and its E measurements.
+        state: Positions [R], shape (N, 3), and yaw corrections [rad], shape (N,).
+        inlier: Measurements that count, shape (E,).
+
+    Returns:
+        Variances [R^2], shape (N,); 0 of robots that no measurement ties to the world.
+    """
+    problem = posed.problem
+    hinged = np.unique(problem.pair[problem.is_final & inlier[problem.link]], axis=0)
+    rows = problem.rows.select(inlier).averaged().associated(*state)
+    cost = posed.cost(rows, non_overlap=False, links=problem.connections, hinged=hinged)
+    square = cost.linearized(cost.at(*state)).variance()
+    return np.where(problem.untied, 0.0, np.minimum(square, extent(state[0]) ** 2))
+
+
+def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) -> _NearestMinimum:
+    """Take an estimate for the minimum."""
+    variance = rows.variance()
+    square = rows.residual(*estimate) ** 2 / variance
+    outlier = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    square[outlier] = 0.0
+    freedom = int((~outlier).sum()) - unknowns
+    return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, square)
+
+
+def _minimum(
+    posed: Posed, rows: Measurements, estimate: tuple[Reals, Reals], is_guess: Bools
+) -> _NearestMinimum:
+    """Search for the least chi-square from an estimate on: first robust, then without outliers."""
+    links = posed.problem.connections
+    aside = np.cumsum(is_guess)[:, None] * np.array([_CLEARANCE, 0.0, 0.0])
+    start = estimate[0] + is_guess[:, None] * aside, estimate[1]
+    robust = posed.cost(rows, links=links, robust_sd=ROBUST_SD)
+    begin = robust.at(*start)
+    # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
+    _, own = robust.held(np.full(len(is_guess), _STAYS)).refine(begin, _ROUNDS)
+    state, least = robust.refine(begin, _ROUNDS)
+    variance = rows.variance()
+    missed = rows.residual(state.position, state.yaw) ** 2 / variance
+    outlier = (missed > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    within = posed.cost(rows.select(~outlier), links=links)
+    _, linear = within.refine(within.at(state.position, state.yaw), _ROUNDS)
+    square = np.zeros(len(rows))
+    square[~outlier] = linear.square
+    excess = own.chi_square - least.chi_square
+    moved = np.where(is_guess[:, None], estimate[0], state.position)
+    least_square, freedom = linear.chi_square, linear.freedom()
+    return _NearestMinimum(moved, excess, outlier, least_square, freedom, square, linear)
+
+
+def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
+    """Judge whether nine of ten robots are within `MOST_WITHIN` sd of the minimum, and all near it.
+
+    The sd of others excuses no robot that is farther off than `CONVERGENCE.outlier_sd` of its own.
+    """
+    counts = ~is_guess[1:]
+    if sd is None or not counts.any():
+        return False
+    off, allowed = np.linalg.norm(away, axis=1)[1:][counts], sd[1:][counts]
+    is_near = off <= MOST_WITHIN * allowed
+    return bool(
+        is_near.mean() >= _NINE_OF_TEN
+        and (off <= np.maximum(CONVERGENCE.outlier_sd * allowed, SETTLED)).all()
+    )
