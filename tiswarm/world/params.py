@@ -447,11 +447,11 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
     `GrowthParams`. Its annotated fields are keys of scenarios. It may replace the property
     `terrain` and these methods, whose lengths are in R; `side` is 0 if robots come from one side.
 
-    goal(side): what robots climb toward, shape (3,).
-    behind(side, docks): how far docks of shape (n, 3) are behind the edge, shape (n,).
-    start(side, rim, draw): where a robot starts, shape (2,), `rim` being how far the farthest dock
-        is behind, and `draw` two random numbers in [0, 1).
-    spread(count, behind): places of anchors given by their number, shape (count, 2).
+    - `goal(side)`: what robots climb toward, shape (3,).
+    - `behind(side, docks)`: how far docks of shape (n, 3) are behind the edge, shape (n,).
+    - `start(side, rim, draw)`: where a robot starts, shape (2,). `rim` is how far the farthest dock
+      is behind, `draw` two random numbers in [0, 1).
+    - `spread(count, behind)`: places of anchors given by their number, shape (count, 2).
 
     Args:
         name: Name of the kind: words of letters and digits, with "-".
