@@ -71,7 +71,7 @@ _ITERATION_S = 1.3e-6
 _TOGETHER_S = 4e-7
 """Processor time of a step of a robot under the schedule `together` [s]."""
 
-_CHAIN_STEP_S = 8e-7
+_CHAIN_STEP_S = 4e-7
 """Processor time of a step of a robot in one chain [s]."""
 
 _ONE_BY_ONE = (
@@ -365,7 +365,8 @@ class JointParams(ChiSquareParams):
 
     steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape. If null
-    3,000, or 2,000 for more than 3,000 robots."""
+    1,000, and 2 for each robot, up to 3,000; or 2,000 for more than 3,000 robots. Chosen on
+    training structures of 100 and 1,000 robots, see `docs/notes/joint-tuning.md`."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 900
     """Steps at the end temperature, over which positions are averaged."""
@@ -400,7 +401,7 @@ class JointParams(ChiSquareParams):
 
     def steps_for(self, robots: int) -> int:
         """Steps of each annealing."""
-        return self.steps or (3000 if robots <= LARGE else 2000)
+        return self.steps or (min(1000 + 2 * robots, 3000) if robots <= LARGE else 2000)
 
     def refines(self, robots: int) -> bool:
         """Whether to refine what chains of a structure of so many robots come to."""
