@@ -251,7 +251,8 @@ def _turn_about(rows: Measurements, position: Reals, moves: Bools, about: Ints) 
     every = turn.turned(every, _motions(np.tile(axes[0], (len(place), 1)), place))
     square = _least_squares(rows, np.concatenate([every, position[None]]), turn)
     chance = np.exp(0.5 * (square.min() - square[:-1]))
-    if chance.sum() < _BROAD * _ANGLES:
+    # Images of a single robot are turns, too: they make no arc wider.
+    if chance.reshape(2, -1).sum(axis=1).max() < _BROAD * _ANGLES:
         return held
     is_hand_free = bool(chance[_ANGLES:].sum() > _RARE * chance.sum())
     return turn._replace(chance=chance, is_hand_free=is_hand_free)
