@@ -61,7 +61,7 @@ def test_a_trusted_estimate_says_that_its_positions_are_a_mean(localize):
     assert printed.out.splitlines()[-2:] == [
         (
             "30 robots, converged; 2 configurations fit, the likeliest has 70 %; mirrored: "
-            "2 robots (4, 6) -> estimate.csv"
+            "2 robots (4, 6); most robots hang on free motions: 19 of 30 -> estimate.csv"
         ),
         (
             "the positions are the mean of 2 solutions; --solution 1 writes the likeliest "
