@@ -32,7 +32,8 @@ class Solution:
     """Share of the solution in the mixture that the estimate is the mean of [1]."""
 
     chains: int
-    """Number of chains, or starts, that ended in this configuration."""
+    """Number of chains, or starts, that ended in this configuration; 0 if only mirroring a part of
+    another one leads there."""
 
     chi_square: float
     """Least cost: squared residuals of all measurements in variances, under the robust loss, and

@@ -91,6 +91,19 @@ class Ends:
     turns: Any = ()
     """`Turns`, rigid motions that nothing resists, by which ends are aligned."""
 
+    def at(self, position: Reals, yaw: Reals) -> "Ends":
+        """Return one end at a configuration, (N, 3) and (N,), in place of all."""
+        only = position[None], yaw[None]
+        return replace(
+            self,
+            fit=replace(self.fit, annealed=self.fit.annealed.still(*only)),
+            position=only[0],
+            yaw=only[1],
+            cost=np.zeros(1),
+            weight=np.ones(1),
+            solution=np.zeros(1, np.int64),
+        )
+
 
 def failed(problem: Problem, annealed: Annealed) -> Bools:
     """Find chains that no noise of the measurements explains, shape (chains,)."""

@@ -1,8 +1,15 @@
-"""Whole configurations beside one: mirrored, or built from distances.
+"""Configurations beside one: mirrored as a whole or in part, or built from distances.
 
-Where measured distances fit as a whole, chains start beside those of the annealer. Lengths in R.
+Where measured distances fit as a whole, chains start beside those of the annealer.
+
+Parts have second places, which chains seldom find. Orientations are known: a part that hangs on few
+robots moves by a shift, and nothing within it changes. Each distance to a robot outside puts the
+shift on a sphere, and measured coordinates fix it along axes. Where two points are left, one is the
+mirror image of the other in the plane, line or point that the centers of the spheres span. A part
+whose rows measure centers alone has no orientation to keep: it is mirrored itself. Lengths in R.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,8 +21,10 @@ from tiswarm.base.aliases import Bools, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.cost.cost import WholeCost
-from tiswarm.localization.cost.settings import ROBUST_SD
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.localization.cost.settings import OVERLAP_SD, ROBUST_SD
+from tiswarm.localization.mixture.settings import IMAGES
+from tiswarm.measurements.contacts import close_docks, spans
+from tiswarm.measurements.model import SPACING, Measurements, turned
 from tiswarm.records.sensing_log import SensingLog
 
 _ASIDE, _ROUNDS = 0.05, 15
@@ -139,3 +148,179 @@ def images(problem: Problem, position: Reals) -> list[Reals]:
     normal = np.linalg.svd(position[known] - center, full_matrices=False)[2][2]
     mirrored = position - 2.0 * ((position - center) @ normal)[:, None] * normal
     return [np.where(known[:, None], position, mirrored)]
+
+
+class PartImages:
+    """Second places of the K parts of N robots, by E measurements whose docks are known."""
+
+    def __init__(
+        self,
+        log: SensingLog,
+        rows: Measurements,
+        further_variance: float = 0.0,
+        *,
+        non_overlap: bool = True,
+    ) -> None:
+        """Find the parts; rows have some variance beside their noise [R^2]."""
+        self._log, self._rows, self._non_overlap = log, rows, non_overlap
+        self._weight = 1.0 / (rows.variance() + further_variance)
+        self.parts = hanging_parts(rows)
+        """Robots of each part, shape (K, N)."""
+        pairs = len(rows.other)
+        own, its = (self.parts.take(robots, axis=1) for robots in (rows.robot, rows.other))
+        # How the vector of each row moves with each part: 1, -1, or not at all.
+        self._sign = own.astype(np.float64)
+        self._sign[:, :pairs] -= its
+        is_oriented = np.any(rows.arm, axis=1)
+        is_oriented[:pairs] |= rows.other_arm.any(axis=1)
+        is_oriented[len(rows.distances.stance) : pairs] = True
+        own[:, :pairs] |= its
+        is_single = self.parts.sum(axis=1) == 1
+        self._is_shifted = (own & is_oriented).any(axis=1) | is_single
+        # Docks that only must not overlap leave no sphere.
+        self._sign[:, np.flatnonzero(rows.distances.is_hinge)] = 0.0
+
+    def of(self, position: Reals, yaw: Reals) -> Iterator[tuple[Reals, float]]:
+        """Find the images of all parts at a minimum that may be minima, too.
+
+        Args:
+            position: Centers [R], shape (N, 3).
+            yaw: Yaw corrections [rad], shape (N,).
+
+        Yields:
+            Centers, and the cost beyond that of the minimum, all else as it is [1].
+        """
+        rows = self._rows
+        vector, missed = rows.vectors(position, yaw), rows.residual(position, yaw)
+        axes = np.concatenate([rows.axes(yaw), rows.places.direction])
+        cost = self._weight @ missed**2 + self._overlap(position, yaw)
+        for number, part in enumerate(self.parts):
+            shift = self._shift(number, vector, axes, position)
+            if shift is None or np.linalg.norm(shift, axis=-1).max() < IMAGES.nearest:
+                continue
+            there = np.where(part[:, None], position + shift, position)
+            excess = float(self._weight @ rows.residual(there, yaw) ** 2 - cost)
+            if excess <= IMAGES.worst:
+                excess += self._overlap(there, yaw)
+            if excess <= IMAGES.worst:
+                yield there, excess
+
+    def _shift(self, number: int, vector: Reals, axes: Reals, position: Reals) -> Reals | None:
+        """Find the shift of a part to its image, (3,), or of each robot, (N, 3), if there is one.
+
+        Args:
+            number: The part.
+            vector: `Measurements.vectors`, shape (P, 3).
+            axes: Axes of all rows but distances, shape (E - C, 3).
+            position: Centers [R], shape (N, 3).
+        """
+        distances = self._rows.distances
+        moved = np.flatnonzero(self._sign[number])
+        sign, weight = self._sign[number, moved, None], self._weight[moved]
+        count = int(np.searchsorted(moved, len(distances.stance)))
+        link, along = moved[:count], axes[moved[count:] - len(distances.stance)] * sign[count:]
+        size, basis = np.linalg.eigh((along.T * weight[count:]) @ along)
+        basis = basis[:, size < IMAGES.fixed**-2]
+        # With fewer distances than free directions, a motion is left: nothing to mirror.
+        if not 0 < basis.shape[1] <= count:
+            return None
+        if not self._is_shifted[number]:
+            ends = self._rows.other[link], self._rows.robot[link]
+            partner = np.where(sign[:count, 0] > 0.0, *ends)
+            normal, middle = _plane(position[partner], weight[:count], basis)
+            return 2.0 * ((middle - position) @ normal)[:, None] * normal
+        center = -sign[:count] * vector[link]
+        normal, middle = _plane(center, weight[:count], basis)
+        shift: Reals = 2.0 * (middle @ normal) * normal
+        return shift
+
+    def _overlap(self, position: Reals, yaw: Reals) -> float:
+        """Sum the squares of all overlaps of docks [variances]."""
+        if not self._non_overlap:
+            return 0.0
+        arm = self._rows.odometry.arm[self._rows.odometry.final]
+        docks = turned(arm.reshape(-1, _AXES), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
+        point = position[:, None] + docks
+        close = close_docks(self._log, point, SPACING)
+        apart = point[close[:, 0], close[:, 1]] - point[close[:, 2], close[:, 3]]
+        deep = (SPACING - np.linalg.norm(apart, axis=1)) / OVERLAP_SD
+        return float(deep @ deep)
+
+
+def _plane(point: Reals, weight: Reals, basis: Reals) -> tuple[Reals, Reals]:
+    """Fit a plane to points: its normal, which is in a subspace, and the mean of the points.
+
+    Args:
+        point: Points, shape (n, 3).
+        weight: Their weights, shape (n,).
+        basis: Orthonormal basis of the subspace, shape (3, d).
+    """
+    middle = weight @ point / weight.sum()
+    off = (point - middle) @ basis
+    normal: Reals = basis @ np.linalg.eigh((off.T * weight) @ off)[1][:, 0]
+    return normal, middle
+
+
+def hanging_parts(rows: Measurements) -> Bools:
+    """List the parts that lose their way to the world without one robot, or without two.
+
+    The world is the anchor, and all robots whose coordinates are measured along all axes. Each
+    other robot is a part, too.
+
+    Args:
+        rows: Measurements of N robots.
+
+    Returns:
+        Robots of each part, small ones first, shape (K, N).
+    """
+    robots, pairs = rows.robots, len(rows.other)
+    place = rows.robot[pairs:], rows.places.direction
+    known = spans(*place, robots, 1.0 / rows.variance()[pairs:])
+    is_world = np.linalg.eigvalsh(known)[:, 0] > IMAGES.fixed**-2
+    is_world[0] = True
+    # The world is one vertex, that of the anchor.
+    vertex = np.where(is_world, 0, np.arange(robots))
+    pair = vertex[np.column_stack([rows.robot[:pairs], rows.other])]
+    near: list[list[int]] = [[] for _ in range(robots)]
+    for one, other in np.unique(pair[pair[:, 0] != pair[:, 1]], axis=0).tolist():
+        near[one].append(other)
+        near[other].append(one)
+    free = np.flatnonzero(~is_world).tolist()
+    found: set[tuple[int, ...]] = {(robot,) for robot in free}
+    for without in [-1, *(free if robots <= IMAGES.most_robots else [])]:
+        found |= {tuple(sorted(part)) for part in _cut_off(near, without)}
+    ordered = sorted(found, key=lambda part: (len(part), part))
+    is_in = [np.isin(np.arange(robots), part) for part in ordered]
+    return np.array(is_in, np.bool_).reshape(len(ordered), robots)
+
+
+def _cut_off(near: list[list[int]], without: int) -> Iterator[list[int]]:
+    """Find the parts that lose their way to vertex 0 without one vertex and another one.
+
+    Depth-first search finds them all at once (Hopcroft and Tarjan 1973).
+
+    Args:
+        near: Neighbors of each vertex.
+        without: The vertex that is left out; none if -1.
+    """
+    entered, low = [-1] * len(near), [0] * len(near)
+    order, stack = [0], [(0, iter(near[0]))]
+    entered[0] = 0
+    while stack:
+        vertex, further = stack[-1]
+        for other in further:
+            if other == without:
+                continue
+            if entered[other] < 0:
+                entered[other] = low[other] = len(order)
+                order.append(other)
+                stack.append((other, iter(near[other])))
+                break
+            low[vertex] = min(low[vertex], entered[other])
+        else:
+            stack.pop()
+            if stack:
+                above = stack[-1][0]
+                low[above] = min(low[above], low[vertex])
+                if low[vertex] >= entered[above]:
+                    yield order[entered[vertex] :]

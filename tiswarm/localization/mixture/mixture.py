@@ -12,19 +12,27 @@ and the temperature lets them be missed. Only the first two are errors, and make
 
 from collections.abc import Mapping
 from dataclasses import replace
+from heapq import heappop, heappush
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED, grouped, moments
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
-from tiswarm.localization.mixture.frames import images
-from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
+from tiswarm.localization.mixture.frames import PartImages, images
+from tiswarm.localization.mixture.settings import (
+    CONVERGENCE,
+    IMAGES,
+    MIXTURE,
+    REFINEMENT,
+    SD_CALIBRATION,
+)
 from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms, widened
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import stuck_robots
@@ -76,6 +84,11 @@ class Minimum(NamedTuple):
 
     found: tuple[Bools, Linear] | None = None
     """Measurements that count, shape (E,), and their cost linearized there; None unless refined."""
+
+    @property
+    def log_height(self) -> float:
+        """Logarithm of its probability up to a constant, by Laplace's approximation."""
+        return self.log_volume - 0.5 * self.cost
 
 
 class Mixture(NamedTuple):
@@ -222,13 +235,80 @@ def _minima(ends: Ends, inlier: Bools, open_sd: Reals) -> tuple[list[Minimum], R
     """Find the minimum of each solution, the likeliest first, and their weights."""
     if not ends.fit.is_refined:
         return [_unrefined(ends, inlier, open_sd)], np.ones(1)
-    minima, shares = [], []
-    for solution in range(int(ends.solution[ends.weight > 0.0].max()) + 1):
-        weight = np.where(ends.solution == solution, ends.weight, 0.0)
-        shares.append(weight.sum())
-        chosen = weight / weight.sum()
-        minima.append(minimum(ends, chosen, inlier, open_sd))
-    return _weighed(minima, np.array(shares))
+    solution = np.where(ends.weight > 0.0, ends.solution, -1)
+    members = [np.flatnonzero(solution == n) for n in range(solution.max() + 1)]
+    minima = [_least(ends, each, inlier, open_sd) for each in members]
+    # Where a mode is floppy, chains alone say how far a solution reaches.
+    if _are_held(minima) and not ends.turns:
+        members = [
+            part
+            for each, least in zip(members, minima, strict=True)
+            for part in map(np.array, _parted(ends, each, least.sd))
+        ]
+        minima = [_least(ends, each, inlier, open_sd) for each in members]
+        minima += _mirrored(ends, minima, inlier, open_sd)
+    share = np.ones(len(minima))
+    share[: len(members)] = [ends.weight[each].sum() for each in members]
+    return _weighed(minima, share)
+
+
+def _are_held(minima: list[Minimum]) -> bool:
+    """Whether measurements hold all robots at all minima."""
+    return all(each.is_held[1:].all() for each in minima)
+
+
+def _least(ends: Ends, members: Ints, inlier: Bools, open_sd: Reals) -> Minimum:
+    """Find the minimum of the cost that some ends lead to."""
+    weight = np.zeros(len(ends.weight))
+    weight[members] = ends.weight[members] / ends.weight[members].sum()
+    return minimum(ends, weight, inlier, open_sd)
+
+
+def _parted(ends: Ends, members: Ints, sd: Reals) -> list[list[int]]:
+    """Group the ends of one solution that agree to its sd, the best end of each group first."""
+    order = members[np.argsort(ends.cost[members], kind="stable")]
+    place = ends.position
+    return grouped(order, lambda k, firsts: _agree(place[firsts], place[k], sd))
+
+
+def _agree(position: Reals, other: Reals, sd: Reals) -> Bools:
+    """Find configurations (k, N, 3) that agree with another one to the sd of every robot, (k,)."""
+    away = np.linalg.norm(position - other, axis=2)
+    return np.asarray((away <= np.maximum(sd, IMAGES.nearest)).all(axis=1))
+
+
+def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) -> list[Minimum]:
+    """Find minima where no chain is: parts of others are mirrored, several at once if need be.
+
+    Images of the least cost come first. Those of a new minimum are tried, too, unless its weight is
+    too small to count.
+    """
+    fit, best = ends.fit, minima[0]
+    rows = fit.problem.rows.select(inlier).associated(best.configuration, best.yaw)
+    further = (MIXTURE.tempered * fit.annealed.sigma) ** 2
+    parts = PartImages(fit.log, rows, further, non_overlap=fit.params.non_overlap)
+    found, known = list(minima), [each.configuration for each in minima]
+    waiting: list[tuple[float, int, Reals, Reals]] = []
+    number, expanded, tried = count(), 0, 0
+    while tried < IMAGES.most:
+        for each in found[expanded:]:
+            for position, excess in parts.of(each.configuration, each.yaw):
+                # The number keeps arrays from being compared.
+                heappush(waiting, (each.cost + excess, next(number), position, each.yaw))
+        expanded = len(found)
+        if not waiting:
+            break
+        *_, position, yaw = heappop(waiting)
+        if _agree(np.array(known), position, best.sd).any():
+            continue
+        tried += 1
+        there = minimum(ends.at(position, yaw), np.ones(1), inlier, open_sd)
+        is_new = not _agree(np.array(known), there.configuration, best.sd).any()
+        known += [position, there.configuration]
+        least = max(each.log_height for each in found) + np.log(MIXTURE.least_weight)
+        if is_new and there.log_height >= least and _are_held([there]):
+            found.append(there._replace(chains=0))
+    return found[len(minima) :]
 
 
 def _unrefined(ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
@@ -282,9 +362,9 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(minima[0].square))
     share = np.where(cost <= cost.min() + chance, share, 0.0)
     # Laplace's approximation needs a minimum that is curved along every coordinate.
-    if all(each.is_held[1:].all() for each in minima):
+    if _are_held(minima):
         minima, cost = _distinct(minima, cost)
-        height = np.array([each.log_volume for each in minima]) - 0.5 * cost
+        height = np.array([each.log_height for each in minima])
         share = np.exp(height - height.max())
     share = np.where(share < MIXTURE.least_weight * share.max(), 0.0, share / share.sum())
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(share)]

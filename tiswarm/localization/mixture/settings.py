@@ -157,6 +157,27 @@ class RefineSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ImageSettings:
+    """Second places of parts. Chosen on training structures."""
+
+    fixed: float = 0.25
+    """Standard deviation up to which a coordinate counts as known, as a part is mirrored [R]."""
+
+    most_robots: int = 200
+    """Robots up to which parts that hang on two are looked for [1]: that takes N^2 steps."""
+
+    nearest: float = 0.1
+    """Distance up to which two minima count as one, where their sd is less [R]."""
+
+    worst: float = 30.0
+    """Cost beyond that of the first place up to which an image is refined [1]: the rest of the
+    structure gives way."""
+
+    most: int = 16
+    """Images that are refined [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class OutlierRobotSettings:
     """Robots whose orientations do not count. Chosen on training structures."""
 
@@ -188,4 +209,5 @@ CONVERGENCE = ConvergenceTest()
 MIXTURE = MixtureSettings()
 SD_CALIBRATION = SdCalibration()
 REFINEMENT = RefineSettings()
+IMAGES = ImageSettings()
 OUTLIER_ROBOTS = OutlierRobotSettings()
