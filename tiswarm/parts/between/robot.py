@@ -37,7 +37,12 @@ from tiswarm.localization.chains.views import (
     find_subtrees,
 )
 from tiswarm.localization.cost.cost import State, weights
-from tiswarm.localization.cost.kernels import (
+from tiswarm.localization.cost.settings import EXTENSION, ROBUST_SD
+from tiswarm.measurements.odometry import CENTER
+from tiswarm.parts.between import wire
+from tiswarm.parts.between.channel import Message
+from tiswarm.parts.between.settings import DistributedParams
+from tiswarm.parts.online.kernels import (
     COORDINATE,
     OFFSET,
     BlockStart,
@@ -45,13 +50,9 @@ from tiswarm.localization.cost.kernels import (
     RowValue,
     Table,
 )
-from tiswarm.localization.cost.settings import CANDIDATES, EXTENSION, NEIGHBORS, ROBUST_SD
-from tiswarm.measurements.odometry import CENTER
-from tiswarm.parts.between import wire
-from tiswarm.parts.between.channel import Message
-from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
 from tiswarm.parts.online.neighborhood import Block, NearCost
+from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import LISTS

@@ -13,7 +13,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost.cost import State, moments, weights
-from tiswarm.localization.cost.settings import CANDIDATES, NEIGHBORS, ROBUST_SD
+from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.cues import CUES
@@ -28,6 +28,7 @@ from tiswarm.parts.online.neighborhood import (
     candidates,
     extension,
 )
+from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 

@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.cost.cost import Cost, State, grouped, shortened
-from tiswarm.localization.cost.kernels import (
+from tiswarm.localization.cost.settings import EXTENSION
+from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.parts.online.kernels import (
     COORDINATE,
     DISTANCE,
     HINGE,
@@ -38,8 +40,7 @@ from tiswarm.localization.cost.kernels import (
     descend,
     sum_equations,
 )
-from tiswarm.localization.cost.settings import CANDIDATES, EXTENSION, NEIGHBORS
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 
 _AXES = 3
 _PARTS = 6

@@ -33,7 +33,7 @@ from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected, set_apart, view_of
 from tiswarm.localization.cost.cost import State, WholeCost, moments
-from tiswarm.localization.cost.settings import CANDIDATES, ROBUST_SD
+from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.assessment import Assessment, assess
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
@@ -44,7 +44,7 @@ from tiswarm.localization.mixture.verdict import rms
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured, refuse_header, refuse_line
 from tiswarm.parts.online.neighborhood import NearCost
-from tiswarm.parts.online.settings import TIMES, OnlineParams
+from tiswarm.parts.online.settings import CANDIDATES, TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
 from tiswarm.records.messages import counted

@@ -19,9 +19,10 @@ from tiswarm.compute.lang import (
     ti,
 )  # fmt: skip
 from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
-from tiswarm.localization.cost.settings import CANDIDATES, OVERLAP_SD
+from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.measurements import equations
 from tiswarm.measurements.model import KNOWN, SPACING
+from tiswarm.parts.online.settings import CANDIDATES
 
 DISTANCE, HINGE, OFFSET, COORDINATE = range(4)
 """Kinds of rows; only distances that are too short count of a hinge."""
