@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.math import normal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected
-from tiswarm.localization.cost.cost import SETTLED
+from tiswarm.localization.cost.cost import SETTLED, WholeCost
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.ends import Posed
-from tiswarm.localization.mixture.frames import opened
 from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.mixture.verdict import Evidence, extent, judge, misfit_by_robot, widened
 from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
@@ -28,6 +28,10 @@ from tiswarm.records.sensing_log import SensingLog
 
 _ROUNDS = 8
 """Steps toward the minimum."""
+
+_ASIDE, _TURNED = 0.05, 15
+"""Random errors that move an estimate aside, in the median distance [1], and rounds in which it
+moves to a minimum."""
 
 _STAYS = 1e-6
 """Width of the prior that leaves robots where they are [R]."""
@@ -168,7 +172,7 @@ def assess(
         if not is_large:
             left = _left_open(posed, state, found.position, ~missed)
             square = np.where(left > _NOTICED**2 * square, left, square)
-            of_turns, motions = opened(log, problem.rows.select(~missed), position)
+            of_turns, motions = _opened(log, problem.rows.select(~missed), position)
             wide = widened(of_turns, verdicts.sd_factor, position)
             square = np.where(of_turns > 0.0, wide**2, square)
         sd = np.sqrt(square + np.where(torn, loose[0], 0.0))
@@ -265,3 +269,34 @@ def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
         is_near.mean() >= _NINE_OF_TEN
         and (off <= np.maximum(CONVERGENCE.outlier_sd * allowed, SETTLED)).all()
     )
+
+
+def _opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals, dict[str, Any]]:
+    """Find how far free turns move robots from an estimate that is one configuration, or the mean.
+
+    Args:
+        log: What was sensed.
+        rows: Measurements.
+        position: Centers [R], shape (N, 3).
+
+    Returns:
+        Standard deviation of the estimate, 0 of robots that do not turn [R], shape (N,), and the
+        fields `free_frame` and `turns` of an estimate.
+    """
+    nowhere = np.zeros(len(position))
+    if not rows.is_central.any():
+        return nowhere, {}
+    # At the mean of all, where no range pulls to either side, robots fit no range.
+    aside = _ASIDE * float(np.median(rows.distances.length))
+    start = position + aside * normal(0, "aside", np.arange(len(position))[:, None], range(3))
+    start[0] = position[0]
+    rows = rows.associated(position)
+    cost = WholeCost(log, rows, robust_sd=ROBUST_SD, non_overlap=False, are_independent=True)
+    state, linear = cost.refine(cost.at(start, nowhere), _TURNED)
+    turns = rows.free_turns(state.position)
+    if not turns:
+        return nowhere, {}
+    mean, square = turns.swept(state.position)
+    own = linear.variance(turns.motions(state.position)) + ((position - mean) ** 2).sum(axis=1)
+    sd = np.sqrt(np.where(square > 0.0, square + own, 0.0))
+    return sd, turns.stated(state.position, log.dock_radius)

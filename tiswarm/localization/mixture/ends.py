@@ -93,16 +93,9 @@ class Ends:
 
     def at(self, position: Reals, yaw: Reals) -> "Ends":
         """Return one end at a configuration, (N, 3) and (N,), in place of all."""
-        only = position[None], yaw[None]
-        return replace(
-            self,
-            fit=replace(self.fit, annealed=self.fit.annealed.still(*only)),
-            position=only[0],
-            yaw=only[1],
-            cost=np.zeros(1),
-            weight=np.ones(1),
-            solution=np.zeros(1, np.int64),
-        )
+        chain, one = self.fit.annealed.still(position[None], yaw[None]), np.ones(1)
+        fit, place = replace(self.fit, annealed=chain), (chain.last, chain.last_yaw)
+        return replace(self, fit=fit, position=place[0], yaw=place[1], cost=0.0 * one, weight=one)
 
 
 def failed(problem: Problem, annealed: Annealed) -> Bools:

@@ -10,7 +10,6 @@ whose rows measure centers alone has no orientation to keep: it is mirrored itse
 """
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
@@ -18,55 +17,18 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.base.aliases import Bools, Reals
-from tiswarm.compute.math import normal
 from tiswarm.localization.chains.problem import Problem
-from tiswarm.localization.cost.cost import WholeCost
-from tiswarm.localization.cost.settings import OVERLAP_SD, ROBUST_SD
-from tiswarm.localization.mixture.settings import IMAGES
+from tiswarm.localization.cost.settings import OVERLAP_SD
+from tiswarm.localization.mixture.settings import MIXTURE
 from tiswarm.measurements.contacts import close_docks, spans
 from tiswarm.measurements.model import SPACING, Measurements, turned
 from tiswarm.records.sensing_log import SensingLog
-
-_ASIDE, _ROUNDS = 0.05, 15
-"""Random errors that move an estimate aside, in the median distance [1], and rounds in which it
-moves to a minimum."""
 
 _AXES = 3
 MOST_ROBOTS = 1000
 """Robots beyond which the matrix of all distances takes too long."""
 
 _RIDGE = 1e-6
-
-
-def opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals, dict[str, Any]]:
-    """Find how far free turns move robots from an estimate that is one configuration, or the mean.
-
-    Args:
-        log: What was sensed.
-        rows: Measurements.
-        position: Centers [R], shape (N, 3).
-
-    Returns:
-        Standard deviation of the estimate, 0 of robots that do not turn [R], shape (N,), and the
-        fields `free_frame` and `turns` of an estimate.
-    """
-    nowhere = np.zeros(len(position))
-    if not rows.is_central.any():
-        return nowhere, {}
-    # At the mean of all, where no range pulls to either side, robots fit no range.
-    aside = _ASIDE * float(np.median(rows.distances.length))
-    start = position + aside * normal(0, "aside", np.arange(len(position))[:, None], range(_AXES))
-    start[0] = position[0]
-    rows = rows.associated(position)
-    cost = WholeCost(log, rows, robust_sd=ROBUST_SD, non_overlap=False, are_independent=True)
-    state, linear = cost.refine(cost.at(start, nowhere), _ROUNDS)
-    turns = rows.free_turns(state.position)
-    if not turns:
-        return nowhere, {}
-    mean, square = turns.swept(state.position)
-    own = linear.variance(turns.motions(state.position)) + ((position - mean) ** 2).sum(axis=1)
-    sd = np.sqrt(np.where(square > 0.0, square + own, 0.0))
-    return sd, turns.stated(state.position, log.dock_radius)
 
 
 def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
@@ -196,13 +158,13 @@ class PartImages:
         cost = self._weight @ missed**2 + self._overlap(position, yaw)
         for number, part in enumerate(self.parts):
             shift = self._shift(number, vector, axes, position)
-            if shift is None or np.linalg.norm(shift, axis=-1).max() < IMAGES.nearest:
+            if shift is None or np.linalg.norm(shift, axis=-1).max() < MIXTURE.image_nearest:
                 continue
             there = np.where(part[:, None], position + shift, position)
             excess = float(self._weight @ rows.residual(there, yaw) ** 2 - cost)
-            if excess <= IMAGES.worst:
+            if excess <= MIXTURE.image_worst:
                 excess += self._overlap(there, yaw)
-            if excess <= IMAGES.worst:
+            if excess <= MIXTURE.image_worst:
                 yield there, excess
 
     def _shift(self, number: int, vector: Reals, axes: Reals, position: Reals) -> Reals | None:
@@ -220,7 +182,7 @@ class PartImages:
         count = int(np.searchsorted(moved, len(distances.stance)))
         link, along = moved[:count], axes[moved[count:] - len(distances.stance)] * sign[count:]
         size, basis = np.linalg.eigh((along.T * weight[count:]) @ along)
-        basis = basis[:, size < IMAGES.fixed**-2]
+        basis = basis[:, size < MIXTURE.image_fixed**-2]
         # With fewer distances than free directions, a motion is left: nothing to mirror.
         if not 0 < basis.shape[1] <= count:
             return None
@@ -276,7 +238,7 @@ def hanging_parts(rows: Measurements) -> Bools:
     robots, pairs = rows.robots, len(rows.other)
     place = rows.robot[pairs:], rows.places.direction
     known = spans(*place, robots, 1.0 / rows.variance()[pairs:])
-    is_world = np.linalg.eigvalsh(known)[:, 0] > IMAGES.fixed**-2
+    is_world = np.linalg.eigvalsh(known)[:, 0] > MIXTURE.image_fixed**-2
     is_world[0] = True
     # The world is one vertex, that of the anchor.
     vertex = np.where(is_world, 0, np.arange(robots))
@@ -287,7 +249,7 @@ def hanging_parts(rows: Measurements) -> Bools:
         near[other].append(one)
     free = np.flatnonzero(~is_world).tolist()
     found: set[tuple[int, ...]] = {(robot,) for robot in free}
-    for without in [-1, *(free if robots <= IMAGES.most_robots else [])]:
+    for without in [-1, *(free if robots <= MIXTURE.image_robots else [])]:
         found |= {tuple(sorted(part)) for part in _cut_off(near, without)}
     ordered = sorted(found, key=lambda part: (len(part), part))
     is_in = [np.isin(np.arange(robots), part) for part in ordered]

@@ -26,13 +26,7 @@ from tiswarm.localization.cost.cost import SETTLED, grouped, moments
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
 from tiswarm.localization.mixture.frames import PartImages, images
-from tiswarm.localization.mixture.settings import (
-    CONVERGENCE,
-    IMAGES,
-    MIXTURE,
-    REFINEMENT,
-    SD_CALIBRATION,
-)
+from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms, widened
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import stuck_robots
@@ -274,7 +268,7 @@ def _parted(ends: Ends, members: Ints, sd: Reals) -> list[list[int]]:
 def _agree(position: Reals, other: Reals, sd: Reals) -> Bools:
     """Find configurations (k, N, 3) that agree with another one to the sd of every robot, (k,)."""
     away = np.linalg.norm(position - other, axis=2)
-    return np.asarray((away <= np.maximum(sd, IMAGES.nearest)).all(axis=1))
+    return np.asarray((away <= np.maximum(sd, MIXTURE.image_nearest)).all(axis=1))
 
 
 def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) -> list[Minimum]:
@@ -290,7 +284,7 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
     found, known = list(minima), [each.configuration for each in minima]
     waiting: list[tuple[float, int, Reals, Reals]] = []
     number, expanded, tried = count(), 0, 0
-    while tried < IMAGES.most:
+    while tried < MIXTURE.most_images:
         for each in found[expanded:]:
             for position, excess in parts.of(each.configuration, each.yaw):
                 # The number keeps arrays from being compared.

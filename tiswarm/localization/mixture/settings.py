@@ -81,6 +81,21 @@ class MixtureSettings:
     least_weight: float = 1e-3
     """Weight below which an end does not count [1]."""
 
+    image_fixed: float = 0.25
+    """Standard deviation up to which a coordinate counts as known, as a part is mirrored [R]."""
+
+    image_robots: int = 200
+    """Robots up to which parts that hang on two are looked for [1]: that takes N^2 steps."""
+
+    image_nearest: float = 0.1
+    """Distance up to which two minima count as one, where their sd is less [R]."""
+
+    image_worst: float = 30.0
+    """Cost beyond that of the first place up to which an image is refined [1]: others give way."""
+
+    most_images: int = 16
+    """Images that are refined [1]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SdCalibration:
@@ -157,27 +172,6 @@ class RefineSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImageSettings:
-    """Second places of parts. Chosen on training structures."""
-
-    fixed: float = 0.25
-    """Standard deviation up to which a coordinate counts as known, as a part is mirrored [R]."""
-
-    most_robots: int = 200
-    """Robots up to which parts that hang on two are looked for [1]: that takes N^2 steps."""
-
-    nearest: float = 0.1
-    """Distance up to which two minima count as one, where their sd is less [R]."""
-
-    worst: float = 30.0
-    """Cost beyond that of the first place up to which an image is refined [1]: the rest of the
-    structure gives way."""
-
-    most: int = 16
-    """Images that are refined [1]."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class OutlierRobotSettings:
     """Robots whose orientations do not count. Chosen on training structures."""
 
@@ -209,5 +203,4 @@ CONVERGENCE = ConvergenceTest()
 MIXTURE = MixtureSettings()
 SD_CALIBRATION = SdCalibration()
 REFINEMENT = RefineSettings()
-IMAGES = ImageSettings()
 OUTLIER_ROBOTS = OutlierRobotSettings()
