@@ -81,9 +81,6 @@ class AnnealSettings:
     whole: int = 100
     """Robots up to which all are annealed [1]: wrong images of the first ones shift all others."""
 
-    frames: int = 8
-    """Times at which chains look for robots that they have lost [1]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateSettings:

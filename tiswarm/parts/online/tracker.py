@@ -522,7 +522,7 @@ def fitted(log: SensingLog, params: OnlineParams, state: State, moves: Bools | N
     start = np.tile(set_apart(problem, state.position), (warm.chains_for(log.robot_count), 1, 1))
     views = [view_of(log, warm, problem, start)]
     annealer = Annealer(views, seed=warm.seed, hold=warm.hold_steps, is_short=True)
-    [chains] = annealer.run(frames=TIMES.frames)
+    [chains] = annealer.run()
     return Fit.of(Posed(log, warm, problem), chains)
 
 
