@@ -58,6 +58,8 @@ def _room(node: pytest.Item | pytest.Module) -> str:
 
 def _checks_bounds(node: pytest.Item | pytest.Module) -> bool:
     """Whether kernels check the bounds of arrays in a test or a module."""
+    if node.get_closest_marker("checked"):
+        return True
     in_trial = node.config.option.markexpr.startswith("trial")
     rooms = ROOMS_OF_TRIALS if in_trial else ROOMS_WITH_KERNELS
     return _room(node) in rooms and node.get_closest_marker("unchecked") is None
@@ -78,7 +80,7 @@ settings.load_profile("any machine")
 
 @pytest.fixture(autouse=True, scope="module")
 def _bounds(request: pytest.FixtureRequest) -> None:
-    """Let kernels check bounds in tests of their own rooms, but not in those that are `unchecked`.
+    """Let kernels check bounds in their own rooms and `checked` modules, but not `unchecked` ones.
 
     Annealing takes two and a half times as long with checks, and whole runs would find nothing that
     tests of kernels do not.

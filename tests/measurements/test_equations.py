@@ -15,6 +15,8 @@ missed_along = ti.func(equations.missed_along)
 slope_by_turn = ti.func(equations.slope_by_turn)
 loss_beyond = ti.func(equations.loss_beyond)
 
+pytestmark = pytest.mark.checked
+
 
 @ti.kernel
 def evaluate(size: I32, first: Reals2, second: Reals2, number: Reals1, hinge: Ints1, out: Reals2):

@@ -2,7 +2,8 @@
 
 A vector is its three components: numbers in a kernel, else arrays. Operators alone stand here, so
 that numpy evaluates these functions as they are, and kernels compile them with `ti.func`, which
-takes no types. Lengths in R.
+takes no types. Two truth values meet in `&`: kernels that check bounds cannot multiply them.
+Lengths in R.
 """
 
 
@@ -17,7 +18,7 @@ def missed_distance(apart, length, is_hinge):
     Args:
         apart: From one point to the other [R].
         length: Measured distance [R].
-        is_hinge: 1 where only distances that are too short count, else 0.
+        is_hinge: Truth values, or 0 and 1: whether only distances that are too short count.
 
     Returns:
         The residual [R], and the factor by which `apart` becomes the derivative of the residual by
@@ -25,7 +26,7 @@ def missed_distance(apart, length, is_hinge):
     """
     far = (apart[0] ** 2 + apart[1] ** 2 + apart[2] ** 2) ** 0.5
     residual = far - length
-    counts = 1.0 - is_hinge * (residual >= 0.0)
+    counts = 1.0 - (is_hinge & (residual >= 0.0))
     # Where there is no direction, any divisor but 0 serves.
     points = counts * (far > 0.0)
     return counts * residual, points / (far + (1.0 - points))

@@ -243,7 +243,7 @@ class Trilateration:
         away = point[self.of] - self.middle[:, None]
         is_sphere, plane = self.ties.is_sphere[:, None], self.ties.normal[:, None]
         reach = self.ties.reach[:, None]
-        on_sphere, slope = missed_distance(components(away), reach, is_hinge=0.0)
+        on_sphere, slope = missed_distance(components(away), reach, is_hinge=False)
         outward = np.where(slope[..., None] > 0.0, slope[..., None] * away, _UP)
         on_plane = missed_along(components(away), components(plane), reach)
         normal = np.where(is_sphere[..., None], outward, plane)
