@@ -109,6 +109,23 @@ def test_chains_unfold_what_ranges_alone_tie(towers):
     assert np.sqrt((error[~found.observability.floppy] ** 2).mean()) < 0.5
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_many_readings_of_a_range_hold_no_chain_where_it_begins(seed):
+    """A hundred readings of each range by four beacons; the mean of a hundred is off by 1 cm."""
+    rng = np.random.default_rng(seed)
+    tags = foreign.apart(rng, [1.0, 1.0, 0.3], [5.0, 4.0, 1.5], 8)
+    log, truth = foreign.tags_among(foreign.ROOM, tags, sd=0.0, seed=seed)
+    every = log.ranges[log.ranges[:, 1] < len(foreign.ROOM)].repeat(100, axis=0)
+    every[:, 2] += 0.1 * rng.normal(size=len(every))
+    every[:, 3] = 0.1
+    log = dataclasses.replace(log, ranges=every)
+
+    estimate = localize(log, JointParams())
+
+    assert estimate.convergence.trusted
+    assert np.linalg.norm(estimate.position - truth, axis=1).max() < 0.1
+
+
 @pytest.mark.parametrize(("touch", "sigma"), [(False, [2.0, 5.0]), (True, [0.6, 5.0])])
 def test_chains_start_hotter_where_ranges_alone_tie_robots(towers, touch, sigma):
     """Contacts tie them as firmly as ever, with ranges beside them or without."""

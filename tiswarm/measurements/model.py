@@ -463,18 +463,25 @@ class Measurements:
         alone = np.arange(len(o.stance)) + len(pair)
         return np.concatenate([pair, alone, place + len(self.other)])
 
-    def averaged(self) -> "Measurements":
+    def averaged(self, *, as_precise_as_one: bool = False) -> "Measurements":
         """Replace readings of the same quantity by the same source by their weighted mean.
 
         Only their own errors average out. That of the source is in all of them, and so is the noise
         of orientations: the mean says what the readings say together. Rows keep their order.
+
+        Args:
+            as_precise_as_one: Whether a mean has the variance of its first reading.
         """
         d, p = self.distances, self.places
         ends = [d.stance, d.dock, d.other_stance, d.other_dock, d.is_hinge, d.source]
         one, length, variance = weighted_means(ends, d.length, d.own_variance)
+        if as_precise_as_one:
+            variance = d.own_variance[one]
         distances = Distances._make(column[one] for column in d)
         along = [p.stance, p.dock, *p.direction.T, p.source]
         first, value, spread = weighted_means(along, p.value, p.own_variance)
+        if as_precise_as_one:
+            spread = p.own_variance[first]
         places = Coordinates._make(column[first] for column in p)
         return Measurements.gather(
             self.odometry,

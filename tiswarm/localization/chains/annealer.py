@@ -141,7 +141,8 @@ def annealer_of(
         inertia_factor: The same.
     """
     begin: Sequence[Reals | None] = start or [None] * len(logs)
-    views = [view_of(*each) for each in zip(logs, params, problems, begin, strict=True)]
+    means = [problem.averaged() for problem in problems]
+    views = [view_of(*each) for each in zip(logs, params, means, begin, strict=True)]
     seed, hold = params[0].seed, params[0].hold_steps
     return Annealer(views, seed=seed, hold=hold, by_block=by_block, inertia_factor=inertia_factor)
 
