@@ -158,7 +158,7 @@ class PartImages:
         cost = self._weight @ missed**2 + self._overlap(position, yaw)
         for number, part in enumerate(self.parts):
             shift = self._shift(number, vector, axes, position)
-            if shift is None or np.linalg.norm(shift, axis=-1).max() < MIXTURE.image_nearest:
+            if shift is None or np.linalg.norm(shift, axis=-1).max() < MIXTURE.image_shift:
                 continue
             there = np.where(part[:, None], position + shift, position)
             excess = float(self._weight @ rows.residual(there, yaw) ** 2 - cost)
@@ -227,13 +227,7 @@ def hanging_parts(rows: Measurements) -> Bools:
     """List the parts that lose their way to the world without one robot, or without two.
 
     The world is the anchor, and all robots whose coordinates are measured along all axes. Each
-    other robot is a part, too.
-
-    Args:
-        rows: Measurements of N robots.
-
-    Returns:
-        Robots of each part, small ones first, shape (K, N).
+    other robot is a part, too. Parts have rows, small ones first, and robots columns, (K, N).
     """
     robots, pairs = rows.robots, len(rows.other)
     place = rows.robot[pairs:], rows.places.direction

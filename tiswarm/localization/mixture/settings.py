@@ -90,6 +90,9 @@ class MixtureSettings:
     image_nearest: float = 0.1
     """Distance up to which two minima count as one, where their sd is less [R]."""
 
+    image_shift: float = 0.4
+    """Shift from which on an image is refined [R]: uncertainty moves robots by less."""
+
     image_worst: float = 30.0
     """Cost beyond that of the first place up to which an image is refined [1]: others give way."""
 
