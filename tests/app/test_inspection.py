@@ -101,12 +101,19 @@ def test_check_names_a_turn_about_the_center_of_an_anchor_without_contacts(log, 
     )
 
 
+def placed(center) -> SimpleNamespace:
+    """Return an estimate of positions alone."""
+    return SimpleNamespace(
+        position=center, configuration=center, mirrored=None, solutions=(), turns=(), sd=None
+    )
+
+
 def test_advice_names_robots_and_docks(towers, monkeypatch):
     """Robots go by their names; a table of large swarms has no expected errors."""
     log, center = observe(towers[1], SensingParams()), towers[1].position
     log = replace(log, robot_id=log.robot_id + 100)
 
-    estimate = SimpleNamespace(position=center, mirrored=None)
+    estimate = placed(center)
     rows = tabulate(log, ["contacts", "ground"], estimate)
     lines = str(rows).splitlines()
     monkeypatch.setattr(advice, "MOST_ROBOTS", 0)
@@ -127,7 +134,7 @@ def test_advice_names_robots_and_docks(towers, monkeypatch):
 def test_a_set_of_measurements_says_what_it_gains(towers):
     """A line states how many of which kind, and the expected error before and after."""
     log, center = observe(towers[1], SensingParams()), towers[1].position
-    estimate = SimpleNamespace(position=center, mirrored=None)
+    estimate = placed(center)
 
     table = tabulate(log, ["contacts", "ground"], estimate, 3, ["height"]).together
 
@@ -159,4 +166,10 @@ def test_a_set_that_cannot_be_chosen_is_refused(
     monkeypatch.setattr(advice, "MOST_ROBOTS", robots)
 
     with pytest.raises(InputError, match=re.escape(problem)):
-        tabulate(log, ["contacts"], SimpleNamespace(position=center, mirrored=None), budget, kinds)
+        tabulate(
+            log,
+            ["contacts"],
+            placed(center),
+            budget,
+            kinds,
+        )

@@ -79,10 +79,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
         trial("study/runner.py", {*METHODS, "all"}),
         ("scenario/validation.py", {*METHODS, "all"}),
         trial("localization/methods.py", {*METHODS, "all"}),
-        (
-            "localization/mixture/ends.py",
-            {"joint", "least-squares", "online", "all"},
-        ),
+        ("localization/mixture/ends.py", {*METHODS, "all"}),
         ("localization/joint.py", {"joint", "online", "all"}),
         ("parts/peers/hop_by_hop.py", {"hop-by-hop", "least-squares", "all"}),
         ("localization/virtual_force/method.py", {"virtual-force", "distributed", "all"}),

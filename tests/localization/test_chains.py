@@ -32,7 +32,7 @@ def test_no_chain_gains_energy(kind):
     hold them.
     """
     log, _ = structure(Rule(kind=kind, offset=1.1547, untied=0.3), 60, 0)
-    params = JointParams()
+    params = JointParams(steps=3000)
     annealer = annealer_of([log], [params], [pose_problem(log, params)])
     heat = []
 

@@ -184,7 +184,9 @@ def test_a_page_says_which_robots_are_mirrored_and_what_each_solution_weighs(
 
     text, data = _page(tmp_path, log, found, **_explained(log, found))
 
-    assert "Converged; 2 configurations fit, the likeliest has 71 %; mirrored: 1 robot (4)." in text
+    assert (
+        "Converged; 2 configurations fit, the likeliest has 71 %; mirrored: 1 robot (4); " in text
+    )
     assert "<li>mirrored: 1 robot (4); configurations that fit" in text
     cells = re.findall("<td[^>]*>(.*?)</td>", text.partition("Solutions</a>")[2])
     assert cells[:7] == ["1", "71", "0", "5", "0.5", "0", "0"]

@@ -434,10 +434,10 @@ def _without_connected(grid: Ref, connected, rows: Ref, place, count):
 
 @ti.func
 def _fill_rows_of(
-    on_card: Static, grid: Ref, base, first, last, is_sorted, dock: Ref, cells: Ref,
+    on_card: Static, grid: Ref, base, span, is_sorted, dock: Ref, cells: Ref,
     connections: Ref, rows: Ref, space,
 ):  # fmt: skip
-    """Write rows `first` to `last` in succession; return how many entries.
+    """Write rows from `span[0]` to `span[1]` in succession; return how many entries.
 
     Where docks are not sorted by cells, their slots are in the order of their numbers. A row lists
     the connected docks, then all others that are near. From `space[0]` on `space[1]` entries fit
@@ -445,7 +445,7 @@ def _fill_rows_of(
     """
     row_docks = 1 if ti.static(on_card) else grid.docks
     used = 0
-    for row in range(first, last):
+    for row in range(span[0], span[1]):
         at = space[0] + ti.min(used, space[1])
         free = space[1] - ti.min(used, space[1])
         connected = connections.start[row + 1] - connections.start[row]
@@ -460,7 +460,7 @@ def _fill_rows_of(
             if is_sorted:
                 count = _add_dock(on_card, grid, here, own, robot_first, cells, rows, room, count)
             else:
-                later = grid.slot + ti.Vector([row + 1 - first, last - first]) * grid.docks
+                later = grid.slot + (ti.Vector([row + 1, span[1]]) - span[0]) * grid.docks
                 count = _add_run(
                     on_card, grid, here, own, robot_first, later, cells, rows, room, count
                 )
@@ -514,7 +514,16 @@ def list_structure(
             _note_place(grid.slot + m, base, dock, cells)
     space = ti.Vector([structure[s, StructureTable.ROW], structure[s, StructureTable.ROOM]])
     used = _fill_rows_of(
-        False, grid, base, first, last, is_sorted, dock, cells, connections, rows, space
+        False,
+        grid,
+        base,
+        ti.Vector([first, last]),
+        is_sorted,
+        dock,
+        cells,
+        connections,
+        rows,
+        space,
     )
     structure[s, StructureTable.LONGEST] = ti.max(structure[s, StructureTable.LONGEST], used)
     structure[s, StructureTable.BUILDS] += 1
@@ -556,8 +565,8 @@ def fill_rows(
                 place = first // docks + first % docks * (count // docks)
             last = ti.min(first + run, count)
             used = _fill_rows_of(
-                on_card, grid, base, first, last, True, dock, cells, connections, rows,
-                ti.Vector([place, room]),
+                on_card, grid, base, ti.Vector([first, last]), True, dock, cells, connections,
+                rows, ti.Vector([place, room]),
             )  # fmt: skip
             if used > longest_out[0]:  # most runs need no atomic operation then
                 ti.atomic_max(longest_out[0], used)

@@ -1,6 +1,7 @@
 """Place all robots together: anneal the log's rows from several starts, weigh the ends."""
 
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import MOST_STEPS, JointParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -43,13 +44,21 @@ def localize_batch(
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, problems, on_progress=on_progress)
     every = zip(logs, params, problems, annealed, strict=True)
-    return [_searched(Posed(log, p, problem), chains) for log, p, problem, chains in every]
+    return [_searched(Posed(log, p, problem), p, chains) for log, p, problem, chains in every]
 
 
-def _searched(posed: Posed, annealed: Annealed) -> Estimate:
+def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate:
     """Estimate positions from first chains, whose starts no estimate chose."""
     fit, restarted = _further(posed, annealed)
-    return without_outlier_robots(fit, mixed(fit, restarted=restarted))
+    estimate = mixed(fit, restarted=restarted)
+    steps, verdict = params.steps_for(posed.log.robot_count), estimate.convergence
+    few = params.steps is None and posed.is_refined and steps < MOST_STEPS
+    if few and verdict is not None and not verdict.converged:
+        # Motions of long chains of robots are slow: their time grows with the square of the length.
+        longer = replace(posed, params=replace(params, steps=MOST_STEPS))
+        fit, restarted = _further(longer, _annealed(longer))
+        estimate = mixed(fit, restarted=restarted + len(annealed.mean))
+    return without_outlier_robots(fit, estimate)
 
 
 def _further(posed: Posed, annealed: Annealed) -> tuple[Fit, int]:

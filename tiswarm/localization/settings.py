@@ -10,6 +10,9 @@ from tiswarm.base.params import STRICT
 from tiswarm.localization.cost.settings import EXTENSION
 from tiswarm.measurements.cues import cue_names, switched
 
+MOST_STEPS = 3000
+"""Steps in which structures of up to `LARGE` robots are annealed where fewer do not converge."""
+
 LARGE = 3000
 """Structures of more robots than this are annealed fewer times, quicker, and not refined."""
 
@@ -365,8 +368,9 @@ class JointParams(ChiSquareParams):
 
     steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape. If null
-    1,000, and 2 for each robot, up to 3,000; or 2,000 for more than 3,000 robots. Chosen on
-    training structures of 100 and 1,000 robots, see `docs/notes/joint-tuning.md`."""
+    1,000, and 2 for each robot, up to 3,000, and again in 3,000 if these do not converge; or 2,000
+    for more than 3,000 robots. Chosen on training structures of 100 and 1,000 robots, see
+    `docs/notes/joint-tuning.md`."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 900
     """Steps at the end temperature, over which positions are averaged."""
@@ -401,7 +405,7 @@ class JointParams(ChiSquareParams):
 
     def steps_for(self, robots: int) -> int:
         """Steps of each annealing."""
-        return self.steps or (min(1000 + 2 * robots, 3000) if robots <= LARGE else 2000)
+        return self.steps or (min(1000 + 2 * robots, MOST_STEPS) if robots <= LARGE else 2000)
 
     def refines(self, robots: int) -> bool:
         """Whether to refine what chains of a structure of so many robots come to."""

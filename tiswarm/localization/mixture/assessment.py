@@ -164,6 +164,8 @@ def assess(
         is_unsearched=is_large,
     )
     verdicts = judge(known)
+    if known.excess > known.chance and not known.is_within:  # what another minimum misses
+        tied, torn = problem, np.zeros_like(torn)
     motions: dict[str, Any] = {}
     if sd is not None:
         placed, loose = place_disconnected(position[None], tied)
