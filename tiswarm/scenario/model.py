@@ -25,12 +25,12 @@ from pydantic.dataclasses import dataclass
 from tiswarm.base.params import STRICT
 from tiswarm.base.parts import names
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.methods import LocalizationParams
+from tiswarm.localization.methods import LocalizationParams, all_params
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario import validation
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
-from tiswarm.world.params import StructureParams, anchor_fault
+from tiswarm.world.params import StructureParams, all_kinds, anchor_fault
 
 if TYPE_CHECKING:
     _AnyQuestion = str
@@ -185,7 +185,7 @@ class Scenario:
 
 
 ADAPTER = TypeAdapter(Scenario)
-validation.take_own(Scenario, ADAPTER)
+validation.take_own(Scenario, ADAPTER, localization=all_params, structure=all_kinds)
 
 
 def from_plain(data: validation.Plain) -> Scenario | list[validation.Mistake]:

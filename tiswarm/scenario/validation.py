@@ -3,7 +3,7 @@
 import itertools
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -19,7 +19,6 @@ from tiswarm.localization.methods import LocalizationParams, all_params, setting
 from tiswarm.localization.settings import SWITCHES
 from tiswarm.records.messages import UNKNOWN_KEY, Part, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
-from tiswarm.world.params import all_kinds
 
 Plain = dict[str, Any]
 """A scenario, or a part of it, as plain data."""
@@ -293,17 +292,20 @@ def _schema(adapter: TypeAdapter[Any]) -> Plain:
     return adapter.json_schema()
 
 
-def take_own(section: Any, adapter: TypeAdapter[Any]) -> None:  # noqa: ANN401 - a dataclass
-    """Let a class with settings of any method or structure have those of plug-ins, from now on."""
+def take_own(
+    section: Any,  # noqa: ANN401 - a dataclass
+    adapter: TypeAdapter[Any],
+    **types: Callable[[], Any],
+) -> None:
+    """Let fields of a class have, from now on, the types that these functions return."""
 
     def retype() -> None:
-        for name, kinds in {"localization": all_params, "structure": all_kinds}.items():
-            if name in section.__dataclass_fields__:
-                section.__dataclass_fields__[name].type = kinds()
+        for name, found in types.items():
+            section.__dataclass_fields__[name].type = found()
 
     watch(retype, section)
     watch(lambda: adapter.rebuild(force=True))
     watch(_schema.cache_clear)
 
 
-take_own(_LocalizationSection, _LOCALIZATION)
+take_own(_LocalizationSection, _LOCALIZATION, localization=all_params)
