@@ -253,8 +253,8 @@ def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
 def test_workers_of_other_code_are_refused(tmp_path, inject):
     """The run ends before it mixes their cases with others, and computes them again later."""
     inject("""
-        import tiswarm.base.version
-        tiswarm.base.version.code_digest = lambda *_, **__: "0123456789ab"
+        import tiswarm.study.provenance
+        tiswarm.study.provenance.code_digest = lambda *_, **__: "0123456789ab"
     """)
     one = ("seeds=1", "conditions={a: {}}")
 

@@ -7,10 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from tiswarm.base import version
 from tiswarm.base.parts import PARTS
 from tiswarm.study import provenance
-from tiswarm.study.provenance import all_code, case_code, method_code, structure_code
+from tiswarm.study.provenance import (
+    all_code,
+    case_code,
+    code_digest,
+    method_code,
+    structure_code,
+)
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 METHODS = tuple(PARTS["method"])
@@ -45,7 +50,7 @@ def _use(package, patch):
     """Let digests be those of a copy of the package."""
 
     def of_copy(modules, apart=None):
-        return version.code_digest(modules, apart, package)
+        return code_digest(modules, apart, package)
 
     patch.setattr(provenance, "code_digest", of_copy)
 
