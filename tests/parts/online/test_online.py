@@ -441,7 +441,7 @@ def test_the_mean_is_the_minimum_where_chains_agree(towers):
 
 
 def test_a_structure_is_annealed_where_it_has_changed(lines):
-    """Robots that were put elsewhere come back; those that chains do not move give way by some sd."""
+    """Robots that were put elsewhere come back; those that chains do not move give way."""
     tracker = fed(lines, LOCAL)
     log = centered(tracker.log)
     minimum = tracker.positions - tracker.positions[0]
