@@ -12,8 +12,7 @@ import pytest
 
 from tiswarm.app import console
 from tiswarm.base.errors import InputError
-from tiswarm.base.progress import by_share
-from tiswarm.localization.methods import localize
+from tiswarm.localization.methods import by_share, localize
 from tiswarm.localization.settings import JointParams
 from tiswarm.scenario.expansion import find_mistakes
 from tiswarm.scenario.yaml_source import read_yaml

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from tests.structures import silent
+from tiswarm.evaluation.metrics import earlier_contact_count
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.settings import JointParams
-from tiswarm.measurements.contacts import contact_count, disconnected, earlier_contact_count
+from tiswarm.measurements.contacts import contact_count, disconnected
 from tiswarm.measurements.cues import measure
 
 CHAIN_AND_PAIR = [(0, 0, 1, 1), (1, 0, 2, 1), (1, 2, 2, 2), (3, 0, 4, 0)]

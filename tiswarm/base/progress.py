@@ -1,6 +1,5 @@
 """What long work reports while it runs."""
 
-import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
@@ -9,9 +8,6 @@ Advance = Callable[[float], None]
 
 Note = Callable[[], str]
 """Returns what to show beside the steps of a task, such as `2 failed`; empty for nothing."""
-
-_PARTS = 64
-"""Parts of a step that are reported: a power of 2, so that sums of them are exact."""
 
 
 class Progress:
@@ -35,16 +31,3 @@ class Progress:
 
 def ignore(_steps: float) -> None:
     """Report nothing."""
-
-
-def by_share(advance: Advance, steps: int) -> Callable[[float], None]:
-    """Return a function that reports the share [1] that is done of some steps."""
-    reported = 0.0
-
-    def report(share: float) -> None:
-        nonlocal reported
-        done = steps * math.floor(_PARTS * share) / _PARTS
-        advance(done - reported)
-        reported = done
-
-    return report

@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
-from tiswarm.base.aliases import AnyInts, Reals
+from tiswarm.base.aliases import AnyInts, Ints, Reals
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.measures import RMSE
@@ -291,3 +291,19 @@ def _ranges(robots: pd.DataFrame, name: str) -> pd.DataFrame:
 
 def _statistics(error: Reals) -> dict[str, float]:
     return {"mean_error_R": float(error.mean()), RMSE.column: float(np.sqrt(np.mean(error**2)))}
+
+
+def earlier_contact_count(log: SensingLog) -> Ints:
+    """Count the contacts of each robot with robots that joined before it, shape (N,).
+
+    Their mean over all robots but the anchor is what "contacts per robot" means: the equations
+    that a robot has for its three unknowns when it joins.
+    """
+    return np.bincount(log.contacts[:, 2], minlength=log.robot_count)
+
+
+def hops_from_anchors(log: SensingLog) -> Reals:
+    """Count the fewest contacts from any anchor to every robot, infinite without, shape (N,)."""
+    anchors = np.flatnonzero(np.isfinite(log.known_position[:, 0]))
+    fewest: Reals = hops(log, anchors).min(axis=0)
+    return fewest

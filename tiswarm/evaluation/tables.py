@@ -45,7 +45,7 @@ def score(
     modes = weld(rows, place, yaw_unknown=free).floppy_modes
     return {
         "joined": log.robot_count,
-        "contacts_per_robot": _mean(contacts.earlier_contact_count(log)[unknown]),
+        "contacts_per_robot": _mean(metrics.earlier_contact_count(log)[unknown]),
         "rms_radius_R": metrics.rms_radius(true),
         "floppy_modes": np.nan if modes is None else modes,
         "disconnected": int(estimate.disconnected.sum()),
@@ -129,7 +129,7 @@ def by_robot(
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
         table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
-    apart = pd.Series(contacts.hops_from_anchors(log))
+    apart = pd.Series(metrics.hops_from_anchors(log))
     return table.assign(
         error_R=metrics.robot_errors(estimated, true),
         error_yaw_aligned_R=metrics.robot_errors(yaw_aligned, true),

@@ -10,6 +10,7 @@ register a function:
 The libraries of kernels are imported as the first log is localized.
 """
 
+import math
 import re
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -23,7 +24,7 @@ from tiswarm.base import parts as door
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import AnyArch, AnyPrecision
-from tiswarm.base.progress import Advance, by_share, ignore
+from tiswarm.base.progress import Advance, ignore
 from tiswarm.localization.settings import DOCKS_UNKNOWN, MethodParams, all_cues
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations
@@ -38,6 +39,9 @@ _TAKEN = ("method", "cues", "settings")
 _USUAL = tuple(name for name in all_cues() if name not in DOCKS_UNKNOWN)
 
 _Locate = TypeVar("_Locate", bound=Callable[..., Any])
+
+_PARTS = 64
+"""Parts of a step that are reported: a power of 2, so that sums of them are exact."""
 
 
 def settings_of(name: str) -> type[MethodParams]:
@@ -464,3 +468,16 @@ def _section(name: str, settings: type[Any] | None) -> type[OwnParams]:
         name, "method", settings, OwnParams, {"__post_init__": check}
     )
     return section
+
+
+def by_share(advance: Advance, steps: int) -> Callable[[float], None]:
+    """Return a function that reports the share [1] that is done of some steps."""
+    reported = 0.0
+
+    def report(share: float) -> None:
+        nonlocal reported
+        done = steps * math.floor(_PARTS * share) / _PARTS
+        advance(done - reported)
+        reported = done
+
+    return report

@@ -40,25 +40,9 @@ def hops(log: SensingLog, start: Ints) -> Reals:
     return dijkstra(graph, directed=False, indices=start, unweighted=True)
 
 
-def hops_from_anchors(log: SensingLog) -> Reals:
-    """Count the fewest contacts from any anchor to every robot, infinite without, shape (N,)."""
-    anchors = np.flatnonzero(np.isfinite(log.known_position[:, 0]))
-    fewest: Reals = hops(log, anchors).min(axis=0)
-    return fewest
-
-
 def contact_count(log: SensingLog) -> Ints:
     """Count the contacts that each robot takes part in, shape (N,)."""
     return np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)
-
-
-def earlier_contact_count(log: SensingLog) -> Ints:
-    """Count the contacts of each robot with robots that joined before it, shape (N,).
-
-    Their mean over all robots but the anchor is what "contacts per robot" means: the equations
-    that a robot has for its three unknowns when it joins.
-    """
-    return np.bincount(log.contacts[:, 2], minlength=log.robot_count)
 
 
 def touching(pair: AnyInts, robots: int) -> coo_matrix:

@@ -330,14 +330,6 @@ def switched() -> list[Cue]:
     return sorted((cue for cue in CUES if cue.switch), key=lambda cue: cue.place)
 
 
-def in_words(names: Collection[str]) -> list[str]:
-    """Return the words of cues in the order of sentences; an unknown one is its own word."""
-    known = {cue.name: cue for cue in CUES}
-    found = [known.get(name, Cue(name=name)) for name in names]
-    found.sort(key=lambda cue: cue.said)
-    return [cue.words or cue.name.replace("_", " ") for cue in found]
-
-
 class Measured:
     """A log and its rows: lives as long as somebody works on the log.
 

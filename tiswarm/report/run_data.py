@@ -15,7 +15,7 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.measurements.cues import in_words
+from tiswarm.measurements.cues import CUES, Cue
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
 from tiswarm.records.measures import DISCONNECTED
@@ -249,5 +249,13 @@ def measured_words(names: str, *, without: Collection[str] = ()) -> str:
     'contacts, heights and contacts on the way'
     """
     kept = [name for name in names.split(", ") if name and name not in without]
-    *first, last = in_words(kept) or [""]
+    *first, last = _in_words(kept) or [""]
     return f"{', '.join(first)} and {last}" if first else last
+
+
+def _in_words(names: Collection[str]) -> list[str]:
+    """Return the words of cues in the order of sentences; an unknown one is its own word."""
+    known = {cue.name: cue for cue in CUES}
+    found = [known.get(name, Cue(name=name)) for name in names]
+    found.sort(key=lambda cue: cue.said)
+    return [cue.words or cue.name.replace("_", " ") for cue in found]
