@@ -300,10 +300,3 @@ def earlier_contact_count(log: SensingLog) -> Ints:
     that a robot has for its three unknowns when it joins.
     """
     return np.bincount(log.contacts[:, 2], minlength=log.robot_count)
-
-
-def hops_from_anchors(log: SensingLog) -> Reals:
-    """Count the fewest contacts from any anchor to every robot, infinite without, shape (N,)."""
-    anchors = np.flatnonzero(np.isfinite(log.known_position[:, 0]))
-    fewest: Reals = hops(log, anchors).min(axis=0)
-    return fewest

@@ -19,6 +19,7 @@ from tiswarm.evaluation.metrics import by_hops_apart
 from tiswarm.measurements import contacts
 from tiswarm.measurements.cues import Measured
 from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
@@ -129,7 +130,7 @@ def by_robot(
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
         table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
-    apart = pd.Series(metrics.hops_from_anchors(log))
+    apart = pd.Series(hops_from_anchors(log))
     return table.assign(
         error_R=metrics.robot_errors(estimated, true),
         error_yaw_aligned_R=metrics.robot_errors(yaw_aligned, true),

@@ -6,7 +6,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
-from tiswarm.measurements.contacts import disconnected, parts
+from tiswarm.measurements.contacts import disconnected, hops, parts
 from tiswarm.measurements.cues import Measured, cue_names, measure
 from tiswarm.measurements.rigidity import common_motions, floppy_motions, weld
 from tiswarm.records.estimate import Observability
@@ -99,3 +99,10 @@ def _held(measured: Measured, cues: Collection[str]) -> Iterator[str]:
             held.append(cue)
             count = more
             yield cue
+
+
+def hops_from_anchors(log: SensingLog) -> Reals:
+    """Count the fewest contacts from any anchor to every robot, infinite without, shape (N,)."""
+    anchors = np.flatnonzero(np.isfinite(log.known_position[:, 0]))
+    fewest: Reals = hops(log, anchors).min(axis=0)
+    return fewest

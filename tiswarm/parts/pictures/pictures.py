@@ -20,7 +20,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Advance, Progress, ignore
-from tiswarm.evaluation import metrics
+from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.parts.pictures.raycast import Pixels, draw_growth, draw_scenes
 from tiswarm.parts.pictures.scene import TRUE_SIZE, Camera, Scene, build_scene
 from tiswarm.records.io import write_bytes
@@ -127,7 +127,7 @@ def _scaled(
 
 def _contact_graph(view: SwarmView, around: Reals) -> Picture:
     """Draw robots as balls, colored by hops from the anchor, and contacts as rods."""
-    away = metrics.hops_from_anchors(view.log)
+    away = hops_from_anchors(view.log)
     farthest = max(np.max(away, initial=1.0, where=np.isfinite(away)), 1.0)
     color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
     center = view.best_pose[:, :3]
