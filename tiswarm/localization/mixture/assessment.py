@@ -164,7 +164,8 @@ def assess(
         is_unsearched=is_large,
     )
     verdicts = judge(known)
-    if known.excess > known.chance and not known.is_within:  # what another minimum misses
+    # What another minimum misses is no outlier of the estimate. Without sd, nothing is claimed.
+    if sd is None or (known.excess > known.chance and not known.is_within):
         tied, torn = problem, np.zeros_like(torn)
     motions: dict[str, Any] = {}
     if sd is not None:
