@@ -25,7 +25,7 @@ pytestmark = pytest.mark.unchecked
 
 DRIFT = np.radians([0.0, 9.0, 0.0])
 """Error that an orientation gains at each stance, about a horizontal axis. With 6 deg, one seed of
-the annealer in four finds outliers among single measurements instead."""
+the annealer in two finds outliers among single measurements instead."""
 
 
 @pytest.fixture(scope="module", params=[24, pytest.param(40, marks=pytest.mark.trial)])
