@@ -16,15 +16,20 @@ larger of the two lengths that the paper's "robot radius" may be.
 5. Near but unconnected docks are many in towers, and rarer in cantilevers (IV-C, V).
 6. Towers are like pyramids: the cross-section narrows with height (IV-B). Shares of towers whose
    thirds hold ever fewer robots are equal, too, if they differ by .1 or less.
+7. A cantilever "projects horizontally" (IV-C); its robots "extend into free space" (V). More than
+   half of its robots are beyond the edge, in the mean over structures.
+8. Towers grow "to a target height of 65", cantilevers toward a goal "45 units horizontally outward"
+   (IV-B, IV-C). Nothing says that they reach it. The larger the smaller one of the two shares of
+   the goal, the better; shares that differ by .1 or less are equal.
 
 The paper has one kind of robot and one algorithm of growth, so F, B, J and the share that settles
-are the same in both kinds. Rules of towers have to keep 1 and 2, of cantilevers 1, 2 and 4. Of the
-sets for which both kinds have such rules, the ones with the best towers by 3 remain; of these the
-ones that keep 5, if any do; of these the best by 6; of these the one with the fewest changes from
-tiswarm's defaults, and the F nearest to its default. In the rules of that set left, robots start
-behind `leading` before `placed` before `rear`, as the text says; then the anchor climbs if it may;
-then the median of the first robot on it is nearest to 12, where 1 is equal; then it is nearest to
-the edge.
+are the same in both kinds. Rules of towers have to keep 1 and 2, of cantilevers 1, 2, 4 and 7. Of
+the sets for which both kinds have such rules, the ones with the best towers by 3 remain; of these
+the best by 8; of these the ones that keep 5, if any do; of these the best by 6; of these the one
+with the fewest changes from tiswarm's defaults, and the F nearest to its default. In the rules of
+that set left, robots start behind `leading` before `placed` before `rear`, as the text says; then
+the anchor climbs if it may; then the median of the first robot on it is nearest to 12, where 1 is
+equal; then it is nearest to the edge.
 """
 
 import math
@@ -43,6 +48,9 @@ COMPLETE = 0.9
 
 SLACK = 1.05
 """How far the mean size may exceed the bound of the mean errors."""
+
+PROJECTING = 0.5
+"""Share of a cantilever's robots beyond the edge that has to be exceeded."""
 
 EQUAL_SHARES = 0.1
 EQUAL_MEDIANS = 1.0
@@ -67,7 +75,9 @@ def kept(table: pd.DataFrame) -> pd.Series:
     bound = SLACK * table["kind"].map(size_bound)
     late = table["kind"] == "cantilever"
     spans = table["first_quartile"].le(FIRST) & table["third_quartile"].ge(FIRST)
-    return table["complete"].ge(COMPLETE) & table["rms_radius_rho"].le(bound) & (spans | ~late)
+    projects = table["beyond_edge"].gt(PROJECTING)
+    whole = table["complete"].ge(COMPLETE) & table["rms_radius_rho"].le(bound)
+    return whole & (spans & projects | ~late)
 
 
 def choose(table: pd.DataFrame) -> pd.DataFrame:
@@ -80,6 +90,8 @@ def choose(table: pd.DataFrame) -> pd.DataFrame:
     towers, cantilevers = (left[left["kind"] == kind] for kind in ("tower", "cantilever"))
     both = towers.merge(cantilevers, on=[*SHARED], suffixes=("", "_c"))
     both = _most(both, "both_at_once", EQUAL_SHARES)
+    both["of_goal"] = both[["of_goal", "of_goal_c"]].min(axis=1)
+    both = _most(both, "of_goal", EQUAL_SHARES)
     rarer = both["near_docks_c"] < both["near_docks"]
     both = _most(both[rarer] if rarer.any() else both, "pyramids", EQUAL_SHARES)
     both = both.assign(

@@ -65,8 +65,26 @@ def test_every_rule_can_be_grown():
     """Towers have no edge to put the anchor behind."""
     found = list(anchor.rules())
 
-    assert len(found) == 152
-    assert {rule["anchor"] for rule in found if rule["kind"] == "tower"} == {None, 0.0}
+    assert len({str(rule) for rule in found}) == len(found) == 10 * (7 * 4 + 9)
+    assert not [rule for rule in found if rule["kind"] == "tower" and "anchor" in rule]
+
+
+def test_the_shape_of_a_cantilever_is_what_lies_on_either_side_of_the_edge():
+    """The reach is counted from the edge outward, the carpet backward."""
+    edge = SimpleNamespace(is_plane=False)
+    history = SimpleNamespace(position=np.zeros((3, 3)), terrain=edge)
+    history.position[:, 0] = -12.0, 4.5, 9.0
+
+    assert (anchor.of_goal(history), anchor.carpet(history)) == (0.2, 12.0)
+
+
+def test_a_tower_has_the_share_of_the_goal_that_its_height_is():
+    """A tower has no edge, and no carpet behind it."""
+    history = SimpleNamespace(position=np.zeros((2, 3)), terrain=SimpleNamespace(is_plane=True))
+    history.position[1, 2] = 13.0
+
+    assert anchor.of_goal(history) == 0.2
+    assert np.isnan(anchor.carpet(history))
 
 
 def test_no_estimate_is_in_reach():

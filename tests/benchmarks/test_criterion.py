@@ -10,11 +10,11 @@ TOWER = {
     "kind": "tower", "anchor": np.nan, "spawn_behind": np.nan, "force_threshold": 10.0,
     "recruit_base": 3.0, "recruit_limit": 5, "settle": 0.0, "complete": 1.0, "rms_radius_rho": 7.0,
     "both_at_once": 0.0, "near_docks": 0.8, "pyramids": 1.0, "first_on_anchor": 1.0,
-    "first_quartile": 1.0, "third_quartile": 1.0,
+    "first_quartile": 1.0, "third_quartile": 1.0, "beyond_edge": np.nan, "of_goal": 0.6,
 }  # fmt: skip
 CANTILEVER = TOWER | {
     "kind": "cantilever", "anchor": 6.5, "near_docks": 1.5, "first_on_anchor": 13.0,
-    "first_quartile": 10.0, "third_quartile": 16.0,
+    "first_quartile": 10.0, "third_quartile": 16.0, "beyond_edge": 0.55, "of_goal": 0.5,
 }  # fmt: skip
 
 
@@ -41,6 +41,7 @@ def test_towers_have_all_robots_and_the_size_that_the_errors_allow(change, is_ke
         ({"first_quartile": 12.5, "third_quartile": 20.0}, False),
         ({"first_quartile": 5.0, "third_quartile": 11.5}, False),
         ({"third_quartile": np.inf}, True),
+        ({"beyond_edge": 0.5}, False),
     ],
 )
 def test_index_12_lies_between_the_quartiles_of_cantilevers(change, is_kept):
@@ -60,6 +61,18 @@ def test_towers_with_two_robots_on_the_anchor_decide_before_defaults():
     assert found["kind"].tolist() == ["tower", "cantilever"]
     assert found["force_threshold"].tolist() == [3.5, 3.5]
     assert found["recruit_limit"].tolist() == [5, 5]
+
+
+def test_structures_that_come_nearer_to_their_goals_go_before_defaults():
+    """The smaller share of both kinds counts; shares within .1 of the best are equal."""
+    nearer = {"force_threshold": 20.0, "of_goal": 0.62}
+    one = {"force_threshold": 40.0, "of_goal": 0.9}
+    rows = [TOWER, CANTILEVER, TOWER | nearer, CANTILEVER | nearer, TOWER | one]
+    rows += [CANTILEVER | one | {"of_goal": 0.4}]
+
+    found = criterion.choose(pd.DataFrame(rows))
+
+    assert found["force_threshold"].tolist() == [20.0, 20.0]
 
 
 def test_a_set_without_cantilevers_is_not_chosen():
