@@ -16,7 +16,7 @@ Robots that climbed at the same time join in turn. Lengths in R, angles in rad, 
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import (  # fmt: skip  # fmt: skip
+from tiswarm.compute.lang import (
     F64,
     GRAIN,
     I32,
@@ -27,6 +27,7 @@ from tiswarm.compute.lang import (  # fmt: skip  # fmt: skip
     Reals2,
     Reals3,
     Ref,
+    Static,
     Vec3,
     Vec4,
     kernel_struct,
@@ -305,6 +306,26 @@ class Flip:
     failed: I32
 
 
+@kernel_struct
+class Hinge:
+    """An attached dock about which a robot may turn."""
+
+    pivot: Vec3
+    body_in: Vec3
+    by: Vec3
+    normal: Vec3
+    side: Vec3
+    count: I32
+    obstacles: I32
+    overflow: I32
+
+
+@ti.func
+def goal_distance(center, _orientation, goal):
+    """Distance of a robot's center to its goal [R]: what a climber of ReactiveBuild minimizes."""
+    return (center - goal).norm()
+
+
 @ti.func
 def gather_near(limits: Ref, docks: Ref, s, pivot, near: Ref, mover):
     """List the vectors from `pivot` to docks in reach, true or believed; return how many."""
@@ -376,61 +397,87 @@ def _first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, coun
 
 
 @ti.func
-def nearest_flip(
-    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k, least
+def hinge_at(
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k
 ):
-    """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
-
-    A flip ends where it truly meets something. One that meets nothing, or what the robot has
-    been at before, fails, and the robot tries its next best. Flips are counted that fail and were
-    to end nearer to the goal than `least` [R].
-    """
+    """Describe how a robot may turn about its dock `k`, and list the docks that it may meet."""
     s = climbers.structure[mover]
     body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
-    here = vector_in(walks.center, mover, stance)
     q = quaternion_at(walks.orientation, mover, stance)
-    goal = vector_at(climbers.goal, mover)
-    chosen = Flip(
-        distance=ti.math.inf, center=here, orientation=q, planned=q, pivot=-1, overflow=0, failed=0
-    )
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
-    pivot = here - to_center
+    pivot = vector_in(walks.center, mover, stance) - to_center
     by = misplaced(limits, structures, believed, s, walks, mover, stance, k)
     found = gather_near(limits, believed, s, pivot + by, near, mover)
     count = ti.min(found, near.shape[1])
-    chosen.overflow = ti.cast(found > count, ti.i32)
+    overflow = ti.cast(found > count, ti.i32)
     obstacles = 0
     if limits.by_belief:
         obstacles = gather_near(limits, structures, s, pivot, obstacle, mover)
-        chosen.overflow = ti.cast(obstacles > obstacle.shape[1], ti.i32)
+        overflow = ti.cast(obstacles > obstacle.shape[1], ti.i32)
     normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
     if limits.is_planar:
         normal = ti.Vector([0.0, 1.0, 0.0])  # exactly, so that y stays 0
     elif body_in[2] != 0.0:
         normal = rotate(q, _across(body_in))
     side = normal.cross(to_center.normalized())
+    return Hinge(
+        pivot=pivot, body_in=body_in, by=by, normal=normal, side=side, count=count,
+        obstacles=obstacles, overflow=overflow,
+    )  # fmt: skip
+
+
+@ti.func
+def flip_axis(limits: Ref, hinge, twist):
+    """Return the axis number `twist` of those that a robot may turn about at a dock."""
+    turn = 0.5 * limits.full_turn * twist / limits.twists
+    return ti.cos(turn) * hinge.normal + ti.sin(turn) * hinge.side
+
+
+@ti.func
+def flipped(axis, way, angle, q):
+    """Turn an orientation by an angle about an axis, forward for a `way` of 0, else backward."""
+    return quaternion_product(axis_rotation(axis, (1.0 - 2.0 * way) * angle), q).normalized()
+
+
+@ti.func
+def nearest_flip(
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k, least,
+    score: Ref,
+):  # fmt: skip
+    """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
+
+    `score` takes the place of the distance, see `goal_distance`. A flip ends where it truly meets
+    something. One that meets nothing, or what the robot has been at before, fails, and the robot
+    tries its next best. Flips are counted that fail and were to score less than `least`.
+    """
+    body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
+    q = quaternion_at(walks.orientation, mover, stance)
+    goal = vector_at(climbers.goal, mover)
+    hinge = hinge_at(limits, structures, believed, climbers, walks, mover, stance, k)
+    chosen = Flip(
+        distance=ti.math.inf, center=hinge.pivot, orientation=q, planned=q, pivot=-1,
+        overflow=hinge.overflow, failed=0,
+    )  # fmt: skip
+    pivot, by, body_in = hinge.pivot, hinge.by, hinge.body_in
     for twist in range(limits.twists):
-        turn = 0.5 * limits.full_turn * twist / limits.twists
-        axis = ti.cos(turn) * normal + ti.sin(turn) * side
-        first = _first_met(limits, body, q, k, axis, pivot + by, near, mover, count)
+        axis = flip_axis(limits, hinge, twist)
+        first = _first_met(limits, body, q, k, axis, pivot + by, near, mover, hinge.count)
         truly = first
         if limits.by_belief:
-            truly = _first_met(limits, body, q, k, axis, pivot, obstacle, mover, obstacles)
+            truly = _first_met(limits, body, q, k, axis, pivot, obstacle, mover, hinge.obstacles)
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
-                flip = axis_rotation(axis, (1.0 - 2.0 * way) * angle)
-                planned = quaternion_product(flip, q).normalized()
+                planned = flipped(axis, way, angle, q)
                 end = pivot - rotate(planned, body_in)
-                distance = (end + by - goal).norm()
+                distance = score(end + by, planned, goal)
                 if distance < chosen.distance and not _revisits(limits, walks, mover, stance, end):
                     turned = planned
                     fails = False
                     if limits.by_belief:
                         angle = truly[way]
-                        flip = axis_rotation(axis, (1.0 - 2.0 * way) * angle)
-                        turned = quaternion_product(flip, q).normalized()
+                        turned = flipped(axis, way, angle, q)
                         end = pivot - rotate(turned, body_in)
                         fails = angle < limits.min_flip or angle > limits.max_flip
                         fails = fails or _revisits(limits, walks, mover, stance, end)
@@ -579,6 +626,7 @@ def climb(
     # WalkArrays, from the first stance on
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
+    score: Static,
 ):  # fmt: skip
     """Walk each mover up its structure, one flip at a time, toward its goal.
 
@@ -595,6 +643,7 @@ def climb(
         planned_out: Item of the dock that the flip from each stance was planned to end at, or
             GROUND, shape (slots, stances); written only where robots go by belief.
         failed_out: Flips that failed at each stance, of the same shape; written as rarely.
+        score: Function of (center, orientation, goal) in place of the distance to the goal.
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
     believed = ti.static(BelievedDocks(CellList(believed_head, believed_following), believed_dock))
@@ -615,7 +664,8 @@ def climb(
             best_distance = ti.math.inf
             for earlier in range(stance):
                 by = misplaced(limits, structures, believed, s, walks, m, earlier, 0)
-                distance = (vector_in(center_out, m, earlier) + by - target).norm()
+                was = quaternion_at(orientation_out, m, earlier)
+                distance = score(vector_in(center_out, m, earlier) + by, was, target)
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = earlier
@@ -632,7 +682,7 @@ def climb(
                     point = here + rotate(q, vector_at(dock_offset_body, k))
                     called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
                 by = misplaced(limits, structures, believed, s, walks, m, stance, 0)
-                distance = (here + by - target).norm()
+                distance = score(here + by, q, target)
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = stance
@@ -647,7 +697,7 @@ def climb(
                             if _is_attached(walks, m, stance, k):
                                 other = nearest_flip(
                                     limits, structures, believed, climbers, walks, m, stance, k,
-                                    least,
+                                    least, score,
                                 )  # fmt: skip
                                 if other.overflow:
                                     state_out[m] = SCRATCH_FULL

@@ -134,6 +134,7 @@ class Walks:
         climb_kernels.climb(
             self.limits, movers, self.state, self.planned, self.failed, *cells, *docks,
             *believed_cells, believed_dock, *self.climbers, *self.stances,
+            climb_kernels.goal_distance,
         )  # fmt: skip
         if (self.state[movers] == climb_kernels.SCRATCH_FULL).any():
             raise TiswarmError(
