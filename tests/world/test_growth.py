@@ -1,6 +1,7 @@
 """Structures grow by the rules, soundly, and the same way every time."""
 
 import dataclasses
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from tiswarm.base.robot import TANGENT_RHO, RobotGeometry
 from tiswarm.compute.math import uniform
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow, recruit, relay
-from tiswarm.world.history import History, find_fault
+from tiswarm.world.history import History, find_fault, from_arrays, to_arrays
 from tiswarm.world.params import (
     BridgeParams,
     CantileverParams,
@@ -87,6 +88,37 @@ def test_company_does_not_change_a_structure():
 
     assert _same(alone, batch[1])
     assert not _same(batch[0], batch[2])
+
+
+@pytest.mark.parametrize(("movers", "settings"), [(1, {}), (4, {"movers": 4})])
+def test_each_walk_states_its_round(movers, settings):
+    """One climber at a time ends its walk in each round; several join in fewer rounds."""
+    [history] = grow(TowerParams(**settings), robots=24, seeds=[1], robot=FIREANT)
+
+    rounds = [walk.round for walk in history.walks]
+
+    assert rounds == sorted(rounds)
+    if movers == 1:
+        assert len(set(rounds)) == 24
+        assert rounds[-1] + 1 == history.spawns
+    else:
+        assert max(Counter(rounds).values()) <= movers
+        assert rounds[-1] + 1 < history.spawns
+
+
+def test_a_structure_is_read_back_from_its_arrays():
+    """Every field of the history and of each walk is the same again."""
+    params = TowerParams(movers=2)
+    [history] = grow(params, robots=9, seeds=[4], robot=FIREANT)
+
+    again = from_arrays(to_arrays(history), params, FIREANT)
+
+    assert _same(history, again)
+    left = {"walks": (), "loads": (), "sensed": None}  # arrays and NaN: compared apart
+    assert dataclasses.replace(again, **left) == dataclasses.replace(history, **left)
+    np.testing.assert_array_equal(again.sensed, history.sensed)
+    loads = [[dataclasses.astuple(load) for load in each.loads] for each in (again, history)]
+    np.testing.assert_array_equal(*loads)
 
 
 def test_tangent_robots_grow_too():

@@ -14,6 +14,7 @@ ReactiveBuild, DARS 2021).
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +107,7 @@ class _GrowthBatch:
         self.walks = Walks(self.structure_of, limits, params.climb, robot)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
+        self.rounds = 0
 
     def spawn(self) -> bool:
         """Fill the free slots of unfinished structures; return whether any robot moves."""
@@ -137,11 +139,13 @@ class _GrowthBatch:
             # A walk that an earlier join disturbed goes on from its first stance that changed.
             self.moving[slot] = walks.joined[slot] < 0 < walks.disturbed[slot]
             if walks.joined[slot] >= 0:
-                structure.join(walks.walk(slot), self.arrays.dock[structure.number])
+                walk = replace(walks.walk(slot), round=self.rounds)
+                structure.join(walk, self.arrays.dock[structure.number])
             elif self.moving[slot]:
                 walks.climbers.first_stance[slot] = walks.disturbed[slot]
             elif not wants[slot]:
                 structure.turn_away()
+        self.rounds += 1
         joined = walks.joined[movers] >= 0
         grown = [self.structures[s] for s in np.unique(self.structure_of[movers[joined]])]
         due = [structure.number for structure in grown if structure.is_due(self.robots)]
