@@ -13,7 +13,8 @@ from tiswarm.base.robot import TANGENT_RHO, RobotGeometry
 from tiswarm.compute.math import uniform
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow, recruit, relay
-from tiswarm.world.history import History, find_fault, from_arrays, to_arrays
+from tiswarm.world.history import History, find_fault
+from tiswarm.world.history_file import from_arrays, to_arrays
 from tiswarm.world.params import (
     BridgeParams,
     CantileverParams,

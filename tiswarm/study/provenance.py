@@ -26,7 +26,7 @@ from tiswarm.compute.backend import Backend
 from tiswarm.localization import methods
 from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.world.growth import grow
-from tiswarm.world.history import History
+from tiswarm.world.history_file import write_history
 
 _NAME = __name__.partition(".")[0]
 _IMPORT = re.compile(
@@ -143,7 +143,7 @@ def method_code(method: str) -> str:
 @cache
 def structure_code() -> str:
     """Return the digest of the code that grows and keeps structures, without that of plug-ins."""
-    return code_digest([grow.__module__, History.__module__])
+    return code_digest([grow.__module__, write_history.__module__])
 
 
 @cache

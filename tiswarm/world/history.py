@@ -1,12 +1,8 @@
-"""The history of a structure's growth: the true stances of every robot; and its file."""
+"""The history of a structure's growth: the true stances of every robot."""
 
-import json
 import math
-import zipfile
-from collections.abc import Iterator, Mapping
-from dataclasses import astuple, dataclass, field, fields, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +11,7 @@ from scipy.spatial import cKDTree
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.records.io import replacing
 from tiswarm.records.terrain import Terrain
-from tiswarm.world.params import StructureParams
 
 _MAX_OVERLAP = 1e-9
 """Deepest overlap that rounding may leave [R]."""
@@ -180,80 +174,6 @@ class History:
         rows = self.table(name)
         stances = np.array([walk.stance_count for walk in self.walks])
         return np.delete(rows[rows[:, 1] == stances[rows[:, 0]] - 1], 1, axis=1)
-
-
-_SINGLE = ("recruited", "round")
-"""Fields of a walk that are one value each; the others are arrays."""
-
-_TABLES = tuple(field.name for field in fields(Walk) if field.name not in _SINGLE)
-_FACTS = ("seed", "spawns", "crossed", "ended")
-
-
-DAMAGED = (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile)
-"""Errors of reading a damaged file of structures."""
-
-
-def write_history(history: History, path: Path) -> None:
-    """Write a structure of at least one robot as `.npz`.
-
-    Raises:
-        EnvironmentTroubleError: it cannot be written.
-    """
-    arrays: dict[str, Any] = to_arrays(history)
-    with replacing(path) as file:
-        np.savez(file, **arrays)
-
-
-def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> History | None:
-    """Read a structure that was grown by these settings; None where it is missing or damaged."""
-    try:
-        with path.open("rb") as file, np.load(file) as tables:
-            return from_arrays(dict(tables), params, robot)
-    except DAMAGED:
-        return None
-
-
-def to_arrays(history: History) -> dict[str, NDArray[Any]]:
-    """Convert a structure of at least one robot to arrays, which `from_arrays` reads back."""
-    arrays: dict[str, NDArray[Any]] = {
-        "facts": np.array(json.dumps({name: getattr(history, name) for name in _FACTS})),
-        "sensed": history.sensed,
-        "strain": np.array([astuple(load) for load in history.loads]),
-    }
-    for name in _SINGLE:
-        arrays[name] = np.array([getattr(walk, name) for walk in history.walks])
-    for name in _TABLES:
-        rows = [getattr(walk, name) for walk in history.walks]
-        arrays |= {name: np.concatenate(rows), f"{name}_end": np.cumsum([len(r) for r in rows])}
-    return arrays
-
-
-def from_arrays(
-    arrays: Mapping[str, NDArray[Any]], params: StructureParams, robot: RobotGeometry
-) -> History:
-    """Build a structure that was grown by these settings from its arrays.
-
-    Raises:
-        LookupError, TypeError, ValueError: the arrays are damaged.
-    """
-    parts = {name: np.split(arrays[name], arrays[f"{name}_end"][:-1]) for name in _TABLES}
-    single = zip(*(arrays[name].tolist() for name in _SINGLE), strict=True)
-    walks = [
-        Walk(
-            **dict(zip(_SINGLE, values, strict=True)), **{name: parts[name][j] for name in _TABLES}
-        )
-        for j, values in enumerate(single)
-    ]
-    loads = [LoadSummary(*row) for row in arrays["strain"].tolist()]
-    return History(
-        **json.loads(str(arrays["facts"])),
-        robot=params.robot(robot),
-        terrain=params.terrain,
-        anchors=params.anchor_count,
-        walks=tuple(walks),
-        loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
-        sensed=arrays["sensed"],
-    )
 
 
 def find_fault(history: History, *, contact_gap: float) -> str:
