@@ -230,18 +230,24 @@ def report(
     return found
 
 
-def check(path: File, *, plugins: Sequence[File] = ()) -> Inspection:
-    """Check a scenario (.yaml) or a sensing log (.jsonl).
+def check(
+    given: File | Mapping[str, object],
+    overrides: Overrides | None = None,
+    *,
+    plugins: Sequence[File] = (),
+) -> Inspection:
+    """Check a scenario or a sensing log (.jsonl).
 
     Args:
-        path: File.
+        given: A scenario as for `run`, or the file of a log.
+        overrides: As for `run`; none for a log.
         plugins: As for `run`.
 
     Returns:
         Its mistakes, as errors, and if there are none a summary.
     """
     load_plugins(plugins)
-    return inspect(as_path(path, "path"))
+    return inspect(_scenario(given), as_texts(overrides or ()))
 
 
 def import_poses(
@@ -326,9 +332,7 @@ def score(
     return scores
 
 
-def compare(
-    runs: Sequence[Run | File], *, out: File = "reports/comparison", overwrite: bool = False
-) -> Any:  # noqa: ANN401 - a `Comparison`
+def compare(*runs: Run | File, out: File = "reports/comparison", overwrite: bool = False) -> Any:  # noqa: ANN401 - a `Comparison`
     """Compare runs in two tables and a figure.
 
     Args:
@@ -431,8 +435,12 @@ def _fields(execution: Mapping[str, Any]) -> Mapping[str, Any]:
 def _load(scenario: File | Mapping[str, object], overrides: Overrides | None) -> "Scenario":
     from tiswarm.scenario.expansion import load_scenario  # noqa: PLC0415 - slow to import
 
-    given = plain(scenario) if isinstance(scenario, Mapping) else as_path(scenario, "scenario")
-    return load_scenario(given, as_texts(overrides or ()))
+    return load_scenario(_scenario(scenario), as_texts(overrides or ()))
+
+
+def _scenario(given: File | Mapping[str, object]) -> Path | dict[str, Any]:
+    """Return the path of a scenario, or its plain data."""
+    return plain(given) if isinstance(given, Mapping) else as_path(given, "scenario")
 
 
 Source = Run | SensingLog | File

@@ -71,7 +71,7 @@ def test_a_figure_can_be_changed_and_saved(run, tmp_path):
         run.figure("error")
 
 
-@pytest.mark.parametrize("name", ["read_log", "check", "open_run", "localize", "view"])
+@pytest.mark.parametrize("name", ["read_log", "open_run", "localize", "view"])
 def test_what_is_no_path_is_refused(name):
     """A dictionary in place of a file is a mistake of the caller, not of `pathlib`."""
     with pytest.raises(InputError, match="a value of type dict is no file; give the path of one"):
@@ -254,13 +254,25 @@ def test_a_mistake_in_a_dictionary_names_its_key(changes, problem):
         library.run(scenario | changes)
 
 
+def test_a_dictionary_is_checked_as_a_file_is():
+    """With overrides, too; a log has none."""
+    scenario = yaml.safe_load((REPOSITORY / "tests" / "tower.yaml").read_text())
+
+    found = library.check(scenario, {"robots": 1, "seedss": 2})
+
+    assert [mistake.key for mistake in found.mistakes] == ["seedss=2", "robots=1"]
+    assert not library.check(scenario, ["robots=4"]).mistakes
+    with pytest.raises(InputError, match=r"^sensing\.jsonl: is a log, which has no keys"):
+        library.check("sensing.jsonl", ["robots=4"])
+
+
 def test_a_comparison_prints_its_table(run, tmp_path):
     """A row for each run and condition; the whole tables stand in files."""
     smaller = library.run(
         "tests/tower.yaml", SMALL | {"robots": 4}, out=tmp_path, pictures=False, quiet=True
     )
 
-    found = library.compare([run, smaller], out=tmp_path)
+    found = library.compare(run, smaller, out=tmp_path)
 
     printed = str(found).splitlines()
     assert printed[0].split()[:2] == ["run", "condition"]

@@ -7,7 +7,12 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.scenario.yaml_source import describe_scenarios, find_scenario, shipped_scenarios
+from tiswarm.scenario.yaml_source import (
+    FIRST,
+    describe_scenarios,
+    find_scenario,
+    shipped_scenarios,
+)
 
 FILES = [*(REPOSITORY / "scenarios").glob("*.yaml")]
 
@@ -21,7 +26,8 @@ def _elsewhere(tmp_path, monkeypatch):
 def test_every_scenario_ships():
     """The package has them all, with a description each."""
     assert [*shipped_scenarios()] == sorted(path.stem for path in FILES)
-    assert all(len(line.split(maxsplit=1)) == 2 for line in describe_scenarios())
+    listed = [line.split(maxsplit=1) for line in describe_scenarios(every=True)]
+    assert [name for name, _ in listed] == [*shipped_scenarios()]
 
 
 def test_a_name_means_the_shipped_scenario():
@@ -55,7 +61,7 @@ def test_only_bare_names_are_looked_up(path):
 
 def test_an_unknown_name_says_where_names_are():
     """The message leads to the list."""
-    with pytest.raises(InputError, match=r"^towr: .*; tiswarm scenarios lists these$"):
+    with pytest.raises(InputError, match=r"^towr: .*; tiswarm scenarios --all lists these$"):
         find_scenario(Path("towr"))
 
 
@@ -63,9 +69,12 @@ def test_a_scenario_is_printed_as_it_is(tiswarm):
     """Users start from a copy of it."""
     listed, printed, unknown = (tiswarm("scenarios", *name) for name in ([], ["tower"], ["towr"]))
 
-    assert listed.stdout.splitlines() == describe_scenarios()
+    *first, more = listed.stdout.splitlines()
+    assert first == describe_scenarios()
+    assert [line.split()[0] for line in first] == [*FIRST]
+    assert more == f"tiswarm scenarios --all lists all {len(FILES)}"
     assert printed.stdout == (REPOSITORY / "scenarios" / "tower.yaml").read_text()
     assert unknown.returncode == 2
     assert unknown.stderr == (
-        "tiswarm: error: towr: there is no such scenario; tiswarm scenarios lists all\n"
+        "tiswarm: error: towr: there is no such scenario; tiswarm scenarios --all lists all\n"
     )

@@ -288,7 +288,7 @@ def test_all_mistakes_are_found_at_once(scenario):
 
     assert [mistake.line for mistake in mistakes] == [2, 3, 4, 6, 7]
     with pytest.raises(
-        InputError, match=r":2: robots: 1 should .* \(and 4 more mistakes\)$"
+        InputError, match=r":2: robots: 1 should .* \(and 4 more mistakes; check lists all\)$"
     ) as refusal:
         load_scenario(path)
     assert (refusal.value.line, refusal.value.key) == (2, "robots")
@@ -301,11 +301,29 @@ def test_a_bad_item_does_not_make_its_list_too_short(scenario):
     assert [mistake.key for mistake in mistakes] == ["seeds[0]"]
 
 
+def test_a_misspelled_key_is_the_only_mistake():
+    """The key that was meant is not missing, too."""
+    data = {"name": "x", "structur": {"kind": "tower"}, "localization": {"method": "joint"}}
+
+    mistakes = find_mistakes(data)
+
+    assert [str(mistake) for mistake in mistakes] == [
+        "structur: unknown key; did you mean structure?"
+    ]
+
+
+def test_wrong_keys_come_before_what_is_missing():
+    """A reader mends the key, and sees the other mistake still."""
+    mistakes = find_mistakes({"nam": "x", "robts": 3, "localization": {"method": "joint"}})
+
+    assert [mistake.key for mistake in mistakes] == ["nam", "robts", "structure"]
+
+
 def test_two_mistakes_are_one_more(scenario):
     """The count is in good English."""
     path = scenario(f"{SMALL}robots: 1\nseeds: 0\n")
 
-    with pytest.raises(InputError, match=r" \(and 1 more mistake\)$"):
+    with pytest.raises(InputError, match=r" \(and 1 more mistake; check lists all\)$"):
         load_scenario(path)
 
 

@@ -1,7 +1,7 @@
 """Mistakes in scenarios and logs, what a log leaves unknown, and estimates in words."""
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -48,10 +48,18 @@ _LACKING = (
 )
 
 
-def inspect(path: Path) -> Inspection:
-    """Inspect a scenario, or a sensing log if the name ends in .jsonl, .jsonl.zst or .mcap."""
+def inspect(given: Path | dict[str, Any], overrides: Sequence[str] = ()) -> Inspection:
+    """Inspect a scenario, or a sensing log if the name ends in .jsonl, .jsonl.zst or .mcap.
+
+    A scenario may be plain data; `overrides` are texts `KEY=VALUE`, of a scenario alone.
+    """
+    path = Path() if isinstance(given, Mapping) else given
     is_log = path.name.lower().endswith((".jsonl", ".jsonl.zst", ".mcap"))
-    return _inspect_log(path) if is_log else _inspect_scenario(path)
+    if not is_log:
+        return _inspect_scenario(given, overrides)
+    if overrides:
+        raise InputError("is a log, which has no keys to override; leave --set out", path=path)
+    return _inspect_log(path)
 
 
 @dataclass(frozen=True)
@@ -195,11 +203,11 @@ def _inspect_log(path: Path) -> Inspection:
     return Inspection(summary="\n".join([log.size, *doubts, *unknowns(log, path, by_cue(log))]))
 
 
-def _inspect_scenario(path: Path) -> Inspection:
+def _inspect_scenario(given: Path | dict[str, Any], overrides: Sequence[str]) -> Inspection:
     # slow to import
     from tiswarm.scenario.expansion import find_mistakes, load_scenario  # noqa: PLC0415
     from tiswarm.study import forecast  # noqa: PLC0415
 
-    if mistakes := find_mistakes(path):
+    if mistakes := find_mistakes(given, overrides):
         return Inspection(mistakes)
-    return Inspection(summary=str(forecast(load_scenario(path))))
+    return Inspection(summary=str(forecast(load_scenario(given, overrides))))

@@ -13,7 +13,7 @@ from typer import Argument, Option
 from tiswarm.app.console import fail
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import find
-from tiswarm.cli.options import Plugins, app, main
+from tiswarm.cli.options import Overrides, Plugins, app, main
 
 # Each module adds its commands, in the order of the help.
 # isort: off
@@ -28,6 +28,7 @@ def check(
     files: Annotated[
         list[Path], Argument(help="Scenarios (.yaml) and logs (.jsonl, .jsonl.zst, .mcap).")
     ],
+    overrides: Overrides = [],  # noqa: B006 - typer never changes it
     plugins: Plugins = [],  # noqa: B006 - typer never changes it
 ) -> None:
     """Check scenarios and sensing logs for mistakes."""
@@ -35,7 +36,7 @@ def check(
 
     mistakes: list[InputError] = []
     for path in files:
-        finding = api.check(path, plugins=plugins)
+        finding = api.check(path, overrides, plugins=plugins)
         mistakes += finding.mistakes
         if not finding.mistakes:
             typer.echo(f"{path}: {finding}")
@@ -48,18 +49,22 @@ def check(
 @app.command(epilog="Example: tiswarm scenarios tower > my-tower.yaml")
 def scenarios(
     name: Annotated[
-        str | None, Argument(help="Scenario to print (default: list all).", show_default=False)
+        str | None, Argument(help="Scenario to print (default: list some).", show_default=False)
     ] = None,
+    *,
+    every: Annotated[bool, Option("--all", help="List all of them.")] = False,
 ) -> None:
     """List the scenarios that come with tiswarm, or print one."""
     from tiswarm.scenario.yaml_source import describe_scenarios, shipped_scenarios
 
     if name is None:
-        typer.echo("\n".join(describe_scenarios()))
+        typer.echo("\n".join(describe_scenarios(every=every)))
+        if not every:
+            typer.echo(f"tiswarm scenarios --all lists all {len(shipped_scenarios())}")
     elif path := shipped_scenarios().get(name):
         typer.echo(path.read_text(), nl=False)
     else:
-        raise InputError("there is no such scenario; tiswarm scenarios lists all", key=name)
+        raise InputError("there is no such scenario; tiswarm scenarios --all lists all", key=name)
 
 
 @app.command(epilog="Example: tiswarm schema > scenario.schema.json")

@@ -412,7 +412,7 @@ def compare(
     """
     from tiswarm import api
 
-    found = api.compare(runs, out=out, overwrite=overwrite)
+    found = api.compare(*runs, out=out, overwrite=overwrite)
     if not quiet:
         typer.echo(found)
 

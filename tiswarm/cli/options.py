@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
+from typer.core import TyperCommand
 from typer.exceptions import TyperException
 
 import tiswarm
@@ -26,6 +27,28 @@ _LIBRARIES_MB = 700
 """Address space that the libraries of any command take."""
 
 _PYTHON = warnings.showwarning
+
+COMPUTING = "Where and how to compute"
+PICTURES = "Pictures"
+"""Headings of options in the help of commands that have many."""
+
+
+class Grouped(TyperCommand):
+    """A command whose help lists options under their headings."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - typer's own click
+        """Write arguments, options without a heading, and those of each heading."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            usual = "Options" if parameter.param_type_name == "option" else "Arguments"
+            heading = getattr(parameter, "rich_help_panel", None) or usual
+            if record := parameter.get_help_record(ctx):
+                groups.setdefault(heading, []).append(record)
+        for heading, records in groups.items():
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records)
+
 
 app = typer.Typer(
     add_completion=False,
@@ -42,12 +65,14 @@ OneArch = Annotated[
     AnyArch,
     Option(
         "--arch",
+        rich_help_panel=COMPUTING,
         help="Compute device of joint, and of virtual-force with schedule together; "
         "fails if unavailable.",
     ),
 ]
 Threads = Annotated[
-    int | None, Option(help="CPU threads (default: all cores).", show_default=False)
+    int | None,
+    Option(help="CPU threads (default: all cores).", show_default=False, rich_help_panel=COMPUTING),
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only warnings and errors.")]
 Plugins = Annotated[
@@ -64,10 +89,23 @@ Overwrite = Annotated[
     bool, Option("--overwrite", help="Replace files that no tiswarm command wrote.")
 ]
 Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
-Pdf = Annotated[bool, Option("--pdf", help="Also write figures as vector PDF.")]
-Animate = Annotated[bool, Option("--animate", help="Animate the growth of the largest structure.")]
+Pdf = Annotated[
+    bool, Option("--pdf", help="Also write figures as vector PDF.", rich_help_panel=PICTURES)
+]
+Animate = Annotated[
+    bool,
+    Option(
+        "--animate",
+        help="Animate the growth of the largest structure.",
+        rich_help_panel=PICTURES,
+    ),
+]
 Movie = Annotated[
-    AnyMovie | None, Option(help="Animate into this file format (default: mp4, or else webp).")
+    AnyMovie | None,
+    Option(
+        help="Animate into this file format (default: mp4, or else webp).",
+        rich_help_panel=PICTURES,
+    ),
 ]
 
 

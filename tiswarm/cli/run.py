@@ -16,37 +16,49 @@ ScenarioFile = Annotated[
 ]
 
 
-@app.command(epilog="Example: tiswarm run scenarios/tower.yaml --set robots=20 --set seeds=2")
+def _computing(*name: str, **shown: Any) -> Any:  # noqa: ANN401 - an option of typer
+    """Return an option of where and how to compute."""
+    return Option(*name, rich_help_panel=options.COMPUTING, **shown)
+
+
+@app.command(
+    cls=options.Grouped,
+    epilog="Example: tiswarm run scenarios/tower.yaml --set robots=20 --set seeds=2",
+)
 def run(
     scenario: ScenarioFile,
     overrides: options.Overrides = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, Option(help="Parent of the run folder.")] = Path("reports"),
-    arch: options.OneArch = "cpu",
-    threads: options.Threads = None,
-    workers: Annotated[int | None, Option(min=1, help="Number of worker processes.")] = None,
-    scheduler: Annotated[
-        str | None, Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
-    ] = None,
-    shard: Annotated[str, Option(metavar="I/N", help="Compute part I of N only.")] = "1/1",
-    case_limit: Annotated[
-        float | None, Option(min=0.001, metavar="SECONDS", help="Abort a case after this time.")
-    ] = None,
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     only_plan: Annotated[
         bool, Option("--plan", help="Print an estimate of time and memory, and run nothing.")
     ] = False,
-    fail_fast: Annotated[
-        bool, Option("--fail-fast", help="Stop at the first failed case.")
-    ] = False,
-    pictures: Annotated[bool, Option(help="Draw figures, renders and report.html.")] = True,
-    pdf: options.Pdf = False,
-    animate: options.Animate = False,
-    movie: options.Movie = None,
     overwrite: options.Overwrite = False,
     opened: options.Open = False,
     debug: options.Debug = False,
     quiet: options.Quiet = False,
+    pictures: Annotated[
+        bool,
+        Option(help="Draw figures, renders and report.html.", rich_help_panel=options.PICTURES),
+    ] = True,
+    pdf: options.Pdf = False,
+    animate: options.Animate = False,
+    movie: options.Movie = None,
+    arch: options.OneArch = "cpu",
+    threads: options.Threads = None,
+    workers: Annotated[int | None, _computing(min=1, help="Number of worker processes.")] = None,
+    scheduler: Annotated[
+        str | None, _computing(metavar="ADDRESS", help="Dask scheduler to compute on.")
+    ] = None,
+    shard: Annotated[str, _computing(metavar="I/N", help="Compute part I of N only.")] = "1/1",
+    case_limit: Annotated[
+        float | None,
+        _computing(min=0.001, metavar="SECONDS", help="Abort a case after this time."),
+    ] = None,
+    fail_fast: Annotated[
+        bool, _computing("--fail-fast", help="Stop at the first failed case.")
+    ] = False,
 ) -> None:
     """Run a scenario: grow, sense, localize, evaluate and draw.
 

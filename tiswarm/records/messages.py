@@ -14,7 +14,7 @@ Part = str | int
 
 UNKNOWN_KEY = frozenset({"extra_forbidden", "unexpected_keyword_argument"})
 _SECTION = frozenset({"dataclass_type", "model_type", "dict_type"})  # a value in place of one
-_MISSING_KEY = frozenset({"missing", "missing_keyword_only_argument", "union_tag_not_found"})
+MISSING_KEY = frozenset({"missing", "missing_keyword_only_argument", "union_tag_not_found"})
 _PLAIN_WORDS = {
     "a valid integer": "a whole number",
     "a valid number": "a number",
@@ -36,7 +36,7 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
         near = difflib.get_close_matches(str(error["loc"][-1]), allowed, n=1)
         keys = f"the keys here are {', '.join(allowed)}" if allowed else "leave it out"
         return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; {keys}"
-    if kind in _MISSING_KEY:
+    if kind in MISSING_KEY:
         return "is missing; add it"
     if kind == "value_error":
         return str(context["error"])

@@ -68,17 +68,20 @@ def load_scenario(given: Path | Plain, overrides: Sequence[str] = ()) -> Scenari
     first, more = mistakes[0], len(mistakes) - 1
     if not more:
         raise first
-    problem = f"{first.problem} (and {counted(more, 'more mistake')})"
+    problem = f"{first.problem} (and {counted(more, 'more mistake')}; check lists all)"
     raise InputError(
         problem, path=first.path, line=first.line, column=first.column,
         argument=first.argument, key=first.key,
     )  # fmt: skip
 
 
-def find_mistakes(path: Path, overrides: Sequence[str] = ()) -> list[InputError]:
-    """List all mistakes in a scenario file in file order, those in options last."""
+def find_mistakes(given: Path | Plain, overrides: Sequence[str] = ()) -> list[InputError]:
+    """List all mistakes in a scenario in file order, those in options last.
+
+    Of mistakes in one place, wrong keys come first.
+    """
     try:
-        return _examine(path, overrides)[1]
+        return _examine(given, overrides)[1]
     except InputError as error:
         return [error]
 
@@ -114,6 +117,7 @@ def _examine(
                 sweep.pop(key, None)
     outcome = from_plain(data)
     mistakes = _mistakes(data) or ([] if swept else _swept_over(data))
+    mistakes.sort(key=lambda mistake: not mistake.about_key)
     errors = [_placed(mistake, path, source, settings) for mistake in mistakes]
     errors.sort(key=lambda error: (error.line is None, error.line))
     return (outcome if isinstance(outcome, Scenario) else None), errors

@@ -17,7 +17,7 @@ from tiswarm.base.params import STRICT
 from tiswarm.base.parts import PARTS, load_plugins, watch
 from tiswarm.localization.methods import LocalizationParams, all_params, settings_of
 from tiswarm.localization.settings import SWITCHES
-from tiswarm.records.messages import UNKNOWN_KEY, Part, dotted, explain, shown
+from tiswarm.records.messages import MISSING_KEY, UNKNOWN_KEY, Part, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
 
 Plain = dict[str, Any]
@@ -96,10 +96,21 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
 
 
 def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
-    """Whether a list is too short only because mistakes in its items keep them out of it."""
+    """Whether other mistakes explain this one.
+
+    Mistakes in items keep them out of a list, which is too short then. A misspelled key leaves the
+    one that was meant missing.
+    """
     at = error["loc"]
-    return error["type"] == "too_short" and any(
-        other["loc"][: len(at)] == at and len(other["loc"]) > len(at) for other in errors
+    if error["type"] == "too_short":
+        return any(
+            other["loc"][: len(at)] == at and len(other["loc"]) > len(at) for other in errors
+        )
+    return error["type"] in MISSING_KEY and any(
+        other["type"] in UNKNOWN_KEY
+        and other["loc"][:-1] == at[:-1]
+        and did_you_mean(other["loc"][-1], [str(at[-1])])
+        for other in errors
     )
 
 

@@ -203,6 +203,12 @@ def _mistake(problem: str, mark: yaml.Mark, at: tuple[Part, ...] = ()) -> InputE
 _FOLDER = Path(__file__).parent / "files"
 
 
+FIRST = (
+    "tower", "cantilever", "bridge", "chain", "paper", "scaling", "closed-loop", "failures",
+)  # fmt: skip
+"""Scenarios to begin with."""
+
+
 def shipped_scenarios() -> dict[str, Path]:
     """List the files of the scenarios by name, sorted."""
     return {path.stem: path for path in sorted(_FOLDER.glob("*.yaml"), key=lambda path: path.stem)}
@@ -226,13 +232,14 @@ def find_scenario(path: Path) -> Path:
         return found
     if os.path.exists(path):  # noqa: PTH110
         return path
-    problem = "neither a file nor a scenario of tiswarm's; tiswarm scenarios lists these"
+    problem = "neither a file nor a scenario of tiswarm's; tiswarm scenarios --all lists these"
     raise InputError(problem, path=path)
 
 
-def describe_scenarios() -> list[str]:
-    """List names and descriptions, in lines."""
-    found = shipped_scenarios()
+def describe_scenarios(*, every: bool = False) -> list[str]:
+    """List names and descriptions of the scenarios to begin with, or of all, in lines."""
+    shipped = shipped_scenarios()
+    found = shipped if every else {name: shipped[name] for name in FIRST if name in shipped}
     width = max(map(len, found), default=0)
     texts = {name: yaml.safe_load(path.read_text())["description"] for name, path in found.items()}
     return [f"{name:<{width}}  {text}" for name, text in texts.items()]
