@@ -91,4 +91,4 @@ def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
     draw(tmp_path)
 
     labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
-    assert labels == ["5.0, nan", "none"]
+    assert labels == ["yaw 5, nan", "none"]

@@ -19,7 +19,6 @@ from tiswarm.report.answers import (
     answer,
     conclusion,
     headline,
-    result_of,
     two_digits,
 )
 from tiswarm.report.run_data import measured_words
@@ -201,8 +200,8 @@ def test_each_cue_has_words():
 def test_what_structures_reached_is_counted_by_row():
     """Bridges are closed or not; where robots know the truth, all conditions share structures."""
     table = pd.DataFrame({"condition": ["online", "first"] * 3})
-    table["structure"] = ["kind: tower"] * 2 + ["kind: bridge, gap: 20.0"] * 4
-    table["structure.navigate_by"] = ["truth"] * 4 + ["estimate"] * 2
+    table["structure"] = ["tower"] * 2 + ["bridge gap 20 R"] * 4
+    table["structure.navigate_by"] = ["by truth"] * 4 + ["by estimate"] * 2
     table = table.assign(
         cases=4, rmse_R_mean=1.0, kind=["tower"] * 2 + ["bridge"] * 4,
         height_R_mean=[31.7, 31.7, 9.0, 9.0, 9.0, 9.0], crossed_mean=[0, 0, 0.75, 0.75, 1.0, 0.25],
@@ -211,9 +210,9 @@ def test_what_structures_reached_is_counted_by_row():
     text = answer("reached", Results(table, NONE, NONE))
 
     assert text == (
-        "Means of 4 structures: tower, navigate_by truth: height 32 R; "
-        "bridge, gap 20.0, navigate_by truth: bridges closed 3 of 4; "
-        "bridge, gap 20.0, navigate_by estimate: bridges closed 4 of 4 (online), 1 of 4 (first)"
+        "Means of 4 structures: tower, by truth: height 32 R; "
+        "bridge gap 20 R, by truth: bridges closed 3 of 4; "
+        "bridge gap 20 R, by estimate: bridges closed 4 of 4 (online), 1 of 4 (first)"
     )
 
 
@@ -292,7 +291,7 @@ def test_a_question_without_its_results_has_the_answer_on_errors(question):
 
 
 def test_the_question_of_a_run_is_that_of_its_scenario(tmp_path):
-    """The terminal and the page have the same answer, with the names and with the labels."""
+    """It has the labels of conditions, or their names."""
     measures = dict.fromkeys(["rmse_R_ci95", "rmse_R_least", "rmse_R_most"], 1.0)
     table, pairs = compared(0.5, 1.3, structures=2)
     table = table.assign(procrustes_disparity_mean=0.1, **measures)
@@ -303,7 +302,10 @@ def test_the_question_of_a_run_is_that_of_its_scenario(tmp_path):
     (tmp_path / "scenario.yaml").write_text("question: reached\n")
 
     last = headline(tmp_path).splitlines()[-1]
-    shown = result_of(tmp_path, table.replace({"condition": {"a": "A"}}), {"a": "A"})
+    (tmp_path / "scenario.yaml").write_text(
+        "question: reached\nconditions: {a: {label: A}, b: {}}\n"
+    )
+    shown = headline(tmp_path).splitlines()[-1]
 
     assert last == "Means of 2 structures: height 12 R (a), 13 R (b)."
     assert shown == "Means of 2 structures: height 12 R (A), 13 R (b)."

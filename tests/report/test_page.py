@@ -25,7 +25,7 @@ from tiswarm.report.page_tables import (
     result_tables,
     warnings_of,
 )
-from tiswarm.report.run_data import load_run
+from tiswarm.report.run_data import Labels, load_run
 from tiswarm.report.swarm_view import build_view, first_series, read_case_view
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,disconnected"
@@ -324,10 +324,10 @@ def test_disconnected_robots_are_stated_beside_the_error(tmp_path):
     assert shown.frame["robots disconnected"].tolist() == ["0", "15"]
     assert "No method can place" in shown.note
     assert "robots disconnected" not in headline_table(table).frame
-    one = result_of(tmp_path, full.head(1))
+    one = result_of(tmp_path, full.head(1), Labels())
     assert one == "a: RMSE 18.3 R, disparity 0.1, 1 structure, 15 of 30 robots disconnected."
     assert "robots are disconnected from the anchor in 1 of 2 rows of the table" in result_of(
-        tmp_path, full
+        tmp_path, full, Labels()
     )
 
 
@@ -376,7 +376,7 @@ def test_what_conditions_have_in_common_is_said_once():
 
     assert shown.title == "Robots on the anchor"
     assert shown.frame.to_dict("records") == [
-        {"kind": "tower", "first robot": "1"}, {"kind": "chain", "first robot": "2"},
+        {"point": "tower", "first robot": "1"}, {"point": "chain", "first robot": "2"},
     ]  # fmt: skip
 
 

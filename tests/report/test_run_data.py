@@ -97,4 +97,4 @@ def test_a_scenario_of_another_form_has_no_labels(tmp_path, text):
     write_summary(tmp_path, "case,status", [["0-a", "done"]])
     (tmp_path / "scenario.yaml").write_text(text)
 
-    assert load_run(tmp_path).labels == {}
+    assert load_run(tmp_path).labels.conditions == {}

@@ -21,7 +21,7 @@ from tiswarm.records.messages import shown
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import figure_style, table_figures
 from tiswarm.report.figure_style import Panels, marker_style
-from tiswarm.report.run_data import swept_words
+from tiswarm.report.run_data import Labels, with_points
 from tiswarm.study import tables
 from tiswarm.study.store import CaseRecord, RunFolder
 
@@ -151,10 +151,10 @@ def draw(folder: Path, *, overwrite: bool = False) -> None:
 
 def draw_rows(table: pd.DataFrame) -> "Figure":
     """Draw the mean of each row with its confidence interval, one color a run."""
-    seen = table.head(table_figures.MOST_ROWS)
-    words = swept_words(seen).iloc[:, ::-1].iloc[:, :-1]
-    words = words.where(seen[words.columns].notna(), "")
-    labels = [", ".join(filter(None, row)) for row in words.to_numpy()]
+    shown = Labels().put(table.head(table_figures.MOST_ROWS).copy(), before="cases")
+    seen = with_points(shown)
+    named = seen[["point", "condition"]].to_numpy().tolist()
+    labels = [", ".join(filter(None, row)) for row in named]
     height = 0.9 + 0.17 * len(seen)
     panels = Panels(height, len(MAIN), len(MAIN), share="y")
     for axes, measure in panels.each(MAIN):

@@ -78,18 +78,10 @@ def _built_for(rows: Sequence[Row]) -> Measure | None:
 
 
 def _point_words(row: Row) -> str:
-    """Name a point of the sweep by its values, and by keys where values alone say too little."""
-    names = [*map(str, row)]
-    texts = []
-    for name in names[names.index("condition") + 1 : names.index("cases")]:
-        value, key = str(row[name]), name.rpartition(".")[2]
-        is_section = ": " in value
-        texts.append(
-            value.replace("kind: ", "").replace(": ", " ")
-            if is_section or key == "kind"
-            else f"{key} {value}"
-        )
-    return ", ".join(texts)
+    """Name a point of the sweep by the labels of its values."""
+    names = [*row]
+    swept = names[names.index("condition") + 1 : names.index("cases")]
+    return ", ".join(str(row[name]) for name in swept if row[name])
 
 
 def traffic(results: Results) -> str:

@@ -15,7 +15,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.records.io import read_json, write_json
 
 LABEL = "label"
-"""Key of a condition of a scenario: what pages and figures show in place of its name."""
+"""Key of a condition, or of a row of a sweep: what pages and figures call it."""
 
 _FOLDERS = ("cases", "structures", "figures", "renders", "export")
 _MANIFEST = "manifest.json"
@@ -113,6 +113,11 @@ def case_folder(run: Path, name: str) -> Path:
         problem = f"case {name!r} has no folder in the run; run the scenario again to restore it"
         raise InputError(problem, path=run)
     return folder
+
+
+def cell_of(value: object) -> str:
+    """Write a swept value as tables have it: as YAML does, such as `{kind: tower}` or `true`."""
+    return json.dumps(value).replace('"', "")
 
 
 def variant_name(point: Mapping[str, object], condition: str) -> str:

@@ -353,13 +353,13 @@ def headline(folder: Path) -> str:
     table = read_frame(
         path, ["condition"], ["cases"], gaps=_NEEDED, notes=TABLE_NOTES, numbers_after="cases"
     )
-    swept = run_data.swept_columns(table)
-    table[swept] = run_data.swept_words(table)[swept]
-    last = result_of(folder, table) if len(table) > 1 else ""
+    labels = run_data.read_labels(folder)
+    table = labels.put(table, before="cases")
+    last = result_of(folder, table, labels) if len(table) > 1 else ""
     return "\n".join([*map(_in_words, table.to_dict("records")), *([last] if last else [])])
 
 
-def read_pairs(folder: Path) -> pd.DataFrame:
+def read_pairs(folder: Path, labels: run_data.Labels) -> pd.DataFrame:
     """Read the differences of conditions of a run on the same structures; it may have none."""
     words = ["condition", "against", "measure"]
     numbers = ["structures", "difference_mean", "smaller", "wilcoxon_p"]
@@ -368,36 +368,33 @@ def read_pairs(folder: Path) -> pd.DataFrame:
         return pd.DataFrame()
     pairs = read_frame(path, words, gaps=numbers, numbers_after="measure", empty=True)
     pairs = pairs.assign(equal_measurements=pairs.get("equal_measurements", False))
-    swept = run_data.swept_columns(pairs, before="measure")
-    pairs[swept] = run_data.swept_words(pairs, before="measure")[swept]
-    return pairs
+    return labels.put(pairs, before="measure")
 
 
-def read_scaling(folder: Path) -> pd.DataFrame:
+def read_scaling(folder: Path, labels: run_data.Labels) -> pd.DataFrame:
     """Read the errors and costs of a run by the number of robots; it may have none."""
     path = folder / "scaling.csv"
     if not path.exists():
         return pd.DataFrame()
     numbers = ["mean", "exponent", "slope"]
-    return read_frame(path, ["series", "measure"], ["robots"], gaps=numbers, empty=True)
+    read = read_frame(path, ["series", "measure"], ["robots"], gaps=numbers, empty=True)
+    return labels.put(read)
 
 
-def result_of(folder: Path, table: pd.DataFrame, labels: Mapping[str, str] | None = None) -> str:
+def result_of(folder: Path, table: pd.DataFrame, labels: run_data.Labels) -> str:
     """Answer the question of a run in one sentence; empty where the table lacks its measures.
 
     Args:
         folder: Folder of the run.
-        table: Its `table.csv`, with conditions as the sentence names them.
-        labels: What names conditions, by what the files of the run call them.
+        table: Its `table.csv`, with labels.
+        labels: The labels.
     """
     rows = table[table["cases"] > 0]
     if rows.empty:
         return "No case was finished."
     if not set(_NEEDED) <= set(rows):
         return ""
-    pairs, scaling = (
-        run_data.relabeled(read(folder), labels or {}) for read in (read_pairs, read_scaling)
-    )
+    pairs, scaling = read_pairs(folder, labels), read_scaling(folder, labels)
     question = run_data.stated_scenario(folder).get("question")
     text = answer(str(question), Results(rows, pairs, scaling)) if len(rows) > 1 else ""
     text = text or "; ".join(map(_in_words, rows.to_dict("records")))
@@ -414,8 +411,7 @@ def _disconnected_somewhere(rows: pd.DataFrame) -> str:
 
 
 def _in_words(row: Row) -> str:
-    point = " ".join(f"{key}={row[key]}" for key in _swept(row))
-    name = f"{point} {row['condition']}".strip()
+    name = ", ".join(str(row[key]) for key in [*_swept(row), "condition"] if row[key])
     if not row["cases"]:
         return f"{name}: no case was finished"
     text = (

@@ -11,7 +11,7 @@ import pandas as pd
 from tiswarm.records.measures import MAIN, RMSE, STEPS
 from tiswarm.records.messages import three_digits
 from tiswarm.report import figure_style
-from tiswarm.report.run_data import RunData, swept_columns, swept_words, with_points
+from tiswarm.report.run_data import RunData, with_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +21,8 @@ _FEWEST_ROBOTS = 5  # robots below which a point of a profile is open
 _MOST_POINTS = 4  # most points of a sweep that have a figure or panel each
 _SMALL = "hops_from_anchor"  # what small panels show
 _SMALL_COLUMNS, _MOST_SMALL = 4, 32  # panels in a row and in all, of many series
+
+_SERIES = ["point", "condition"]
 
 PROFILED = {
     "join": "Join index",
@@ -96,7 +98,7 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
             name = f"last {recent:g}" if np.isfinite(recent) else "all"
             name += "" if one_length else f", {sweeps:g} steps"
             _draw_family(axes, family, {"label": name, **figure_style.marker_style(place)})
-        figure_style.set_title(axes, figure_style.shortened(point))
+        figure_style.set_title(axes, point)
         axes.set_xlabel(STEPS.axis)
         axes.set_ylim(bottom=0.0)
     steps = table.loc[table["round_every"].notna(), STEPS.mean]
@@ -145,15 +147,14 @@ def _profile_painters(run: RunData) -> dict[str, figure_style.Painter]:
     table = run.table("profiles.csv", ["condition", "by"], numbers, after="by", optional=True)
     if table.empty:  # no case was finished
         return {}
-    swept = swept_columns(table, before="by")[1:]
-    table[swept] = swept_words(table, before="by")[swept]
-    points = dict(list(table.groupby(swept, sort=False))) if swept else {}
+    table = with_points(table, before="by")
+    points = dict(list(table.groupby("point", sort=False)))
     if not 1 < len(points) <= _MOST_POINTS:
         return {"profiles": partial(_draw_profiles, table=table)}
     painters: dict[str, figure_style.Painter] = {}
     for point, part in points.items():
-        slug = re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, point))).strip("-")
-        painters[f"profiles-{slug}"] = partial(_draw_profiles, table=part.drop(columns=swept))
+        slug = re.sub(r"[^A-Za-z0-9.]+", "-", str(point)).strip("-")
+        painters[f"profiles-{slug}"] = partial(_draw_profiles, table=part.assign(point=""))
     return painters
 
 
@@ -164,21 +165,20 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
     count the robots, or pairs, of each point in the first series. Points of few are open, and not
     connected.
     """
-    swept = swept_columns(table, before="by")
     many = table["count"] >= _FEWEST_ROBOTS
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
-    if len(table[swept].drop_duplicates()) > len(figure_style.PALETTE):
-        return _draw_small_profiles(run, table, swept, most)
+    if len(table[_SERIES].drop_duplicates()) > len(figure_style.PALETTE):
+        return _draw_small_profiles(run, table, most)
     panels = figure_style.Panels(3.6, len(PROFILED), 3, most=most)
-    bands = len(table[swept].drop_duplicates()) <= figure_style.MOST_BANDS
+    bands = len(table[_SERIES].drop_duplicates()) <= figure_style.MOST_BANDS
     for axes, (name, label) in panels.each(PROFILED.items()):
         part = table[table["by"] == name]
-        for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):
+        for place, (series, rows) in enumerate(part.groupby(_SERIES, sort=False)):
             look = figure_style.line_style(place)
             joined, few = rows[rows["many"]], rows[~rows["many"]]
             axes.plot(
                 joined["at"], joined[RMSE.column], marker="o", markersize=2.5,
-                label=", ".join(map(str, reversed(series))), **look,
+                label=", ".join(filter(None, map(str, series))), **look,
             )  # fmt: skip
             if bands and joined["p90_R"].notna().any():
                 low, high = joined["p10_R"].to_numpy(float), joined["p90_R"].to_numpy(float)
@@ -206,20 +206,17 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
     return panels.finish("above: robots or pairs of a point", opened, run.note)
 
 
-def _draw_small_profiles(
-    run: RunData, table: pd.DataFrame, swept: list[str], most: float
-) -> "Figure":
+def _draw_small_profiles(run: RunData, table: pd.DataFrame, most: float) -> "Figure":
     """Draw RMSE against hops for more series than colors: a panel for each.
 
     Series of a sweep point share its panel, if there are few. In gray behind each panel are the
     series of the first, to compare with.
     """
-    _, *keys = swept
-    points = table[keys].astype(str).agg(", ".join, axis=1) if keys else table["condition"]
-    if len(set(points)) == 1 or table["condition"].nunique() > len(figure_style.PALETTE):
-        points = table[[*keys, "condition"]].astype(str).agg(", ".join, axis=1)
-        table = table.assign(condition="RMSE")
-    part = table[table["by"] == _SMALL].assign(point=points)
+    part = table[table["by"] == _SMALL]
+    if len({*part["point"]}) == 1 or part["condition"].nunique() > len(figure_style.PALETTE):
+        names = part[_SERIES].to_numpy().tolist()
+        points = [", ".join(filter(None, each)) for each in names]
+        part = part.assign(point=points, condition="RMSE")
     part = part[part["many"] | ~part.groupby("point")["many"].transform("any")]
     panels_of = dict(list(part.groupby("point", sort=False)))
     shown = dict(list(panels_of.items())[:_MOST_SMALL])
@@ -232,7 +229,7 @@ def _draw_small_profiles(
         for place, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
             look: dict[str, Any] = {"color": figure_style.PALETTE[place], "markersize": 2.0}
             axes.plot(line["at"], line[RMSE.column], "o-", linewidth=1.0, label=condition, **look)
-        figure_style.set_title(axes, figure_style.shortened(str(point)), 6.5)
+        figure_style.set_title(axes, str(point), 6.5)
     figure_style.fit_axis(panels.first, "y", part[RMSE.column].to_numpy(float))
     panels.label_once(PROFILED[_SMALL], RMSE.axis)
     if len(figure_style.entries_of(panels.first)) > 1:

@@ -120,10 +120,10 @@ def _by_point(series: Series) -> dict[str, Series]:
     """Group series by sweep point; a single group if each point has one condition."""
     points: dict[str, Series] = {}
     for name, cases in series.items():
-        point = figure_style.shortened(cases[0].point)
+        point = cases[0].point
         points.setdefault(point, {})[cases[0].condition or name] = cases
     if len(points) == len(series) > 1:
-        return {"": {figure_style.shortened(name): cases for name, cases in series.items()}}
+        return {"": series}
     return points
 
 
@@ -190,7 +190,7 @@ def draw_errors(run: RunData, most: float = np.inf) -> "Figure":
     for axes, ((name, _), table) in panels.each(zip(shown, tables, strict=True)):
         if len(table) > _MAX_POINTS:
             notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
-        figure_style.set_title(axes, figure_style.shortened(name).replace(", ", ",\n"), 7.0)
+        figure_style.set_title(axes, name.replace(", ", ",\n"), 7.0)
     panels.label_once(ways[0][1] if alike else "", "Error [R]")
     for axes, (_, label) in panels.each(ways):
         axes.set_xlabel("" if alike else label)

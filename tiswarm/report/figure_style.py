@@ -1,7 +1,6 @@
 """Panels, legend, note, colors and file formats of all figures; pictures and page share colors."""
 
 import io
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -351,16 +350,6 @@ def plain_number(value: float) -> str:
     raised = str(int(power)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
     factor = f"{float(digits):g}"
     return f"10{raised}" if factor == "1" else f"{factor}·10{raised}"
-
-
-def shortened(name: str) -> str:
-    """Shorten the name of a sweep point to `tower, settle=1.0`: drop the sections of keys.
-
-    >>> shortened("structure={kind: tower, anchor: 5.0},no-z")
-    'tower, anchor: 5.0,no-z'
-    """
-    name = re.sub(r"structure=\{kind: ([^{}]*)\}", r"\1", name.replace("structure.kind=", ""))
-    return re.sub(r"(?:[a-z_]+\.)+(?=[a-z_]+=)", "", name)
 
 
 def entries_of(axes: "Axes") -> "dict[str, Artist]":

@@ -27,7 +27,7 @@ from tiswarm.report import page_tables
 from tiswarm.report.answers import read_pairs, result_of
 from tiswarm.report.figure_style import ERROR_COLORS, JOIN_COLORS, NARROW, TRUE_BLUE
 from tiswarm.report.figures import caption_of
-from tiswarm.report.run_data import RunData, relabeled, stated_scenario
+from tiswarm.report.run_data import RunData, stated_scenario
 from tiswarm.report.swarm_view import View, build_view
 
 LARGEST = 7_900_000
@@ -298,7 +298,7 @@ def _gather(run: RunData) -> Page:
     manifest = read_manifest(run.folder)
     numbers = ["cases", RMSE.published]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
-    pairs = relabeled(read_pairs(run.folder), run.labels)
+    pairs = read_pairs(run.folder, run.labels)
     words = ["condition", "suite", "way", "needs"]
     suites = run.table("suites.csv", words, [RMSE.mean], after="cases", optional=True)
     arch = manifest.backend.get("arch", "cpu")

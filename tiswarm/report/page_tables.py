@@ -25,7 +25,7 @@ from tiswarm.records.measures import (
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.answers import FEWEST
-from tiswarm.report.run_data import measured_words, swept_columns, swept_words
+from tiswarm.report.run_data import measured_words, with_points
 
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""
@@ -53,10 +53,9 @@ class PageTable:
 
 def headline_table(table: pd.DataFrame) -> PageTable:
     """Format the accuracy of each condition, the best one of each sweep point first."""
-    swept = swept_columns(table)[1:]
-    point = table.groupby(swept, sort=False).ngroup() if swept else 0
-    order = ["point", *({RMSE.mean} & set(table))]
-    rows = table.assign(point=point).sort_values(order, kind="stable")
+    place = with_points(table).groupby("point", sort=False).ngroup()
+    order = ["place", *({RMSE.mean} & set(table))]
+    rows = table.assign(place=place).sort_values(order, kind="stable")
     columns = _means(rows, "accuracy")
     if DISCONNECTED.mean in rows and (rows[DISCONNECTED.mean] > 0.0).any():
         columns["robots disconnected"] = _mean(rows, DISCONNECTED.column)
@@ -76,7 +75,7 @@ def headline_table(table: pd.DataFrame) -> PageTable:
     notes.append("R is the radius of a dock; disparity 0 means the right shape.")
     if "robots disconnected" in columns:
         notes.append("No method can place robots that are disconnected from the anchor.")
-    words = swept_words(rows)
+    words = _names(rows)
     if any(further):
         columns["also uses"] = pd.Series(further, rows.index, dtype=str)
     shown = _labeled(words, columns, "Accuracy", " ".join(notes))
@@ -97,7 +96,7 @@ def result_tables(
     table: pd.DataFrame, paired: pd.DataFrame, suites: pd.DataFrame | None = None
 ) -> list[PageTable]:
     """Format the other results of a run; `paired` and `suites` may be empty."""
-    words = swept_words(table)
+    words = _names(table)
     tables = []
     if suites is not None and len(suites):
         tables.append(_measured_suites(suites))
@@ -181,7 +180,7 @@ def _measured_suites(suites: pd.DataFrame) -> PageTable:
         for name in prices
     }
     columns |= {**_means(suites, "suites"), "needs": suites["needs"]}
-    words = swept_words(suites).drop(columns=["suite", "way", "needs"])
+    words = _names(suites)
     shown = _labeled(words, columns, "Table I, measured", note)
     return replace(shown, words=[*words, "needs"])
 
@@ -206,7 +205,7 @@ def _beside_the_paper(table: pd.DataFrame) -> PageTable:
         for name, heading in _PUBLISHED.items()
         if name in rows
     }
-    return _labeled(swept_words(rows), columns, "Beside the paper", note)
+    return _labeled(_names(rows), columns, "Beside the paper", note)
 
 
 def _differences(paired: pd.DataFrame) -> PageTable:
@@ -214,7 +213,7 @@ def _differences(paired: pd.DataFrame) -> PageTable:
     first = paired["against"] == paired["against"].iloc[0]
     headings = {each.column: heading for each, heading in PAGE["accuracy"].items()}
     rows = paired[first & paired["measure"].isin([*headings])]
-    words = swept_words(rows, before="measure").assign(measure=rows["measure"].map(headings))
+    words = _names(rows, "measure").assign(measure=rows["measure"].map(headings))
     columns = {
         "difference": _mean(rows, "difference", sign="+"),
         "smaller in": rows["smaller"].astype(str) + " of " + rows["structures"].astype(str),
@@ -272,6 +271,12 @@ def machine_table(manifest: Manifest) -> PageTable:
     ]
     frame = pd.DataFrame(rows, columns=["item", "value"])
     return PageTable(frame=frame, words=["item", "value"], title="Machine and versions")
+
+
+def _names(table: pd.DataFrame, before: str = "cases") -> pd.DataFrame:
+    """Return the columns that name a row: point of the sweep, if there is one, and condition."""
+    names = with_points(table, before=before)[["point", "condition"]]
+    return names if names["point"].any() else names[["condition"]]
 
 
 def _labeled(

@@ -21,7 +21,8 @@ from tiswarm.records.io import damaged, run_file
 from tiswarm.records.measures import DISCONNECTED
 from tiswarm.records.run_folder import LABEL, TABLE_NOTES, case_folder, check_folders
 from tiswarm.records.terrain import NO_EDGE
-from tiswarm.scenario.yaml_source import read_yaml
+from tiswarm.scenario.labels import row_labels, words_of
+from tiswarm.scenario.yaml_source import plain_scalar, read_yaml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +53,60 @@ class StoredCase:
         return table[list(names)].to_numpy(float)
 
 
+NO_KEYS = ("condition", "against", "run", "suite", "way", "needs", "point")
+"""Columns of words before the numbers of a table that are no swept keys."""
+
+_PAIR = re.compile(r", (?=[a-z_.]+=)")
+"""What separates the swept keys of a point from each other."""
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What pages, figures and sentences call the conditions and points of a run."""
+
+    conditions: Mapping[str, str] = field(default_factory=dict)  # by name, of those that have one
+    rows: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # by swept key and cell
+
+    def cell(self, key: str, cell: Any) -> str:  # noqa: ANN401 - text or a number
+        """Return the label of a swept value; empty if all points share it, or there is none."""
+        text = "" if pd.isna(cell) else str(cell)
+        if text in (known := self.rows.get(key, {})) or not text:
+            return known.get(text, "")
+        words = re.sub(r"[{}]|kind: ", "", text).replace(": ", " ").replace("_", " ")
+        return words_of(key, plain_scalar(words))
+
+    def point(self, text: str) -> str:
+        """Return the label of a point that is written as `key=value, key=value`."""
+        pairs = [part.partition("=") for part in _PAIR.split(text)]
+        labels = [self.cell(key, cell) if equals else key for key, equals, cell in pairs]
+        return ", ".join(filter(None, labels))
+
+    def series(self, text: str) -> str:
+        """Return the label of a series: of its point, if there is one, and of its condition."""
+        point, _, condition = text.rpartition(", ")
+        condition = self.conditions.get(condition, condition)
+        return ", ".join(filter(None, [self.point(point), condition]))
+
+    def put(self, table: pd.DataFrame, *, before: str = "") -> pd.DataFrame:
+        """Write labels into the columns of conditions, series and points, and of swept keys.
+
+        Swept keys are the columns before a named one; those whose value all points share are left
+        out.
+        """
+        for name in table.columns.intersection(["condition", "against"]):
+            table[name] = table[name].replace(self.conditions)
+        for name, label in (("series", self.series), ("point", self.point)):
+            if name in table:
+                table[name] = table[name].map(label, na_action="ignore")
+        swept = swept_columns(table, before=before) if before else []
+        for key in [key for key in swept if key not in NO_KEYS]:
+            words = [self.cell(key, cell) for cell in table[key]]
+            table[key] = pd.Series(words, table.index, dtype=object)
+            if self.rows.get(key) and not any(self.rows[key].values()):
+                table = table.drop(columns=key)
+        return table
+
+
 _WORDS = ["case", "series", "condition", "point", "kind", "status", "reason"]
 """Columns of text that a summary has."""
 
@@ -64,8 +119,8 @@ class RunData:
     """The folder of a run, and its summary."""
 
     folder: Path
-    summary: pd.DataFrame  # all cases, `summary.csv`, with the labels of conditions
-    labels: Mapping[str, str] = field(default_factory=dict)  # of conditions that have one, by name
+    summary: pd.DataFrame  # all cases, `summary.csv`, with labels
+    labels: Labels = Labels()
 
     @cached_property
     def cases(self) -> list[StoredCase]:
@@ -143,8 +198,8 @@ class RunData:
     ) -> pd.DataFrame:
         """Read a table of the run as `read_frame` does, with numbers after one of its columns.
 
-        An optional table may be missing or have no rows. Swept values are words, as labels have
-        them.
+        An optional table may be missing or have no rows. Conditions and swept values have their
+        labels.
         """
         path = self.folder / name
         if optional and not path.exists():
@@ -152,9 +207,7 @@ class RunData:
         table = read_frame(
             path, words, gaps=gaps, notes=TABLE_NOTES, numbers_after=after, empty=optional
         )
-        swept = [key for key in swept_columns(table, before=after) if key not in words]
-        table[swept] = swept_words(table, before=after)[swept]
-        return relabeled(table, self.labels)
+        return self.labels.put(table, before=after)
 
     def subfolder(self, name: str) -> Path:
         """Make a folder within the run's folder, unless it exists.
@@ -183,9 +236,20 @@ def load_run(folder: Path) -> RunData:
         raise InputError(problem, path=folder)
     check_folders(folder)
     summary = read_frame(path, _WORDS, ["seed"], numbers_after="reason")
+    labels = read_labels(folder)
+    return RunData(folder, labels.put(summary), labels)
+
+
+def read_labels(folder: Path) -> Labels:
+    """Read the labels of a run; values of a run without a scenario have labels made of them."""
     each = stated_conditions(folder).items()
-    labels = {name: str(entries[LABEL]) for name, entries in each if LABEL in entries}
-    return RunData(folder, relabeled(summary, labels), labels)
+    conditions = {name: str(entries[LABEL]) for name, entries in each if LABEL in entries}
+    stated = _stated(folder)
+    sweep = stated.get("sweep") if isinstance(stated, dict) else None
+    try:
+        return Labels(conditions, row_labels(sweep) if isinstance(sweep, dict) else {})
+    except (TypeError, LookupError, ValueError) as error:
+        raise damaged(folder / "scenario.yaml", "its sweep has another form") from error
 
 
 def stated_scenario(folder: Path) -> dict[str, Any]:
@@ -209,37 +273,18 @@ def stated_conditions(folder: Path) -> dict[str, dict[str, Any]]:
     return {name: entries for name, entries in each if isinstance(entries, dict)}
 
 
-def relabeled(table: pd.DataFrame, labels: Mapping[str, str]) -> pd.DataFrame:
-    """Show conditions by their labels; the name of a series ends with its condition."""
-    for column in table.columns.intersection(["condition", "against"]):
-        table[column] = table[column].replace(labels)
-    if "series" in table:
-        for name, label in labels.items():
-            pattern = rf"(^|, ){re.escape(name)}$"
-            shown = r"\1" + label.replace("\\", r"\\")
-            table["series"] = table["series"].str.replace(pattern, shown, regex=True)
-    return table
-
-
 def swept_columns(table: pd.DataFrame, *, before: str = "cases") -> list[str]:
     """List the columns that identify a row: the condition and the swept keys."""
     return list(table.columns[: table.columns.get_loc(before)])
 
 
-def swept_words(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
-    """Write the columns that identify a row as YAML does, without braces."""
-    words = table[swept_columns(table, before=before)].astype(str)
-    return words.replace({"True": "true", "False": "false"}).replace(r"[{}']", "", regex=True)
-
-
-def with_points(table: pd.DataFrame, *, without: Collection[str] = ()) -> pd.DataFrame:
-    """Add a column `point`: the values of the sweep in each row, as `key=value, key=value`.
-
-    Conditions are not part of it, nor are columns of words that are left out.
-    """
-    words = swept_words(table).drop(columns=["condition", *without])
-    rows = [zip(words.columns, row, strict=True) for row in words.to_numpy().tolist()]
-    return table.assign(point=[", ".join(f"{key}={value}" for key, value in row) for row in rows])
+def with_points(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
+    """Put a column `point`, empty without a sweep, in the place of the labels of swept keys."""
+    swept = [key for key in swept_columns(table, before=before) if key not in NO_KEYS]
+    points = [", ".join(filter(None, row)) for row in table[swept].to_numpy().tolist()]
+    table = table.drop(columns=swept)
+    table.insert(1, "point", points)
+    return table
 
 
 def measured_words(names: str, *, without: Collection[str] = ()) -> str:

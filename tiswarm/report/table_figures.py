@@ -25,7 +25,7 @@ from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import LABEL
 from tiswarm.report import figure_style
 from tiswarm.report.answers import FEWEST
-from tiswarm.report.run_data import RunData, stated_conditions, swept_words, with_points
+from tiswarm.report.run_data import RunData, stated_conditions, with_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,9 +95,7 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
             look = figure_style.dot_style(index)
             mean, ci95 = rows[measure.mean], rows[measure.ci95].fillna(0.0)
             error = None if few else ci95
-            axes.errorbar(
-                mean, place, xerr=error, label=figure_style.shortened(point) or "mean", **look
-            )
+            axes.errorbar(mean, place, xerr=error, label=point or "mean", **look)
             axes.plot(rows[measure.published], place, markerfacecolor="white", **look)
             if few:
                 each = _each_structure(run, measure.column, point)
@@ -121,8 +119,7 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
 def _each_structure(run: RunData, measure: str, point: str) -> "pd.Series[float]":
     """Take a measure of each case of a sweep point that is done, by condition."""
     cases = run.summary.reindex(columns=["condition", "point", "status", measure])
-    points = cases["point"].fillna("").replace(r"[{}]", "", regex=True)
-    done = (cases["status"] == "done") & (points == point)
+    done = (cases["status"] == "done") & (cases["point"].fillna("") == point)
     return cases[done].set_index("condition")[measure]
 
 
@@ -133,8 +130,7 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     """
     numbers = [column for each in _OF_SHAPES for column in (each.mean, each.ci95)]
     table = run.table("table.csv", ["condition"], ["cases", *numbers], after="cases")
-    words = swept_words(table).drop(columns="condition")
-    table["point"] = words.agg(", ".join, axis=1)
+    table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
     shown = points[:MOST_ROWS]
     series = dict(list(table.groupby("condition", sort=False)))
@@ -156,8 +152,9 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
         axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
     for axes in panels.axes:
         axes.tick_params(axis="x", labelsize=6.0)
-    meaning = f"{', '.join(map(str, words))}; mean and 95 % CI"
-    panels.legend(meaning, structures=int(table["cases"].max()), loc="outside upper right")
+    panels.legend(
+        "mean and 95 % CI", structures=int(table["cases"].max()), loc="outside upper right"
+    )
     return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
@@ -219,7 +216,7 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
         for place, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition")
             look = {
-                "label": figure_style.shortened(point) or "mean",
+                "label": point or "mean",
                 **figure_style.marker_style(place),
             }
             _draw_line(axes, rows, family.names, look)

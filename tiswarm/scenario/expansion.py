@@ -16,7 +16,8 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load_plugins, watch
 from tiswarm.records.messages import Part, counted, dotted
 from tiswarm.records.run_folder import LABEL, variant_name
-from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
+from tiswarm.scenario.labels import swept_keys, without_label
+from tiswarm.scenario.model import Scenario, from_plain, to_plain
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     DISCRIMINATORS,
@@ -244,9 +245,9 @@ def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_ChangedKey]]:
     keys = swept_keys(entry)
     for place, value in enumerate(values):
         if len(keys) == 1:
-            yield [_ChangedKey(entry, value, ("sweep", entry, place))]
+            yield [_ChangedKey(entry, without_label(value), ("sweep", entry, place))]
         else:
-            cells = enumerate(zip(keys, value, strict=True))
+            cells = enumerate(zip(keys, map(without_label, value), strict=True))
             yield [_ChangedKey(k, v, ("sweep", entry, place, column)) for column, (k, v) in cells]
 
 

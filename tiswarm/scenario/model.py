@@ -28,6 +28,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import LocalizationParams, all_params
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario import validation
+from tiswarm.scenario.labels import labels_of, swept_keys, without_label
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams, all_kinds, anchor_fault
@@ -71,18 +72,16 @@ def _condition_key(key: str) -> str:
 
 
 def _labeled(conditions: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    labels = [entries.get(LABEL, name) for name, entries in conditions.items()]
+    _check_labels([entries.get(LABEL, name) for name, entries in conditions.items()], "conditions")
+    return conditions
+
+
+def _check_labels(labels: list[Any], named: str) -> None:
     for label in labels:
         if not (isinstance(label, str) and label.isprintable() and 1 <= len(label) <= _LONGEST):
             raise ValueError(f"label {label!r}: give a text of 1 to {_LONGEST} letters")
         if labels.count(label) > 1:
-            raise ValueError(f"two conditions have the label {label}; give each its own")
-    return conditions
-
-
-def swept_keys(entry: str) -> list[str]:
-    """Return the keys of an entry of the sweep: one, or several that change together."""
-    return [key.strip() for key in entry.split(",")]
+            raise ValueError(f"two {named} have the label {label}; give each its own")
 
 
 def _sweep_key(entry: str) -> str:
@@ -100,6 +99,11 @@ def _distinct(values: _Values) -> _Values:
     return values
 
 
+def _labeled_rows(values: _Values) -> _Values:
+    _check_labels([label for value in values for label in labels_of(value)], "rows")
+    return values
+
+
 def _count_or_list(seeds: object) -> str:
     return "list" if isinstance(seeds, (list, tuple)) else "count"
 
@@ -112,7 +116,12 @@ _SeedList = Annotated[
 ]
 _Seeds = Annotated[_SeedCount | _SeedList, Discriminator(_count_or_list)]
 _Overrides = dict[Annotated[str, AfterValidator(_condition_key)], JsonValue]
-_SweepValues = Annotated[tuple[JsonValue, ...], Field(min_length=1), AfterValidator(_distinct)]
+_SweepValues = Annotated[
+    tuple[JsonValue, ...],
+    Field(min_length=1),
+    AfterValidator(_distinct),
+    AfterValidator(_labeled_rows),
+]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -161,7 +170,8 @@ class Scenario:
     )
     """By dotted key, values to run in all combinations. Keys that change together share an entry
     with a row of values for each point, which the first key names:
-    `robots, structure.movers: [[100, 1], [1000, 10]]`."""
+    `robots, structure.movers: [[100, 1], [1000, 10]]`. A mapping may have a `label`, which pages
+    and figures show."""
 
     @field_validator("structure")
     @classmethod
@@ -237,5 +247,12 @@ def scenario_hash(scenario: Scenario) -> str:
     del data["description"], data["question"]
     for entries in data["conditions"].values():
         entries.pop(LABEL, None)
+    data["sweep"] = {
+        entry: [
+            [*map(without_label, row)] if isinstance(row, list) else without_label(row)
+            for row in rows
+        ]
+        for entry, rows in data["sweep"].items()
+    }
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return sha256(text.encode()).hexdigest()[:8]

@@ -27,7 +27,13 @@ from tiswarm.records import io
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame, write_trace
 from tiswarm.records.positions import Truth, write_estimate, write_positions
-from tiswarm.records.run_folder import Manifest, check_folders, read_manifest, write_manifest
+from tiswarm.records.run_folder import (
+    Manifest,
+    cell_of,
+    check_folders,
+    read_manifest,
+    write_manifest,
+)
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
@@ -87,7 +93,7 @@ class CaseRecord:
     @property
     def point_cells(self) -> dict[str, str]:
         """Values of the swept keys as YAML has them, as `{kind: tower}` or `true`, by key."""
-        return {key: json.dumps(value).replace('"', "") for key, value in self.point.items()}
+        return {key: cell_of(value) for key, value in self.point.items()}
 
     @property
     def point_text(self) -> str:

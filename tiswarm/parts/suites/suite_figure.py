@@ -46,7 +46,7 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     table = table[table["cases"] > 0]
     # Of fewer structures, the interval says nothing.
     table[_HALF] = table[_HALF].where(table["cases"] >= FEWEST, 0.0)
-    pointed = with_points(table, without=["suite", "way", "needs"])
+    pointed = with_points(table)
     points = [*pointed.groupby("point", sort=False)]
     shown = points[:_MOST_PANELS]
     ways = list(dict.fromkeys(table["way"]))
@@ -60,7 +60,7 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     panels.first.set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
     for axes, (point, rows) in panels.each(shown):
         _draw_panel(axes, rows, ways)
-        figure_style.set_title(axes, figure_style.shortened(point))
+        figure_style.set_title(axes, point)
         axes.set_xlabel("Price of 100 robots [USD]")
     panels.label_left("RMSE of all robots [R]")
     words = "mean and 95 % CI" if table[_HALF].any() else "mean"
