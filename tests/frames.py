@@ -2,11 +2,17 @@
 
 import dataclasses
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.structures import exact_estimate
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.report.swarm_view import SwarmView, view_log
+from tiswarm.sensing.observation import observe
+from tiswarm.sensing.params import SensingParams
+from tiswarm.world.history import History
 from tiswarm.world.mechanics import Frames, Loads, MechanicsParams
 
 BODY = RobotGeometry().dock_offset_body
@@ -42,12 +48,58 @@ class Standing:
 
 def solve(structure: Standing, params: MechanicsParams | None = None, **settings: object) -> Loads:
     """Loads of a structure, mechanics being as usual except for `settings`."""
+    return _solved(structure, params or MechanicsParams(**settings)).loads(0)
+
+
+def _solved(structure: Standing, params: MechanicsParams) -> Frames:
     robots, docks = len(structure.center), len(structure.body)
-    frames = Frames(params or MechanicsParams(**settings), docks=docks, robots=robots)
+    frames = Frames(params, docks=docks, robots=robots)
     for j in range(robots):
         join(frames, 0, structure, j)
     frames.solve([0])
-    return frames.loads(0)
+    return frames
+
+
+class LinkLoads(NamedTuple):
+    """What the links of N robots bear [weight of a dock, R]."""
+
+    axial: np.ndarray
+    """Size of the axial force, shape (N, docks)."""
+
+    bending: np.ndarray
+    """Size of the bending moment at the dock, shape (N, docks)."""
+
+
+def link_loads(structure: Standing, **settings: object) -> LinkLoads:
+    """Axial force and bending moment in each link, mechanics being as usual but for `settings`."""
+    frames = _solved(structure, MechanicsParams(**settings))
+    return split_loads(structure, frames.found.acting[0])
+
+
+def split_loads(structure: Standing, acting: np.ndarray) -> LinkLoads:
+    """Split forces and moments on all docks, shape (n N, 6), by the directions of their links."""
+    link = structure.dock.reshape(len(structure.center), -1, 3) - structure.center[:, None]
+    link /= np.linalg.norm(link, axis=2, keepdims=True)
+    force, moment = np.split(acting.reshape(*link.shape[:2], 6), 2, axis=2)
+    along = (moment * link).sum(axis=2, keepdims=True) * link
+    return LinkLoads(
+        axial=np.abs((force * link).sum(axis=2)), bending=np.linalg.norm(moment - along, axis=2)
+    )
+
+
+def tree(structure: Standing) -> Standing:
+    """Keep the first contact of each robot, and one foot of each that has none: no loops."""
+    docks = len(structure.body)
+    later, first = np.unique(structure.contacts[:, 1] // docks, return_index=True)
+    alone = ~np.isin(structure.standing // docks, later)
+    _, foot = np.unique(structure.standing[alone] // docks, return_index=True)
+    foot = np.flatnonzero(alone)[foot]
+    return dataclasses.replace(
+        structure,
+        contacts=structure.contacts[first],
+        standing=structure.standing[foot],
+        foot=structure.foot[foot],
+    )
 
 
 def join(frames: Frames, number: int, structure: Standing, j: int) -> None:
@@ -81,3 +133,20 @@ def grown(history, robots: int | None = None) -> Standing:
     )
     foot = history.terrain.foot(whole.dock[whole.standing])
     return dataclasses.replace(whole, foot=foot)
+
+
+def joint_names(structure: Standing) -> set[str]:
+    """Names that worlds of physics engines give to the contacts of a structure and to its feet."""
+    docks = len(structure.body)
+    contacts = {
+        "contact_{}.{}_{}.{}".format(*divmod(one, docks), *divmod(other, docks))
+        for one, other in structure.contacts.tolist()
+    }
+    return contacts | {"foot_{}.{}".format(*divmod(dock, docks)) for dock in structure.standing}
+
+
+def view_of(history: History, **sensing: object) -> SwarmView:
+    """Show a grown structure and its ground as the folder of a run does, with an exact estimate."""
+    log = observe(history, SensingParams(**sensing))
+    view = view_log(log, exact_estimate(log, history.position), history.position)
+    return dataclasses.replace(view, terrain=None if log.ground_z is None else history.terrain)

@@ -25,8 +25,14 @@ class Forces:
     ground_stress: np.ndarray
     ground_force: np.ndarray
 
+    axial: np.ndarray
+    """Size of the axial force in each link, shape (N, docks)."""
 
-def beam_frame(structure: Standing, params: MechanicsParams) -> Forces:
+    bending: np.ndarray
+    """Size of the bending moment in each link at the dock, shape (N, docks)."""
+
+
+def beam_frame(structure: Standing, params: MechanicsParams, *, sparse: bool = False) -> Forces:
     """Build the frame in PyNite: centers, docks and feet as nodes, and solve it there."""
     model = FEModel3D()
     r, shear = params.beam_radius, 0.5 / (1.0 + params.poisson)
@@ -46,12 +52,15 @@ def beam_frame(structure: Standing, params: MechanicsParams) -> Forces:
     for g, d in enumerate(structure.standing):
         footings.append(model.add_member(f"G{g}", f"D{d}", f"F{g}", "contact", "round"))
         model.def_support(f"F{g}", *[True] * 6)
-    model.analyze_linear(sparse=False)
+    model.analyze_linear(sparse=sparse)
     end = {name: member.f().ravel() for name, member in model.members.items()}
-    felt = [abs(f[6]) + np.hypot(f[10], f[11]) for f in (end[name] for name in links)]
+    axial = np.reshape([abs(end[name][6]) for name in links], (-1, docks))
+    bending = np.reshape([np.hypot(*end[name][10:12]) for name in links], (-1, docks))
     reactions = [model.nodes[f"F{g}"] for g in range(len(footings))]
     return Forces(
-        sensed=np.reshape(felt, (-1, docks)).mean(axis=1),
+        sensed=(axial + bending).mean(axis=1),
+        axial=axial,
+        bending=bending,
         # Bending changes evenly along a beam: halfway it is the mean of that at the ends.
         contact_stress=np.array(
             [_stress(f, 0.5 * (f[3:6] - f[9:]), r) for f in map(end.get, contacts)]

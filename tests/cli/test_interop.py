@@ -24,7 +24,7 @@ def exported(small_run, tmp_path_factory):
     """Folder with the first case of the small run in every format."""
     out = tmp_path_factory.mktemp("exported")
     view = read_case_view(load_run(small_run).choose(None))
-    for form in ("csv", "gltf", "gsd", "mcap", "parquet", "ply", "pyfg", "tum"):
+    for form in ("csv", "gltf", "gsd", "mcap", "mjcf", "parquet", "ply", "pyfg", "tum", "wbt"):
         export_view(view, form, out, Progress())
     return out
 

@@ -87,11 +87,13 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "csv": "tiswarm.parts.formats.exports:encode_csv",
         "gltf": "tiswarm.parts.pictures.scene:encode_gltf",
         "gsd": "tiswarm.parts.formats.exports:encode_gsd",
+        "mjcf": "tiswarm.parts.formats.physics:encode_mjcf",
         "mcap": "tiswarm.parts.formats.exports:encode_mcap",
         "parquet": "tiswarm.parts.formats.exports:encode_parquet",
         "ply": "tiswarm.parts.pictures.scene:encode_ply",
         "pyfg": "tiswarm.parts.formats.exports:encode_pyfg",
         "tum": "tiswarm.parts.formats.exports:encode_tum",
+        "wbt": "tiswarm.parts.formats.physics:encode_wbt",
     },
     "import_format": {
         "tum": "tiswarm.parts.formats.trajectories:read_tum",

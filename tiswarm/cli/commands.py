@@ -423,7 +423,8 @@ def export(
     form: Annotated[
         str,
         Option(
-            "--format", help="csv, gltf, gsd, mcap, parquet, ply, pyfg, tum, or that of a plug-in."
+            "--format",
+            help="csv, gltf, gsd, mcap, mjcf, parquet, ply, pyfg, tum, wbt, or that of a plug-in.",
         ),
     ] = "gltf",
     estimate: EstimateTable = None,

@@ -97,7 +97,7 @@ def test_a_robot_without_a_pose_is_left_out(view, tmp_path):
     pose[7] = np.nan
     some = replace(view, pose=np.full_like(pose, np.nan), estimated_pose=pose)
 
-    for form in ("gltf", "gsd", "mcap", "ply", "pyfg", "tum"):
+    for form in ("gltf", "gsd", "mcap", "mjcf", "ply", "pyfg", "tum", "wbt"):
         export_view(some, form, tmp_path, Progress())
 
     lines = trimesh.load(tmp_path / "case.glb").geometry["contacts"]

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from xml.etree import ElementTree as ET
 
 import gsd.hoomd
 import numpy as np
@@ -85,9 +86,23 @@ def _of_pyfg(path):
     return np.array([row[start[row[0]] :][:3] for row in rows if row[0] in start], float)
 
 
+def _of_mjcf(path):
+    root = ET.parse(path)  # noqa: S314 - ours
+    origin = np.array(root.find("custom/numeric[@name='origin']").get("data").split(), float)
+    return origin + np.array([each.get("pos").split() for each in root.iter("body")], float)
+
+
+def _of_wbt(path):
+    text = path.read_text()
+    origin = np.array(re.search(r'"origin: (\S+) (\S+) (\S+)"', text).groups(), float)
+    places = re.findall(r"^Robot {\n  translation (\S+) (\S+) (\S+)$", text, re.MULTILINE)
+    return origin + np.array(places, float)
+
+
 READERS = {
     "csv": _of_table, "parquet": _of_table, "gltf": _of_gltf, "ply": _of_ply, "gsd": _of_gsd,
-    "mcap": _of_mcap, "pyfg": _of_pyfg, "tum": lambda path: np.loadtxt(path)[:, 1:4],
+    "mcap": _of_mcap, "mjcf": _of_mjcf, "pyfg": _of_pyfg, "wbt": _of_wbt,
+    "tum": lambda path: np.loadtxt(path)[:, 1:4],
 }  # fmt: skip
 
 
