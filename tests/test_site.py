@@ -16,7 +16,9 @@ REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.md"))
 PAGES = [REPOSITORY / "README.md", *sorted(DOCS.rglob("*.md"))]
-RUNNING = [*NOTEBOOKS, REPOSITORY / "README.md", DOCS / "guides" / "engine.md"]
+RUNNING = [
+    *NOTEBOOKS, REPOSITORY / "README.md", DOCS / "start.md", DOCS / "guides" / "engine.md",
+]  # fmt: skip
 """Pages with cells that run as they stand."""
 
 SHELL = re.compile(r"^ *```sh\n(.*?)^ *```|^((?: {4}.*\n)+)", re.MULTILINE | re.DOTALL)

@@ -1,15 +1,18 @@
 """Grow large swarms of modular robots and localize them by their contacts.
 
-    run = tiswarm.run("tower", {"robots": 20})          grow, sense, localize, evaluate, draw
+    run = tiswarm.run("tower", {"robots": 20})          a scenario: grow, sense, localize, evaluate
     run.table, run.figures["convergence"]               its results: data frames and figures
-    log = tiswarm.read_log("sensing.jsonl")             what a swarm sensed
+    swarms = tiswarm.grow("tower", seeds=64)            structures alone, as arrays
+    swarms.position, swarms.sense(tilt_noise_deg=1.0)   where robots are, and what they sense
+    tiswarm.relax(position, turned, contacts, ...)      steps of the engine: forces on any swarm
+    log = tiswarm.read_log("sensing.jsonl")             what a swarm of yours sensed
     estimate = log.localize("joint")                    where its robots are
     estimate.view(), tiswarm.advise(log, estimate)      a page, and what to measure next
 
-A run and an estimate have `view`, `render` and `export` of their own, and what a call returns
-prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is an
-`InputError`. Functions and classes of yours become methods, sensors, structures, measures, figures
-and formats by `tiswarm.method` and the like. All names:
+Runs, structures and estimates have `view`, `render` and `export` of their own, and what a call
+returns prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is
+an `InputError`. Functions and classes of yours become methods, sensors, structures, measures,
+figures and formats by `tiswarm.method` and the like. All names:
 """
 
 import random
@@ -25,8 +28,10 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.api import compare as compare
     from tiswarm.api import explain as explain
     from tiswarm.api import export as export
+    from tiswarm.api import grow as grow
     from tiswarm.api import import_poses as import_poses
     from tiswarm.api import localize as localize
+    from tiswarm.api import open_swarms as open_swarms
     from tiswarm.api import read_log as read_log
     from tiswarm.api import render as render
     from tiswarm.api import run as run
@@ -60,8 +65,11 @@ _HOME = {
 }
 """Module of each name, as the list above has it."""
 
+_FIRST = ("run", "grow", "relax", "localize")
+"""Names that `help` lists before the others."""
+
 __all__ = ["__version__", *sorted(_HOME)]  # noqa: PLE0604 - names are texts
-__doc__ = "\n    ".join([__doc__ or "", *sorted(_HOME)])
+__doc__ = "\n    ".join([__doc__ or "", *_FIRST, *sorted({*_HOME} - {*_FIRST})])
 
 
 def __getattr__(name: str) -> object:

@@ -41,6 +41,7 @@ from tiswarm.app.results import (
 from tiswarm.base.errors import InputError, warn
 from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.parts import find, load_plugins
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import write_estimate
@@ -181,6 +182,62 @@ def run(
     if result.failed:
         warn(result.what_failed)
     return Run(result.folder, failed=result.what_failed, missing=result.missing)
+
+
+def grow(
+    structure: str | Mapping[str, object] = "tower",
+    robots: int = 100,
+    seeds: int | Sequence[int] = 1,
+    *,
+    robot: RobotGeometry | Mapping[str, object] | None = None,
+    threads: int | None = None,
+    plugins: Sequence[File] = (),
+    quiet: bool = False,
+) -> Any:  # noqa: ANN401 - `Swarms`
+    """Grow structures side by side, as `tiswarm run` grows them.
+
+    Args:
+        structure: Kind of structure, or the section `structure` of a scenario, such as
+            `{"kind": "tower", "goal_height": 40.0}`.
+        robots: Robots in each structure.
+        seeds: Seeds, one structure each, or their number: 0, 1, ...
+        robot: Shape of the robots, or the section `robot` of a scenario; FireAntV3 if None.
+        threads: CPU threads; all that this process may use if None.
+        plugins: Python files that register structures and sensors.
+        quiet: Whether to hide progress.
+
+    Returns:
+        The structures: arrays of all of them, and a sequence of single ones. They sense, score,
+        show, export and save themselves. `ended` says why growth of one stopped early.
+
+    Raises:
+        InputError: an argument has a mistake, or no robot joined a structure.
+        PluginError: code of a plug-in failed.
+    """
+    load_plugins(plugins)
+    kind = {"kind": structure} if isinstance(structure, str) else structure
+    shape = vars(robot) if isinstance(robot, RobotGeometry) else robot
+    given = {
+        "name": "grow", "robots": robots, "structure": kind, "localization": {"method": METHOD},
+        "seeds": [*seeds] if isinstance(seeds, range | tuple) else seeds,
+        **({} if shape is None else {"robot": shape}),
+    }  # fmt: skip
+    swarms = find("command", "grow")
+    return swarms.grow(_load(given, None), threads=threads, quiet=quiet)
+
+
+def open_swarms(path: File, *, plugins: Sequence[File] = ()) -> Any:  # noqa: ANN401 - `Swarms`
+    """Read structures that `Swarms.save` wrote.
+
+    Args:
+        path: File, `.npz`.
+        plugins: Python files that register their kind of structure.
+
+    Raises:
+        InputError: there is no such file, or it is damaged.
+    """
+    load_plugins(plugins)
+    return find("command", "grow").open_swarms(as_path(path, "path"))
 
 
 def forecast(

@@ -158,16 +158,18 @@ def render_log(
     progress: Progress,
     *,
     renderer: str | None = None,
+    movie: AnyMovie | None = None,
     inputs: Sequence[object] = (),
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write 3D pictures of a log and its estimate into a folder.
+    """Write 3D pictures of a log and its estimate, or of a structure, into a folder.
 
     Args:
-        view: The log and its estimate.
+        view: What to draw.
         out: Folder to write to.
         progress: Receives progress reports.
         renderer: Renderer; the first that works if None.
+        movie: File format of an animation of the growth; none if None.
         inputs: Files that were read, which no picture replaces.
         overwrite: Whether to replace files that no tiswarm command wrote.
 
@@ -178,15 +180,17 @@ def render_log(
         InputError: the renderer is unknown, or a picture would replace another file.
         EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
     """
-    render_view = find("command", "render").render_view
+    pictures_of = find("command", "render")
     near = replace(
         view, pose=view.from_origin(view.pose), estimated_pose=view.from_origin(view.estimated_pose)
     )
     if view.terrain is not None:
         terrain = replace(view.terrain, ground_z=view.terrain.ground_z - float(view.origin[2]))
         near = replace(near, terrain=terrain)
-    pictures, _, _ = render_view(near, progress, renderer)
+    pictures, _, _ = pictures_of.render_view(near, progress, renderer)
     files = {f"{name}.png": data for name, data in pictures.items()}
+    if movie:
+        files[f"growth.{movie}"] = pictures_of.animate_view(near, movie, progress, renderer)[0]
     written = outputs.write_folder(out, files, inputs, overwrite=overwrite)
     for path in written:
         progress.info(str(path))

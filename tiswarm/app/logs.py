@@ -22,7 +22,7 @@ from tiswarm.base.parts import find, has
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
-from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
@@ -41,9 +41,21 @@ class Log(SensingLog):
     """Name of the log in messages and on pages: its file, if it has one."""
 
     @classmethod
-    def of(cls, log: SensingLog) -> "Log":
-        """Make a log of what was sensed, unless it is one."""
-        return log if isinstance(log, Log) else cls(**_fields(SensingLog, log))
+    def of(cls, log: SensingLog, path: Path = path) -> "Log":
+        """Make a log of what was sensed, by its name in messages, unless it is one."""
+        return log if isinstance(log, Log) else cls(**_fields(SensingLog, log), path=path)
+
+    def write(self, out: File = "sensing.jsonl", *, overwrite: bool = False) -> Path:
+        """Write the log to a file, which `tiswarm.read_log` reads; return its path.
+
+        Raises:
+            InputError: it is a file that no tiswarm command wrote and that is not to be
+                overwritten.
+        """
+        path = as_path(out, "out")
+        opened = partial(outputs.opened, overwrite=overwrite)
+        write_sensing_log(self, path, opened=opened)
+        return path
 
     def localize(
         self,

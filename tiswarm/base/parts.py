@@ -117,6 +117,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "compare": "tiswarm.parts.comparison",
         "doctor": "tiswarm.parts.doctor",
         "explain": "tiswarm.parts.advice.explanation",
+        "grow": "tiswarm.parts.swarms",
         "import": "tiswarm.parts.formats.imports:convert",
         "navigate": "tiswarm.parts.navigation:believe_by",
         "render": "tiswarm.parts.pictures.pictures",

@@ -79,6 +79,19 @@ class SwarmView:
         return bool(np.isfinite(self.pose).all())
 
     @property
+    def has_estimate(self) -> bool:
+        """Whether any robot has an estimate."""
+        return bool(np.isfinite(self.estimated_pose).all(axis=1).any())
+
+    @property
+    def poses(self) -> dict[str, Reals]:
+        """True poses, `structure`, and those that are estimated, `estimate`, if they are known."""
+        estimate = (
+            {} if self.has_truth and not self.has_estimate else {"estimate": self.estimated_pose}
+        )
+        return ({"structure": self.pose} if self.has_truth else {}) | estimate
+
+    @property
     def best_pose(self) -> Reals:
         """True poses, or the estimated ones where the truth is unknown, shape (N, 7)."""
         return self.pose if self.has_truth else self.estimated_pose
@@ -295,6 +308,7 @@ class View(NamedTuple):
     title: str
     choice: str  # what the menu offers
     note: str
+    robots: str = "estimated"  # the robots that colorings color
 
     @property
     def has_truth(self) -> bool:
@@ -395,11 +409,13 @@ def space_data(
 def view_data(view: SwarmView, colorings: Sequence[Coloring] = ()) -> dict[str, Any]:
     """List what the 3D view needs of the robots that have an estimate, the first ones if too many.
 
-    Without a true pose, the lists of true centers and turns are empty.
+    Without a true pose, the lists of true centers and turns are empty. A structure without an
+    estimate is shown in its place.
     """
-    known = np.flatnonzero(np.isfinite(view.estimated_pose).all(axis=1))[:MOST_ROBOTS]
-    estimated, true = view.estimated_pose[known], view.pose[known]
-    if not np.isfinite(true).all():
+    shown = view.estimated_pose if view.has_estimate else view.best_pose
+    known = np.flatnonzero(np.isfinite(shown).all(axis=1))[:MOST_ROBOTS]
+    estimated, true = shown[known], view.pose[known]
+    if not (view.has_estimate and np.isfinite(true).all()):
         true = true[:0]
     return {
         "name": view.name,

@@ -100,11 +100,10 @@ def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
 
 
 def _pose_tables(view: SwarmView) -> dict[str, pd.DataFrame]:
-    """Tabulate the poses of the structure, if the truth is known, and of the estimate."""
+    """Tabulate the poses of the structure and of the estimate, as far as they are known."""
     places = _places(view.log.length_unit)
-    poses = {"structure": view.pose} if view.has_truth else {}
     tables = {}
-    for name, pose in {**poses, "estimate": view.estimated_pose}.items():
+    for name, pose in view.poses.items():
         table = pd.DataFrame({"robot": view.robot, "join": np.arange(len(view.robot))})
         table[places], table[POSE[3:]] = pose[:, :3] * view.log.dock_radius, pose[:, 3:]
         tables[name] = table
@@ -143,7 +142,7 @@ def gsd_library() -> Any:  # noqa: ANN401 - no types
 
 
 def encode_gsd(view: SwarmView) -> dict[str, bytes]:
-    """Encode the structure, if the truth is known, and the estimate: bytes by name of file.
+    """Encode the structure and the estimate, as far as they are known: bytes by name of file.
 
     Lengths are in the unit of the log. Particles have the logged quantities `robot` and, where
     known, `error` and `sd`. Robots whose pose is unknown are left out.
@@ -152,10 +151,9 @@ def encode_gsd(view: SwarmView) -> dict[str, bytes]:
         EnvironmentTroubleError: the library gsd is not installed.
     """
     hoomd = gsd_library()
-    poses = {"structure": view.pose} if view.has_truth else {}
     files = {}
     with TemporaryDirectory() as folder:  # the library writes to named files only
-        for name, pose in {**poses, "estimate": view.estimated_pose}.items():
+        for name, pose in view.poses.items():
             path = Path(folder) / f"{name}.gsd"
             with hoomd.open(path, mode="w") as file:
                 _append_frames(file, view, pose)

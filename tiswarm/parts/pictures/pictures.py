@@ -79,7 +79,7 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
     if np.isfinite(view.force).any():
         title = "sensed force [dock weights]"
         pictures["sensed-force"] = _scaled(view, scene, view.force, FORCE_COLORS, title)
-    if view.has_truth:
+    if view.has_truth and view.has_estimate:
         pictures["truth-and-estimate"] = _truth_and_estimate(view, around)
     for name, lengths in [("error", view.error), ("sd", view.sd)]:
         if np.isfinite(lengths).any():
@@ -98,9 +98,6 @@ def _truth_and_estimate(view: SwarmView, around: Reals) -> Picture:
     """
     keys = ((_GHOST_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
     estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), TRUE_SIZE)
-    if not len(estimate.center):
-        truth = view.robots(view.pose, rgb(TRUE_BLUE), TRUE_SIZE)
-        return Picture(build_scene(truth, view.terrain), ((TRUE_BLUE, "true"),))
     is_placed = np.isfinite(view.estimated_pose).all(axis=1)
     seen = (view.error > _SEEN_ERROR) | ~is_placed
     if seen.mean() > _MOST_GHOSTS:
@@ -368,10 +365,30 @@ def animate_run(
         InputError: the renderer or the case is unknown, or the run is damaged.
         EnvironmentTroubleError: the renderer does not work here, or the library for MP4 is missing.
     """
-    view = read_case_view(run.choose(case))
+    film, used, reason = animate_view(read_case_view(run.choose(case)), form, progress, renderer)
+    suffix = "" if case is None else f"-{case}"
+    path = run.subfolder("renders") / f"growth{suffix}.{form}"
+    write_bytes(path, film)
+    because = f" ({reason})" if reason else ""
+    progress.info(f"renders/{path.name}: drawn by {used}{because}")
+    return Rendered(path=path, renderer=used, reason=reason)
+
+
+def animate_view(
+    view: SwarmView, form: AnyMovie, progress: Progress, renderer: str | None = None
+) -> tuple[bytes, str, str]:
+    """Animate the growth of a structure, or, without a truth, of the estimate.
+
+    Returns:
+        The file, the renderer, and why a better one failed.
+
+    Raises:
+        InputError: the renderer is unknown.
+        EnvironmentTroubleError: the renderer does not work here, or the library for MP4 is missing.
+    """
     robots = len(view.pose)
     joined = np.linspace(1, robots, min(robots, _MOST_FRAMES)).round().astype(int).tolist()
-    whole = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
+    whole = view.robots(view.best_pose, view.color_by_join, TRUE_SIZE)
     with progress.task("animate", len(joined)) as advance:
         pictures, used, reason = draw_joins(
             whole, view.terrain, joined, _SIZES[form], renderer, advance
@@ -380,12 +397,7 @@ def animate_run(
         _with_legend(Image.fromarray(picture), count, robots)
         for picture, count in zip(pictures, joined, strict=True)
     ]
-    suffix = "" if case is None else f"-{case}"
-    path = run.subfolder("renders") / f"growth{suffix}.{form}"
-    write_bytes(path, _ENCODERS[form](frames))
-    because = f" ({reason})" if reason else ""
-    progress.info(f"renders/{path.name}: {len(frames)} frames, drawn by {used}{because}")
-    return Rendered(path=path, renderer=used, reason=reason)
+    return _ENCODERS[form](frames), used, reason
 
 
 def draw_joins(

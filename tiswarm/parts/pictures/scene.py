@@ -522,11 +522,11 @@ def _shapes(view: swarm_view.SwarmView, *, gamma: float = 1.0) -> dict[str, Any]
     from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
 
     doubt, _ = colors_from_zero(view.error if view.has_truth else view.sd, ERROR_COLORS)
-    estimated = view.robots(view.from_origin(view.estimated_pose), doubt, TRUE_SIZE)
-    shapes = {"estimate": _solid(estimated, gamma)}
-    if view.has_truth:
-        structure = view.robots(view.from_origin(view.pose), view.color_by_join, TRUE_SIZE)
-        shapes = {"structure": _solid(structure, gamma), **shapes}
+    colors = {"structure": view.color_by_join, "estimate": doubt}
+    shapes = {
+        name: _solid(view.robots(view.from_origin(pose), colors[name], TRUE_SIZE), gamma)
+        for name, pose in view.poses.items()
+    }
     center, pairs = view.from_origin(view.best_pose)[:, :3], view.log.contacts[:, [0, 2]]
     line: Any = entities.Line
     lines = [line(pair) for pair in pairs[np.isfinite(center[pairs]).all(axis=(1, 2))]]
