@@ -197,7 +197,7 @@ def test_the_view_moves(small_run, tmp_path):
     assert moved["troubles"] == []
     rmse = pd.read_csv(small_run / "table.csv").set_index("condition")["rmse_R_mean"]
     others = [name for name in rmse.index if name != rmse.idxmin()]  # all of Algorithm 1
-    assert moved["cases"] == [f"{name}, seed 0" for name in (rmse.idxmin(), others[0])]
+    assert moved["cases"] == [rmse.idxmin(), others[0]]
     assert moved["panes"] == 2
     word, robots = moved["joining"]
     assert word == "Pause"

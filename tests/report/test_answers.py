@@ -224,7 +224,7 @@ def test_what_structures_reached_at_many_points_is_a_range_of_each_kind():
 
     text = answer("reached", Results(table, NONE, NONE))
 
-    assert text == "Means of 2 structures: depth of chains 4.0 to 9.0 R; bridges closed 6 of 12"
+    assert text == "Means of 2 structures: depth of chains 4.0 to 9.0 R, bridges closed 50 %"
 
 
 def test_rmse_at_a_budget_names_what_robots_send():

@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from tests.report.conftest import write_summary, write_table
+from tests.browser import probe
+from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.parts.pictures.pictures import build_pictures
@@ -222,7 +223,9 @@ def test_cases_that_did_not_converge_are_named():
 
     (warning,) = warnings_of(lost.assign(distrust=["chains disagree", None, None]))
 
-    assert warning.startswith("1 of 3 cases did not converge (0-a): chains disagree. All tables")
+    assert warning.startswith(
+        "1 of 3 cases did not converge (seed 0 of a): chains disagree. All tables"
+    )
     assert "148 sd" not in warning
     assert warnings_of(lost.assign(converged=[True, True, None])) == []
     assert warnings_of(summary) == []
@@ -254,7 +257,8 @@ def test_cases_that_are_not_consistent_are_named_with_the_reason():
     (too_good,) = warnings_of(found.assign(misfit_sd=-8.0, sd_factor=1.0))
 
     assert warning == (
-        "3 of 4 cases are not consistent with the noise that their logs state (all of a, 0-b): "
+        "3 of 4 cases are not consistent with the noise that their logs state (all of a, seed 0 of "
+        "b): "
         "wrong heights. At most, chi-square exceeds its expectation by 27 sd and sd is multiplied "
         "by 3.1."
     )
@@ -326,9 +330,7 @@ def test_disconnected_robots_are_stated_beside_the_error(tmp_path):
     assert "robots disconnected" not in headline_table(table).frame
     one = result_of(tmp_path, full.head(1), Labels())
     assert one == "a: RMSE 18.3 R, disparity 0.1, 1 structure, 15 of 30 robots disconnected."
-    assert "robots are disconnected from the anchor in 1 of 2 rows of the table" in result_of(
-        tmp_path, full, Labels()
-    )
+    assert "robots are disconnected in 1 of 2 rows" in result_of(tmp_path, full, Labels())
 
 
 def test_calibration_is_shown_where_a_method_reports_uncertainty():
@@ -397,3 +399,73 @@ def test_published_numbers_have_a_table_of_their_own():
     ]
     silent = result_tables(table[1:].reset_index(drop=True), pd.DataFrame())
     assert "Beside the paper" not in [t.title for t in silent]
+
+
+SWEPT = """
+const byId = (id) => document.getElementById(id);
+const texts = (id) => [...byId(id).options].map(({ text }) => text);
+const accuracy = document.querySelector("table[data-name=accuracy]");
+const heads = [...accuracy.tHead.rows[0].cells];
+const rmse = heads.findIndex(({ textContent }) => textContent.startsWith("RMSE"));
+found.right = heads[rmse].getBoundingClientRect().right - innerWidth;
+found.height = document.documentElement.scrollHeight;
+found.points = texts("point");
+found.shown = ["case", "beside"].map((id) => byId(id).selectedOptions[0].text);
+byId("point").selectedIndex = 1;
+byId("point").dispatchEvent(new Event("change"));
+found.kept = ["case", "beside"].map((id) => byId(id).selectedOptions[0].text);
+found.conditions = texts("case");
+heads[rmse].firstChild.click();
+heads[rmse].firstChild.click();
+const firstOf = ({ rows }) => [...rows].map(({ cells }) => cells[0].textContent);
+found.rows = [...accuracy.tBodies].map(firstOf);
+const link = accuracy.closest("section").querySelector("a.csv");
+link.addEventListener("click", (event) => event.preventDefault());
+link.click();
+found.csv = decodeURIComponent(link.href);
+document.body.dataset.found = JSON.stringify(found);
+"""
+
+
+@pytest.fixture
+def swept_run(tmp_path):
+    """Two conditions at three points, with figures."""
+    points = [f"structure={{kind: bridge, gap: {gap}}}" for gap in ("20.0", "25.0", "30.0")]
+    rows, table = [], []
+    for place, point in enumerate(points):
+        for rmse, condition in ((1.0, "joint"), (2.0, "paper")):
+            name = f"0-{place}-{condition}"
+            write_case(tmp_path / "cases" / name, seed=place)
+            series = f"{point}, {condition}"
+            rows.append([name, "done", condition, series, point, "bridge", 12, place + rmse])
+            table.append([condition, point.partition("=")[2], 1, place + rmse, "", 0.1, "", ""])
+    header = "case,status,condition,series,point,kind,robots,rmse_R"
+    write_summary(tmp_path, header, rows)
+    header = "condition,structure,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean"
+    write_table(
+        tmp_path / "table.csv", f"{header},paper_rmse_radii,paper_procrustes_disparity", table
+    )
+    (tmp_path / "scenario.yaml").write_text(
+        "name: gaps\nconditions: {joint: {}, paper: {label: Algorithm 1}}\nsweep:\n  structure:\n"
+        "  - {kind: bridge, gap: 20.0}\n  - {label: wide gap, kind: bridge, gap: 25.0}\n"
+        "  - {kind: bridge, gap: 30.0}\n"
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize("width", [1280, 500])
+def test_a_page_of_a_sweep_has_a_row_group_and_a_choice_for_each_point(swept_run, width, tmp_path):
+    """RMSE is within the window, and a point keeps the conditions that are compared."""
+    page = write_page(load_run(swept_run), Progress()).read_text()
+
+    found = probe(page, SWEPT, tmp_path, more=(f"--window-size={width},900",))
+
+    assert found["troubles"] == []
+    assert found["right"] < 0.0
+    assert found["points"] == ["gap 20 R", "wide gap", "gap 30 R"]
+    assert found["shown"] == ["joint", "Algorithm 1" if width > 960 else "no other"]
+    assert found["kept"] == found["shown"]
+    assert found["conditions"] == ["joint", "Algorithm 1"]
+    assert found["rows"] == [[point, "Algorithm 1", "joint"] for point in found["points"]]
+    assert found["csv"].splitlines()[1].startswith('"gap 20 R","Algorithm 1","2')
+    assert not re.search(r"kind: bridge|structure=", page.partition("The scenario with all")[0])

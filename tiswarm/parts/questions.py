@@ -18,21 +18,37 @@ BUDGET_B = 1_000
 """Bytes that a robot may send, in the mean over robots and structures."""
 
 _MOST_NAMED = 6
-_MOST_POINTS = 8
+_MOST_PARTS = 3
 
 
 def reached(results: Results) -> str:
     """State what structures reached: heights, reaches and depths, and bridges closed."""
     points = answers.at_points(results.table)
     rows = [row for of_point in points.values() for row in of_point]
-    if len(points) <= _MOST_POINTS:
-        texts = [_reached_at(of_point, _point_words(of_point[0])) for of_point in points.values()]
-    else:
-        kinds = dict.fromkeys(row.get("kind") for row in rows)
-        texts = [_reached_by([row for row in rows if row.get("kind") == kind]) for kind in kinds]
+    texts = [_reached_at(of_point, _point_words(of_point[0])) for of_point in points.values()]
     if not any(texts):
         return ""
-    return f"Means of {answers.structures_of(rows)}: {'; '.join(filter(None, texts))}"
+    head = f"Means of {answers.structures_of(rows)}: "
+    full = head + "; ".join(filter(None, texts))
+    if len(full) <= answers.MOST_LETTERS:
+        return full
+    return head + "; ".join(f"{part}{_by_kind(of_part)}" for part, of_part in _parts(rows).items())
+
+
+def _parts(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Divide rows by the last of several swept keys, if that has few values."""
+    *_, last = names = _swept(rows[0]) or [""]
+    values = dict.fromkeys(row.get(last) for row in rows)
+    if len(names) < 2 or len(values) > _MOST_PARTS:  # noqa: PLR2004 - a key beside the last
+        return {"": [*rows]}
+    return {f"{value}: ": [row for row in rows if row[last] == value] for value in values}
+
+
+def _by_kind(rows: Sequence[Row]) -> str:
+    """State what structures reached, by their kinds."""
+    kinds = dict.fromkeys(row.get("kind") for row in rows)
+    texts = [_reached_by([row for row in rows if row.get("kind") == kind]) for kind in kinds]
+    return ", ".join(filter(None, texts))
 
 
 def _reached_at(rows: Sequence[Row], place: str) -> str:
@@ -51,8 +67,8 @@ def _reached_by(rows: Sequence[Row]) -> str:
     if measure is None:
         return ""
     if measure is CROSSED:
-        closed = sum(round(row[measure.mean] * row["cases"]) for row in rows)
-        return f"bridges closed {closed} of {sum(int(row['cases']) for row in rows)}"
+        closed = sum(float(row[measure.mean]) for row in rows) / len(rows)
+        return f"bridges closed {100.0 * closed:.0f} %"  # conditions may share structures
     reached = answers.range_of(float(row[measure.mean]) for row in rows)
     return f"{measure.label.lower()} of {rows[0]['kind']}s {reached}"
 
@@ -79,9 +95,13 @@ def _built_for(rows: Sequence[Row]) -> Measure | None:
 
 def _point_words(row: Row) -> str:
     """Name a point of the sweep by the labels of its values."""
-    names = [*row]
-    swept = names[names.index("condition") + 1 : names.index("cases")]
-    return ", ".join(str(row[name]) for name in swept if row[name])
+    return ", ".join(str(row[name]) for name in _swept(row) if row[name])
+
+
+def _swept(row: Row) -> list[str]:
+    """List the swept keys of a row."""
+    names = [*map(str, row)]
+    return names[names.index("condition") + 1 : names.index("cases")]
 
 
 def traffic(results: Results) -> str:
@@ -109,10 +129,17 @@ def traffic(results: Results) -> str:
         for name, of_name in sent.items()
         if name not in alone
     }
-    texts = [f"{kind}, {_list_conditions(each, notes)}" for kind, each in kinds.items() if each]
-    if not few:
-        texts.insert(0, f"no condition's robots send at most {limit}")
-    return f"{_head(results.table)}: {'; '.join(texts)}"
+    first = [] if few else [f"no condition's robots send at most {limit}"]
+
+    def write(most: int) -> str:
+        texts = [
+            f"{kind}, {_list_conditions(each, notes, most=most)}"
+            for kind, each in kinds.items()
+            if each
+        ]
+        return f"{_head(results.table)}: {'; '.join([*first, *texts])}"
+
+    return answers.fitted(write, _MOST_NAMED)
 
 
 def cues(results: Results) -> str:
@@ -123,7 +150,11 @@ def cues(results: Results) -> str:
     first = next(iter(rows))
     notes = {name: _changes(rows[first], each) for name, each in rows.items() if name != first}
     ordered = sorted(rows, key=lambda name: sum(answers.errors_of(rows[name])) / len(rows[name]))
-    return f"{_head(table)}: {_list_conditions(rows, notes, ordered)}{_paper_order(table)}"
+    head, order = _head(table), _paper_order(table)
+    return answers.fitted(
+        lambda most: f"{head}: {_list_conditions(rows, notes, ordered, most=most)}{order}",
+        _MOST_NAMED,
+    )
 
 
 def _changes(first: Sequence[Row], rows: Sequence[Row]) -> str:
@@ -202,10 +233,12 @@ def _list_conditions(
     rows: Mapping[str, Sequence[Row]],
     notes: Mapping[str, str],
     ordered: Sequence[str] = (),
+    *,
+    most: int,
 ) -> str:
     """List some conditions with notes: the first ones, by least error, and that with the least."""
     by_least = sorted(rows, key=lambda name: answers.least_error(rows[name]))
     ordered = ordered or by_least
-    named = [name for n, name in enumerate(ordered) if n < _MOST_NAMED or name == by_least[0]]
+    named = [name for n, name in enumerate(ordered) if n < most or name == by_least[0]]
     rest = [name for name in ordered if name not in named]
     return answers.list_errors(rows, named, rest, notes)

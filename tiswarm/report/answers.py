@@ -10,7 +10,7 @@ more; with fewer structures there are numbers alone.
 
 import math
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +36,9 @@ MOST_NAMED = 3
 
 MOST_TIMES = 10_000
 """Ratio of two errors beyond which the smaller one is exact but for rounding."""
+
+MOST_LETTERS = 215
+"""Letters of an answer, so that it has two lines on a page."""
 
 _MOST_GROUPS = 3
 
@@ -81,6 +84,29 @@ def conclusion(table: pd.DataFrame, pairs: pd.DataFrame) -> str:
     by_condition = swept(table) == ["condition", METHOD]
     head = mean_of(rows, points, by_condition=by_condition)
     return ". ".join([f"{head}: {first}", *(text[:1].upper() + text[1:] for text in more)])
+
+
+def _brief(table: pd.DataFrame) -> str:
+    """State the range of mean RMSE of the best conditions, and how far those of the rest reach."""
+    key = _compared(table)
+    points = at_points(table, key)
+    every = [row for rows in points.values() for row in rows]
+    rows: dict[str, list[Row]] = {}
+    for row in every:
+        rows.setdefault(str(row[key]), []).append(row)
+    ordered = sorted(rows, key=lambda name: least_error(rows[name]))
+    head = mean_of(every, len(points), by_condition=swept(table) == ["condition", METHOD])
+    differ = len({_measurements(row) for row in every}) > 1
+    note = "; measurements differ" if differ else ""
+    return fitted(
+        lambda most: f"{head}: {list_errors(rows, ordered[:most], ordered[most:], {})}{note}"
+    )
+
+
+def fitted(write: Callable[[int], str], most: int = MOST_NAMED) -> str:
+    """Write a sentence with at most so many names, or with fewer if it is too long."""
+    texts = [write(count) for count in range(most, 0, -1)]
+    return next((text for text in texts if len(text) <= MOST_LETTERS), texts[-1])
 
 
 def groups(table: pd.DataFrame, pairs: pd.DataFrame) -> list[Group]:
@@ -338,8 +364,9 @@ def answer(question: str, results: Results) -> str:
 
 
 def mean_errors(results: Results) -> str:
-    """State mean RMSE by groups of conditions with equal measurements."""
-    return conclusion(results.table, results.pairs)
+    """State mean RMSE by groups of conditions with equal measurements, or in brief."""
+    text = conclusion(results.table, results.pairs)
+    return text if len(text) <= MOST_LETTERS else _brief(results.table)
 
 
 _NEEDED = [RMSE.mean, RMSE.ci95, RMSE.least, RMSE.most, DISPARITY.mean]
@@ -406,8 +433,7 @@ def _disconnected_somewhere(rows: pd.DataFrame) -> str:
     many = int((rows[DISCONNECTED.mean] > 0.0).sum()) if DISCONNECTED.mean in rows else 0
     if not many or len(rows) == 1:
         return ""
-    least = f"; robots are disconnected from the anchor in {many} of {len(rows)} rows of the table"
-    return f"{least}, where no method can place them"
+    return f"; robots are disconnected in {many} of {len(rows)} rows"
 
 
 def _in_words(row: Row) -> str:

@@ -221,6 +221,7 @@ def _unreadable(path: Path, error: Exception) -> InputError:
 
 
 _ACCURACY = "figures/accuracy.png"
+_OF_ROBOTS = re.compile(r"figures/(error-|profiles)")
 _MOST_BESIDE = 8  # rows of the figure of accuracy beside the 3D view
 
 
@@ -245,6 +246,7 @@ class Page:
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
     tables: Sequence[page_tables.PageTable] = ()
+    more: Sequence[page_tables.PageTable] = ()  # tables that readers unfold
     view: View | None = None
     figures: Sequence[Shown] = ()
     renders: Sequence[Shown] = ()
@@ -253,9 +255,25 @@ class Page:
     reproduction: _Reproduction | None = None
 
     @property
+    def first_figures(self) -> list[Shown]:
+        """Figures that readers see without a click: all, or those of conditions and points."""
+        return [figure for figure in self.figures if figure not in self.more_figures]
+
+    @property
+    def more_figures(self) -> list[Shown]:
+        """Figures of single robots, of a page with a sweep."""
+        return [each for each in self.figures if self.is_sweep and _OF_ROBOTS.match(each.file)]
+
+    @property
+    def is_sweep(self) -> bool:
+        """Whether conditions are listed for several points: their table has the whole width."""
+        return self.headline is not None and self.headline.is_grouped
+
+    @property
     def accuracy(self) -> Shown | None:
         """The figure of accuracy, if it has few rows: it is on the first screen."""
         few = self.headline is not None and len(self.headline.frame) <= _MOST_BESIDE
+        few = few and not self.is_sweep
         figures = (figure for figure in self.figures if figure.narrow and few)
         return next((figure for figure in figures if figure.file == _ACCURACY), None)
 
@@ -301,6 +319,7 @@ def _gather(run: RunData) -> Page:
     pairs = read_pairs(run.folder, run.labels)
     words = ["condition", "suite", "way", "needs"]
     suites = run.table("suites.csv", words, [RMSE.mean], after="cases", optional=True)
+    tables = page_tables.result_tables(table, pairs, suites)
     arch = manifest.backend.get("arch", "cpu")
     return Page(
         name=stated.get("name", run.folder.name),
@@ -310,7 +329,8 @@ def _gather(run: RunData) -> Page:
         warnings=page_tables.warnings_of(run.summary),
         notes=page_tables.notes_of(run.summary, manifest),
         headline=page_tables.headline_table(table),
-        tables=page_tables.result_tables(table, pairs, suites),
+        tables=[each for each in tables if each.is_first],
+        more=[each for each in tables if not each.is_first],
         view=build_view(run),
         rows=page_tables.case_table(run.summary),
         rows_example=f"{table['condition'].iloc[0]} done",

@@ -30,6 +30,9 @@ from tiswarm.report.run_data import measured_words, with_points
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""
 
+POINT = "point"
+"""Column of the point of a sweep."""
+
 _PUBLISHED = {
     RMSE.published: "published RMSE [robot radii]",
     RMSE.mean: "RMSE [R]",
@@ -49,6 +52,24 @@ class PageTable:
     words: Collection[str]  # columns of words, which are aligned left; the others contain numbers
     title: str = ""
     note: str = ""
+    is_first: bool = False  # whether readers see it without a click
+
+    @property
+    def is_grouped(self) -> bool:
+        """Whether conditions stand below the point of a sweep that they share."""
+        return {POINT, "condition"} <= {*self.frame}
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns that are shown."""
+        return [str(name) for name in self.frame if not (self.is_grouped and name == POINT)]
+
+    @property
+    def groups(self) -> list[tuple[str, list[list[str]]]]:
+        """Cells of all rows, below the point that they share; that is empty without one."""
+        points = self.frame[POINT] if self.is_grouped else pd.Series("", self.frame.index)
+        parts = self.frame[self.columns].groupby(points, sort=False)
+        return [(str(point), part.to_numpy().tolist()) for point, part in parts]
 
 
 def headline_table(table: pd.DataFrame) -> PageTable:
@@ -182,7 +203,7 @@ def _measured_suites(suites: pd.DataFrame) -> PageTable:
     columns |= {**_means(suites, "suites"), "needs": suites["needs"]}
     words = _names(suites)
     shown = _labeled(words, columns, "Table I, measured", note)
-    return replace(shown, words=[*words, "needs"])
+    return replace(shown, words=[*words, "needs"], is_first=True)
 
 
 def _once(frame: pd.DataFrame) -> pd.DataFrame:
@@ -205,7 +226,7 @@ def _beside_the_paper(table: pd.DataFrame) -> PageTable:
         for name, heading in _PUBLISHED.items()
         if name in rows
     }
-    return _labeled(_names(rows), columns, "Beside the paper", note)
+    return replace(_labeled(_names(rows), columns, "Beside the paper", note), is_first=True)
 
 
 def _differences(paired: pd.DataFrame) -> PageTable:
@@ -275,8 +296,10 @@ def machine_table(manifest: Manifest) -> PageTable:
 
 def _names(table: pd.DataFrame, before: str = "cases") -> pd.DataFrame:
     """Return the columns that name a row: point of the sweep, if there is one, and condition."""
-    names = with_points(table, before=before)[["point", "condition"]]
-    return names if names["point"].any() else names[["condition"]]
+    names = with_points(table, before=before)[[POINT, "condition"]]
+    if len(names) > 1 and names[POINT].is_unique:  # one condition, which says nothing
+        return names[[POINT]].rename(columns={POINT: "condition"})
+    return names if names[POINT].any() else names[["condition"]]
 
 
 def _labeled(
@@ -422,6 +445,7 @@ def _share(every: pd.DataFrame, some: pd.Series, what: str) -> str:
     series, reasons = every["series"], every["distrust"][some].dropna().unique()
     whole = some.groupby(series).transform("all") & (series.groupby(series).transform("size") > 1)
     names = [f"all of {name}" for name in series[whole].unique()]
-    names += every["case"][some & ~whole].to_list()
+    single = every.loc[some & ~whole, ["case", "series"]].itertuples(index=False)
+    names += [f"seed {case.partition('-')[0]} of {name}" for case, name in single]
     why = f": {_some(_merged(reasons), '; ')}" if len(reasons) else ""
     return f"{some.sum()} of {counted(len(every), 'case')} {what} ({_some(names, ', ')}){why}"

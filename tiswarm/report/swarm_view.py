@@ -286,7 +286,7 @@ def _faces(slab: Slab) -> Reals:
     return faces if slab.outward > 0.0 else faces[:, ::-1]
 
 
-_MOST_CASES = 12  # in the view
+_MOST_CASES = 48  # in the view
 MOST_ROBOTS = 100_000
 """Robots in the view, in all cases together."""
 
@@ -337,13 +337,17 @@ def build_view(run: RunData) -> View | None:
     shown: list[dict[str, Any]] = []
     notes = []
     first = first_series(run)
+    is_grid = len({cases[0].point for cases in run.series.values()}) < len(run.series)
+    is_grid = is_grid and all(cases[0].condition for cases in run.series.values())
     series = [*first, *(name for name in run.series if name not in first)]
     for case in [run.series[name][0] for name in series][:_MOST_CASES]:
         seed = case.name.partition("-")[0]
-        view = replace(read_case_view(case), name=f"{case.series or case.name}, seed {seed}")
+        condition = case.condition if is_grid else case.series or case.name
+        view = replace(read_case_view(case), name=f"{condition}, seed {seed}")
         values = [("error", "R", view.error), (SD, "R", view.sd)]
         values.append(("sensed force", "dock weights", view.force))
         data = view_data(view, [Coloring(*value) for value in values])
+        data |= {"point": case.point * is_grid, "condition": condition}
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
             break
         if data["robot"]:
@@ -358,7 +362,7 @@ def build_view(run: RunData) -> View | None:
     return View(
         data=space_data(view.dock_offset_body, shown) | {"compared": True},
         title="True and estimated positions",
-        choice="Case",
+        choice="Condition" if is_grid else "Case",
         note=" ".join(notes),
     )
 

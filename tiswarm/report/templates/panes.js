@@ -78,17 +78,30 @@ function titleOf(at, { name }, { radius, unit, score }) {
 function showSpace(view) {
   const data = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
-  const [picker, beside, quantity, track, slider, joined, play, pointed] = ["case", "beside", "quantity", "track", "joins", "joined", "play", "pointed"].map(byId);
+  const [point, picker, beside, quantity, track, slider, joined, play, pointed] = ["point", "case", "beside", "quantity", "track", "joins", "joined", "play", "pointed"].map(byId);
   const boxes = ["truth", "estimate", "error", "spheres", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
   const balls = { unknown: ball(UNKNOWN_COLOR) };
   if (data.cases.every(({ ground }) => !ground.length)) byId("show-ground").parentElement.hidden = true;
   for (const scale of ["--errors", "--joins"]) balls[scale] = shadesOf(colorsOf(scale));
   const every = [view, byId("view-beside")].map((canvas) => paneOf(canvas, data));
   let look = { ...START }, panes = [], box, due = 0, began = null;
-  data.cases.forEach((each, n) => { picker.add(new Option(each.name, n)); beside.add(new Option(each.name, n)); });
+  const points = [...new Set(data.cases.map((each) => each.point ?? ""))];
+  points.forEach((each) => point.add(new Option(each)));
+  point.parentElement.hidden = points.length < 2;
+  // Lists the cases of a point, and keeps the conditions that are shown.
+  const list = () => {
+    const before = [picker, beside].map((menu) => menu.selectedOptions[0]?.text);
+    picker.replaceChildren();
+    beside.replaceChildren(new Option("no other", ""));
+    data.cases.forEach((each, n) => {
+      if ((each.point ?? "") !== points[point.selectedIndex]) return;
+      for (const menu of [picker, beside]) menu.add(new Option(each.condition ?? each.name, n));
+    });
+    [picker, beside].forEach((menu, k) => { menu.selectedIndex = Math.max(0, [...menu.options].findIndex(({ text }) => text === before[k])); });
+  };
+  list();
   beside.parentElement.hidden = data.cases.length < 2;
-  if (data.compared) [picker.value, beside.value] = [0, data.cases.length > 1 ? 1 : ""];
-  if (innerWidth <= WIDE) beside.value = "";
+  if (data.compared && picker.length > 1 && innerWidth > WIDE) beside.selectedIndex = 2;
 
   const isTracked = () => track.value === "iterations";
   const draw = () => {
@@ -151,7 +164,7 @@ function showSpace(view) {
     move();
   };
   // The robot whose true or estimated center is nearest to the pointer.
-  const point = (pane, { offsetX, offsetY }) => {
+  const nameRobot = (pane, { offsetX, offsetY }) => {
     const { case: shown, colorings, place } = pane;
     let found = -1, nearest = NEARBY;
     const count = isTracked() ? shown.robot.length : Math.min(slider.value, shown.robot.length);
@@ -167,10 +180,11 @@ function showSpace(view) {
   const move = (right, down) => change(() => { look.right += right; look.down += down; });
   const zoom = (factor) => change(() => ["zoom", "right", "down"].forEach((name) => { look[name] *= factor; }));
   const reset = () => change(() => { look = { ...START }; });
-  for (const pane of every) listen(pane.view, { turn, move, zoom, reset, toggle, point: (event) => point(pane, event) });
+  for (const pane of every) listen(pane.view, { turn, move, zoom, reset, toggle, point: (event) => nameRobot(pane, event) });
   byId("reset").addEventListener("click", reset);
   play.addEventListener("click", toggle);
   for (const menu of [picker, beside]) menu.addEventListener("change", choose);
+  point.addEventListener("change", () => { list(); choose(); });
   track.addEventListener("change", lay);
   slider.addEventListener("input", () => { stop(); soon(); });
   quantity.addEventListener("change", soon);

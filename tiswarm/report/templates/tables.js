@@ -6,6 +6,9 @@ function keyOf({ className, textContent: text }) {
   return number ? Number(number[0]) : text;
 }
 
+// The rows of a part of a table, without the point of the sweep that heads them.
+const rowsOf = ({ rows }) => [...rows].filter(({ className }) => className !== "point");
+
 function compare(a, b) {
   if (typeof a === "number" && typeof b === "number") return a - b;
   if (typeof a === typeof b) return a.localeCompare(b, "en", { numeric: true });
@@ -13,12 +16,13 @@ function compare(a, b) {
 }
 
 for (const table of document.querySelectorAll("table")) {
-  const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
+  const bodies = [...table.tBodies], heads = [...table.tHead.rows[0].cells];
   heads.forEach((head, column) => head.firstChild.addEventListener("click", () => {
     const way = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
     heads.forEach((other) => other.removeAttribute("aria-sort"));
     head.setAttribute("aria-sort", way > 0 ? "ascending" : "descending");
-    body.append(...[...body.rows].sort((a, b) => way * compare(keyOf(a.cells[column]), keyOf(b.cells[column]))));
+    const inOrder = (a, b) => way * compare(keyOf(a.cells[column]), keyOf(b.cells[column]));
+    for (const body of bodies) body.append(...rowsOf(body).sort(inOrder));
   }));
   const link = document.createElement("a");
   link.className = "csv";
@@ -26,11 +30,15 @@ for (const table of document.querySelectorAll("table")) {
   link.download = `${table.dataset.name}.csv`;
   link.href = "#";
   link.addEventListener("click", () => {
-    const rows = [...table.rows].map((row) => [...row.cells].map(({ textContent }) => `"${textContent.replaceAll("\u00a0", " ").replaceAll('"', '""')}"`).join(","));
+    const quoted = (text) => `"${text.replaceAll("\u00a0", " ").replaceAll('"', '""')}"`;
+    const pointOf = (row) => row.parentElement.querySelector(".point")?.textContent ?? (table.querySelector(".point") ? "point" : null);
+    const rows = [table.tHead, ...bodies].flatMap(rowsOf).map((row) => [pointOf(row), ...[...row.cells].map(({ textContent }) => textContent)].filter((text) => text !== null).map(quoted).join(","));
     link.href = `data:text/csv;charset=utf-8,${encodeURIComponent(rows.join("\n") + "\n")}`;
   });
   table.parentElement.after(link);
 }
+
+addEventListener("beforeprint", () => document.querySelectorAll("details.more").forEach((more) => { more.open = true; }));
 
 document.getElementById("filter")?.addEventListener("input", ({ target }) => {
   const words = target.value.toLowerCase().split(/\s+/);
