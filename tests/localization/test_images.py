@@ -15,7 +15,7 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.ends import Fit
 from tiswarm.localization.mixture.frames import PartImages, hanging_parts
-from tiswarm.localization.mixture.mixture import mix
+from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.contacts import touching
 from tiswarm.sensing import SensingParams, observe
@@ -131,7 +131,7 @@ def mirrored():
     problem = pose_problem(log, FINAL)
     chains = chains_at(truth[None])
     fit = Fit(log, FINAL, problem, chains, np.zeros(1, np.bool_))
-    best, *further = mix(fit).solutions
+    best, *further = mixed(fit).solutions
     return fit, best, further
 
 
@@ -146,7 +146,7 @@ def test_a_second_place_that_no_chain_finds_is_a_solution(mirrored):
     fit, best, further = mirrored
     assert further
 
-    other = mix(_started(fit, further[0])).solutions
+    other = mixed(_started(fit, further[0])).solutions
 
     weight = {round(each.weight, 2) for each in (best, *further)}
     near = [np.linalg.norm(each.position - best.position, axis=1).max() for each in other]
@@ -163,7 +163,7 @@ def test_chains_at_both_places_leave_the_same_mixture(mirrored):
     """Images are no chains: how often these found a place does not change its weight."""
     fit, best, further = mirrored
 
-    once, often = (mix(_started(fit, best, *[further[0]] * times)) for times in (1, 5))
+    once, often = (mixed(_started(fit, best, *[further[0]] * times)) for times in (1, 5))
 
     np.testing.assert_allclose(once.position, often.position, atol=0.02)
     np.testing.assert_allclose(once.sd, often.sd, rtol=0.05, atol=0.02)
@@ -176,7 +176,7 @@ def test_ends_one_dock_apart_are_two_solutions(mirrored):
     apart = np.linalg.norm(further[0].position - best.position, axis=1)
     assert 1.0 < apart.max() < 2.0
 
-    found = mix(_started(fit, best, further[0])).solutions
+    found = mixed(_started(fit, best, further[0])).solutions
 
     assert [each.chains for each in found[:2]] == [1, 1]
 

@@ -17,7 +17,7 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.mixture.ends import Fit, aligned, ranked
-from tiswarm.localization.mixture.mixture import deviation, minimum, mix
+from tiswarm.localization.mixture.mixture import deviation, minimum, mixed
 from tiswarm.localization.mixture.settings import MIXTURE, SD_CALIBRATION
 from tiswarm.localization.settings import JointParams
 from tiswarm.sensing import SensingParams, observe
@@ -130,7 +130,7 @@ def test_an_estimate_does_not_depend_on_the_order_of_chains():
     image = place * [1.0, 1.0, -1.0] + [0.0, 0.0, 50.0]
     position = np.array([place, place + 0.3 * (np.arange(10) > 3)[:, None], image, image])
     mixtures = [
-        mix(Fit(log, ALL, known, chains_at(position[list(order)]), SOUND))
+        mixed(Fit(log, ALL, known, chains_at(position[list(order)]), SOUND))
         for order in list(permutations(range(4)))[::5]
     ]
 
@@ -314,7 +314,7 @@ def test_a_least_cost_that_one_chain_alone_found_is_said():
     known = pose_problem(log, AS_ENDED)
 
     alone, agreed = (
-        mix(Fit(log, AS_ENDED, known, chains_at(ends), SOUND)).convergence
+        mixed(Fit(log, AS_ENDED, known, chains_at(ends), SOUND)).convergence
         for ends in (position, position[[0, 0, 1, 2]])
     )
 
@@ -331,7 +331,7 @@ def test_chains_that_all_failed_are_said():
     position = np.tile(place, (4, 1, 1))
     position[1:, 1, 0] += [3.0, 4.0, 5.0]
 
-    verdict = mix(Fit(log, AS_ENDED, known, chains_at(position), ~SOUND)).convergence
+    verdict = mixed(Fit(log, AS_ENDED, known, chains_at(position), ~SOUND)).convergence
 
     assert not verdict.converged
     assert verdict.reason == "all chains ended out of reach of their contacts, or ran hot"
@@ -344,7 +344,7 @@ def test_too_many_outliers_are_said():
     known = pose_problem(log, AS_ENDED)
     position = np.tile(place / log.dock_radius, (4, 1, 1))
 
-    verdict = mix(Fit(log, AS_ENDED, known, chains_at(position), SOUND)).convergence
+    verdict = mixed(Fit(log, AS_ENDED, known, chains_at(position), SOUND)).convergence
 
     assert not verdict.converged
     assert verdict.reason == f"{len(pairs)} of 39 contacts and ranges are outliers"
@@ -455,7 +455,7 @@ def test_structures_that_are_not_refined_are_as_their_chains_leave_them(towers):
     position[:, 0] = towers[0].position[0]
 
     ends = ranked(Fit(log, AS_ENDED, known, chains_at(position), SOUND))
-    mixture = mix(Fit(log, AS_ENDED, known, chains_at(position), SOUND))
+    mixture = mixed(Fit(log, AS_ENDED, known, chains_at(position), SOUND))
 
     mean = np.tensordot(ends.weight, position, 1)
     np.testing.assert_allclose(mixture.position, mean, atol=1e-12)
@@ -477,11 +477,12 @@ def test_chains_that_differ_by_a_free_motion_are_one_solution(seed, angle, hand)
     copy = place[0] + (place - place[0]) @ turn
     position = np.array([place, copy, place, copy])
 
-    mixture = mix(Fit(log, ALL, known, chains_at(position), SOUND))
+    mixture = mixed(Fit(log, ALL, known, chains_at(position), SOUND))
 
-    assert mixture.motions["free_frame"] == ("rotation", "hand")
+    assert mixture.free_frame == ("rotation", "hand")
     assert len(mixture.solutions) == 1
-    apart = np.linalg.norm(mixture.position[:, None] - mixture.position, axis=2)
+    center = mixture.position / log.dock_radius
+    apart = np.linalg.norm(center[:, None] - center, axis=2)
     true = np.linalg.norm(place[:, None] - place, axis=2)
     np.testing.assert_allclose(apart, true, atol=2.0)
     assert not mixture.mirrored.any()
@@ -510,7 +511,7 @@ def test_structures_that_are_not_refined_count_no_chain_that_failed(towers):
     position = np.array([towers[0].position] * 4)
 
     chains, is_failed = chains_at(position), np.arange(4) == 2
-    mixture = mix(Fit(log, AS_ENDED, pose_problem(log, AS_ENDED), chains, is_failed))
+    mixture = mixed(Fit(log, AS_ENDED, pose_problem(log, AS_ENDED), chains, is_failed))
 
     assert mixture.solutions[0].chains == 3
 
@@ -521,10 +522,10 @@ def test_hinges_make_no_robot_less_sure_that_nothing_ties():
     known = pose_problem(log, ALL)
     chains = chains_at(np.random.default_rng(0).normal(0.0, 5.0, (4, 4, 3)), within=4.0)
 
-    mixture = mix(Fit(log, ALL, known, chains, SOUND))
+    mixture = mixed(Fit(log, ALL, known, chains, SOUND))
 
     own = deviation(known, chains.mean, chains.within, np.full(4, 0.25), SIGMA) ** 2
-    guess = place_disconnected(mixture.position[None], known)[1][0]
+    guess = place_disconnected(mixture.position[None] / log.dock_radius, known)[1][0]
     assert known.untied[1:].all()
-    square = SD_CALIBRATION.chains * own + guess
+    square = (SD_CALIBRATION.chains * own + guess) * log.dock_radius**2
     np.testing.assert_allclose(mixture.sd[1:] ** 2, square[1:], rtol=1e-9)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.structures import (
     NOISY,
     Rule,
+    silent,
     structure,
     with_connections,
     with_directions,
@@ -21,7 +22,7 @@ from tests.structures import (
 )
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.cost.cost import SETTLED, State, WholeCost
+from tiswarm.localization.cost.cost import HINGE_SD, SETTLED, STRAIN_SD, State, WholeCost
 from tiswarm.localization.cost.linear import NOMINAL
 from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.localization.settings import LARGE, JointParams
@@ -577,6 +578,30 @@ def test_only_connections_hold_the_turns_of_robots_without_a_compass(towers):
 
     assert set(compass) == {1.0}
     assert 0.0 < chained.max() < 1e-5
+
+
+@given(seed=st.integers(0, 99), robots=st.integers(2, 40))
+@pytest.mark.parametrize("has_heights", [False, True])
+def test_offsets_of_an_open_chain_share_a_strain(has_heights, seed, robots):
+    """Errors grow with the distance from the anchor, and upward unless heights are known."""
+    step = np.random.default_rng(seed).normal(0.0, 3.0, (robots, 3))
+    place = np.cumsum(step, axis=0)
+    log = silent(place)
+    if has_heights:
+        height = np.column_stack([np.arange(robots), np.tile([0.0, 0.0, 1.0], (robots, 1))])
+        every = np.ones((robots, 1))
+        log = replace(log, fixes=np.hstack([height, place[:, 2:], 0.01 * every, -every]))
+    one = np.arange(1, robots)
+    cost = cost_of(log, hinged=np.column_stack([one, one - 1]), non_overlap=False)[1]
+
+    shared = cost.open_variance(place, np.zeros(robots), part=0.0)
+    every_way = cost.open_variance(place, np.zeros(robots)) - shared
+
+    axes = 2 if has_heights else 3
+    far = ((place - place[0])[:, :axes] ** 2).sum(axis=1)
+    np.testing.assert_allclose(shared, STRAIN_SD**2 * far, rtol=0.02, atol=0.01)
+    # A random walk, in the mean over draws, which is off by chance.
+    assert every_way.sum() == pytest.approx(HINGE_SD**2 * axes * np.arange(robots).sum(), rel=0.8)
 
 
 def _overlap_slowly(log, position):

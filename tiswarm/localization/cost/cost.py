@@ -36,6 +36,10 @@ HINGE_SD = 1.0
 """Standard deviation of the offset of two robots in contact along each axis, where only what their
 docks can reach is known [R]."""
 
+STRAIN_SD = 0.35
+"""Standard deviation of the strain that the offsets of all robots in contact share [1]: how far
+they extend is known of no structure that measurements leave open. Fitted on training logs."""
+
 SETTLED = 0.01
 """Change of the cost below which rounds end [1]."""
 
@@ -58,6 +62,7 @@ radius [R]."""
 _AXES = np.arange(3)
 _NO_ROWS = LinearRows(*(np.empty(0, kind) for kind in (float, int, int, float, float)))
 NOTHING: Reals = np.empty(0)
+_NO_PAIRS: Ints = np.empty((0, 2), np.int64)
 
 
 class State(NamedTuple):
@@ -216,7 +221,7 @@ class WholeCost(Cost[Linear]):
         non_overlap: bool = True,
         are_independent: bool = False,
         further_variance: Reals | float = 0.0,
-        hinged: Ints | None = None,
+        hinged: Ints = _NO_PAIRS,
         moves: Bools | None = None,
     ) -> None:
         """Gather what does not change with the state.
@@ -374,7 +379,7 @@ class WholeCost(Cost[Linear]):
             ),
             self._overlaps(state),
             *([] if self.links is None else [self._links_of(state, self.links)]),
-            *([] if self.hinged is None else [self._hinges(self.hinged)]),
+            *([self._hinges(self.hinged)] if len(self.hinged) else []),
         ]
         at_rest = np.zeros_like(state.position)
         off = (at_rest, state.turn, state.yaw, state.shared)
@@ -499,6 +504,19 @@ class WholeCost(Cost[Linear]):
         column = self.column[unknown]
         moves = column >= 0
         return LinearRows(residual, row[moves], column[moves], value[moves], variance)
+
+    def open_variance(self, position: Reals, yaw: Reals, *, part: float = 1.0) -> Reals:
+        """Compute the mean square error of positions where robots in contact are hinges, (N,).
+
+        Args:
+            position: Centers [R], shape (N, 3).
+            yaw: Yaw corrections [rad], shape (N,).
+            part: Part that counts of what hinges leave open each by itself [1].
+        """
+        linear = self.linearized(self.at(position, yaw))
+        one, two = self.hinged.T
+        strained = linear.shifts_by(STRAIN_SD * (position[one] - position[two]).ravel())
+        return np.asarray(part * linear.variance() + (strained**2).sum(axis=1))
 
     def moved(self, state: State, linear: Linear, radius: float) -> tuple[State, float]:
         """Step all unknowns."""

@@ -290,6 +290,14 @@ class Linear:
         square[self.moves] = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
         return square
 
+    def shifts_by(self, error: Reals) -> Reals:
+        """Compute how far errors of the last rows, (k,), shift robots [R], shape (N, 3)."""
+        every, shift = np.zeros(len(self.residual)), np.zeros((len(self.moves), 3))
+        every[len(every) - len(error) :] = error
+        step = self.undamped.solve(np.asarray(self.jacobian.T @ self._weighted(every)))
+        shift[self.moves] = step[: self.shifts].reshape(-1, 3)
+        return shift
+
     def left_of_draws(self) -> tuple[Reals, Reals]:
         """Draw all errors as stated: residuals that a fit leaves, and `square`, (E, draws) both."""
         error, off = self._drawn(_DRAWS)

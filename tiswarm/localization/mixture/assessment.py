@@ -219,7 +219,7 @@ def open_variance(posed: Posed, state: tuple[Reals, Reals], inlier: Bools) -> Re
     hinged = np.unique(problem.pair[problem.is_final & inlier[problem.link]], axis=0)
     rows = problem.rows.select(inlier).averaged().associated(*state)
     cost = posed.cost(rows, non_overlap=False, links=problem.connections, hinged=hinged)
-    square = cost.linearized(cost.at(*state)).variance()
+    square = cost.open_variance(*state)
     return np.where(problem.untied, 0.0, np.minimum(square, extent(state[0]) ** 2))
 
 

@@ -30,7 +30,7 @@ from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEME
 from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms, widened
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import stuck_robots
-from tiswarm.records.estimate import Convergence, Estimate, Solution
+from tiswarm.records.estimate import Estimate, Solution
 
 _LEAST_CHAINS = 1.5
 """Effective number of chains below which their spread says nothing."""
@@ -85,45 +85,12 @@ class Minimum(NamedTuple):
         return self.log_volume - 0.5 * self.cost
 
 
-class Mixture(NamedTuple):
-    """The estimate of one structure of N robots."""
-
-    position: Reals
-    """Centers [R], shape (N, 3)."""
-
-    yaw: Reals
-    """Yaw corrections [rad], shape (N,)."""
-
-    sd: Reals
-    """Standard deviation of each position [R], shape (N,)."""
-
-    mirrored: Bools
-    """Whether solutions put the robot farther apart than its sd within one, shape (N,)."""
-
-    motions: Mapping[str, Any]
-    """Rigid motions that change no measurement: fields of `Estimate`."""
-
-    disconnected: Bools
-    """Whether no measurement but outliers ties the robot to the world, shape (N,)."""
-
-    outlier: Bools
-    """Measurements that every solution misses, shape (E,)."""
-
-    misfit: Reals
-    """Part of the chi-square that each robot's measurements carry, shape (N,)."""
-
-    convergence: Convergence
-    """The two verdicts."""
-
-    solutions: tuple[Solution, ...]
-    """Solutions, the likeliest first [R]."""
-
-
-def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
-    """Mix the chains of one structure into one estimate.
+def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Estimate:
+    """Make one estimate of the chains of a structure, or of starts that do not move.
 
     Args:
         fit: Chains.
+        restarted: How many annealings were repeated.
         prior_sd: Standard deviation of positions that measurements leave open [R], shape (N,); that
             of the chains if None.
     """
@@ -132,16 +99,10 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
         best = ends.position[int(ends.cost.argmin())]
         ends = with_further(ends, images(fit.problem, best))
     ends = aligned(ends)
-    problem, annealed = fit.problem, ends.fit.annealed
+    log, problem, annealed = fit.log, fit.problem, ends.fit.annealed
     outlier = _outliers(ends)
-    open_sd = prior_sd
-    if open_sd is None:
-        open_sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
-    if prior_sd is None and fit.is_refined:
-        hinged = _hinged_variance(ends, ~outlier)
-        open_sd = np.sqrt(SD_CALIBRATION.chains * open_sd**2 + SD_CALIBRATION.hinged * hinged)
+    open_sd = _open_sd(ends, ~outlier) if prior_sd is None else prior_sd
     minima, share = _minima(ends, ~outlier, open_sd)
-    best = minima[0]
     # A robot that some solution leaves open has no mean over all: chains say where it is.
     is_held = np.all([each.is_held for each in minima], axis=0)
     at = np.array([each.position for each in minima])
@@ -154,75 +115,85 @@ def mix(fit: Fit, prior_sd: Reals | None = None) -> Mixture:
     tied = problem.without(outlier)
     placed, loose = place_disconnected(np.array(whole), tied)
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
-    verdict = judge(_evidence(ends, outlier, tied.untied, best))
+    verdict = judge(_evidence(ends, outlier, tied.untied, minima[0]))
     sd = np.sqrt(widened(sd, verdict.sd_factor, placed[0]) ** 2 + loose[0])
-    gap = problem.residual(placed[1:], np.array([each.yaw for each in minima]))
-    width = np.sqrt(problem.variance + annealed.sigma**2)
-    solutions = tuple(
-        Solution(
-            weight=float(share[n]),
-            chains=each.chains,
-            chi_square=each.cost,
-            residual=float(np.sqrt((gap[n] ** 2).mean())) if gap.size else 0.0,
-            residual_sd=float(np.sqrt(((gap[n] / width) ** 2).mean())) if gap.size else 0.0,
-            position=placed[1 + n],
-            sd=np.sqrt(each.sd**2 + each.aside + loose[1 + n]),
-        )
-        for n, each in enumerate(minima)
-    )
-    return Mixture(
-        position=placed[0],
-        yaw=np.tensordot(share, np.array([each.yaw for each in minima]), 1),
-        sd=sd,
-        mirrored=between > within,
-        motions=ends.turns.stated(best.configuration, fit.log.dock_radius) if ends.turns else {},
-        disconnected=tied.untied,
-        outlier=outlier,
-        misfit=misfit_by_robot(problem.rows, best.square),
-        convergence=verdict,
-        solutions=solutions,
-    )
-
-
-def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Estimate:
-    """Make an estimate of chains, or of starts that do not move; arguments as for `mix`."""
-    mixture, problem, annealed = mix(fit, prior_sd), fit.problem, fit.annealed
-    position, yaw = mixture.position, mixture.yaw
-    trace = np.concatenate([place_disconnected(annealed.trace[:-1], problem)[0], position[None]])
-    yaw_trace = np.concatenate([annealed.yaw_trace[:-1], yaw[None]])
-    gap = problem.residual(trace, yaw_trace)
-    width = np.sqrt(problem.variance + annealed.sigma**2)
-    outliers = problem.rows.select(mixture.outlier)
-    places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
-    unit, found = fit.log.dock_radius, mixture.convergence.converged
-    stuck = stuck_robots(fit.log)
+    yaw = np.tensordot(share, np.array([each.yaw for each in minima]), 1)
+    stuck, unit = stuck_robots(log), log.dock_radius
+    motions = ends.turns.stated(minima[0].configuration, unit) if ends.turns else {}
     return Estimate(
-        robot_id=fit.log.robot_id,
-        position=position * unit,
-        disconnected=mixture.disconnected,
-        sd=mixture.sd * unit,
+        robot_id=log.robot_id,
+        position=placed[0] * unit,
+        disconnected=tied.untied,
+        sd=sd * unit,
         yaw=yaw if problem.yaw_precision else None,
-        convergence=replace(mixture.convergence, restarted=restarted),
-        outlier_contacts=np.unique(outliers.sensed_contacts, axis=0) if found else None,
-        outlier_places=places if found else None,
+        convergence=replace(verdict, restarted=restarted),
         outlier_robots=stuck if len(stuck) else None,
-        misfit=mixture.misfit,
-        mirrored=mixture.mirrored,
-        **mixture.motions,
-        solutions=tuple(
-            replace(
-                each,
-                residual=each.residual * unit,
-                position=each.position * unit,
-                sd=None if each.sd is None else each.sd * unit,
-            )
-            for each in mixture.solutions
-        ),
-        iteration=annealed.iteration,
-        trace=trace * unit,
-        residual=rms(gap) * unit,
-        residual_sd=float(rms(gap[-1:] / width)[0]),
+        misfit=misfit_by_robot(problem.rows, minima[0].square),
+        mirrored=between > within,
+        solutions=tuple(map(_solution, [fit] * len(share), minima, share, placed[1:], loose[1:])),
+        **_listed(problem, outlier) if verdict.converged else {},
+        **_traced(fit, placed[0], yaw),
+        **motions,
     )
+
+
+def _open_sd(ends: Ends, inlier: Bools) -> Reals:
+    """Compute the standard deviation of positions that measurements leave open [R], shape (N,)."""
+    annealed = ends.fit.annealed
+    sd = deviation(ends.fit.problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
+    if not ends.fit.is_refined:
+        return sd
+    return np.sqrt(SD_CALIBRATION.chains * sd**2 + _hinged_variance(ends, inlier))
+
+
+def _solution(fit: Fit, minimum: Minimum, share: float, position: Reals, loose: Reals) -> Solution:
+    """Describe a minimum with its share in the mixture in the unit of the log.
+
+    Args:
+        fit: Chains.
+        minimum: The minimum.
+        share: Its weight [1].
+        position: Its centers, those of disconnected robots as placed [R], shape (N, 3).
+        loose: Variance of these [R^2], shape (N,).
+    """
+    unit = fit.log.dock_radius
+    gap = fit.problem.residual(position[None], minimum.yaw[None])
+    return Solution(
+        weight=float(share),
+        chains=minimum.chains,
+        chi_square=minimum.cost,
+        residual=float(rms(gap)[0]) * unit,
+        residual_sd=float(rms(gap / _width(fit))[0]),
+        position=position * unit,
+        sd=np.sqrt(minimum.sd**2 + minimum.aside + loose) * unit,
+    )
+
+
+def _width(fit: Fit) -> Reals:
+    """Standard deviation of contacts and ranges in the heat of the chains [R], shape (C,)."""
+    return np.sqrt(fit.problem.variance + fit.annealed.sigma**2)
+
+
+def _listed(problem: Problem, outlier: Bools) -> Mapping[str, Any]:
+    """List outliers (E,), by names of fields of an estimate."""
+    rows = problem.rows.select(outlier)
+    places = [problem.inconsistent.sensed_places, rows.sensed_places]
+    contacts = np.unique(rows.sensed_contacts, axis=0)
+    return {"outlier_contacts": contacts, "outlier_places": np.concatenate(places)}
+
+
+def _traced(fit: Fit, position: Reals, yaw: Reals) -> Mapping[str, Any]:
+    """Trace chains up to positions and yaws, by names of fields of an estimate."""
+    annealed, problem, unit = fit.annealed, fit.problem, fit.log.dock_radius
+    trace = place_disconnected(annealed.trace[:-1], problem)[0]
+    trace = np.concatenate([trace, position[None]])
+    gap = problem.residual(trace, np.concatenate([annealed.yaw_trace[:-1], yaw[None]]))
+    return {
+        "iteration": annealed.iteration,
+        "trace": trace * unit,
+        "residual": rms(gap) * unit,
+        "residual_sd": float(rms(gap[-1:] / _width(fit))[0]),
+    }
 
 
 def _minima(ends: Ends, inlier: Bools, open_sd: Reals) -> tuple[list[Minimum], Reals]:
@@ -341,7 +312,7 @@ def _hinged_variance(ends: Ends, inlier: Bools) -> Reals:
         further_variance=ANNEALING.coldest**2,
         hinged=np.unique(problem.pair[joins], axis=0),
     )
-    square = cost.linearized(cost.at(*start)).variance()
+    square = cost.open_variance(*start, part=SD_CALIBRATION.hinged)
     return np.where(problem.untied, 0.0, square)
 
 

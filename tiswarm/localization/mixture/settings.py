@@ -134,13 +134,13 @@ class SdCalibration:
     contacts, those of the anchor, decide where the whole structure is, and chains agree on that
     more often than they are right."""
 
-    chains: float = 0.85
+    chains: float = 0.8
     """Share of the variance of the chains [1]. With 1, generated structures are nearer to their sd,
     and sd of ReactiveBuild's is too large."""
 
-    hinged: float = 0.3
-    """Share of the variance if contacts were hinges, beside that of the chains [1]: chains sample
-    long arms of hinges too little."""
+    hinged: float = 0.2
+    """Share of the variance if contacts were hinges, beside that of the chains and of `STRAIN_SD`
+    [1]: chains sample long arms of hinges too little."""
 
 
 @dataclass(frozen=True, kw_only=True)
