@@ -13,6 +13,7 @@ from benchmarks.logs.grade import ALIKE, HONEST, claims
 from benchmarks.logs.limit import known_robots, optimum
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.evaluation.metrics import robot_errors
+from tiswarm.measurements.verdicts import says_open
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -61,6 +62,9 @@ class Grade:
 
     testable: bool = True
     """Whether the log could be found not consistent."""
+
+    says_open: bool = False
+    """Whether the verdict says that measurements do not determine where most robots are."""
 
     silent: bool = False
     """Trusted, with fewer than 60 % of the robots in their 90 % spheres."""
@@ -165,6 +169,7 @@ def grade(
         robots=log.robot_count,
         trusted=trusted,
         testable=verdicts is None or verdicts.testable,
+        says_open=says_open(estimate),
         silent=trusted and within < HONEST,
         beyond=trusted and worst > ALIKE,
         said_or_right=not trusted or within >= MOSTLY,
@@ -224,6 +229,11 @@ def share(count: int, total: int) -> str:
     return f"{count} ({100 * count / total:.0f} %, {100 * ends.low:.0f}-{100 * ends.high:.0f})"
 
 
+def _said(grades: pd.DataFrame) -> str:
+    """Count the estimates whose verdicts say that most robots are not determined."""
+    return f"{int(grades['says_open'].sum())} of {len(grades)}"
+
+
 def summary(grades: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     """Sum grades up, a row for each combination of the columns `by`.
 
@@ -242,6 +252,8 @@ def summary(grades: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
                 "untestable": int((~trusted["testable"]).sum()),
                 "claimed": trusted["claimed"].sum() / max(trusted["tied"].sum(), 1),
                 "silent": share(int(trusted["silent"].sum()), len(trusted)),
+                "open_of_silent": _said(trusted[trusted["silent"]]),
+                "open_of_others": _said(trusted[~trusted["silent"]]),
                 "beyond_5_sd": share(int(trusted["beyond"].sum()), len(trusted)),
                 "said_or_right": share(int(own["said_or_right"].sum()), len(own)),
                 "nees": trusted["nees"].dropna().mean(),

@@ -60,8 +60,8 @@ def test_a_trusted_estimate_says_that_its_positions_are_a_mean(localize):
     assert "warning" not in printed.err
     assert printed.out.splitlines()[-2:] == [
         (
-            "30 robots, converged; 2 configurations fit, the likeliest has 70 %; mirrored: "
-            "2 robots (4, 6); most robots hang on free motions: 19 of 30 -> estimate.csv"
+            "30 robots, converged; measurements do not determine where 19 of 30 robots are; 2 "
+            "configurations fit, the likeliest has 70 %; mirrored: 2 robots (4, 6) -> estimate.csv"
         ),
         (
             "the positions are the mean of 2 solutions; --solution 1 writes the likeliest "

@@ -94,11 +94,13 @@ def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
         restarted=0,
     )  # fmt: skip
     judged = dataclasses.replace(estimate, convergence=at_odds, mirrored=np.arange(30) < 4)
+    blind = dataclasses.replace(judged, observability=None)
     naming = dataclasses.replace(judged, outlier_robots=np.array([7, 12]))
 
     rows = measure(log, [])
-    silent, found, named = (
-        score(truth, log, each, history.robot, rows=rows) for each in (estimate, judged, naming)
+    silent, found, named, open_to_all = (
+        score(truth, log, each, history.robot, rows=rows)
+        for each in (estimate, judged, naming, blind)
     )
 
     assert {"converged", "consistent", "mirrored", "suspects"} & set(silent) == set()
@@ -106,6 +108,9 @@ def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
     assert [found[name] for name in names] == [True, False, True, 27.0, 3.1, 4]
     assert (found["spare_measurements"], found["suspects"]) == (900, 0)
     assert named["suspects"] == 2
+    known = estimate.observability
+    assert found["open_robots"] == (known.floppy & ~known.disconnected).sum() > 0
+    assert "open_robots" not in open_to_all
 
 
 def test_ranges_are_not_judged_as_contacts(towers):

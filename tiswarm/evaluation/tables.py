@@ -347,6 +347,8 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
         scores |= {} if found.spare is None else {"spare_measurements": found.spare}
         scores |= {"sd_factor": found.sd_factor}
         scores |= {"chains": found.chains, "restarted_chains": found.restarted}
+    if estimate.is_open is not None:
+        scores["open_robots"] = int(estimate.is_open.sum())
     if estimate.mirrored is not None:
         scores["mirrored"] = int(estimate.mirrored.sum())
     if estimate.convergence is not None:

@@ -49,7 +49,7 @@ def headline(log: SensingLog, estimate: Estimate) -> str:
         return ""
     found = ["converged", *_untestable(estimate.convergence)]
     more = [*_fitting(estimate), *_mirrored(log, estimate), *_turning(log, estimate)]
-    return "; ".join([*found, *more, *_mostly_floppy(estimate)])
+    return "; ".join([*found, *_undetermined(estimate), *more])
 
 
 def _untestable(found: Convergence) -> Iterator[str]:
@@ -137,10 +137,10 @@ def cautions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
             f"would change, and sd_{log.length_unit} includes all turns; measure ranges to robots "
             "elsewhere, or heights or places"
         )
-    for text in _mostly_floppy(estimate):
+    for text in _undetermined(estimate):
         yield (
-            f"{text}; no measurement resists these, and sd_{log.length_unit} says how far they may "
-            "move; tiswarm advise names measurements that would exclude them"
+            f"{text}: no measurement resists free motions of these; sd_{log.length_unit} says how "
+            "far they may move, and tiswarm advise names measurements that would exclude them"
         )
     if estimate.free_frame:
         motions = " or ".join(_MOTIONS[name] for name in estimate.free_frame)
@@ -249,17 +249,19 @@ def _pivot(log: SensingLog, turn: OpenTurn) -> str:
     return f"the {'vertical' if abs(turn.axis[2]) > _VERTICAL else 'axis'} through {where}"
 
 
-def _mostly_floppy(estimate: Estimate) -> Iterator[str]:
-    """State that free motions move more than half of the robots that are tied to the anchor."""
-    known = estimate.observability
-    if known is None or known.floppy is None:
+def says_open(estimate: Estimate) -> bool:
+    """Whether the verdict says that measurements leave open where most robots are."""
+    return any(_undetermined(estimate))
+
+
+def _undetermined(estimate: Estimate) -> Iterator[str]:
+    """State that measurements leave open where more than half of the robots are."""
+    known, is_open = estimate.observability, estimate.is_open
+    if known is None or is_open is None:
         return
-    floppy = known.floppy & ~known.disconnected
-    for turn in estimate.turns:
-        floppy[turn.robots] = False
     tied = int((~known.disconnected).sum())
-    if floppy.sum() > _MOSTLY * (tied - 1):
-        yield f"most robots hang on free motions: {floppy.sum()} of {tied}"
+    if is_open.sum() > _MOSTLY * (tied - 1):
+        yield f"measurements do not determine where {is_open.sum()} of {tied} robots are"
 
 
 def _carriers(estimate: Estimate) -> Ints:

@@ -296,6 +296,19 @@ class Estimate:
         ]
 
     @property
+    def is_open(self) -> Bools | None:
+        """Whether measurements tie each robot to the anchor, but not its position, shape (N,).
+
+        Free motions beside `turns` move it. None where that was not found out.
+        """
+        if (known := self.observability) is None or known.floppy is None:
+            return None
+        is_open: Bools = known.floppy & ~known.disconnected
+        for turn in self.turns:
+            is_open[turn.robots] = False
+        return is_open
+
+    @property
     def located(self) -> Bools | None:
         """Whether each robot is located, shape (N,); None where `undetermined` is."""
         return None if self.undetermined is None else np.logical_not(self.undetermined.any(axis=1))
@@ -308,6 +321,8 @@ class Estimate:
         if self.convergence is not None:
             parts.append("converged" if self.convergence.converged else "not converged")
             parts += [] if self.convergence.consistent else ["not consistent"]
+        if self.is_open is not None and (count := int(self.is_open.sum())):
+            parts.append(f"{counted(count, 'robot')} not determined")
         return f"Estimate({', '.join(parts)})"
 
     def columns(self) -> dict[str, Sequence[object]]:

@@ -158,6 +158,11 @@ SPARE = Measure(
     "spare_measurements", "1", _ESTIMATE,
     "measurements beyond the unknowns that they determine; empty where they were not counted",
 )  # fmt: skip
+OPEN = Measure(
+    "open_robots", "1", _ESTIMATE,
+    "robots tied to the anchor whose positions the measurements do not determine: free motions "
+    "move them; empty where these were not found out",
+)  # fmt: skip
 MISFIT = Measure(
     "misfit_sd", "1", _ESTIMATE,
     "excess of the least chi-square over its expectation, in standard deviations of a chi-square",

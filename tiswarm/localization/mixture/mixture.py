@@ -138,24 +138,31 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
 
 
 def _open_sd(ends: Ends, inlier: Bools) -> Reals:
-    """Compute the standard deviation of positions that measurements leave open [R], shape (N,)."""
-    annealed = ends.fit.annealed
-    sd = deviation(ends.fit.problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
-    if not ends.fit.is_refined:
+    """Compute the standard deviation of positions that measurements leave open [R], shape (N,).
+
+    Chains agree on motions that the search has not tried. Robots that only their contacts hold are
+    as uncertain as if hinges joined them.
+    """
+    fit, problem, annealed = ends.fit, ends.fit.problem, ends.fit.annealed
+    sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
+    if not fit.is_refined:
         return sd
-    return np.sqrt(SD_CALIBRATION.chains * sd**2 + _hinged_variance(ends, inlier))
+    best = int(ends.cost.argmin())
+    start = ends.position[best], ends.yaw[best]
+    joins = problem.is_final if problem.is_final.any() else np.ones(len(problem.pair), np.bool_)
+    cost = fit.cost(
+        problem.rows.select(inlier).associated(*start),
+        are_independent=True,
+        further_variance=ANNEALING.coldest**2,
+        hinged=np.unique(problem.pair[joins], axis=0),
+    )
+    square = cost.open_variance(*start, part=SD_CALIBRATION.hinged)
+    further: Reals = np.where(problem.untied, 0.0, square)
+    return np.sqrt(SD_CALIBRATION.chains * sd**2 + further)
 
 
 def _solution(fit: Fit, minimum: Minimum, share: float, position: Reals, loose: Reals) -> Solution:
-    """Describe a minimum with its share in the mixture in the unit of the log.
-
-    Args:
-        fit: Chains.
-        minimum: The minimum.
-        share: Its weight [1].
-        position: Its centers, those of disconnected robots as placed [R], shape (N, 3).
-        loose: Variance of these [R^2], shape (N,).
-    """
+    """Describe a minimum, with its centers as placed, (N, 3), and their further variance, (N,)."""
     unit = fit.log.dock_radius
     gap = fit.problem.residual(position[None], minimum.yaw[None])
     return Solution(
@@ -295,25 +302,6 @@ def _unrefined(ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
         log_volume=0.0,
         chains=int((ends.weight > 0.0).sum()),
     )
-
-
-def _hinged_variance(ends: Ends, inlier: Bools) -> Reals:
-    """Compute the mean square error of positions if robots in contact are joined by hinges, (N,).
-
-    Chains agree on motions that the search has not tried. A chain of robots that only their
-    contacts hold is as uncertain as a random walk.
-    """
-    problem, best = ends.fit.problem, int(ends.cost.argmin())
-    start = ends.position[best], ends.yaw[best]
-    joins = problem.is_final if problem.is_final.any() else np.ones(len(problem.pair), np.bool_)
-    cost = ends.fit.cost(
-        problem.rows.select(inlier).associated(*start),
-        are_independent=True,
-        further_variance=ANNEALING.coldest**2,
-        hinged=np.unique(problem.pair[joins], axis=0),
-    )
-    square = cost.open_variance(*start, part=SD_CALIBRATION.hinged)
-    return np.where(problem.untied, 0.0, square)
 
 
 def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]:
