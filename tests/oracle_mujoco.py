@@ -46,7 +46,9 @@ class Simulation:
     def _weld(self, e: int) -> Weld:
         one, dock, other, other_dock = _JOINT.fullmatch(self.names[e]).groups()
         ends = ((int(one), int(dock)), *([(int(other), int(other_dock))] if other else []))
-        body = self.model.eq_obj2id[e]  # the anchor is in the frame of the second body
+        # The anchor of a weld is in the frame of its second body, of a ball in that of its first.
+        is_weld = self.model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD
+        body = (self.model.eq_obj2id if is_weld else self.model.eq_obj1id)[e]
         turn = self.data.xmat[body].reshape(3, 3)
         place = self.data.xpos[body] + turn @ self.model.eq_data[e, :3]
         return Weld(ends=ends, place=place)
@@ -56,6 +58,12 @@ class Simulation:
         for _ in range(round(seconds / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self.data)
         mujoco.mj_forward(self.model, self.data)
+
+    def settle(self) -> None:
+        """Simulate until nothing moves by more than 1e-12 m/s, for at most ten seconds."""
+        self.run(0.2)
+        while np.abs(self.data.qvel).max() > 1e-12 and self.data.time < 10.0:
+            self.run(0.2)
 
     @property
     def moved(self) -> float:

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests import frames
+from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.parts.formats.physics import FIREANT_RADIUS, encode_mjcf, encode_wbt
 from tiswarm.world.growth import grow
@@ -173,7 +174,7 @@ def test_without_loops_all_agree(histories, simulation):
         for gravity, tolerance in ((1.0, 3e-3), (0.01, 3e-5)):
             world = simulation(xml, frames.joint_names(structure), gravity)
 
-            world.run(1.0)
+            world.settle()
 
             _same_loads(world.loads(structure), expected, tolerance)
 
@@ -190,7 +191,7 @@ def test_with_loops_welds_are_springs(histories, simulation):
             world = simulation(xml, gravity=gravity)
             springs = world.springs(structure)
 
-            world.run(1.0)
+            world.settle()
 
             loads = world.loads(structure)
             _same_loads(loads, springs, tolerance)
@@ -332,3 +333,36 @@ def test_a_name_with_quotes_is_quoted(towers):
 
     assert Reader(text.decode()).nodes()[0]["title"] == view.name
     assert ET.fromstring(xml).get("model") == view.name  # noqa: S314 - ours
+
+
+def test_welds_become_ball_joints(towers, simulation):
+    """The exchange that the page of files states: the same places, and no moments."""
+    (xml,) = encode_mjcf(frames.view_of(towers[0])).values()
+    root = ET.fromstring(xml)  # noqa: S314 - ours
+    for weld in root.iter("weld"):
+        weld.tag = "connect"
+        first, second = weld.get("body1"), weld.get("body2", "world")
+        weld.set("body1", second)
+        weld.set("body2", first)
+
+    balls = simulation(ET.tostring(root))
+
+    joints = zip(simulation(xml).welds, balls.welds, strict=True)
+    assert all(np.allclose(weld.place, ball.place, atol=1e-12) for weld, ball in joints)
+    assert balls.data.nefc == 3 * balls.model.neq
+    assert np.abs(balls.data.efc_pos).max() < 1e-12
+
+
+@pytest.mark.trial
+def test_the_guide_loads_a_tower_into_mujoco(tmp_path, monkeypatch):
+    """The blocks of the page run as they are, and the ground bears 300 N."""
+    pytest.importorskip("mujoco", reason="the developers' tools have it from Python 3.11 on")
+    text = (REPOSITORY / "docs" / "guides" / "physics.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    names = {}
+
+    for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec(block, names)  # noqa: S102 - ours
+
+    np.testing.assert_allclose(names["ground"], [0.0, 0.0, 300.0], atol=1e-6)
+    assert (tmp_path / "reports").is_dir()

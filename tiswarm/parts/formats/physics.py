@@ -230,6 +230,7 @@ def _text(numbers: Iterable[float] | Reals) -> str:
 _OPTION = {"timestep": "0.002", "gravity": f"0 0 {-GRAVITY}", "tolerance": "1e-12"}
 _SOFTNESS = {"solref": "0.004 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
 _SKY = {"type": "skybox", "builtin": "flat", "rgb1": "1 1 1", "width": "8", "height": "48"}
+_LIGHT = {"pos": "0 0 10", "dir": "0.2 0.3 -1", "directional": "true", "castshadow": "false"}
 _GEOMS = {
     "dock": {"type": "sphere", "mass": repr(1.0 / GRAVITY)},
     "link": {"type": "capsule", "mass": "0", "contype": "0", "conaffinity": "0"},
@@ -256,7 +257,7 @@ def encode_mjcf(view: SwarmView) -> dict[str, bytes]:
         _add(custom, "numeric", name=name, data=_text(numbers))
     _add(_add(root, "asset"), "texture", _SKY)
     bodies = _add(root, "worldbody")
-    _add(bodies, "light", pos="0 0 10", dir="0.2 0.3 -1", directional="true")
+    _add(bodies, "light", _LIGHT)
     _add_ground(bodies, world)
     for row in range(len(world.robots)):
         _add_robot(bodies, world, row)
