@@ -207,7 +207,7 @@ def grow(
         quiet: Whether to hide progress.
 
     Returns:
-        The structures: arrays of all of them, and a sequence of single ones. They sense, score,
+        The structures, a `Swarms`: arrays of all, and a sequence of single ones. They sense, score,
         show, export and save themselves. `ended` says why growth of one stopped early.
 
     Raises:

@@ -1,6 +1,7 @@
 """Structures grow, sense, score, show and save themselves as a library."""
 
 import json
+import pickle
 import re
 import zipfile
 
@@ -11,6 +12,7 @@ import pytest
 import tiswarm as library
 from tiswarm.base import parts
 from tiswarm.base.errors import InputError
+from tiswarm.parts import swarms as module
 from tiswarm.parts.pictures.pictures import build_pictures
 
 pytestmark = pytest.mark.filterwarnings("ignore::tiswarm.base.errors.ResultWarning")
@@ -53,12 +55,12 @@ def test_growth_in_python_is_that_of_a_run(tmp_path):
     }  # fmt: skip
     run = library.run(scenario, out=tmp_path, pictures=False, quiet=True)
 
-    swarms = library.grow({"kind": "tower", "movers": 2}, robots=8, seeds=2, quiet=True)
-    logs = swarms.sense(tilt_noise_deg=1.0, missed_contacts=0.1)
+    grown = library.grow({"kind": "tower", "movers": 2}, robots=8, seeds=2, quiet=True)
+    logs = grown.sense(tilt_noise_deg=1.0, missed_contacts=0.1)
     estimates = [log.localize("joint", **QUICK) for log in logs]
-    scores = swarms.score(estimates)
+    scores = grown.score(estimates)
 
-    for swarm, log, estimate in zip(swarms, logs, estimates, strict=True):
+    for swarm, log, estimate in zip(grown, logs, estimates, strict=True):
         case = run.folder / "cases" / f"{swarm.seed}-baseline"
         written = log.write(tmp_path / "log.jsonl"), estimate.write(tmp_path / "estimate.csv")
         for file, name in zip(written, ("sensing.jsonl", "estimate.csv"), strict=True):
@@ -259,6 +261,8 @@ def test_an_exact_estimate_scores_zero(towers, tmp_path):
         ("mcap", ["case.mcap"]),
         ("tum", ["structure.tum"]),
         ("pyfg", ["case.pyfg"]),
+        ("mjcf", ["case.xml"]),
+        ("wbt", ["case.wbt"]),
     ],
 )
 def test_exports_have_the_structure_and_no_estimate(towers, tmp_path, form, files):
@@ -287,6 +291,25 @@ def test_the_page_has_every_structure(towers, tmp_path):
     assert "</span> estimated</label>" not in page
     assert f"height {towers.height.mean():.3g} R in the mean" in page
     assert towers[0].view(tmp_path / "one.html").read_text().count("tower-seed-3") >= 2
+
+
+def test_a_page_has_room_for_some_structures(towers, tmp_path, monkeypatch):
+    """The table has all; the view has the first ones, and says so."""
+    for name, most in (("_MOST_STRUCTURES", 1), ("MOST_ROBOTS", 15)):
+        with monkeypatch.context() as patched:
+            patched.setattr(module, name, most)
+            page = towers.view(tmp_path / "towers.html").read_text()
+        data = json.loads(re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1])
+        assert [case["name"] for case in data["cases"]] == ["tower-seed-3"]
+        assert "It contains the first 1 of 2 structures." in page
+
+
+def test_structures_pass_between_processes(bridges):
+    """What a worker grew is the same here."""
+    again = pickle.loads(pickle.dumps(bridges))  # noqa: S301 - of this test
+
+    assert np.array_equal(again.position, bridges.position, equal_nan=True)
+    assert again.scenario == bridges.scenario
 
 
 def test_pictures_of_a_structure_have_no_estimate(towers):
@@ -332,11 +355,11 @@ def test_structures_of_a_plugin_grow_and_are_read_back(tmp_path):
     own = tmp_path / "own.py"
     own.write_text(LEANING)
     leaning = {"kind": "leaning", "lean": 20.0}
-    swarms = library.grow(leaning, robots=6, seeds=2, plugins=[own], quiet=True)
-    file = swarms.save(tmp_path / "leaning.npz")
+    grown = library.grow(leaning, robots=6, seeds=2, plugins=[own], quiet=True)
+    file = grown.save(tmp_path / "leaning.npz")
 
     again = library.open_swarms(file)
-    assert np.array_equal(again.position, swarms.position)
+    assert np.array_equal(again.position, grown.position)
     assert str(again).startswith("2 structures (leaning)")
     parts.forget()
     with pytest.raises(InputError, match=r"leaning.npz: structure.kind: .*a plug-in that you load"):
