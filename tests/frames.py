@@ -12,7 +12,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.report.swarm_view import SwarmView, view_log
 from tiswarm.sensing.observation import observe
 from tiswarm.sensing.params import SensingParams
-from tiswarm.world.history import History
+from tiswarm.world.history import DIED, History
 from tiswarm.world.mechanics import Frames, Loads, MechanicsParams
 
 BODY = RobotGeometry().dock_offset_body
@@ -117,17 +117,25 @@ def join(frames: Frames, number: int, structure: Standing, j: int) -> None:
 
 
 def grown(history, robots: int | None = None) -> Standing:
-    """The first robots of a structure that grew, all by default."""
-    count, n = robots or history.robot_count, history.robot.dock_count
-    i, a, j, b = history.contacts[history.contacts[:, 2] < count].T
-    docks = np.concatenate([history.ground_docks, history.edge_docks])
-    docks = docks[docks[:, 0] < count]
-    docks = docks[np.argsort(docks[:, 0], kind="stable")]
+    """Those of the first robots of a structure that are left once so many have joined, or all."""
+    count = min(robots or history.robot_count, history.robot_count)
+    n = history.robot.dock_count
+    stays = remaining(history, count)
+    number = {robot: place for place, robot in enumerate(stays.tolist())}
+    contacts, standing = [], []
+    for j in stays.tolist():
+        walk = history.walks[j]
+        for own, i, dock in walk.at_rest(walk.contacts).tolist():
+            if i in number:
+                contacts.append((n * number[i] + dock, n * number[j] + own))
+        for rows in (walk.ground_docks, walk.edge_docks):
+            standing += [n * number[j] + dock for (dock,) in walk.at_rest(rows).tolist()]
+    turn = Rotation.from_quat(history.orientation_wxyz[stays], scalar_first=True)
     whole = Standing(
-        center=history.position[:count],
-        turn=Rotation.from_quat(history.orientation_wxyz[:count], scalar_first=True).as_matrix(),
-        contacts=np.column_stack([n * i + a, n * j + b]).astype(np.int32),
-        standing=(n * docks[:, 0] + docks[:, 1]).astype(np.int32),
+        center=history.position[stays],
+        turn=turn.as_matrix(),
+        contacts=np.array(contacts, np.int32).reshape(-1, 2),
+        standing=np.array(standing, np.int32),
         foot=np.empty((0, 3)),
         body=history.robot.dock_offset_body,
     )
@@ -150,3 +158,11 @@ def view_of(history: History, **sensing: object) -> SwarmView:
     log = observe(history, SensingParams(**sensing))
     view = view_log(log, exact_estimate(log, history.position), history.position)
     return dataclasses.replace(view, terrain=None if log.ground_z is None else history.terrain)
+
+
+def remaining(history, joined: int) -> np.ndarray:
+    """Robots that have joined and not left or fallen once so many have joined, ascending."""
+    gone = {
+        r for r, after, event in history.departures.tolist() if after <= joined and event < DIED
+    }
+    return np.array([j for j in range(joined) if j not in gone])

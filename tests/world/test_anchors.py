@@ -15,8 +15,7 @@ from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import dump_scenario, scenario_hash
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
-from tiswarm.world.history import find_fault
-from tiswarm.world.history_file import read_history, write_history
+from tiswarm.world.history_file import find_fault, read_history, write_history
 from tiswarm.world.params import (
     BridgeParams,
     CantileverParams,

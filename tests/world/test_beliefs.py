@@ -12,7 +12,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import totals
 from tiswarm.world.growth import grow
-from tiswarm.world.history import find_fault
+from tiswarm.world.history_file import find_fault
 from tiswarm.world.params import (
     BridgeParams,
     CantileverParams,

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tests import frames, oracle
 from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.world.growth import grow
-from tiswarm.world.history import find_fault
+from tiswarm.world.history_file import find_fault
 from tiswarm.world.params import CantileverParams, ClimbParams, TowerParams
 
 ROBOTS = {shape: RobotGeometry(shape=shape, rho=1.8) for shape in SHAPES} | {

@@ -12,9 +12,9 @@ from tests import frames, oracle
 from tiswarm.base.robot import TANGENT_RHO, RobotGeometry
 from tiswarm.compute.math import uniform
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.world.growth import grow, recruit, relay
-from tiswarm.world.history import History, find_fault
-from tiswarm.world.history_file import from_arrays, to_arrays
+from tiswarm.world.growth import grow
+from tiswarm.world.history import History
+from tiswarm.world.history_file import find_fault, from_arrays, to_arrays
 from tiswarm.world.params import (
     BridgeParams,
     CantileverParams,
@@ -23,6 +23,7 @@ from tiswarm.world.params import (
     GrowthParams,
     TowerParams,
 )
+from tiswarm.world.walks import recruit, relay
 
 FIREANT = RobotGeometry()
 
@@ -115,7 +116,13 @@ def test_a_structure_is_read_back_from_its_arrays():
     again = from_arrays(to_arrays(history), params, FIREANT)
 
     assert _same(history, again)
-    left = {"walks": (), "loads": (), "sensed": None}  # arrays and NaN: compared apart
+    # Arrays and NaN are compared apart.
+    left = {
+        "walks": (),
+        "loads": (),
+        "sensed": None,
+        "departures": None,
+    }
     assert dataclasses.replace(again, **left) == dataclasses.replace(history, **left)
     np.testing.assert_array_equal(again.sensed, history.sensed)
     loads = [[dataclasses.astuple(load) for load in each.loads] for each in (again, history)]

@@ -12,8 +12,8 @@ from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.measurements.cues import measure
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
-from tiswarm.world.history import History, find_fault
-from tiswarm.world.history_file import read_history, write_history
+from tiswarm.world.history import History
+from tiswarm.world.history_file import find_fault, read_history, write_history
 from tiswarm.world.params import BridgeParams, CantileverParams, ChainParams, TowerParams
 
 FIREANT = RobotGeometry()

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiswarm.world.growth import recruit, relay
 from tiswarm.world.params import RecruitParams
+from tiswarm.world.walks import recruit, relay
 
 USUAL = RecruitParams(force_threshold=10.0, recruit_base=3.0, recruit_limit=5)
 

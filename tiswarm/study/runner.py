@@ -27,7 +27,8 @@ from tiswarm.study.cases import Case, Group
 from tiswarm.study.provenance import Costs, Used, case_code
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow
-from tiswarm.world.history import History, find_fault
+from tiswarm.world.history import History
+from tiswarm.world.history_file import find_fault
 
 ROBOTS_AT_ONCE = 10_000
 """A job has about this many robots at most, and is stored before the next."""

@@ -822,16 +822,17 @@ def join_undisturbed(
 
 @ti.kernel
 def list_docks(
-    inverse_edge: F64, chosen: Ints1, dock_count: Ints1,
+    inverse_edge: F64, chosen: Ints1, dock_count: Ints1, present: Ints2,
     # BelievedDocks
     head_out: Ints2, following_out: Ints2, dock: Reals3,
 ):  # fmt: skip
-    """List anew, by place, the docks of some structures that have moved.
+    """List anew, by place, the docks of some structures that have moved or lost robots.
 
     Args:
         inverse_edge: One over the edge of a cube [1 / R].
         chosen: Structures to list, shape (C,).
         dock_count: Docks of every structure, shape (S,).
+        present: Whether each robot has not left, shape (S, N).
         head_out: First item of each bucket; see `CellList`.
         following_out: Next item of each chain.
         dock: Dock centers [R], shape (S, n N, 3).
@@ -842,5 +843,7 @@ def list_docks(
             s = chosen[c]
             for bucket in range(head_out.shape[1]):
                 head_out[s, bucket] = -1
+            docks = dock.shape[1] // present.shape[1]
             for item in range(dock_count[s]):
-                link(cells, s, item, cube_of(vector_in(dock, s, item), inverse_edge))
+                if present[s, item // docks]:
+                    link(cells, s, item, cube_of(vector_in(dock, s, item), inverse_edge))

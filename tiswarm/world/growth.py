@@ -6,30 +6,31 @@ has just joined goes on from there in the next round, so nobody walks through an
 calls for help reach those who climb together a round late. A seed grows the same structure in
 any company and on any number of threads.
 
-Robots under great load call others to their aid, through their neighbors. A robot that senses s
-sends recruit = min(floor(B^(s/F - 1)), J), and nothing below F. Each of its zones, one for each
-dock, passes on the greatest of that, the call that comes in at the same zone less 1, and the one
-that comes in at another zone less 2; so a call fades with distance (Swissler and Rubenstein,
-ReactiveBuild, DARS 2021).
+After the joins of a round robots may leave or die. Those that reach the ground only by way of
+robots that left fall, and count as gone, too; robots that climb and have touched one of them are
+spawned again. Then the structure's mechanics are solved anew.
+
+Robots under great load call others to their aid (`walks.py`).
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import AnyInts, Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_docks
-from tiswarm.world.history import History, LoadSummary, Walk
+from tiswarm.world.history import DIED, FELL, LEFT, History, LoadSummary, Walk
 from tiswarm.world.mechanics import Frames, StructureFailure
-from tiswarm.world.params import RecruitParams, StructureParams, anchor_places
-from tiswarm.world.walks import Spawn, Walks, climb_limits
+from tiswarm.world.params import StructureParams, anchor_places
+from tiswarm.world.walks import Spawn, Walks, climb_limits, recruit, relay
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -82,7 +83,7 @@ class _GrowthBatch:
         robot: RobotGeometry,
         believe: Believe | None,
     ) -> None:
-        self.robots, self.believe = robots, believe
+        self.robots, self.believe, self.departs = robots, believe, params.departures is not None
         robot = params.robot(robot)
         count, docks = len(seeds), robot.dock_count * robots
         self.frames = Frames(
@@ -108,6 +109,8 @@ class _GrowthBatch:
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
         self.rounds = 0
+        self.present = np.ones((count, robots), np.int32)
+        self.mute = np.zeros((count, robots), np.bool_)
 
     def spawn(self) -> bool:
         """Fill the free slots of unfinished structures; return whether any robot moves."""
@@ -148,6 +151,8 @@ class _GrowthBatch:
         self.rounds += 1
         joined = walks.joined[movers] >= 0
         grown = [self.structures[s] for s in np.unique(self.structure_of[movers[joined]])]
+        if self.departs:
+            self._lose(grown)
         due = [structure.number for structure in grown if structure.is_due(self.robots)]
         self.frames.solve(due)
         for number in due:
@@ -155,7 +160,8 @@ class _GrowthBatch:
             call = self.structures[number].call
             self.call[number, : len(call)] = call
         # Structures share no contacts: one relay serves them all.
-        relayed = relay(self.call.ravel(), self.frames.joints, docks=walks.docks)
+        mute = self.mute.ravel() if self.departs else None
+        relayed = relay(self.call.ravel(), self.frames.joints, docks=walks.docks, mute=mute)
         self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
         for slot in movers:
             self.moving[slot] &= not self._climbed_by(slot).ended
@@ -163,17 +169,32 @@ class _GrowthBatch:
             self._update_beliefs(grown, self.believe)
         return int(joined.sum())
 
+    def _lose(self, grown: "Sequence[GrowingStructure]") -> None:
+        """Let robots of structures that grew leave or die."""
+        lost = [structure for structure in grown if structure.lose()]
+        for structure in lost:
+            number, present = structure.number, structure.present
+            self.present[number, : len(present)] = present
+            self.mute[number, : len(present)] = ~structure.alive
+            for slot in np.flatnonzero(self.moving & (self.structure_of == number)):
+                self.moving[slot] = present[self.walks.touched(slot)].all()
+        self._list(lost, *self.arrays.cells, self.arrays.dock)
+
+    def _list(self, structures: "Sequence[GrowingStructure]", *docks: NDArray[Any]) -> None:
+        """List anew the docks of some structures, given as in `BelievedDocks`."""
+        chosen = np.array([structure.number for structure in structures], np.int32)
+        dock_count = self.walks.docks * self.arrays.robot_count
+        backend.processor()
+        list_docks(self.walks.limits.inverse_edge, chosen, dock_count, self.present, *docks)
+
     def _update_beliefs(self, grown: "Sequence[GrowingStructure]", believe: Believe) -> None:
         """Put the docks of structures that grew where robots believe them from now on."""
         cells, dock = self.believed
-        backend.processor()
         for structure, believed in zip(
             grown, believe([structure.history() for structure in grown]), strict=True
         ):
             dock[structure.number, : len(believed)] = believed
-        chosen = np.array([structure.number for structure in grown], np.int32)
-        dock_count = self.walks.docks * self.arrays.robot_count
-        list_docks(self.walks.limits.inverse_edge, chosen, dock_count, *cells, dock)
+        self._list(grown, *cells, dock)
 
     def _climbed_by(self, slot: int) -> "GrowingStructure":
         return self.structures[int(self.structure_of[slot])]
@@ -194,16 +215,18 @@ class GrowingStructure:
         self.clearance = robot.extent + robot.spacing
         self.leads = params.spawn_behind == "leading"
         self.anchors = anchor_places(params, robot)
-        self.rim = [np.inf if self.leads else -robot.dock_radius] * params.sides
-        self.low_docks: dict[tuple[int, int], list[Reals]] = {}
         self.walks: list[Walk] = []
         self.loads: list[LoadSummary] = []
         self.sides: list[int] = []
         self.sensed: Reals = np.empty(0)
         self.call: NDArray[np.int32] = np.empty(0, np.int32)
-        self.surveyed = self.unsolved = self.spawned = self.rejected = 0
+        self.present: Bools = np.empty(0, np.bool_)
+        self.alive: Bools = np.empty(0, np.bool_)
+        self.departures: list[tuple[int, int, int]] = []
+        self.drawn = self.unsolved = self.spawned = self.rejected = 0
         self.crossed = False
         self.ended = ""
+        self._forget()
 
     @property
     def founding(self) -> bool:
@@ -258,12 +281,14 @@ class GrowingStructure:
 
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""
-        new = docks[self.surveyed : self.docks * len(self.walks)]
+        surveyed = self.surveyed // self.docks
+        is_new = np.repeat(self.present[surveyed:], self.docks)
+        new = docks[self.surveyed : self.docks * len(self.walks)][is_new]
         if not len(new):
             return
         anchors = self.docks * self.params.anchor_count - self.surveyed
         skipped = max(0, anchors) if self.params.spawn_behind == "placed" else 0
-        self.surveyed += len(new)
+        self.surveyed += len(is_new)
         for side, rim in enumerate(self.rim):
             behind = [rim, *self.params.behind(side, new[skipped:]).tolist()]
             self.rim[side] = min(behind) if self.leads else max(behind)
@@ -272,6 +297,12 @@ class GrowingStructure:
         for dock in new[is_low]:
             # A grid as wide as the clearance: all that is near lies in one of nine squares.
             self.low_docks.setdefault(self._square(dock), []).append(dock)
+
+    def _forget(self) -> None:
+        """Forget where robots stand, to survey those that are left."""
+        self.surveyed = 0
+        self.rim = [np.inf if self.leads else -self.robot.dock_radius] * self.params.sides
+        self.low_docks: dict[tuple[int, int], list[Reals]] = {}
 
     def _is_free(self, center: Reals) -> bool:
         """Whether no dock near the ground touches a robot that is put there."""
@@ -313,6 +344,7 @@ class GrowingStructure:
             self.terrain.foot(docks[standing]),
         )
         self.unsolved += 1
+        self.present, self.alive = np.append(self.present, True), np.append(self.alive, True)
         self.loads.append(LoadSummary())
         if self.params.sides > 1:
             touched = {self.sides[i] for i in other}
@@ -322,6 +354,30 @@ class GrowingStructure:
             if len(touched) > 1:
                 self.crossed = True
                 self.ended = f"the gap is bridged by {j + 1} robots"
+
+    def lose(self) -> bool:
+        """Let robots leave or die, by a draw for each new joiner; return whether any did."""
+        params, joined, before = self.params.departures, len(self.walks), len(self.departures)
+        drawn, self.drawn = self.drawn, joined
+        if params is None or self.ended:
+            return False
+        for joiner in range(drawn, joined):
+            able = np.flatnonzero(self.alive)
+            robot = params.drawn(self.seed, joiner, able[able >= self.params.founder_count])
+            if robot is not None:
+                self.alive[robot] = False
+                self.departures.append((robot, joined, LEFT if params.kind == "leave" else DIED))
+        if len(self.departures) == before:
+            return False
+        if params.kind == "leave":
+            fallen = np.flatnonzero(self.alive & ~self.history().is_held)
+            self.departures += [(robot, joined, FELL) for robot in fallen.tolist()]
+            self.alive[fallen] = False
+            self.frames.remove(self.number, np.flatnonzero(self.present & ~self.alive))
+            self.present = self.alive.copy()
+            self._forget()
+        self.unsolved += self.params.solve_every  # the mechanics are due
+        return True
 
     def is_due(self, robots: int) -> bool:
         """Whether its mechanics are due; in any case at the last join, that of so many robots."""
@@ -336,11 +392,11 @@ class GrowingStructure:
             self.ended = str(failure)
             return
         self.unsolved = 0
-        self.sensed = loads.sensed
-        self.call = recruit(loads.sensed, self.params)
+        self.sensed = np.where(self.alive, loads.sensed, np.nan)
+        self.call = recruit(np.where(self.alive, loads.sensed, 0.0), self.params)
         self.loads[-1] = LoadSummary(
             peak=loads.peak,
-            sensed_max=float(loads.sensed.max()),
+            sensed_max=float(np.nanmax(self.sensed)),
             calling=int(np.count_nonzero(self.call)),
             least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
             imbalance=loads.imbalance,
@@ -357,41 +413,7 @@ class GrowingStructure:
             spawns=self.spawned,
             loads=tuple(self.loads),
             sensed=self.sensed,
+            departures=np.array(self.departures, np.int32).reshape(-1, 3),
             crossed=self.crossed,
             ended=self.ended,
         )
-
-
-def recruit(sensed: Reals, params: RecruitParams) -> NDArray[np.int32]:
-    """Compute each robot's own call from its sensed load, shape (N,)."""
-    ratio = sensed / params.force_threshold
-    # Cap the power where the call exceeds J, to avoid overflow.
-    most = np.log(params.recruit_limit + 2.0) / np.log(params.recruit_base)
-    call = np.floor(params.recruit_base ** np.minimum(ratio - 1.0, most))
-    return np.where(ratio < 1.0, 0, np.minimum(call, params.recruit_limit)).astype(np.int32)
-
-
-def relay(call: NDArray[np.int32], contacts: AnyInts, *, docks: int) -> NDArray[np.int32]:
-    """Spread all calls from zero, and return what each dock passes on.
-
-    Args:
-        call: Each robot's own call, shape (N,).
-        contacts: Docks that touch, rows of (dock, dock) as docks i + k, shape (C, 2).
-        docks: Docks of a robot.
-
-    Returns:
-        Shape (docks N,).
-    """
-    one = np.concatenate([contacts[:, 0], contacts[:, 1]])
-    other = np.concatenate([contacts[:, 1], contacts[:, 0]])
-    own = np.repeat(call, docks)
-    out = own
-    while True:
-        incoming = np.zeros_like(out)
-        np.maximum.at(incoming, one, out[other])
-        # The greatest of all zones may stand for the others': in its own zone the -1 prevails.
-        greatest = np.repeat(incoming.reshape(-1, docks).max(axis=1), docks)
-        spread = np.maximum(own, np.maximum(incoming - 1, greatest - 2))
-        if np.array_equal(spread, out):
-            return out
-        out = spread

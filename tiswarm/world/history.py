@@ -1,23 +1,18 @@
 """The history of a structure's growth: the true stances of every robot."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
-from tiswarm.compute.math import dock_offsets
 from tiswarm.records.terrain import Terrain
+from tiswarm.world.mechanics import held
 
-_MAX_OVERLAP = 1e-9
-"""Deepest overlap that rounding may leave [R]."""
-
-_MAX_IMBALANCE = 1e-6
-"""Greatest share of the weight that the ground may fail to bear in the numbers [1]."""
+LEFT, FELL, DIED = range(3)
+"""What happened to a robot: it left, it fell as others left, or it died where it stands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +105,12 @@ class History:
     """Loads in the structure after each join, in join order."""
 
     sensed: Reals
-    """Load that each robot senses in the end [weight of a dock], shape (N,)."""
+    """Load that each robot senses in the end [weight of a dock], shape (N,); NaN of one that left,
+    fell or died."""
+
+    departures: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 3), np.int32))
+    """Who left, fell or died, in order: rows of (robot, robots that had joined by then, LEFT, FELL
+    or DIED), shape (D, 3). Robots of the same number joined and left in between two walks."""
 
     crossed: bool = False
     """Whether a bridge joins both sides of its gap."""
@@ -130,8 +130,20 @@ class History:
         return known
 
     @property
+    def is_gone(self) -> Bools:
+        """Whether each robot left or fell, shape (N,)."""
+        robot, _, event = self.departures.T
+        return np.isin(np.arange(self.robot_count), robot[event != DIED])
+
+    @property
+    def is_held(self) -> Bools:
+        """Whether contacts among those that are left tie each robot to the ground, shape (N,)."""
+        standing = np.concatenate([self.ground_docks, self.edge_docks])[:, 0]
+        return held(self.robot_count, self.contacts[:, ::2], standing)
+
+    @property
     def position(self) -> Reals:
-        """Final centers [R], shape (N, 3)."""
+        """Final centers [R], also of robots that left, shape (N, 3)."""
         return np.array([walk.center[-1] for walk in self.walks])
 
     @property
@@ -151,18 +163,23 @@ class History:
 
     @property
     def contacts(self) -> NDArray[np.int32]:
-        """Docked pairs in the joiner's order, rows of (i, dock of i, j, dock of j), i < j."""
+        """Docked pairs in the end, by joiner, rows of (i, dock of i, j, dock of j), i < j."""
+        return self._remaining(self.contacts_at_join)
+
+    @property
+    def contacts_at_join(self) -> NDArray[np.int32]:
+        """Docked pairs as each j joined, of the same form; robots may have left since."""
         return self._at_rest("contacts")[:, [2, 3, 0, 1]]
 
     @property
     def ground_docks(self) -> NDArray[np.int32]:
         """Docks on flat ground in the end, rows of (robot, dock)."""
-        return self._at_rest("ground_docks")
+        return self._remaining(self._at_rest("ground_docks"))
 
     @property
     def edge_docks(self) -> NDArray[np.int32]:
         """Docks on an edge or underside in the end, rows of (robot, dock)."""
-        return self._at_rest("edge_docks")
+        return self._remaining(self._at_rest("edge_docks"))
 
     def table(self, name: str) -> NDArray[np.int32]:
         """Gather the rows that all walks have in a table: (robot, stance, ...)."""
@@ -175,51 +192,6 @@ class History:
         stances = np.array([walk.stance_count for walk in self.walks])
         return np.delete(rows[rows[:, 1] == stances[rows[:, 0]] - 1], 1, axis=1)
 
-
-def find_fault(history: History, *, contact_gap: float) -> str:
-    """Find what is wrong with a structure.
-
-    Args:
-        history: The structure as it grew.
-        contact_gap: Docks closer than this count as touching [R].
-
-    Returns:
-        The first fault, or an empty string where there is none.
-    """
-    return next(_faults(history, contact_gap), "")
-
-
-def _faults(history: History, contact_gap: float) -> Iterator[str]:
-    robot, contacts = history.robot, history.contacts
-    turned = dock_offsets(history.orientation_wxyz, robot.dock_offset_body)
-    docks = history.position[:, None, :] + turned
-    dock = docks.reshape(-1, 3)
-    count = robot.dock_count
-
-    pairs = cKDTree(dock).query_pairs(robot.spacing - _MAX_OVERLAP, output_type="ndarray")
-    pairs = pairs[pairs[:, 0] // count != pairs[:, 1] // count]
-    if len(pairs):
-        depth = robot.spacing - np.linalg.norm(dock[pairs[:, 0]] - dock[pairs[:, 1]], axis=1)
-        worst = int(np.argmax(depth))
-        i, j = pairs[worst] // count
-        yield f"robots {i} and {j} overlap by {depth[worst]:.3g} R"
-
-    depth = history.terrain.depth(dock, robot.dock_radius)
-    if not depth.max() <= _MAX_OVERLAP:
-        yield f"robot {np.argmax(depth) // count} is {depth.max():.3g} R deep in the ground"
-
-    i, a, j, b = contacts.T
-    distance = np.linalg.norm(docks[i, a] - docks[j, b], axis=1)
-    for k in np.flatnonzero(distance > robot.spacing + contact_gap):
-        yield f"robots {i[k]} and {j[k]} are in contact {distance[k]:.3g} R apart"
-
-    joined = np.zeros(history.robot_count, np.bool_)
-    joined[contacts[:, 2]] = True
-    joined[history.ground_docks[:, 0]] = True
-    joined[history.edge_docks[:, 0]] = True
-    if not joined.all():
-        yield f"robot {np.argmin(joined)} touches neither an earlier robot nor the ground"
-
-    imbalance = max((load.imbalance for load in history.loads), default=0.0)
-    if imbalance > _MAX_IMBALANCE:
-        yield f"weight and ground forces differ by {imbalance:.3g} of the weight"
+    def _remaining(self, rows: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Choose the rows, (robot, dock, ...) for each end, of robots that have not left."""
+        return rows[~self.is_gone[rows[:, ::2]].any(axis=1)]

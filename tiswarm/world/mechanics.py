@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
-from tiswarm.base.aliases import AnyInts, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.params import STRICT
 from tiswarm.compute import backend
 from tiswarm.world import frame_kernels
@@ -80,7 +80,8 @@ class Loads:
     """Loads at rest in a structure of N robots, C contacts and G ground contacts."""
 
     sensed: Reals
-    """Mean over a robot's links of |axial force| + |bending moment|, shape (N,)."""
+    """Mean over a robot's links of |axial force| + |bending moment|; NaN of one that was removed,
+    shape (N,)."""
 
     contact_stress: Reals
     """Largest von Mises stress in each contact, shape (C,)."""
@@ -110,6 +111,7 @@ class Frames:
         self.params = params
         self.rigid = params.model == "rigid"
         self.robots = np.zeros(structures, np.int32)
+        self.gone = np.zeros((structures, robots), np.bool_)
         self.dock = np.zeros((structures, robots, docks, 3))
         self.waiting: list[_Waiting] = []
         nodes = robots if self.rigid else (docks + 1) * robots
@@ -158,6 +160,20 @@ class Frames:
             foot: Where each of them touches it [R], shape (g, 3).
         """
         self.waiting.append(_Waiting(structure, center, docks, contacts, standing, foot))
+
+    def remove(self, structure: int, robots: AnyInts) -> None:
+        """Take robots that have joined out of a structure, with all their beams."""
+        self._admit()
+        self.gone[structure, robots] = True
+        gone, frame, beams = self.gone[structure], self.frame, self.frame.beam_count[structure]
+        nodes = frame.weight.shape[1] // len(gone)
+        one, other = frame.ends[structure, :beams, : frame_kernels.BeamEnds.DOCK_A].T // nodes
+        stays = ~(gone[one] | (gone[other] & (other >= 0)))
+        frame.beam_count[structure] = left = np.count_nonzero(stays)
+        for of_beams in (frame.ends, frame.stiffness, frame.span):
+            of_beams[structure, :left] = of_beams[structure, :beams][stays]
+        # Nothing joins their nodes now: what is found for these means nothing.
+        frame.weight[structure].reshape(len(gone), -1)[gone] = 0.0
 
     @property
     def joints(self) -> AnyInts:
@@ -292,19 +308,36 @@ class Frames:
         other = self.frame.ends[structure, beams, frame_kernels.BeamEnds.DOCK_B]
         standing, stress = other == frame_kernels.GROUND, found.stress[structure, beams]
         ground_force = found.support[structure, beams][standing]
-        weight = robots * self.dock.shape[2]
+        gone = self.gone[structure, :robots]
+        weight = np.count_nonzero(~gone) * self.dock.shape[2]
         surplus = ground_force.sum(axis=0) - [0.0, 0.0, weight]
         imbalance = float(np.abs(surplus).max() / weight)
         # Rounding hides that a matrix is singular, but not that nothing bears the weight.
         if not imbalance <= _MAX_UNBORNE:
             raise StructureFailure("a part of the structure is held by nothing")
         return Loads(
-            sensed=found.sensed[structure, :robots].copy(),
+            sensed=np.where(gone, np.nan, found.sensed[structure, :robots]),
             contact_stress=stress[other >= 0],
             ground_stress=stress[standing],
             ground_force=ground_force,
             imbalance=imbalance,
         )
+
+
+def held(robots: int, touching: AnyInts, standing: AnyInts) -> Bools:
+    """Find the robots that contacts tie to the ground, shape (N,).
+
+    Args:
+        robots: N.
+        touching: Robots that touch each other, rows of (robot, robot), shape (C, 2).
+        standing: Robots that stand on the ground, shape (G,).
+    """
+    found = np.zeros(robots, np.bool_)
+    one, other = np.concatenate([touching, touching[:, ::-1]]).T
+    while len(standing):
+        found[standing] = True
+        standing = other[found[one] & ~found[other]]
+    return found
 
 
 def _enlarged(array: NDArray[Any], room: int) -> NDArray[Any]:

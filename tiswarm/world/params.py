@@ -31,10 +31,11 @@ from pydantic.dataclasses import dataclass
 from scipy.spatial.distance import pdist, squareform
 
 from tiswarm.base import parts as door
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
+from tiswarm.compute.math import uniform
 from tiswarm.records.messages import shown
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.world.mechanics import MechanicsParams
@@ -120,6 +121,32 @@ class RecruitParams:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class DepartureParams:
+    """Robots that leave or die while the structure grows, one at a time."""
+
+    rate: Annotated[float, Field(ge=0.0, le=1.0)]
+    """Chance that a robot leaves or dies after a join. Which one is drawn at random from those that
+    joined; founders, which include anchors, stay."""
+
+    kind: Literal["leave", "die"] = "leave"
+    """A robot that leaves is gone, with all that reach the ground by its contacts alone. One that
+    dies stays: it bears load and is climbed, but senses nothing, calls nobody and passes no call
+    on."""
+
+    def drawn(self, seed: int, joiner: int, able: AnyInts) -> int | None:
+        """Draw who leaves or dies after the join of robot `joiner`; None for nobody.
+
+        Args:
+            seed: Seed of the structure.
+            joiner: Number of the robot that joined, on which draws depend besides the seed.
+            able: Robots that may be drawn, shape (n,).
+        """
+        chance, which = uniform(seed, "departure", joiner, np.arange(2))
+        is_drawn = chance < self.rate and len(able) > 0
+        return int(able[int(which * len(able))]) if is_drawn else None
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class GrowthParams(RecruitParams):
     """What all kinds of structures have in common.
 
@@ -154,6 +181,16 @@ class GrowthParams(RecruitParams):
     solve_every: Annotated[
         int, Field(ge=1, description="Joins between two solves of the structure's mechanics.")
     ] = 1
+
+    departures: Annotated[
+        DepartureParams | None,
+        Field(
+            # Runs without the key keep their hashes, which name folders.
+            exclude_if=lambda departures: departures is None,
+            description="Robots that leave or die while the structure grows; null for none. Those "
+            "that left count among `robots`, and their numbers are not used again.",
+        ),
+    ] = None
 
     navigate_by: Annotated[
         Literal["truth", "estimate"],
@@ -223,6 +260,13 @@ class GrowthParams(RecruitParams):
         if anchors is not None and info.data.get("anchor") is not None:
             raise ValueError("anchor places the first of them; leave out one of the two keys")
         return anchors
+
+    @field_validator("navigate_by")
+    @classmethod
+    def _keep_the_mapped(cls, by: str, info: ValidationInfo) -> str:
+        if by == "estimate" and info.data.get("departures") is not None:
+            raise ValueError("robots that estimate must stay; leave out departures, or set truth")
+        return by
 
     @property
     def anchor_count(self) -> int:

@@ -1,4 +1,11 @@
-"""Structures and the walks of robots on them, as kernels see them."""
+"""Structures and the walks of robots on them, as kernels see them, and the calls that end walks.
+
+Robots under great load call others to their aid, through their neighbors. A robot that senses s
+sends recruit = min(floor(B^(s/F - 1)), J), and nothing below F. Each of its zones, one for each
+dock, passes on the greatest of that, the call that comes in at the same zone less 1, and the one
+that comes in at another zone less 2; so a call fades with distance (Swissler and Rubenstein,
+ReactiveBuild, DARS 2021).
+"""
 
 import math
 from typing import NamedTuple
@@ -7,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import TiswarmError
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
@@ -24,7 +31,7 @@ from tiswarm.world.climb_kernels import (
     join_undisturbed,
 )
 from tiswarm.world.history import Walk
-from tiswarm.world.params import ClimbParams
+from tiswarm.world.params import ClimbParams, RecruitParams
 
 _Slots = NDArray[np.int32]
 
@@ -161,6 +168,12 @@ class Walks:
         """Whether the robot touches another one where it stays."""
         return bool((self.stances.touching[slot, self.stances.stay[slot]] >= 0).any())
 
+    def touched(self, slot: int) -> AnyInts:
+        """List the robots that a walk that is to go on has touched so far, with repeats."""
+        items = self.stances.touching[slot, : self.climbers.first_stance[slot] + 1]
+        robots: AnyInts = items[items >= 0] // self.docks
+        return robots
+
     def walk(self, slot: int) -> Walk:
         """Copy one walk out, with the way back to where the robot stays at its end."""
         stances = self.stances
@@ -189,3 +202,43 @@ class Walks:
             failed_flips=self.failed[slot, : last + 1].copy(),
             recruited=bool(self.state[slot] == climb_kernels.RECRUITED),
         )
+
+
+def recruit(sensed: Reals, params: RecruitParams) -> NDArray[np.int32]:
+    """Compute each robot's own call from its sensed load, shape (N,)."""
+    ratio = sensed / params.force_threshold
+    # Cap the power where the call exceeds J, to avoid overflow.
+    most = np.log(params.recruit_limit + 2.0) / np.log(params.recruit_base)
+    call = np.floor(params.recruit_base ** np.minimum(ratio - 1.0, most))
+    return np.where(ratio < 1.0, 0, np.minimum(call, params.recruit_limit)).astype(np.int32)
+
+
+def relay(
+    call: NDArray[np.int32], contacts: AnyInts, *, docks: int, mute: Bools | None = None
+) -> NDArray[np.int32]:
+    """Spread all calls from zero, and return what each dock passes on.
+
+    Args:
+        call: Each robot's own call, shape (N,).
+        contacts: Docks that touch, rows of (dock, dock) as docks i + k, shape (C, 2).
+        docks: Docks of a robot.
+        mute: Robots that pass nothing on, shape (N,).
+
+    Returns:
+        Shape (docks N,).
+    """
+    one = np.concatenate([contacts[:, 0], contacts[:, 1]])
+    other = np.concatenate([contacts[:, 1], contacts[:, 0]])
+    own = np.repeat(call, docks)
+    out = own
+    while True:
+        incoming = np.zeros_like(out)
+        np.maximum.at(incoming, one, out[other])
+        # The greatest of all zones may stand for the others': in its own zone the -1 prevails.
+        greatest = np.repeat(incoming.reshape(-1, docks).max(axis=1), docks)
+        spread = np.maximum(own, np.maximum(incoming - 1, greatest - 2))
+        if mute is not None:
+            spread[np.repeat(mute, docks)] = 0
+        if np.array_equal(spread, out):
+            return out
+        out = spread
