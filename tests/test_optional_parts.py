@@ -44,6 +44,7 @@ ASKED = {
     "tiswarm.parts.pictures": "render sensing.jsonl known.csv",
     "tiswarm.parts.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
+    "tiswarm.parts.forecast": "run tower --plan",
     "tiswarm.parts.suites": "run tower --set sensing.suite=zooids --plan",
 }
 """By part, a command that needs it."""
@@ -51,7 +52,7 @@ ASKED = {
 CALLED = {"tiswarm.parts.swarms": "tiswarm.grow(robots=4, quiet=True)"}
 """By part, a call that needs it, where no command does."""
 
-SILENT = {"tiswarm.parts.questions", "tiswarm.parts.units"}
+SILENT = {"tiswarm.parts.curve_figures", "tiswarm.parts.questions", "tiswarm.parts.units"}
 """Parts without which a page or check has less in it, and no command fails."""
 
 ALSO_LACKING = {

@@ -53,7 +53,6 @@ if TYPE_CHECKING:
 
     from tiswarm.evaluation.tables import Scores
     from tiswarm.scenario.model import Scenario
-    from tiswarm.study.forecast import Forecast
 
 
 def read_log(path: File) -> Log:
@@ -247,8 +246,11 @@ def forecast(
     workers: int | None = None,
     plugins: Sequence[File] = (),
     **execution: Any,  # noqa: ANN401 - types of their own
-) -> "Forecast":
+) -> Any:  # noqa: ANN401 - a named tuple of a part
     """Estimate time and memory of the run of a scenario, and compute nothing.
+
+    Returns:
+        A named tuple: cases, robots, start_s, grow_s, localize_s, rest_s [s] and memory_mb [MB].
 
     Args:
         scenario: As for `run`.
@@ -264,7 +266,7 @@ def forecast(
 
     load_plugins(plugins)
     where = study.Execution(workers=workers, **_fields(execution))
-    return study.forecast(_load(scenario, overrides), where)
+    return find("command", "run --plan")(_load(scenario, overrides), where)
 
 
 def report(

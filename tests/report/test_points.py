@@ -6,9 +6,9 @@ import pytest
 
 from tests.report.conftest import require_alike, write_case, write_summary, write_table
 from tiswarm.parts.comparison import draw_rows
+from tiswarm.parts.curve_figures import PROFILED, SCALING_PANELS
 from tiswarm.records.frames import read_frame
 from tiswarm.report import error_figures, figures
-from tiswarm.report.curve_figures import PROFILED, SCALING_PANELS
 from tiswarm.report.run_data import load_run
 
 CONDITIONS = ("baseline", "no-z", "joint")

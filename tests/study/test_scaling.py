@@ -10,7 +10,8 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.base.progress import Progress
-from tiswarm.report.curve_figures import SCALING_PANELS, draw_scaling
+from tiswarm.parts.curve_figures import SCALING_PANELS, draw_scaling
+from tiswarm.parts.forecast import forecast as forecast_of
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
 
@@ -118,7 +119,7 @@ def test_a_forecast_grows_with_what_is_asked_for():
     tower = REPOSITORY / "tests" / "tower.yaml"
 
     def forecast(*overrides):
-        return study.forecast(load_scenario(tower, overrides))
+        return forecast_of(load_scenario(tower, overrides))
 
     once, twice = forecast("seeds=2"), forecast("seeds=4")
     alone = forecast("seeds=2", "conditions={baseline: {}}")
@@ -135,7 +136,7 @@ def test_a_forecast_counts_cases_instead_of_listing_them():
     scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["seeds=1000000"])
     begun = time.process_time()
 
-    forecast = study.forecast(scenario)
+    forecast = forecast_of(scenario)
 
     assert time.process_time() - begun < 1.0
     assert (forecast.cases, forecast.robots) == (3_000_000, 300_000_000)
@@ -148,7 +149,7 @@ def test_a_forecast_tells_schemes_of_messages_apart():
         keys = {"localization": {"method": "distributed", **settings}, "conditions": {"a": {}}}
         tower = REPOSITORY / "tests" / "tower.yaml"
         overrides = [f"{key}={json.dumps(value)}" for key, value in keys.items()]
-        return study.forecast(load_scenario(tower, overrides)).localize_s / 300
+        return forecast_of(load_scenario(tower, overrides)).localize_s / 300
 
     # Processor time [s] of a robot in a tower of 100, seed 0, by `cost.json`.
     measured = {
@@ -165,7 +166,7 @@ def test_a_forecast_counts_the_start_of_each_process():
     """Two workers start two programs: in a small study that takes longer than the study."""
     tower = load_scenario(REPOSITORY / "tests" / "tower.yaml")
 
-    alone, apart = study.forecast(tower), study.forecast(tower, study.Execution(workers=2))
+    alone, apart = forecast_of(tower), forecast_of(tower, study.Execution(workers=2))
 
     assert apart.start_s == 3 * alone.start_s
     assert apart[3:] == alone[3:]
@@ -176,7 +177,7 @@ def test_a_forecast_counts_what_robots_estimate_while_they_build():
     tower = REPOSITORY / "tests" / "tower.yaml"
 
     def growth(*overrides):
-        return study.forecast(load_scenario(tower, ["conditions={a: {}}", *overrides])).grow_s
+        return forecast_of(load_scenario(tower, ["conditions={a: {}}", *overrides])).grow_s
 
     by_truth, by_estimate = growth(), growth("structure.navigate_by=estimate")
     all_again = growth("structure.navigate_by=estimate", "localization.method=joint")

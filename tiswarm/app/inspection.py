@@ -206,8 +206,11 @@ def _inspect_log(path: Path) -> Inspection:
 def _inspect_scenario(given: Path | dict[str, Any], overrides: Sequence[str]) -> Inspection:
     # slow to import
     from tiswarm.scenario.expansion import find_mistakes, load_scenario  # noqa: PLC0415
-    from tiswarm.study import forecast  # noqa: PLC0415
 
     if mistakes := find_mistakes(given, overrides):
         return Inspection(mistakes)
-    return Inspection(summary=str(forecast(load_scenario(given, overrides))))
+    scenario = load_scenario(given, overrides)
+    can_plan = has("command", "run --plan")
+    return Inspection(
+        summary=str(find("command", "run --plan")(scenario)) if can_plan else "no mistakes"
+    )

@@ -79,7 +79,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "figure": {
         "error": "tiswarm.report.error_figures",
         "table": "tiswarm.report.table_figures",
-        "curve": "tiswarm.report.curve_figures",
+        "curve": "tiswarm.parts.curve_figures",
         "swarm": "tiswarm.parts.pictures.swarm_figures",
         "suite": "tiswarm.parts.suites.suite_figure",
     },
@@ -121,6 +121,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "import": "tiswarm.parts.formats.imports:convert",
         "navigate": "tiswarm.parts.navigation:believe_by",
         "render": "tiswarm.parts.pictures.pictures",
+        "run --plan": "tiswarm.parts.forecast:forecast",
         "renderer": "tiswarm.parts.pictures.raycast",
         "sense": "tiswarm.parts.suites.senses",
         "track": "tiswarm.parts.online.tracker",

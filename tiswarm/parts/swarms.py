@@ -47,8 +47,8 @@ from tiswarm.scenario.model import Scenario, dump_scenario, to_plain
 from tiswarm.scenario.yaml_source import parse_yaml
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world import growth
-from tiswarm.world.history import History, find_fault
-from tiswarm.world.history_file import DAMAGED, from_arrays, to_arrays
+from tiswarm.world.history import History
+from tiswarm.world.history_file import DAMAGED, find_fault, from_arrays, to_arrays
 
 _Value = TypeVar("_Value", bound=np.generic)
 

@@ -5,7 +5,6 @@ No other room holds the truth and an estimate together.
 
 from tiswarm.study.cases import plan
 from tiswarm.study.executors import Execution
-from tiswarm.study.forecast import forecast
 from tiswarm.study.run import open_folder, run, tabulate
 
-__all__ = ["Execution", "forecast", "open_folder", "plan", "run", "tabulate"]
+__all__ = ["Execution", "open_folder", "plan", "run", "tabulate"]
