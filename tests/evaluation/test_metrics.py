@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.strategies import rotations, vectors
 from tiswarm.evaluation import metrics
+from tiswarm.records.measures import FEWEST
 
 SHAPE = np.random.default_rng(1).normal(size=(40, 3)) * [1.0, 2.0, 6.0]
 
@@ -120,15 +121,19 @@ def test_paired_differences_see_through_what_structures_share():
 
 def test_structures_that_agree_leave_the_others_to_be_compared():
     """A pair without a difference says nothing; Wilcoxon's test leaves it out."""
-    first = np.array([0.0, 1.0, 2.0, 3.0])
+    first = np.arange(FEWEST + 1.0)
 
-    difference = metrics.paired_difference(first, first - [0.0, 0.1, 0.2, 0.4])
+    difference = metrics.paired_difference(first, first - 0.1 * first**2)
 
-    assert difference["wilcoxon_p"] == pytest.approx(2.0 / 2**3)
+    assert difference["wilcoxon_p"] == pytest.approx(2.0 / 2**FEWEST)
 
 
 def test_too_few_structures_have_no_interval():
     """Statistics of none or one structure, and of two that agree, are NaN where undefined."""
     assert np.isnan(metrics.mean_std_ci95(np.array([]))["mean"])
     assert np.isnan(metrics.mean_std_ci95(np.array([2.0]))["ci95"])
+    few, enough = np.arange(FEWEST - 1.0), np.arange(FEWEST + 0.0)
+    assert np.isnan(metrics.mean_std_ci95(few)["ci95"])
+    assert metrics.mean_std_ci95(enough)["ci95"] > 0.0
+    assert np.isnan(metrics.paired_difference(few, few + 1.0)["wilcoxon_p"])
     assert np.isnan(metrics.paired_difference(np.ones(2), np.ones(2))["wilcoxon_p"])

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from tiswarm.base.parts import PARTS
 from tiswarm.localization.settings import all_cues
 from tiswarm.measurements import cues
+from tiswarm.records.measures import FEWEST
 from tiswarm.report.answers import (
-    FEWEST,
     Results,
     answer,
     conclusion,

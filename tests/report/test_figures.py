@@ -158,6 +158,63 @@ def test_a_method_of_many_more_iterations_is_drawn_to_its_end(tmp_path):
     assert axes.get_xlim() == pytest.approx((10.0, 400.0))  # without iteration 0
 
 
+def test_methods_share_no_axis_of_iterations(tmp_path):
+    """Iterations of one method cost a hundred times those of another."""
+    methods = {"joint": "joint", "paper": "virtual-force", "no-z": "virtual-force"}
+    for name in methods:
+        write_case(tmp_path / "cases" / f"0-{name}", seed=0)
+    rows = [[f"0-{name}", "done", name, name, method] for name, method in methods.items()]
+    write_summary(tmp_path, "case,status,condition,series,method", rows)
+
+    figure = draw_convergence(load_run(tmp_path))
+
+    drawn = {axes.get_title(): [line.get_label() for line in axes.lines] for axes in figure.axes}
+    assert drawn == {"joint": ["joint"], "virtual-force": ["paper", "no-z"]}
+
+
+def test_only_best_and_worst_have_bands(tmp_path):
+    """Three bands are mud, and twenty lines too."""
+    names = [f"c{number:02}" for number in range(12)]
+    for seed in (0, 1):
+        for place, name in enumerate(names):
+            write_case(tmp_path / "cases" / f"{seed}-{name}", seed=seed + place)
+    rows = [[f"{seed}-{name}", "done", name, name] for name in names for seed in (0, 1)]
+    write_summary(tmp_path, "case,status,condition,series", rows)
+
+    figure = draw_convergence(load_run(tmp_path))
+
+    (axes,) = figure.axes
+    assert len(axes.lines) == figure_style.MOST_SERIES
+    colors = {line.get_label(): figure_style.rgb(line.get_color()) for line in axes.lines[-2:]}
+    bands = [band.get_facecolor()[0][:3] for band in axes.collections]
+    np.testing.assert_allclose(bands, [colors["c00"], colors["c11"]])
+    assert "4 more lines not drawn" in figure.texts[-1].get_text()
+
+
+@pytest.mark.parametrize(
+    ("points", "conditions", "rows", "series"),
+    [(3, 2, 3, 2), (2, 9, 9, 2), (9, 9, 60, 1), (1, 9, 9, 1), (9, 1, 9, 1)],
+)
+def test_no_axes_have_more_series_than_a_reader_can_follow(
+    tmp_path, points, conditions, rows, series
+):
+    """Points or conditions have the rows, and what is less of them differs in color."""
+    table = [
+        [f"c{place}", f"{point}.0", 9, 1.0 + place, 0.1, 0.1, 0.1, "", ""]
+        for point in range(points)
+        for place in range(conditions)
+    ]
+    header = "condition,structure.gap,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean"
+    header += ",procrustes_disparity_ci95,paper_rmse_radii,paper_procrustes_disparity"
+    write_table(tmp_path / "table.csv", header, table)
+    write_summary(tmp_path, "case,status", [["0-c0", "done"]])
+
+    rmse, _ = draw_accuracy(load_run(tmp_path)).axes
+
+    assert len(rmse.get_yticklabels()) == rows
+    assert len(rmse.containers) == series <= figure_style.MOST_SERIES
+
+
 def test_errors_of_an_accurate_method_are_seen_beside_others(run_folder, monkeypatch):
     """A linear axis would draw all robots of the better method at zero."""
     tables = {"coarse": np.array([[1.0, 5.0, 0], [2.0, 8.0, 1]]), "fine": np.zeros((2, 3))}
@@ -288,7 +345,7 @@ def test_published_numbers_stand_beside_ours(tmp_path):
     ]
     assert disparity.get_xlabel() == "Procrustes disparity"
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["tower", "published (robot radii)"]
+    assert legend == ["mean", "published (robot radii)"]
 
 
 def test_rounds_of_back_propagation_are_drawn_against_their_cost(tmp_path):

@@ -65,8 +65,8 @@ def test_texts_stay_texts(odd_run):
 @pytest.mark.parametrize(
     ("name", "case", "caption"),
     [
-        ("convergence", "", r"RMSE against iteration .*\."),
-        ("convergence-robots-30", "", r"RMSE against iteration .*\. Shown: robots-30\."),
+        ("convergence", "", r"RMSE against iteration: .*\."),
+        ("convergence-robots-30", "", r"RMSE against iteration: .*\. Shown: robots-30\."),
         ("error", "0-joint", r"True structure, .* Case 0-joint\."),
         ("error-1-paper", "0-joint", r"True structure, .* 1-paper\."),
         ("error-against-height", "", r"Error of each robot .* A dot is a robot.*"),

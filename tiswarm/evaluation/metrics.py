@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 from tiswarm.base.aliases import AnyInts, Ints, Reals
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.measures import RMSE
+from tiswarm.records.measures import FEWEST, RMSE
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
 
@@ -134,7 +134,7 @@ def mean_std_ci95(values: Reals) -> dict[str, float]:
     """Return mean, standard deviation and half width of the 95 % confidence interval of the mean.
 
     There is one value for each structure, NaN if it has none, shape (n,). The interval is
-    Student's. A result that needs more values is NaN.
+    Student's, of `FEWEST` values or more. A result that needs more values is NaN.
 
     >>> mean_std_ci95(np.array([1.0, 2.0, 3.0, math.nan]))["std"]
     1.0
@@ -143,7 +143,8 @@ def mean_std_ci95(values: Reals) -> dict[str, float]:
     count = len(known)
     mean = float(known.mean()) if count else math.nan
     std = float(known.std(ddof=1)) if count > 1 else math.nan
-    width = float(stdtrit(count - 1, 0.975)) * std / math.sqrt(count) if count > 1 else math.nan
+    is_enough = count >= FEWEST
+    width = float(stdtrit(count - 1, 0.975)) * std / math.sqrt(count) if is_enough else math.nan
     return {"mean": mean, "std": std, "ci95": width}
 
 
@@ -163,7 +164,8 @@ def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
 
     Returns:
         Number of pairs; mean, std and ci95 of second minus first; pairs in which the second is
-        smaller, and larger; p-value of Wilcoxon's signed-rank test, NaN if no pair differs.
+        smaller, and larger; p-value of Wilcoxon's signed-rank test, NaN if no pair differs or
+        there are fewer than `FEWEST`.
 
     >>> paired_difference(np.array([1.0, 2.0, 5.0]), np.array([0.5, 1.5, 4.5]))["smaller"]
     3
@@ -171,7 +173,7 @@ def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
     difference = second - first
     difference = difference[np.isfinite(difference)]
     p_value = math.nan
-    if difference.any():
+    if len(difference) >= FEWEST and difference.any():
         from scipy import stats  # noqa: PLC0415 - slow to import
 
         p_value = float(stats.wilcoxon(difference).pvalue)

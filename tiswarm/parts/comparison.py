@@ -166,6 +166,6 @@ def draw_rows(table: pd.DataFrame) -> "Figure":
                 color=marker_style(index)["color"], label=run, linewidth=1.0,
             )  # fmt: skip
     table_figures.finish_rows(panels, labels, MAIN)
-    panels.legend("mean and 95 % CI", loc="outside upper right")
+    panels.legend(figure_style.mean_words(table["cases"]), loc="outside upper right")
     left = len(table) - len(seen)
     return panels.finish(f"{left} more rows are in comparison.csv" if left else "")

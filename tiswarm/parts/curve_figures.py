@@ -46,8 +46,8 @@ CAPTIONS = {
     "equally many robots. Horizontal lines are conditions without rounds. Bars and bands are 95 % "
     "CI.",
     "profiles": "RMSE of robots that are alike: by join index (order of joining), true height, "
-    "hops (contacts on the shortest way to an anchor) and number of contacts. Bands cover the "
-    "errors of 80 % of these robots. Numbers above count "
+    "hops (contacts on the shortest way to an anchor) and number of contacts. Bands of "
+    "the best and the worst series cover the errors of 80 % of these robots. Numbers above count "
     "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
     "between two robots. Of many series, each has a small panel with RMSE by hops alone.",
     "scaling": "Accuracy and cost against the number of robots N, on logarithmic axes. The legends "
@@ -105,7 +105,7 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     panels.label_left(RMSE.axis)
     figure_style.set_log(panels.first, "x", 2.0 * steps.max() / steps.min())
     panels.first.set_xlim(0.7 * steps.min(), 1.4 * steps.max())
-    words = "robots moved in a round; mean and 95 % CI"
+    words = f"robots moved in a round; {figure_style.mean_words(table['cases'])}"
     panels.legend(words, structures=int(table["cases"].max()))
     more = figure_style.left_out(len(points) - len(shown), "table.csv")
     return panels.finish("numbers: joins between two rounds", more, run.note)
@@ -129,7 +129,8 @@ def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) ->
 def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: bool) -> None:
     """Draw a mean and its confidence interval across a panel, with its name at one end."""
     axes.axhline(mean, color="0.35", linewidth=0.8, linestyle="--")
-    axes.axhspan(mean - half, mean + half, color="0.35", alpha=0.15, linewidth=0.0)
+    if half > 0.0:  # not NaN
+        axes.axhspan(mean - half, mean + half, color="0.35", alpha=0.15, linewidth=0.0)
     axes.annotate(
         f"{name}, {three_digits(mean)} R", (float(at_right), mean), (0.0, 1.5), fontsize=6.0,
         xycoords=("axes fraction", "data"), textcoords="offset points", color="0.35",
@@ -161,16 +162,17 @@ def _profile_painters(run: RunData) -> dict[str, figure_style.Painter]:
 def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -> "Figure":
     """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops.
 
-    Bands of a few series cover the errors of most robots of a range, 10 % to 90 %. Small numbers
-    count the robots, or pairs, of each point in the first series. Points of few are open, and not
-    connected.
+    Bands of the best and the worst series cover the errors of most robots of a range, 10 % to 90 %.
+    Small numbers count the robots, or pairs, of each point in the first series. Points of few are
+    open, and not connected.
     """
     many = table["count"] >= _FEWEST_ROBOTS
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
     if len(table[_SERIES].drop_duplicates()) > len(figure_style.PALETTE):
         return _draw_small_profiles(run, table, most)
     panels = figure_style.Panels(3.6, len(PROFILED), 3, most=most)
-    bands = len(table[_SERIES].drop_duplicates()) <= figure_style.MOST_BANDS
+    means = table.groupby(_SERIES)[RMSE.column].mean()
+    bands: set[Any] = {means.idxmin(), means.idxmax()}
     for axes, (name, label) in panels.each(PROFILED.items()):
         part = table[table["by"] == name]
         for place, (series, rows) in enumerate(part.groupby(_SERIES, sort=False)):
@@ -180,7 +182,7 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
                 joined["at"], joined[RMSE.column], marker="o", markersize=2.5,
                 label=", ".join(filter(None, map(str, series))), **look,
             )  # fmt: skip
-            if bands and joined["p90_R"].notna().any():
+            if series in bands and joined["p90_R"].notna().any():
                 low, high = joined["p10_R"].to_numpy(float), joined["p90_R"].to_numpy(float)
                 axes.fill_between(
                     joined["at"], low, high, color=look["color"], alpha=0.15, linewidth=0.0

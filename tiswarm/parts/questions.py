@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from tiswarm.records.measures import BUILT_FOR, CROSSED, RMSE, SENT, Measure
+from tiswarm.records.measures import BUILT_FOR, CROSSED, FEWEST, RMSE, SENT, Measure
 from tiswarm.records.messages import counted
 from tiswarm.report import answers
-from tiswarm.report.answers import FEWEST, METHOD, Results, Row
+from tiswarm.report.answers import METHOD, Results, Row
 
 BUDGET_B = 1_000
 """Bytes that a robot may send, in the mean over robots and structures."""

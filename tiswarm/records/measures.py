@@ -18,6 +18,10 @@ from typing import Any, Literal, TypeVar
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import register, registered, watch
 
+FEWEST = 5
+"""Structures below which there is a range, but no confidence interval and no test, and no error is
+called the smallest: without an effect, five differences have one sign in 6 % of studies."""
+
 
 @dataclass(frozen=True)
 class Measure:

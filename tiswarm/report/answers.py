@@ -19,14 +19,18 @@ import pandas as pd
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import PARTS, find, has
 from tiswarm.records.frames import read_frame
-from tiswarm.records.measures import CONSISTENT, CONVERGED, DISCONNECTED, DISPARITY, JOINED, RMSE
+from tiswarm.records.measures import (
+    CONSISTENT,
+    CONVERGED,
+    DISCONNECTED,
+    DISPARITY,
+    FEWEST,
+    JOINED,
+    RMSE,
+)
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import run_data
-
-FEWEST = 5
-"""Structures below which a range says more than a confidence interval or a test, and no error is
-called the smallest: without an effect, five differences have one sign in 6 % of studies."""
 
 METHOD = "localization.method"
 """Key of a sweep whose values are compared under each condition."""

@@ -41,10 +41,9 @@ _GROWS = {
 
 
 CAPTIONS = {
-    "convergence": "RMSE against iteration of the method: mean over the structures, with a band of "
-    "one standard deviation where there are few lines. Of many, the first, best and worst have a "
-    "color. A flat end shows that more iterations would "
-    "not help. Iterations of different methods do not cost the same.",
+    "convergence": "RMSE against iteration: mean over the structures, a panel for each method and "
+    "point of the sweep. Best and worst have a band of one standard deviation; of many conditions, "
+    "the first, best and worst have a color. A flat end shows that more iterations would not help.",
     "error-against-height": "Error of each robot against its true height, a panel for each "
     "condition. A dot is a robot; its color is its join index, the order in which robots joined. "
     "Dots on the lower edge of a logarithmic axis have this error or less.",
@@ -65,16 +64,14 @@ def painters(run: RunData) -> dict[str, figure_style.Painter]:
 
 
 def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
-    """Draw RMSE against iteration: mean over seeds, and a band of one standard deviation.
+    """Draw RMSE against iteration, mean over seeds; best and worst with a standard deviation.
 
-    Each point of a sweep has a panel with a line for each condition; many lines have no bands.
+    Each point of a sweep has a panel for each method, since iterations of methods cost different
+    times, with a line for each condition.
     """
     points = _by_point(run.series)
     shown = dict(list(points.items())[:_MAX_PANELS])
-    names = _legible(shown)
     seeds = max(map(len, run.series.values()))
-    drawn = {name for of_point in shown.values() for name in of_point}
-    bands = len(drawn) <= figure_style.MOST_BANDS and seeds > 1
     columns = figure_style.columns_of(len(shown))
     rows = -(-len(shown) // columns)
     width = figure_style.COLUMN_WIDTH if columns == 1 else figure_style.PAGE_WIDTH
@@ -82,23 +79,30 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
         0.8 + 1.9 * rows, len(shown), columns, width=width, share="y", most=most
     )
     legend: dict[str, Artist] = {}
-    top = 0.0
-    for axes, (title, of_point) in panels.each(shown.items()):
-        top = max(top, _plot_convergence(axes, of_point, names, bands=bands))
-        figure_style.set_title(axes, title)
+    names, top, hidden = _legible(shown), 0.0, 0
+    for axes, ((point, method), of_point) in panels.each(shown.items()):
+        drawn = _most_telling(of_point, names)
+        hidden += len(of_point) - len(drawn)
+        top = max(top, _plot_convergence(axes, drawn, names))
+        figure_style.set_title(axes, ", ".join(filter(None, [point, method])))
         legend |= {str(line.get_label()): line for line in axes.lines}
     lines = [np.asarray(line.get_ydata(), float) for axes in panels.axes for line in axes.lines]
     ends = np.array([line[-1] for line in lines])
     panels.first.set_ylim(top=1.05 * top or 1.0)
     figure_style.fit_axis(panels.first, "y", ends, others=np.concatenate([np.empty(0), *lines]))
     panels.label_once(y=RMSE.axis)
-    panels.legend(f"mean{' ± 1 sd' * bands}", legend, structures=seeds)
+    panels.legend("mean; best and worst ± 1 sd" if seeds > 1 else "", legend, structures=seeds)
     left = len(points) - len(shown)
-    more = f"{counted(left, 'more sweep point')} not shown" if left else ""
-    return panels.finish(more, run.note)
+    notes = [f"{counted(left, 'more panel')} not drawn"] * (left > 0)
+    notes += [f"{counted(hidden, 'more line')} not drawn"] * (hidden > 0)
+    return panels.finish(*notes, run.note)
 
 
-def _legible(points: dict[str, Series]) -> list[str]:
+_Panels = dict[tuple[str, str], Series]
+"""Conditions of each panel, by point and method; a word that all panels share is empty."""
+
+
+def _legible(points: _Panels) -> list[str]:
     """List the conditions that have a color each: all, or of too many the first, best and worst.
 
     Best and worst are the means of the last RMSE over all points.
@@ -106,42 +110,67 @@ def _legible(points: dict[str, Series]) -> list[str]:
     names = list(dict.fromkeys(name for of_point in points.values() for name in of_point))
     if len(names) <= len(figure_style.PALETTE):
         return names
-    ends: dict[str, list[float]] = {}
+    every: Series = {}
     for of_point in points.values():
         for name, cases in of_point.items():
-            rmse = _traces(cases)[1]
-            ends.setdefault(name, []).extend(rmse[:, -1] if rmse.size else [])
-    order = sorted((float(np.mean(each)), name) for name, each in ends.items() if each)
-    chosen = {names[0], *(name for _, name in [*order[:1], *order[-1:]])}
+            every.setdefault(name, []).extend(cases)
+    order = _by_last_error(every)
+    chosen = {names[0], *order[:1], *order[-1:]}
     return [name for name in names if name in chosen]
 
 
-def _by_point(series: Series) -> dict[str, Series]:
-    """Group series by sweep point; a single group if each point has one condition."""
-    points: dict[str, Series] = {}
+def _by_last_error(series: Series) -> list[str]:
+    """Sort the names of series by the mean of the last RMSE; those without any are left out."""
+    ends = {}
     for name, cases in series.items():
-        point = cases[0].point
-        points.setdefault(point, {})[cases[0].condition or name] = cases
-    if len(points) == len(series) > 1:
-        return {"": series}
+        rmse = _traces(cases)[1]
+        if rmse.size:
+            ends[name] = float(np.mean(rmse[:, -1]))
+    return sorted(ends, key=lambda name: (ends[name], name))
+
+
+def _most_telling(series: Series, names: list[str]) -> Series:
+    """Keep the series that have a color, and as many others as a panel has room for."""
+    others = [name for name in series if name not in names]
+    count = figure_style.MOST_SERIES - (len(series) - len(others))
+    kept = {*names, *others[: max(count, 0)]}
+    return {name: cases for name, cases in series.items() if name in kept}
+
+
+def _by_point(series: Series) -> _Panels:
+    """Group series by sweep point and method; a single group if each point has one condition."""
+    methods = {cases[0].method for cases in series.values()}
+    if len({cases[0].point for cases in series.values()}) == len(series) > 1:
+        return {("", method): _of_method(series, method) for method in sorted(methods)}
+    points: _Panels = {}
+    for name, cases in series.items():
+        key = cases[0].point, cases[0].method * (len(methods) > 1)
+        points.setdefault(key, {})[cases[0].condition or name] = cases
     return points
 
 
-def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: bool) -> float:
-    """Draw mean and band of each series, colored by its place in `names`; returns the top [R].
+def _of_method(series: Series, method: str) -> Series:
+    return {name: cases for name, cases in series.items() if cases[0].method == method}
 
-    Others are thin and gray, and have one entry in a legend.
+
+def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
+    """Draw the mean of each series, colored by its place in `names`; returns the top [R].
+
+    The best and the worst have bands. Others than those named are thin and gray, and have one entry
+    in a legend.
     """
     top = 0.0
+    order = _by_last_error(series)
+    banded = {*order[:1], *order[-1:]}
     for name, cases in sorted(series.items(), key=lambda item: item[0] in names):
         is_named = name in names
         look = figure_style.line_style(names.index(name)) if is_named else dict(_OTHERS)
         iteration, rmse = _traces(cases)
         if not iteration.size:
             continue
-        mean, sd = rmse.mean(axis=0), rmse.std(axis=0) * bands
+        mean, sd = rmse.mean(axis=0), rmse.std(axis=0) * (name in banded)
         axes.plot(iteration, mean, label=name if is_named else "others", **look)
-        if bands:
+        if sd.any():
             axes.fill_between(
                 iteration, mean - sd, mean + sd, color=look["color"], alpha=0.2, linewidth=0.0
             )
@@ -173,7 +202,7 @@ def draw_errors(run: RunData, most: float = np.inf) -> "Figure":
         conditions = list(dict.fromkeys(cases[0].condition for _, cases in shown))
         shown.sort(key=lambda item: conditions.index(item[1][0].condition))
     shown = shown[:_MAX_PANELS]
-    pairs = len(_by_point(run.series)) == 2 or len(shown) == 4  # noqa: PLR2004
+    pairs = len({cases[0].point for cases in run.series.values()}) == 2 or len(shown) == 4  # noqa: PLR2004
     columns = 2 if pairs else min(3, len(shown))
     shown = shown[: _MAX_PANELS // columns * columns]
     rows = -(-len(shown) // columns)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
+from tiswarm.records.measures import FEWEST
 from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.0
 NARROW = "-narrow"
 """End of the name of an SVG that is drawn as wide as a column."""
 
-MOST_BANDS = 5
-"""Lines in a panel beyond which bands would hide each other."""
+MOST_SERIES = 8
+"""Lines or kinds of markers in a panel at most."""
 
 _PLACES = 6  # digits to which axes have the same place in every process [share of the figure]
 _LONG_LABEL = 20  # letters of a row's label beyond which a narrow figure wraps it
@@ -274,9 +275,14 @@ def dot_style(place: int, size: float = 3.5) -> dict[str, Any]:
 
 
 def half_width(values: "pd.Series[float]") -> float:
-    """Return half of the normal 95 % confidence interval of a mean; 0 of a single value."""
+    """Return half of the normal 95 % confidence interval of a mean; 0 of few values."""
     count = values.count()
-    return float(_NORMAL_95 * values.std() / np.sqrt(count)) if count > 1 else 0.0
+    return float(_NORMAL_95 * values.std() / np.sqrt(count)) if count >= FEWEST else 0.0
+
+
+def mean_words(cases: "pd.Series[int]") -> str:
+    """Name what markers and bars show of so many structures: few have no interval."""
+    return "mean and 95 % CI" if cases.max() >= FEWEST else "mean"
 
 
 def fit_axis(

@@ -301,7 +301,8 @@ def write_page(run: RunData, progress: Progress) -> Path:
     room = LARGEST - len(page.html().encode())
     page = replace(page, figures=show_pictures(run.folder / "figures", room))
     room -= sum(picture.size for picture in page.figures)
-    case = run.choose(None).name if run.series else ""
+    chosen = run.choose(None) if run.series else None
+    case = f"{chosen.series}, seed {chosen.name.partition('-')[0]}" if chosen else ""
     page = replace(page, renders=show_pictures(run.folder / "renders", room, case=case))
     path = run.folder / "report.html"
     write_bytes(path, page.html().encode())

@@ -14,6 +14,7 @@ from tiswarm.records.measures import (
     CONVERGED,
     DISCONNECTED,
     DISPARITY,
+    FEWEST,
     FLOPPY_MODES,
     MISFIT,
     PAGE,
@@ -24,7 +25,6 @@ from tiswarm.records.measures import (
 )
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
-from tiswarm.report.answers import FEWEST
 from tiswarm.report.run_data import measured_words, with_points
 
 MOST_ROWS = 2_000

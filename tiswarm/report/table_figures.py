@@ -13,6 +13,7 @@ import pandas as pd
 from tiswarm.records.measures import (
     CONTACTS,
     CROSSED,
+    FEWEST,
     FLIPS_AS_PLANNED,
     FLOPPY_MODES,
     HEIGHT,
@@ -24,7 +25,6 @@ from tiswarm.records.measures import (
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import LABEL
 from tiswarm.report import figure_style
-from tiswarm.report.answers import FEWEST
 from tiswarm.report.run_data import RunData, stated_conditions, with_points
 
 if TYPE_CHECKING:
@@ -40,12 +40,15 @@ _PUBLISHED = "published (robot radii)"
 MOST_ROWS = 60
 """Rows that a figure shows at most."""
 
+_ROOM = 0.12  # height of a marker [inch]
+_MANY = 24  # markers beyond which they have less
+
 _OF_SHAPES = (RMSE, FLOPPY_MODES, CONTACTS, HEIGHT)
 
 CAPTIONS = {
-    "accuracy": "Errors of each condition: mean RMSE and mean Procrustes disparity over the "
-    "structures. Bars are 95 % CI; of few structures, each has a small dot. Hollow markers, where "
-    "there are any, are published numbers. Farther left is better.",
+    "accuracy": "Errors of each condition, and point of the sweep: mean RMSE and mean Procrustes "
+    "disparity over the structures. Bars are 95 % CI; of few structures, each has a small dot. "
+    "Hollow markers, where there are any, are published numbers. Farther left is better.",
     "building": "What robots build that navigate by the truth, or by what each condition estimates "
     "as they join. A flip is as planned if the robot then touches the one that it meant to reach. "
     "Bars are 95 % CI.",
@@ -73,35 +76,38 @@ def _table_painters(run: RunData) -> dict[str, figure_style.Painter]:
 
 
 def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
-    """Draw means over structures, a row a condition, with 95 % confidence intervals.
+    """Draw means over structures with 95 % confidence intervals; of few structures, each one.
 
-    Of few structures, each is drawn instead of the interval. Points of the sweep share a row and
-    differ in color and marker. Open markers are published numbers, whose unit of length is not
-    defined.
+    Without a sweep, conditions have a row each. With one, rows are points, and conditions differ in
+    color and marker; of many conditions, they have the rows. Open markers are published numbers,
+    whose unit of length is not defined.
     """
     published = [measure.published for measure in MAIN]
     table = run.table("table.csv", ["condition"], ["cases", *published, *DRAWN], after="cases")
     table = with_points(table)
-    names = list(dict.fromkeys(table["condition"]))
-    points = list(dict.fromkeys(table["point"]))
-    shown = points[: max(1, MOST_ROWS // len(names))]
+    keys = _rows_and_series(table)
+    row, of = (_joined(table, each) for each in keys)
+    table = table.assign(row=row, of=of)
+    series, names = list(dict.fromkeys(of)), list(dict.fromkeys(row))
+    shown = names[: max(1, MOST_ROWS // len(series))]
     few = table["cases"].max() < FEWEST
-    height = 0.9 + 0.12 * len(names) * (1 + len(shown))
+    room = _ROOM if len(shown) * len(series) < _MANY else 0.7 * _ROOM
+    height = 0.9 + room * len(shown) * (1 + len(series))
     panels = figure_style.Panels(height, len(MAIN), len(MAIN), share="y", most=most)
     for axes, measure in panels.each(MAIN):
-        for index, point in enumerate(shown):
-            rows = table[table["point"] == point].set_index("condition").reindex(names)
-            place = np.arange(len(names)) + (index - 0.5 * (len(shown) - 1)) / (1 + len(shown))
+        for index, name in enumerate(series):
+            rows = table[table["of"] == name].set_index("row").reindex(shown)
+            place = np.arange(len(shown)) + (index - 0.5 * (len(series) - 1)) / (1 + len(series))
             look = figure_style.dot_style(index)
-            mean, ci95 = rows[measure.mean], rows[measure.ci95].fillna(0.0)
-            error = None if few else ci95
-            axes.errorbar(mean, place, xerr=error, label=point or "mean", **look)
+            error = None if few else rows[measure.ci95].fillna(0.0)
+            axes.errorbar(rows[measure.mean], place, xerr=error, label=name or "mean", **look)
             axes.plot(rows[measure.published], place, markerfacecolor="white", **look)
             if few:
-                each = _each_structure(run, measure.column, point)
-                rows_of = [names.index(condition) for condition in each.index]
-                axes.plot(each, place[rows_of], **{**look, "markersize": 1.8, "alpha": 0.6})
-    finish_rows(panels, names, MAIN)
+                each = _each_structure(run, measure.column, keys, name)
+                each = each[each.index.isin(shown)]
+                at = place[[shown.index(where) for where in each.index]]
+                axes.plot(each, at, **{**look, "markersize": 1.8, "alpha": 0.6})
+    finish_rows(panels, shown, MAIN)
     if table[published].notna().any(axis=None):
         panels.first.plot(
             [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
@@ -113,14 +119,37 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     number = counted(int(table["cases"].max()), "structure")
     title = f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}"
     panels.legend(title, entries, loc="outside upper right")
-    return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
+    left = counted(len(names) - len(shown), "more row") + " in table.csv"
+    return panels.finish(left if len(shown) < len(names) else "", run.note)
 
 
-def _each_structure(run: RunData, measure: str, point: str) -> "pd.Series[float]":
-    """Take a measure of each case of a sweep point that is done, by condition."""
+def _rows_and_series(table: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """Choose what has a row each, and what a color: at most `MOST_SERIES` of these."""
+    conditions, points = (len({*table[key]}) for key in ("condition", "point"))
+    if points == 1:
+        return ["condition"], []
+    if conditions <= figure_style.MOST_SERIES:
+        return ["point"], ["condition"] if conditions > 1 else []
+    if points <= figure_style.MOST_SERIES:
+        return ["condition"], ["point"]
+    return ["point", "condition"], []
+
+
+def _joined(table: pd.DataFrame, keys: Sequence[str]) -> list[str]:
+    """Join the words of some columns."""
+    return [", ".join(filter(None, row)) for row in table[[*keys]].to_numpy().tolist()]
+
+
+def _each_structure(
+    run: RunData, measure: str, keys: Sequence[Sequence[str]], name: str
+) -> "pd.Series[float]":
+    """Take a measure of each case of a series that is done, by row."""
     cases = run.summary.reindex(columns=["condition", "point", "status", measure])
-    done = (cases["status"] == "done") & (cases["point"].fillna("") == point)
-    return cases[done].set_index("condition")[measure]
+    cases = cases[cases["status"] == "done"].fillna({"point": "", "condition": ""})
+    row, of = (_joined(cases, each) for each in keys)
+    cases.index = pd.Index(row)
+    found: pd.Series[float] = cases.loc[np.array(of, dtype=object) == name, measure]
+    return found
 
 
 def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
@@ -133,7 +162,7 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
     shown = points[:MOST_ROWS]
-    series = dict(list(table.groupby("condition", sort=False)))
+    series = dict(list(table.groupby("condition", sort=False))[: figure_style.MOST_SERIES])
     panels = figure_style.Panels(0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most)
     for axes, measure in panels.each(_OF_SHAPES):
         alike = table.groupby("point")[measure.mean].nunique().max() <= 1
@@ -152,9 +181,8 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
         axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
     for axes in panels.axes:
         axes.tick_params(axis="x", labelsize=6.0)
-    panels.legend(
-        "mean and 95 % CI", structures=int(table["cases"].max()), loc="outside upper right"
-    )
+    words = figure_style.mean_words(table["cases"])
+    panels.legend(words, structures=int(table["cases"].max()), loc="outside upper right")
     return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
@@ -201,7 +229,7 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     families = _families(run, table)
     table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
-    shown = points[: len(figure_style.PALETTE)]
+    shown = points[: figure_style.MOST_SERIES]
     graded = {name for family in families for name in family.names.values()}
     plain = next((name for name in table["condition"] if name not in graded), "")
     columns = figure_style.columns_of(len(families))
@@ -231,7 +259,7 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     panels.label_once(y=RMSE.axis)
     level = f"; dashed: {plain}" if plain else ""
     number = counted(int(table["cases"].max()), "structure")
-    panels.legend(f"mean and 95 % CI, {number}{level}")
+    panels.legend(f"{figure_style.mean_words(table['cases'])}, {number}{level}")
     return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
 
 
@@ -325,7 +353,8 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
     panels.first.invert_yaxis()
     structures = int(rows.groupby(["by", "structure"]).size().max())
     entries = panels.entries()
-    panels.legend("mean and 95 % CI", entries, structures=structures, loc="outside upper right")
+    words = figure_style.mean_words(rows.groupby(["by", "structure"]).size())
+    panels.legend(words, entries, structures=structures, loc="outside upper right")
     return panels.finish(run.note)
 
 

@@ -8,7 +8,6 @@ import pandas as pd
 from tiswarm.base.aliases import Reals
 from tiswarm.records.measures import RMSE
 from tiswarm.report import figure_style
-from tiswarm.report.answers import FEWEST
 from tiswarm.report.run_data import RunData, with_points
 
 if TYPE_CHECKING:
@@ -44,8 +43,7 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     gaps = ["cases", _PRICE, _ERROR, _HALF]
     table = run.table("suites.csv", ["condition", "suite", "way"], gaps, after="cases")
     table = table[table["cases"] > 0]
-    # Of fewer structures, the interval says nothing.
-    table[_HALF] = table[_HALF].where(table["cases"] >= FEWEST, 0.0)
+    table[_HALF] = table[_HALF].fillna(0.0)
     pointed = with_points(table)
     points = [*pointed.groupby("point", sort=False)]
     shown = points[:_MOST_PANELS]
@@ -63,8 +61,7 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
         figure_style.set_title(axes, point)
         axes.set_xlabel("Price of 100 robots [USD]")
     panels.label_left("RMSE of all robots [R]")
-    words = "mean and 95 % CI" if table[_HALF].any() else "mean"
-    panels.legend(words, structures=int(table["cases"].max()))
+    panels.legend(figure_style.mean_words(table["cases"]), structures=int(table["cases"].max()))
     return panels.finish(figure_style.left_out(len(points) - len(shown), "suites.csv"), run.note)
 
 
