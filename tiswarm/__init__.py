@@ -44,6 +44,7 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.app.results import open_run as open_run
     from tiswarm.base.errors import EnvironmentTroubleError as EnvironmentTroubleError
     from tiswarm.base.errors import InputError as InputError
+    from tiswarm.base.parts import Swarms as Swarms
     from tiswarm.base.parts import Tracker as Tracker
     from tiswarm.base.robot import RobotGeometry as RobotGeometry
     from tiswarm.engine.relax import RelaxResult as RelaxResult

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Tracker: Any  # of `__getattr__`
+    Swarms: Any  # of `__getattr__`
+    Tracker: Any
 
 _PACKAGE = __name__.partition(".")[0]
 
@@ -108,7 +109,10 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "cues": "tiswarm.parts.questions:cues",
         "scaling": "tiswarm.parts.questions:scaling",
     },
-    "class": {"Tracker": "tiswarm.parts.online.tracker:Tracker"},
+    "class": {
+        "Swarms": "tiswarm.parts.swarms:Swarms",
+        "Tracker": "tiswarm.parts.online.tracker:Tracker",
+    },
     "log_format": {"mcap": "tiswarm.parts.formats.mcap:sensing_lines"},
     "command": {
         "advise": "tiswarm.parts.advice.further:tabulate",
