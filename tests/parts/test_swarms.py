@@ -117,6 +117,28 @@ def test_rows_start_with_their_structure(bridges):
     assert place == len(stances.center) == len(stances.orientation_wxyz)
 
 
+@pytest.mark.parametrize("kind", ["leave", "die"])
+def test_arrays_have_the_robots_that_left(kind, tmp_path):
+    """Each row of departures has its robot, and the round of the join that it followed."""
+    structure = {"kind": "tower", "departures": {"rate": 0.4, "kind": kind}}
+    found = library.grow(structure, robots=12, seeds=2, quiet=True)
+    left = [[-1] * 12, [-1] * 12]
+    gone = np.zeros((2, 12), np.bool_)
+
+    assert len(found.departures) > 2
+    for s, robot, joined, event in found.departures.tolist():
+        left[s][robot] = found[s].history.walks[joined - 1].round
+        gone[s, robot] = event != 2
+        assert (event == 2) == (kind == "die")
+        assert np.isnan(found.sensed_load[s, robot])
+    assert found.leave_round.tolist() == left
+    assert (found.leave_round >= found.join_round)[found.leave_round >= 0].all()
+    assert np.array_equal(found.is_gone, gone)
+    again = library.open_swarms(found.save(tmp_path / "left.npz"))
+    assert again.departures.tolist() == found.departures.tolist()
+    assert found.view(tmp_path / "left.html").is_file()
+
+
 def test_a_batch_is_a_sequence(towers):
     """It has single structures and parts, in the order of the seeds that were given."""
     assert towers.seed.tolist() == [3, 1]

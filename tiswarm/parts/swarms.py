@@ -135,6 +135,28 @@ class Structure:
         return np.array([walk.round for walk in self.history.walks])
 
     @property
+    def leave_round(self) -> Ints:
+        """Round of growth in which each robot left, fell or died; -1 if none, shape (N,)."""
+        robot, joined, _ = self.departures.T
+        rounds = np.full(self.robot_count, -1)
+        rounds[robot] = self.join_round[joined - 1]
+        return rounds
+
+    @property
+    def departures(self) -> NDArray[np.int32]:
+        """Who left, fell or died, in order, shape (D, 3).
+
+        Rows of (robot, robots that had joined by then, event); the event is 0 if the robot left, 1
+        if it fell as others left, and 2 if it died where it stands.
+        """
+        return self.history.departures
+
+    @property
+    def is_gone(self) -> Bools:
+        """Whether each robot left or fell; positions are then where it last stood, shape (N,)."""
+        return self.history.is_gone
+
+    @property
     def flips(self) -> Ints:
         """Flips of each robot, the way back to its best stance included, shape (N,)."""
         return np.array([walk.stance_count - 1 for walk in self.history.walks])
@@ -388,6 +410,25 @@ class Swarms(Sequence[Structure]):
         of the round disturbs its walk.
         """
         return self._padded(lambda each: each.join_round)
+
+    @property
+    def leave_round(self) -> Ints:
+        """Round of growth in which each robot left, fell or died; -1 if none, shape (S, N)."""
+        return self._padded(lambda each: each.leave_round)
+
+    @property
+    def departures(self) -> Ints:
+        """Who left, fell or died, shape (D, 4).
+
+        Rows of (structure, robot, robots that had joined by then, event); the event is 0 if the
+        robot left, 1 if it fell as others left, and 2 if it died where it stands.
+        """
+        return self._rows(lambda each: each.departures)
+
+    @property
+    def is_gone(self) -> Bools:
+        """Whether each robot left or fell; positions are then where it last stood, shape (S, N)."""
+        return self._padded(lambda each: each.is_gone)
 
     @property
     def flips(self) -> Ints:
