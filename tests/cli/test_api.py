@@ -1,6 +1,7 @@
 """`tiswarm.run` gives a notebook what the command writes."""
 
 import html
+import io
 import re
 import subprocess
 import sys
@@ -31,7 +32,31 @@ def test_tables_are_data_frames(run):
     assert list(run.summary["status"]) == ["done"] * 6
     assert run.table["rmse_R_mean"].notna().all()
     assert len(run.frame("estimate", case=run.summary["case"][0])) == 12
-    pd.testing.assert_frame_equal(run.table, pd.read_csv(run.folder / "table.csv"))
+    full = pd.read_csv(run.folder / "table.csv")
+    pd.testing.assert_frame_equal(run.frame("table"), full)
+    assert {"condition", "cases", "rmse_R_least"} < {*run.table} < {*full}
+    assert len(run.table.columns) < 40
+    pd.testing.assert_frame_equal(run.table, full[[*run.table]])
+
+
+def test_a_table_for_a_paper_is_that_of_the_page(run, tiswarm):
+    """Three forms have the same cells; few structures have ranges, and no interval."""
+    cells = run.paper_table()
+    latex, markdown, csv = (
+        tiswarm("table", run.folder, form).stdout for form in ("--latex", "--markdown", "--csv")
+    )
+
+    assert list(cells)[:3] == ["condition", "RMSE [R]", "disparity"]
+    assert cells["RMSE [R]"].str.fullmatch(r"[\d.]+ \([\d.]+ to [\d.]+\)").all()
+    pd.testing.assert_frame_equal(pd.read_csv(io.StringIO(csv), dtype=str, na_filter=False), cells)
+    for rmse in cells["RMSE [R]"]:
+        assert rmse in latex
+        assert f"| {rmse} |" in markdown
+    assert latex.count(r"\\") == 1 + len(cells)
+    assert r"\toprule" in latex
+    assert tiswarm("table", run.folder, "--latex", "--csv").returncode == 2
+    page = run.page.read_text()
+    assert all(f">{rmse.partition(' ')[0]} <" in page for rmse in cells["RMSE [R]"])
     with pytest.raises(InputError, match=r"^name: .* choose one of .*summary, table"):
         run.frame("nothing")
     with pytest.raises(InputError, match=r"^case: .* choose one of 0-baseline"):

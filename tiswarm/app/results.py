@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote
 
 import numpy as np
@@ -14,13 +14,14 @@ import numpy as np
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import AnyMovie
-from tiswarm.records.measures import DISPARITY, RMSE
+from tiswarm.records.measures import DISPARITY, MAIN, MEASURES, PAGE, RMSE
 from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
     import matplotlib.figure
     import pandas as pd
 
+    from tiswarm.report.page_tables import PageTable
     from tiswarm.report.run_data import RunData
 
 if TYPE_CHECKING:
@@ -96,13 +97,35 @@ class Run:
 
     @property
     def table(self) -> "pd.DataFrame":
-        """Results by condition, `table.csv`."""
-        return self.frame("table")
+        """Results by condition that the page shows; `frame("table")` has all statistics."""
+        full = self.frame("table")
+        shown = {each for place in PAGE.values() for each in place}
+        hidden = {each.mean for each in MEASURES.values() if each not in shown}
+        ends = {name for each in MAIN for name in (each.ci95, each.least, each.most)}
+        kept = [n for n in map(str, full) if n in ends or (n.endswith("_mean") and n not in hidden)]
+        kept = [name for name in kept if full[name].notna().any()]
+        return full.loc[:, :"failed"].join(full[kept])
 
     @property
     def summary(self) -> "pd.DataFrame":
         """Results by case, with the reason of each failure, `summary.csv`."""
         return self.frame("summary")
+
+    def paper_table(self) -> "pd.DataFrame":
+        """Return the first table of the page, in words: points, conditions and errors."""
+        return self._accuracy().frame
+
+    def paper_text(self, form: Literal["latex", "markdown", "csv"]) -> str:
+        """Write that table for a paper: "latex" with rules of booktabs, "markdown" or "csv"."""
+        from tiswarm.report.page_tables import paper_text  # noqa: PLC0415 - slow to import
+
+        return paper_text(self._accuracy(), form)
+
+    def _accuracy(self) -> "PageTable":
+        from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
+
+        table = self._data().table("table.csv", ["condition"], ["cases"], after="cases")
+        return headline_table(table)
 
     def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
         """Read another table of the run, or one of a case.
@@ -209,11 +232,11 @@ class Run:
     def _repr_html_(self) -> str:
         if self.missing:
             return html.escape(str(self))
-        page, table = self.page, self.table
+        page = self.page
         name = html.escape(self.folder.name)
         link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.is_file() else name
         answer = f"<p>{html.escape(self.answer)}</p>"
-        return link + answer + short_table(table).to_html(index=False, na_rep="")
+        return link + answer + self.paper_table().to_html(index=False)
 
 
 def short_table(table: "pd.DataFrame") -> "pd.DataFrame":

@@ -370,6 +370,27 @@ def report(
         options.show_page(found.page, opened=opened)
 
 
+@app.command(epilog="Example: tiswarm table reports/paper-1a2b3c4d --latex > table.tex")
+def table(
+    run: options.RunFolderPath,
+    plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
+    *,
+    latex: Annotated[bool, Option("--latex", help="Print LaTeX, for booktabs.")] = False,
+    markdown: Annotated[bool, Option("--markdown", help="Print Markdown (default).")] = False,
+    csv: Annotated[bool, Option("--csv", help="Print CSV.")] = False,
+) -> None:
+    """Print the table of errors of a run for a paper."""
+    import tiswarm
+    from tiswarm.base.errors import InputError
+    from tiswarm.base.parts import load_plugins
+
+    if latex + markdown + csv > 1:
+        raise InputError("choose only one of --latex, --markdown, --csv")
+    load_plugins(plugins)
+    form: Any = "latex" if latex else "csv" if csv else "markdown"
+    typer.echo(tiswarm.open_run(run).paper_text(form), nl=False)
+
+
 @app.command(epilog="Example: tiswarm render reports/tower-1a2b3c4d --renderer open3d")
 def render(
     source: _RunOrLog,

@@ -59,10 +59,13 @@ class Comparison:
     def __str__(self) -> str:
         """Write the results of each run by condition, and name the files."""
         files = f"comparison.csv, paired.csv and comparison.png in {self.folder}"
-        return f"{short_table(self.table).to_string(index=False, na_rep='')}\n{files}"
+        return f"{self._short().to_string(index=False, na_rep='')}\n{files}"
 
     def _repr_html_(self) -> str:
-        return short_table(self.table).to_html(index=False, na_rep="")
+        return self._short().to_html(index=False, na_rep="")
+
+    def _short(self) -> pd.DataFrame:
+        return short_table(Labels().put(self.table, before="cases"))
 
     def _frame(self, name: str) -> pd.DataFrame:
         return read_frame(self.folder / f"{name}.csv", empty=True)

@@ -72,6 +72,29 @@ class PageTable:
         return [(str(point), part.to_numpy().tolist()) for point, part in parts]
 
 
+def paper_text(table: PageTable, form: str) -> str:
+    """Write a table for a paper, as "latex" with rules of booktabs, "markdown" or "csv".
+
+    CSV repeats the point of the sweep in each row; the others write it once.
+    """
+    frame = table.frame
+    if form == "csv":
+        return frame.to_csv(index=False, lineterminator="\n")
+    if table.is_grouped:
+        frame = frame.assign(**{POINT: frame[POINT].mask(frame[POINT].duplicated(), "")})
+    if form == "latex":
+        sides = "".join("l" if name in table.words else "r" for name in frame)
+        style = frame.style.hide(axis="index").format(escape="latex")
+        style = style.format_index(escape="latex", axis="columns")
+        caption = table.note.replace("%", r"\%")
+        text = style.to_latex(hrules=True, column_format=sides, caption=caption)
+        return text.replace("±", r"$\pm$")
+    rule = [":--" if name in table.words else "--:" for name in frame]
+    cells = frame.replace(r"\|", r"\\|", regex=True).to_numpy().tolist()
+    rows = [[*map(str, frame)], rule, *cells]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
 def headline_table(table: pd.DataFrame) -> PageTable:
     """Format the accuracy of each condition, the best one of each sweep point first."""
     place = with_points(table).groupby("point", sort=False).ngroup()
