@@ -11,7 +11,8 @@ from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
-from tiswarm.localization.mixture import outliers
+from tiswarm.localization.mixture import outliers, verdict
+from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.mixture.settings import OutlierRobotSettings
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.odometry import Odometry, stuck_robots
@@ -66,20 +67,20 @@ def sound(log):
         return localize(log, JointParams())
 
 
-def drifted(log, robot):
+def drifted(log, robot, drift=DRIFT):
     """Turn the orientations of a robot ever farther from stance to stance."""
     stances = log.stances
     begin, end = stances.start[robot : robot + 2]
     earlier, final = stances.orientation_wxyz.copy(), log.orientation_wxyz.copy()
     for step, stance in enumerate(range(begin, end)):
-        earlier[stance] = _turned(earlier[stance], step)
-    final[robot] = _turned(final[robot], end - begin)
+        earlier[stance] = _turned(earlier[stance], step * drift)
+    final[robot] = _turned(final[robot], (end - begin) * drift)
     stances = replace(stances, orientation_wxyz=earlier)
     return replace(log, orientation_wxyz=final, stances=stances)
 
 
-def _turned(wxyz, times):
-    turn = Rotation.from_rotvec(times * DRIFT) * Rotation.from_quat(wxyz, scalar_first=True)
+def _turned(wxyz, angle):
+    turn = Rotation.from_rotvec(angle) * Rotation.from_quat(wxyz, scalar_first=True)
     return turn.as_quat(scalar_first=True)
 
 
@@ -107,6 +108,28 @@ def test_other_robots_are_within_their_sd_without_it(estimate, tower, robot):
 def test_the_robot_that_is_named_is_less_certain_than_before(estimate, sound, robot):
     """Its contacts alone say where it is, with docks that point anywhere."""
     assert estimate.sd[robot] > 2.0 * sound.sd[robot]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 5.0, 6.0])
+def test_a_drift_that_the_sum_of_all_rows_hides_is_warned_of(monkeypatch, degrees):
+    """The cost falls by more than chance explains without the orientations of the seventh robot."""
+    history = grow(TowerParams(), robots=24, seeds=[1000], robot=RobotGeometry())[0]
+    log = drifted(observe(history, NOISY), 7, np.radians([0.0, degrees, 0.0]))
+    place = log.anchor_position + history.position - history.position[0]
+
+    def judged():
+        nowhere, sd = np.zeros(24, np.bool_), np.full(24, 0.5)
+        found = assess(log, JointParams().cues, place / log.dock_radius, is_guess=nowhere, sd=sd)
+        return found.convergence
+
+    found = judged()
+    monkeypatch.setattr(verdict, "gains_without", lambda *_: (np.zeros(16), np.zeros(16, int)))
+    before = judged()
+
+    assert before.trusted
+    assert found.consistent == (not degrees)
+    of_robot = "noise as stated does not explain the orientations of robot 7"
+    assert found.reason == (of_robot if degrees else "")
 
 
 def test_nobody_is_named_where_noise_explains_the_log(sound):

@@ -165,20 +165,16 @@ def _solution(fit: Fit, minimum: Minimum, share: float, position: Reals, loose: 
     """Describe a minimum, with its centers as placed, (N, 3), and their further variance, (N,)."""
     unit = fit.log.dock_radius
     gap = fit.problem.residual(position[None], minimum.yaw[None])
+    width = np.sqrt(fit.problem.variance + fit.annealed.sigma**2)
     return Solution(
         weight=float(share),
         chains=minimum.chains,
         chi_square=minimum.cost,
         residual=float(rms(gap)[0]) * unit,
-        residual_sd=float(rms(gap / _width(fit))[0]),
+        residual_sd=float(rms(gap / width)[0]),
         position=position * unit,
         sd=np.sqrt(minimum.sd**2 + minimum.aside + loose) * unit,
     )
-
-
-def _width(fit: Fit) -> Reals:
-    """Standard deviation of contacts and ranges in the heat of the chains [R], shape (C,)."""
-    return np.sqrt(fit.problem.variance + fit.annealed.sigma**2)
 
 
 def _listed(problem: Problem, outlier: Bools) -> Mapping[str, Any]:
@@ -192,6 +188,7 @@ def _listed(problem: Problem, outlier: Bools) -> Mapping[str, Any]:
 def _traced(fit: Fit, position: Reals, yaw: Reals) -> Mapping[str, Any]:
     """Trace chains up to positions and yaws, by names of fields of an estimate."""
     annealed, problem, unit = fit.annealed, fit.problem, fit.log.dock_radius
+    width = np.sqrt(problem.variance + annealed.sigma**2)
     trace = place_disconnected(annealed.trace[:-1], problem)[0]
     trace = np.concatenate([trace, position[None]])
     gap = problem.residual(trace, np.concatenate([annealed.yaw_trace[:-1], yaw[None]]))
@@ -199,7 +196,7 @@ def _traced(fit: Fit, position: Reals, yaw: Reals) -> Mapping[str, Any]:
         "iteration": annealed.iteration,
         "trace": trace * unit,
         "residual": rms(gap) * unit,
-        "residual_sd": float(rms(gap[-1:] / _width(fit))[0]),
+        "residual_sd": float(rms(gap[-1:] / width)[0]),
     }
 
 
@@ -458,7 +455,9 @@ def deviation(
     fit = SD_CALIBRATION
     between = between_chains(mean, weight)
     # Displacements that a robot shares with all others: few chains show them, so they weigh more.
-    between += fit.shared * between_chains(_others(mean), weight)
+    total = mean[:, 1:].sum(axis=1, keepdims=True)
+    others = (total - mean) / max(mean.shape[1] - 2, 1)
+    between += fit.shared * between_chains(others, weight)
     square = weight @ within + between
     noise = _noise_share(problem.variance)
     thermal = fit.thermal_variance * (1.0 - noise) * sigma**2
@@ -486,13 +485,6 @@ def between_chains(mean: Reals, weight: Reals) -> Reals:
         chains = float(len(mean))
     square = moments(weight, mean)[1]
     return square * ((chains + 1.0) / (chains - 1.0) if chains > 1.0 else 1.0)
-
-
-def _others(mean: Reals) -> Reals:
-    """Mean position of all robots but the anchor and the robot itself, shape (chains, N, 3)."""
-    robots = mean.shape[1]
-    total: Reals = mean[:, 1:].sum(axis=1, keepdims=True)
-    return (total - mean) / max(robots - 2, 1)
 
 
 def _noise_share(variance: Reals) -> float:

@@ -23,7 +23,7 @@ from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.ends import Fit, Posed
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
-from tiswarm.localization.mixture.verdict import widened
+from tiswarm.localization.mixture.verdict import gains_without, widened
 from tiswarm.measurements.odometry import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted
@@ -34,8 +34,6 @@ _TRIAL_TURN = 1.5
 
 _TRIAL_SD = 0.3
 """Standard deviation by which measurements may be missed as this search begins [R]."""
-
-_AXES = np.arange(3)
 
 
 class Disregarded(NamedTuple):
@@ -185,7 +183,8 @@ def _without(trial: _Trial, robots: Ints) -> _Trial:
 
 def _next(trial: _Trial) -> _Trial | None:
     """Leave out the orientations of the robot that chance explains least, if there is one."""
-    gain, freed = _gains(trial)
+    rows = trial.posed.problem.rows
+    gain, freed = gains_without(rows, trial.linear, np.arange(rows.robots))
     predicted = _significance(gain, freed, trial)
     predicted[trial.robots] = 0.0
     best, most = None, OUTLIER_ROBOTS.least
@@ -229,7 +228,7 @@ def _justified(trial: _Trial, stuck: Ints) -> _Trial:
     for robot in trial.robots[len(stuck) : -1].tolist():
         back = _without(trial, trial.robots[trial.robots != robot])
         rise = np.array([back.linear.chi_square - trial.linear.chi_square])
-        freed = _gains(back)[1][[robot]]
+        _, freed = gains_without(back.posed.problem.rows, back.linear, np.array([robot]))
         if _significance(rise, freed, trial)[0] < OUTLIER_ROBOTS.least:
             trial = back
     return trial
@@ -253,24 +252,6 @@ def _significance(gain: Reals, freed: Ints, trial: _Trial) -> Reals:
     with np.errstate(divide="ignore"):  # a gain beyond any chance is infinitely significant
         significance = -np.log10(chdtrc(np.maximum(freed, 1), np.maximum(gain, 0.0) / noise))
     return np.where(freed > 0, significance, 0.0)
-
-
-def _gains(trial: _Trial) -> tuple[Reals, Ints]:
-    """Predict by how much the cost falls without the orientations of each robot.
-
-    The prior of a final orientation counts as three rows.
-
-    Returns:
-        Gains [1], and how many rows others check, (N,) both.
-    """
-    rows, linear = trial.posed.problem.rows, trial.linear
-    gain, freed = np.zeros(rows.robots), np.zeros(rows.robots, np.int64)
-    walked = np.flatnonzero(rows.is_walked)
-    for robot in range(rows.robots):
-        own = walked[rows.robot[walked] == robot]
-        turn = linear.column[3 * (rows.robots + robot) + _AXES]
-        gain[robot], freed[robot] = linear.gain_without(own, turn[turn >= 0])
-    return gain, freed
 
 
 def _turned(trial: _Trial) -> SensingLog:

@@ -20,6 +20,9 @@ from tiswarm.records.sensing_log import SensingLog
 _CHANCE = 1e-4
 """Chance that a right log has a group of measurements that noise does not explain [1]."""
 
+_TRIED = 16
+"""Robots whose orientations are tested, those that carry most misfit [1]: each takes a solve."""
+
 _KINDS = ("contacts", "contacts of walks", "ranges and displacements", "coordinates")
 
 
@@ -125,6 +128,7 @@ class _Readings(NamedTuple):
     """The chi-square of E measurements: misfit of their means, and scatter about these."""
 
     rows: Measurements
+    linear: Linear
 
     square: Reals
     """Part of each measurement in the chi-square of means [1], shape (E,)."""
@@ -155,7 +159,7 @@ class _Readings(NamedTuple):
         own = scatter(linear.residual[: len(rows), None])[:, 0]
         expected = (square - scatter(left)).mean(axis=1)
         repeats = len(rows) - len(first)
-        return cls(rows, linear.square - own, expected, float(own.sum()), repeats)
+        return cls(rows, linear, linear.square - own, expected, float(own.sum()), repeats)
 
 
 def _misfits(read: _Readings | None, log: SensingLog, *, is_explained: bool) -> Iterator[str]:
@@ -196,14 +200,40 @@ def _worst_group(read: _Readings, log: SensingLog) -> str:
         (sensed, rows.source[sensed], lambda k: f"source {log.source_name[k]}"),
         (every, kind, lambda k: _KINDS[k]),
     ]  # fmt: skip
-    tests, least, worst = 0, 1.0, ""
+    tests, least, worst = rows.robots, 1.0, ""
+    suspects: Ints = np.empty(0, np.int64)
     for row, group, text in families:
         square, expected = (np.bincount(group, part[row]) for part in (read.square, read.expected))
         chance = chdtrc(np.maximum(expected, 1.0), np.maximum(square, 0.0))
         tests += len(np.unique(group))
         if len(chance) and chance.min() < least:
             least, worst = float(chance.min()), text(int(chance.argmin()))
+        if not len(suspects):  # the first family is that of robots
+            suspects = np.argsort(chance, kind="stable").astype(np.int64)[:_TRIED]
+    gain, freed = gains_without(rows, read.linear, suspects)
+    # A single row that others hardly check is off by what the linear problem leaves out.
+    chance = np.where(freed > 1, chdtrc(np.maximum(freed, 1), gain), 1.0)
+    if len(chance) and chance.min() < least:
+        robot = suspects[chance.argmin()]
+        least, worst = float(chance.min()), f"the orientations of robot {name[robot]}"
     return worst if least * tests < _CHANCE else ""
+
+
+def gains_without(rows: Measurements, linear: Linear, robots: Ints) -> tuple[Reals, Ints]:
+    """Predict by how much the cost falls without the orientations of each of K robots.
+
+    The prior of a final orientation counts as three rows.
+
+    Returns:
+        Gains [1], and how many rows others check, (K,) both.
+    """
+    gain, freed = np.zeros(len(robots)), np.zeros(len(robots), np.int64)
+    walked = np.flatnonzero(rows.is_walked)
+    for k, robot in enumerate(robots.tolist()):
+        own = walked[rows.robot[walked] == robot]
+        turn = linear.column[3 * (rows.robots + robot) + np.arange(3)]
+        gain[k], freed[k] = linear.gain_without(own, turn[turn >= 0])
+    return gain, freed
 
 
 def _failures(known: Evidence, *, is_explained: bool) -> Iterator[str]:
