@@ -14,7 +14,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.parts.formats.physics import FIREANT_RADIUS, encode_mjcf, encode_wbt
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
-from tiswarm.world.params import BridgeParams, CantileverParams, TowerParams
+from tiswarm.world.params import BridgeParams, CantileverParams, DepartureParams, TowerParams
 
 
 def _grown(params: TowerParams | CantileverParams | BridgeParams, robots: int = 20) -> History:
@@ -23,8 +23,14 @@ def _grown(params: TowerParams | CantileverParams | BridgeParams, robots: int = 
 
 @pytest.fixture(scope="module")
 def histories(towers):
-    """A structure of each kind, which stands on a plane, beyond an edge, and on both sides."""
-    return [towers[0], _grown(CantileverParams()), _grown(BridgeParams(), 40)]
+    """Structures on a plane, beyond an edge and on both sides, and of robots of four docks."""
+    square = RobotGeometry(shape="square", rho=1.8)
+    return [
+        towers[0],
+        _grown(CantileverParams()),
+        _grown(BridgeParams(), 40),
+        grow(TowerParams(), robots=10, seeds=[0], robot=square)[0],
+    ]
 
 
 @pytest.fixture
@@ -36,8 +42,12 @@ def simulation():
     return Simulation
 
 
+def _elements(xml: bytes, tag: str) -> list[ET.Element]:
+    return [*ET.fromstring(xml).iter(tag)]  # noqa: S314 - ours
+
+
 def _welds(xml: bytes) -> set[str]:
-    return {weld.get("name") for weld in ET.fromstring(xml).iter("weld")}  # noqa: S314 - ours
+    return {weld.get("name") for weld in _elements(xml, "weld")}
 
 
 def test_joints_are_the_contacts_of_the_mechanics(histories):
@@ -46,6 +56,22 @@ def test_joints_are_the_contacts_of_the_mechanics(histories):
         (xml,) = encode_mjcf(frames.view_of(history)).values()
 
         assert _welds(xml) == frames.joint_names(frames.grown(history))
+
+
+def test_joints_are_where_docks_meet(histories, simulation):
+    """Halfway between two docks, and at the foot of a dock on the ground."""
+    for history in histories:
+        structure = frames.grown(history)
+        docks = len(structure.body)
+        (xml,) = encode_mjcf(frames.view_of(history)).values()
+        world = simulation(xml)
+        foot = dict(zip(structure.standing.tolist(), structure.foot, strict=True))
+
+        for weld in world.welds:
+            own = [docks * robot + dock for robot, dock in weld.ends]
+            expected = structure.dock[own].mean(axis=0) if len(own) > 1 else foot[own[0]]
+            expected = FIREANT_RADIUS * (expected - structure.center[0])
+            np.testing.assert_allclose(weld.place, expected, rtol=0.0, atol=1e-9)
 
 
 def test_a_true_structure_has_its_true_contacts(towers):
@@ -75,8 +101,27 @@ def test_an_estimate_has_the_contacts_of_its_log(towers):
     out = re.compile(r"(?:contact|foot)_(?:.*_)?[79]\.")
     expected = frames.joint_names(frames.grown(towers[0]))
     assert _welds(xml) == {name for name in expected if not out.match(name)}
-    bodies = [body.get("name") for body in ET.fromstring(xml).iter("body")]  # noqa: S314
+    bodies = [body.get("name") for body in _elements(xml, "body")]
     assert bodies == [f"robot_{i}" for i in range(30) if i not in {7, 9}]
+
+
+def test_an_estimate_stands_as_it_is(towers, simulation):
+    """Docks that overlap or are apart by errors of 0.3 R stay where the estimate puts them."""
+    view = frames.view_of(towers[0])
+    pose = view.estimated_pose.copy()
+    pose[1:, :3] += np.random.default_rng(0).normal(0.0, 0.3, (29, 3))
+    (xml,) = encode_mjcf(
+        replace(view, pose=np.full_like(pose, np.nan), estimated_pose=pose)
+    ).values()
+    world = simulation(xml)
+
+    world.run(2.0)
+
+    assert world.data.ncon == 0
+    assert world.moved < 0.01
+    apart = {frozenset(e.get(key) for key in ("body1", "body2")) for e in _elements(xml, "exclude")}
+    welds = [{e.get("body1"), e.get("body2", "world")} for e in _elements(xml, "weld")]
+    assert {frozenset(pair) for pair in welds} <= apart
 
 
 def test_without_ground_anchors_are_fixed(towers, simulation):
@@ -114,7 +159,7 @@ def _hold(simulation, history):
 
     world.run(2.0)
 
-    weight = 3.0 * history.robot_count
+    weight = float(history.robot.dock_count * history.robot_count)
     assert world.data.ncon == 0  # what touches is welded, and nothing else comes to touch
     # Towers of 100 sag by 0.0004 R; cantilevers, which bend more, by 0.004 R at most.
     assert world.moved < 0.01
@@ -127,6 +172,30 @@ def test_structures_stand_in_mujoco(histories, simulation):
     """Positions hold for two seconds, and the ground bears the weight."""
     for history in histories:
         _hold(simulation, history)
+
+
+def test_robots_that_left_are_not_in_the_world(simulation):
+    """A tower that a third of its robots left stands without them."""
+    params = TowerParams(departures=DepartureParams(rate=0.3))
+    history = _grown(params, 30)
+    stay = ~history.is_gone
+    assert 3 < stay.sum() < 30
+    view = frames.view_of(history)
+    log = replace(view.log, gone=np.flatnonzero(history.is_gone))
+    (xml,) = encode_mjcf(replace(view, read_log=lambda: log)).values()
+
+    world = simulation(xml)
+    world.settle()
+
+    bodies = [world.model.body(i).name for i in range(1, world.model.nbody)]
+    assert bodies == [f"robot_{i}" for i in np.flatnonzero(stay).tolist()]
+    joints = {
+        f"contact_{i}.{a}_{j}.{b}" for i, a, j, b in history.contacts.tolist() if stay[[i, j]].all()
+    }
+    joints |= {f"foot_{i}.{d}" for i, d in history.ground_docks.tolist() if stay[i]}
+    assert _welds(xml) == joints
+    assert world.moved < 0.01
+    np.testing.assert_allclose(world.ground_force, [0.0, 0.0, 3.0 * stay.sum()], atol=1e-6)
 
 
 @pytest.mark.trial
@@ -145,8 +214,9 @@ def test_the_ground_is_where_docks_stand(histories, simulation):
         solids = [g for g in range(world.model.ngeom) if world.model.geom_bodyid[g] == 0]
         standing = {*frames.grown(history).standing.tolist()}
 
-        for dock in range(3 * history.robot_count):
-            sphere = world.model.geom("dock_{}.{}".format(*divmod(dock, 3))).id
+        docks = history.robot.dock_count
+        for dock in range(docks * history.robot_count):
+            sphere = world.model.geom("dock_{}.{}".format(*divmod(dock, docks))).id
             gap = min(
                 mujoco.mj_geomDistance(world.model, world.data, sphere, solid, 1.0, None)
                 for solid in solids
@@ -291,7 +361,7 @@ def _turn(node) -> Rotation:
 
 
 def test_webots_files_have_the_robots_and_their_contacts(histories):
-    """Locked connectors of the same model meet in pairs, face to face; each robot weighs 3 N."""
+    """Locked connectors of the same model meet in pairs, face to face; each dock weighs 1 N."""
     for history in histories:
         (text,) = encode_wbt(frames.view_of(history)).values()
         nodes = Reader(text.decode()).nodes()
@@ -310,8 +380,9 @@ def test_webots_files_have_the_robots_and_their_contacts(histories):
                 assert (turn * expected.inv()).magnitude() < 1e-6
                 center = FIREANT_RADIUS * (history.position[i - 1] - origin)
                 np.testing.assert_allclose(place, center, atol=1e-12)
-                assert 9.81 * node["physics"]["mass"] == pytest.approx(3.0)
-                assert len(node["boundingObject"]["children"]) == 3
+                docks = history.robot.dock_count
+                assert 9.81 * node["physics"]["mass"] == pytest.approx(docks)
+                assert len(node["boundingObject"]["children"]) == docks
             for each in node["children"]:
                 if each["kind"] == "Connector":
                     assert each["isLocked"]
@@ -365,4 +436,4 @@ def test_the_guide_loads_a_tower_into_mujoco(tmp_path, monkeypatch):
         exec(block, names)  # noqa: S102 - ours
 
     np.testing.assert_allclose(names["ground"], [0.0, 0.0, 300.0], atol=1e-6)
-    assert (tmp_path / "reports").is_dir()
+    assert names["data"].time == pytest.approx(2.0)
