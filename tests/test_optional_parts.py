@@ -45,12 +45,22 @@ ASKED = {
     "tiswarm.parts.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
     "tiswarm.parts.forecast": "run tower --plan",
+    "tiswarm.parts.growth": "run tower --plugin rule.py --set structure.rule=stay --set robots=4 "
+    "--set seeds=1 --no-pictures --quiet",
     "tiswarm.parts.suites": "run tower --set sensing.suite=zooids --plan",
 }
 """By part, a command that needs it."""
 
 CALLED = {"tiswarm.parts.swarms": "tiswarm.grow(robots=4, quiet=True)"}
 """By part, a call that needs it, where no command does."""
+
+STAY = """
+import tiswarm
+@tiswarm.rule("stay")
+class Stay:
+    def choose(self, step):
+        return 0 * step.stance - 1
+"""
 
 SILENT = {"tiswarm.parts.curve_figures", "tiswarm.parts.questions", "tiswarm.parts.units"}
 """Parts without which a page or check has less in it, and no command fails."""
@@ -118,6 +128,7 @@ def _copy_without(parts, folder, case) -> Path:
             place.with_suffix(".py").unlink()
     shutil.copy(case / "sensing.jsonl", folder)
     shutil.copy(case / "estimate.csv", folder / "known.csv")
+    (folder / "rule.py").write_text(STAY)
     return folder
 
 
@@ -127,6 +138,7 @@ def test_a_part_that_is_missing_is_named(tiswarm, small_run, tmp_path, monkeypat
     case = small_run / "cases" / "0-baseline"
     shutil.copy(case / "sensing.jsonl", tmp_path)
     shutil.copy(case / "estimate.csv", tmp_path / "known.csv")
+    (tmp_path / "rule.py").write_text(STAY)
     for name in [*sys.modules]:
         if f"{name}.".startswith(f"{part}."):
             monkeypatch.delitem(sys.modules, name)

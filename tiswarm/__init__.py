@@ -11,8 +11,8 @@
 
 Runs, structures and estimates have `view`, `render` and `export` of their own, and what a call
 returns prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is
-an `InputError`. Functions and classes of yours become methods, sensors, structures, measures,
-figures and formats by `tiswarm.method` and the like. All names:
+an `InputError`. Functions and classes of yours become methods, sensors, structures, rules,
+measures, figures and formats by `tiswarm.method` and the like. All names:
 """
 
 import random
@@ -46,6 +46,9 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.base.errors import InputError as InputError
     from tiswarm.base.parts import Swarms as Swarms
     from tiswarm.base.parts import Tracker as Tracker
+    from tiswarm.base.parts import rule as rule
+    from tiswarm.base.parts import sensor as sensor
+    from tiswarm.base.parts import structure as structure
     from tiswarm.base.robot import RobotGeometry as RobotGeometry
     from tiswarm.engine.relax import RelaxResult as RelaxResult
     from tiswarm.engine.relax import relax as relax
@@ -53,8 +56,6 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.localization.virtual_force.method import Localizer as Localizer
     from tiswarm.records.measures import measure as measure
     from tiswarm.report.figures import figure as figure
-    from tiswarm.sensing.plugins import sensor as sensor
-    from tiswarm.world.params import structure as structure
 
 _HOME = {
     name: module

@@ -26,6 +26,9 @@ from tiswarm.world.params import all_kinds
 PAGE = (REPOSITORY / "docs" / "own-method.md").read_text()
 CHAIN, RADAR, LEANING, WORST, XYZ, READ, DRAW = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 [STUDY] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+RULES = (REPOSITORY / "docs" / "guides" / "rules.md").read_text()
+[RANDOM, *_] = re.findall(r"```python\n(.*?)```", RULES, re.DOTALL)
+[MY_RULES] = re.findall(r"```yaml\n(.*?)```", RULES, re.DOTALL)
 ORIGIN = """
 import numpy as np
 import tiswarm
@@ -690,6 +693,141 @@ def test_an_edit_of_a_structure_computes_its_cases_again(files):
     assert "+" not in _record(after, kept.name)["code"]
     assert _record(after, other.name)["code"].count("+") == 1
     assert after.summary["reach_R"].iloc[0] < reach - 3.0  # a robot is 5 R wide
+
+
+GROWTHS = """
+name: own
+robots: 8
+seeds: [100000]
+structure: {kind: tower}
+localization: {method: hop-by-hop}
+sweep: {structure.rule: [reactive-build, {name: random, flips: 4}]}
+"""
+
+
+def _ruled(rule):
+    return re.sub(r"sweep:.*", "", GROWTHS).replace(
+        "{kind: tower}", f"{{kind: tower, rule: {rule}}}"
+    )
+
+
+@pytest.mark.parametrize("workers", [(), pytest.param(("--workers", "2"), marks=pytest.mark.trial)])
+def test_a_rule_of_a_plugin_grows_structures(tiswarm, files, workers):
+    """The example of the guide is checked, and grows its structures, on workers too."""
+    (files / "rules.py").write_text(RANDOM)
+    (files / "rules.yaml").write_text(MY_RULES)
+    small = ["--set", "robots=6", "--set", "seeds=1", "--set", "structure.rule.flips=4"]
+    small += ["--set", "localization={method: hop-by-hop}", "--no-pictures"]
+
+    given = ("rules.yaml", "--plugin", "rules.py")
+    checked = tiswarm("check", *given, cwd=files)
+    run = tiswarm("run", *given, *small, *workers, cwd=files)
+
+    assert checked.returncode == 0, checked.stderr
+    assert run.returncode == 0, run.stderr
+    [case] = files.glob("reports/*/cases/*")
+    assert json.loads((case / "case.json").read_text())["status"] == "done"
+    log = library.read_log(case / "sensing.jsonl")
+    assert np.diff(log.stances.start)[1:].min() >= 4
+
+
+def test_a_stranger_adds_a_rule_or_structure_in_so_many_lines():
+    """The page on architecture counts the lines of code of the first examples."""
+    page = (REPOSITORY / "docs" / "architecture.md").read_text()
+    stated = re.search(
+        r"rule of growth in 1 file of (\d+) .*? structure in 1 file of (\d+)", page, re.DOTALL
+    )
+
+    lines = []
+    for code in (RANDOM, LEANING):
+        text = re.sub(r'""".*?"""', "", code, flags=re.DOTALL)
+        lines.append(sum(bool(line.strip()) for line in text.splitlines()))
+
+    assert stated is not None
+    assert [*map(int, stated.groups())] == lines
+
+
+def test_an_edit_of_a_rule_computes_its_cases_again(files):
+    """Those of other rules are kept."""
+    (files / "own.py").write_text(RANDOM)
+    (files / "own.yaml").write_text(GROWTHS)
+    before = _run(files)
+    kept, other = (before.folder / "cases" / each for each in before.summary["case"])
+    inode = (kept / "case.json").stat().st_ino
+    x = before.frame("truth", case=other.name)["x_R"].to_numpy()
+
+    (files / "own.py").write_text(RANDOM.replace('"flip"', '"flop"'))
+    after = _run(files)
+
+    assert (kept / "case.json").stat().st_ino == inode
+    assert "+" not in _record(after, kept.name)["code"]
+    assert _record(after, other.name)["code"].count("+") == 1
+    assert not np.array_equal(x, after.frame("truth", case=other.name)["x_R"])
+
+
+@pytest.mark.parametrize(
+    ("rule", "problem"),
+    [
+        ("rendom", '"rendom" should be .* did you mean random.$'),
+        ("{name: rendom}", 'name: "rendom" should be .* did you mean random.$'),
+        ("{name: random, flops: 1}", "flops: unknown key; did you mean flips.$"),
+        ("{name: random, flips: many}", 'flips: "many" should be a whole number'),
+        ("{flips: 1}", "name: is missing; add it"),
+        ("7", "7 should be 'reactive-build' or 'random', or one of a plug-in that you load"),
+        ("random, navigate_by: estimate", "random chooses by true places; leave out navigate_by"),
+    ],
+)
+def test_a_mistake_in_a_rule_has_its_place(files, rule, problem):
+    """File, line and key, whether the rule is a name or settings."""
+    (files / "own.py").write_text(RANDOM)
+    (files / "own.yaml").write_text(_ruled(rule))
+
+    [mistake] = library.check("own.yaml", plugins=["own.py"]).mistakes
+
+    assert re.match(rf"own.yaml:5: structure\.rule[.:] ?{problem}", str(mistake)), str(mistake)
+
+
+def test_a_rule_that_no_plugin_brings_is_a_line(files):
+    """The line says how to load one."""
+    (files / "own.yaml").write_text(_ruled("random"))
+
+    [mistake] = library.check("own.yaml", plugins=["own.py"]).mistakes
+
+    assert str(mistake).startswith('own.yaml:5: structure.rule: "random" should be ')
+    assert str(mistake).endswith("or one of a plug-in that you load (--plugin FILE)")
+
+
+def test_the_schema_describes_settings_of_a_rule(files):
+    """A rule is a name or settings, of every kind of structure; none is lost afterwards."""
+    (files / "own.py").write_text(RANDOM)
+    before = scenario_schema()
+
+    plugins.load_plugins(["own.py"])
+
+    sections = scenario_schema()["$defs"]
+    assert sections["OwnRandomParams"]["properties"]["flips"]["default"] == 10
+    for kind in ("TowerParams", "ChainParams"):
+        name, settings = sections[kind]["properties"]["rule"]["oneOf"]
+        assert name["enum"] == ["reactive-build", "random"]
+        assert {*settings["discriminator"]["mapping"]} == {*name["enum"]}
+    plugins.forget()
+    assert scenario_schema() == before
+
+
+@pytest.mark.parametrize(
+    ("code", "problem"),
+    [
+        (RANDOM.replace("def choose", "def chose"), r"own.py:\d+: random should have choose"),
+        (RANDOM.replace('"random"', '"Random"'), r"own.py:\d+: 'Random' names no rule; use words"),
+        (RANDOM.replace('"random"', '"reactive-build"'), "rule reactive-build is taken by tiswarm"),
+    ],
+)
+def test_a_rule_that_cannot_be_is_a_line(files, code, problem):
+    """It names the file and what to do."""
+    (files / "own.py").write_text(code)
+
+    with pytest.raises(InputError, match=problem):
+        plugins.load_plugins(["own.py"])
 
 
 def test_a_measure_of_a_plugin_is_in_tables_and_on_the_page(tiswarm, files, whole):

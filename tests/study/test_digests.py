@@ -13,8 +13,8 @@ from tiswarm.study.provenance import (
     all_code,
     case_code,
     code_digest,
+    growth_code,
     method_code,
-    structure_code,
 )
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
@@ -59,7 +59,7 @@ def digests():
     """Digest of the cases of each method, of structures and of all code, by name."""
     method_code.cache_clear()
     found = {name: case_code(name) for name in METHODS}
-    return found | {"structures": structure_code.__wrapped__(), "all": all_code.__wrapped__()}
+    return found | {"structures": growth_code.__wrapped__(), "all": all_code.__wrapped__()}
 
 
 @contextmanager
@@ -126,7 +126,7 @@ def test_code_that_computes_nothing_leaves_the_digest(copy):
         found = digests()
 
     assert found == {name: case_code(name) for name in METHODS} | {
-        "structures": structure_code(),
+        "structures": growth_code(),
         "all": all_code(),
     }
 

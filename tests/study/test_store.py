@@ -409,7 +409,7 @@ def test_a_kept_structure_is_read_back_or_grown_again(tmp_path, monkeypatch):
     )
     np.testing.assert_array_equal(read.sensed, history.sensed)
     with monkeypatch.context() as patched:
-        patched.setattr(store, "structure_code", lambda: "0123456789ab")
+        patched.setattr(store, "structure_code", lambda *_: "0123456789ab")
         assert folder.read_structure(case) is None
     [kept] = (folder.path / "structures").glob("*.npz")
     data = bytearray(kept.read_bytes())

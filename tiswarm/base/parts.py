@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 
     Swarms: Any  # of `__getattr__`
     Tracker: Any
+    rule: Any
+    sensor: Any
+    structure: Any
 
 _PACKAGE = __name__.partition(".")[0]
 
@@ -76,6 +79,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "bridge": "tiswarm.world.params:BridgeParams",
         "chain": "tiswarm.world.params:ChainParams",
     },
+    "rule": {"reactive-build": "tiswarm.world.params:ReactiveBuild"},
     "measure": {},
     "figure": {
         "error": "tiswarm.report.error_figures",
@@ -112,6 +116,9 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "class": {
         "Swarms": "tiswarm.parts.swarms:Swarms",
         "Tracker": "tiswarm.parts.online.tracker:Tracker",
+        "rule": "tiswarm.parts.growth:rule",
+        "sensor": "tiswarm.parts.suites:sensor",
+        "structure": "tiswarm.parts.growth:structure",
     },
     "log_format": {"mcap": "tiswarm.parts.formats.mcap:sensing_lines"},
     "command": {
@@ -127,6 +134,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "render": "tiswarm.parts.pictures.pictures",
         "run --plan": "tiswarm.parts.forecast:forecast",
         "renderer": "tiswarm.parts.pictures.raycast",
+        "rule": "tiswarm.parts.growth:climb",
         "sense": "tiswarm.parts.suites.senses",
         "track": "tiswarm.parts.online.tracker",
         "view --live": "tiswarm.parts.live:serve",
@@ -137,8 +145,9 @@ PARTS: Mapping[str, Mapping[str, str]] = {
 The kinds:
 
 method: the class of its settings, see `localization.methods`, in the order of the schema.
-sensor: a `sensing.plugins.Suite`.
-structure: the class of its settings, see `world.params.structure`, in the order of the schema.
+sensor: a suite with its settings and price, see `parts.suites`.
+structure: the class of its settings, see `world.params`, in the order of the schema.
+rule: the class of its settings, see `world.params`.
 measure: a `records.measures.Measure`, of plug-ins alone; ours are the table MEASURES there.
 figure: a module with a function `painters` and `CAPTIONS`, see `report.figures`.
 export_format: a function of a view, which returns bytes by name of file.
@@ -146,7 +155,7 @@ import_format: a function of a file and assumptions, which returns a table of po
     file has another format.
 log_format: a function of a file, which yields numbered lines of a log.
 question: a function of `report.answers.Results`, which returns a sentence.
-class: a class at the top of `tiswarm`.
+class: a class or function at the top of `tiswarm`.
 command: what a command or setting asks of an optional part.
 """
 
@@ -289,12 +298,12 @@ def watch(refresh: Callable[[], object], section: Any = None) -> None:  # noqa: 
         refresh: The function.
         section: Parameter class in which the function changes types of fields; it is then rebuilt.
     """
-    _watchers.append(refresh if section is None else lambda: _rebuild(section, refresh))
+    _watchers.append(refresh if section is None else lambda: rebuild(section, refresh))
     if _known:
         _watchers[-1]()
 
 
-def _rebuild(section: Any, retype: Callable[[], object]) -> None:  # noqa: ANN401 - a class
+def rebuild(section: Any, retype: Callable[[], object]) -> None:  # noqa: ANN401 - a class
     """Rebuild a parameter class whose fields get other types.
 
     Pydantic reads docstrings of fields as it makes a class, but not as it rebuilds it, so the types
@@ -308,6 +317,10 @@ def _rebuild(section: Any, retype: Callable[[], object]) -> None:  # noqa: ANN40
         if text and not any(getattr(note, "description", None) for note in notes):
             fields[name].type = Annotated[fields[name].type, Field(description=text)]
     rebuild_dataclass(section, force=True)
+
+
+_NOUNS = {"name": "rule"}
+"""What a key that selects a section names, where that is not the key."""
 
 
 def own_section(
@@ -329,7 +342,8 @@ def own_section(
     Raises:
         InputError: a field cannot be checked.
     """
-    selects: Any = Annotated[Literal[name], Field(description=f"Name of the {key}.")]
+    noun = _NOUNS.get(key, key)
+    selects: Any = Annotated[Literal[name], Field(description=f"Name of the {noun}.")]
     kinds: dict[str, Any] = {key: selects}
     given: dict[str, Any] = {key: name, **namespace}
     if settings is not None:
@@ -373,6 +387,21 @@ def _texts(settings: type[Any]) -> dict[str, str]:
         if isinstance(named, ast.AnnAssign) and isinstance(named.target, ast.Name)
         and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
     }  # fmt: skip
+
+
+def sent_as(kind: str, key: str) -> Callable[[Any], tuple[Any, ...]]:
+    """Return a `__reduce__` for settings from `own_section`, which sends their plug-in ahead."""
+
+    def reduced(self: Any) -> tuple[Any, ...]:  # noqa: ANN401 - the settings
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return _made_again, (registered(kind)[values[key]].plugin, kind, key, values)
+
+    return reduced
+
+
+def _made_again(plugin: Plugin, kind: str, key: str, values: Mapping[str, Any]) -> Any:  # noqa: ANN401, ARG001
+    """Make settings on a worker, where their plug-in has been loaded."""
+    return find(kind, values[key])(**values)
 
 
 def registered(kind: str) -> dict[str, Registered]:
@@ -531,7 +560,10 @@ def _placed(plugin: Plugin, shown: Path) -> Iterator[None]:
         _known.clear()
         _known.update(before)
         is_theirs = isinstance(error, Exception | SystemExit)
-        if not is_theirs or (isinstance(error, InputError) and error.path):
+        is_whole = isinstance(error, EnvironmentTroubleError) or (
+            isinstance(error, InputError) and error.path
+        )
+        if not is_theirs or is_whole:
             raise
         raise _mistake(error, plugin, shown) from error
     finally:

@@ -30,8 +30,8 @@ def dock_offsets(orientation_wxyz: Reals, dock_offset_body: Reals) -> Reals:
     return offsets
 
 
-def uniform(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> Reals:
-    """Draw numbers in [0, 1); `robot` and `draw` broadcast against each other.
+def uniform(seed: ArrayLike, stream: str, robot: ArrayLike, draw: ArrayLike) -> Reals:
+    """Draw numbers in [0, 1); `seed`, `robot` and `draw` broadcast against each other.
 
     Args:
         seed: Seed of the study, 0 or more.
@@ -42,10 +42,10 @@ def uniform(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> Reals:
     >>> bool(uniform(1, "spawn", 7, 0) == uniform(1, "spawn", [6, 7, 8], 0)[1])
     True
     """
-    key = _mix(np.asarray([seed], dtype=np.uint64))
+    key = _mix(np.atleast_1d(np.asarray(seed, dtype=np.uint64)))
     key = _mix(key ^ np.uint64(zlib.crc32(stream.encode())))
     bits = _mix(_mix(key ^ np.asarray(robot, dtype=np.uint64)) ^ np.asarray(draw, dtype=np.uint64))
-    shape = np.broadcast_shapes(np.shape(robot), np.shape(draw))
+    shape = np.broadcast_shapes(np.shape(seed), np.shape(robot), np.shape(draw))
     return ((bits >> np.uint64(11)).astype(np.float64) * 2.0**-53).reshape(shape)
 
 

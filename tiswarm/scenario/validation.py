@@ -36,6 +36,7 @@ _UNIONS = {*DISCRIMINATORS, "seeds"} - {*SAME_KEYS}
 """Keys whose path in an error of pydantic continues with the alternative it tried."""
 
 _METHOD, _KIND = ((name, DISCRIMINATORS[name]) for name in ("localization", "structure"))
+_RULE = ("structure", "rule", "name")
 
 _CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+|label))?")
 _Checked = TypeVar("_Checked")
@@ -238,7 +239,11 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
         path = path[:-1]
     elif path and path[0] in _UNIONS:
         path = (path[0], *path[2:])
-    if error["type"] in {"union_tag_invalid", "union_tag_not_found"}:
+    is_tag = error["type"] in {"union_tag_invalid", "union_tag_not_found"}
+    if path[:2] == _RULE[:2]:  # which may be a name or settings, those of one of several rules
+        path = _RULE[:2] if len(path) < 4 else (*_RULE[:2], *path[4:])  # noqa: PLR2004
+        path = _RULE if is_tag else path
+    elif is_tag:
         path = (path[0], DISCRIMINATORS[str(path[0])])
     if error["type"] in {"missing", "missing_keyword_only_argument"} and path == ("localization",):
         path = _METHOD
@@ -247,7 +252,8 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
         problem = f"is missing; write it like localization: {{method: joint}}, one of {methods}"
         return Mistake(path, problem)
     problem = explain(error, _allowed(error["loc"], adapter))
-    if path in {_METHOD, _KIND} and not problem.endswith("?"):
+    names_rule = path == _RULE[:2] and error["type"] == "literal_error"
+    if (path in {_METHOD, _KIND, _RULE} or names_rule) and not problem.endswith("?"):
         problem += ", or one of a plug-in that you load (--plugin FILE)"
     return Mistake(path, _by_choice(error, adapter) or problem, about_key)
 
@@ -290,6 +296,9 @@ def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any]) -> tuple[str, ..
     schema = _schema(adapter)
     section = schema
     for part in path[:-1]:
+        if part == "settings" and "oneOf" in section:  # of a rule, not its name
+            section = section["oneOf"][-1]
+            continue
         alternatives = section.get("discriminator", {}).get("mapping", {})
         section = section.get("properties", {}).get(part) or {"$ref": alternatives.get(part, "")}
         nullable = [section, *section.get("anyOf", ())]  # a section that may be null is one of two

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.base.parts import find
-from tiswarm.records.sensing_log import SensingLog, Stances
+from tiswarm.base.parts import find, registered
+from tiswarm.records.sensing_log import LISTS, SensingLog, Stances
 from tiswarm.sensing import noise
 from tiswarm.sensing.params import SensingParams
-from tiswarm.sensing.plugins import COLUMNS, own_rows
 from tiswarm.world.history import History
+
+COLUMNS = {name: 2 + len(key.columns) for name, key in LISTS.items() if not key.is_whole}
+"""Numbers in a row of each list of the log that a sensor may fill, with robot and stance."""
 
 _Lists = dict[str, NDArray[Any]]
 """Rows of (robot, stance, ...) by the name of their list in the log."""
@@ -51,7 +53,9 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         (name, getattr(find("command", "sense"), f"sense_{name}")(history, params))
         for name in params.added
     )
-    for filled, every in chain(added, own_rows(history, params)):
+    own = [found.value for name, found in registered("sensor").items() if name == params.suite]
+    filled_by_own = ((each.fills, each.rows(history, params)) for each in own)
+    for filled, every in chain(added, filled_by_own):
         rows = every[~is_mute[every[:, 0].astype(np.int64)]]
         lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
     for name in ("contacts", "ground_docks"):

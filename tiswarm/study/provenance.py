@@ -99,25 +99,29 @@ def _file(name: str, package: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def case_code(method: str, suite: str = "", kind: str = "") -> str:
+def case_code(method: str, suite: str = "", kind: str = "", rule: str = "") -> str:
     """Return the digest of the code that computes cases of a localization method in this process.
 
     Other methods do not count, so that an edit of one leaves the cases of the others current. The
-    digests of plug-ins that the method, the suite and the kind of structure are from follow after
-    "+". The digest of an unknown method is empty.
+    digests of plug-ins that the method, the suite, the kind of structure and the rule of growth are
+    from follow after "+". The digest of an unknown method is empty.
     """
     if method not in names("method"):
         return ""
-    used = {"method": method, "sensor": suite, "structure": kind}
-    own = [registered(each).get(name) for each, name in used.items()]
-    digests = dict.fromkeys(found.plugin.digest for found in own if found)
-    return "+".join([method_code(method), *digests])
+    own = _own_digests(method=method, sensor=suite, structure=kind, rule=rule)
+    return "+".join([method_code(method), *own])
+
+
+def _own_digests(**used: str) -> list[str]:
+    """List the digests of plug-ins that names are from, by kind of the name."""
+    own = [registered(kind).get(name) for kind, name in used.items()]
+    return list(dict.fromkeys(found.plugin.digest for found in own if found))
 
 
 def is_current(method: str, code: str) -> bool:
     """Whether code of this process computed a case of a method, by the digest in its record."""
     package, *own = code.split("+")
-    kinds = ("method", "sensor", "structure")
+    kinds = ("method", "sensor", "structure", "rule")
     loaded = {each.plugin.digest for kind in kinds for each in registered(kind).values()}
     its = registered("method").get(method)
     return (
@@ -140,8 +144,13 @@ def method_code(method: str) -> str:
     return code_digest([_COMPOSES, *own], apart)
 
 
+def structure_code(kind: str, rule: str) -> str:
+    """Return the digest of the code that grows and keeps structures, as in `case_code`."""
+    return "+".join([growth_code(), *_own_digests(structure=kind, rule=rule)])
+
+
 @cache
-def structure_code() -> str:
+def growth_code() -> str:
     """Return the digest of the code that grows and keeps structures, without that of plug-ins."""
     return code_digest([grow.__module__, write_history.__module__])
 

@@ -181,6 +181,8 @@ class _CaseRunner:
             structure = settings.structure
             if structure.kind in registered("structure"):  # code of plug-ins runs for cases alone
                 structure = find("structure", "tower")(plane=structure.plane)
+            if structure.rule.name in registered("rule"):
+                structure = replace(structure, rule=find("rule", "reactive-build")())
             with suppress(Exception):  # a case that cannot be computed says why itself
                 [self._sample] = grow(
                     structure, robots=SAMPLE_ROBOTS, seeds=[SAMPLE_SEED],
@@ -331,12 +333,12 @@ def _record(
     reason: str,
     scored: Mapping[str, float | int] = MappingProxyType({}),
 ) -> CaseRecord:
-    method = case.settings.localization.method
+    method, structure = case.settings.localization.method, case.settings.structure
     return CaseRecord(
         case=case.name,
         seed=case.seed,
         method=method,
-        code=case_code(method, case.settings.sensing.suite, case.settings.structure.kind),
+        code=case_code(method, case.settings.sensing.suite, structure.kind, structure.rule.name),
         condition=case.variant.condition,
         point=case.variant.point,
         status=status,

@@ -19,7 +19,6 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import STRICT
-from tiswarm.base.parts import registered
 from tiswarm.base.progress import Progress
 from tiswarm.base.version import __version__
 from tiswarm.compute import backend, numerics
@@ -410,8 +409,8 @@ class RunFolder:
             return ()
 
     def _structure_path(self, case: Case) -> Path:
-        own = registered("structure").get(case.settings.structure.kind)
-        code = (structure_code(), own.plugin.digest) if own else structure_code()
+        structure = case.settings.structure
+        code = structure_code(structure.kind, structure.rule.name)
         key = sha256(repr((case.structure_key, code)).encode()).hexdigest()[:12]
         return self.path / _STRUCTURES / f"seed{case.seed}-{key}.npz"
 

@@ -345,7 +345,7 @@ def gather_near(limits: Ref, docks: Ref, s, pivot, near: Ref, mover):
 
 
 @ti.func
-def _revisits(limits: Ref, walks: Ref, mover, stance, point):
+def revisits(limits: Ref, walks: Ref, mover, stance, point):
     """Whether the walk up to `stance` has had its center at `point` before."""
     seen = False
     for earlier in range(stance + 1):
@@ -387,7 +387,7 @@ def misplaced(limits: Ref, structures: Ref, believed: Ref, s, walks: Ref, mover,
 
 
 @ti.func
-def _first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count):
+def first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count):
     """Find the angles, forward and backward, at which a turn about dock `k` meets something."""
     first = ti.Vector([limits.full_turn, limits.full_turn])
     for step in range(1, body.shape[0]):
@@ -462,17 +462,17 @@ def nearest_flip(
     pivot, by, body_in = hinge.pivot, hinge.by, hinge.body_in
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
-        first = _first_met(limits, body, q, k, axis, pivot + by, near, mover, hinge.count)
+        first = first_met(limits, body, q, k, axis, pivot + by, near, mover, hinge.count)
         truly = first
         if limits.by_belief:
-            truly = _first_met(limits, body, q, k, axis, pivot, obstacle, mover, hinge.obstacles)
+            truly = first_met(limits, body, q, k, axis, pivot, obstacle, mover, hinge.obstacles)
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
                 planned = flipped(axis, way, angle, q)
                 end = pivot - rotate(planned, body_in)
                 distance = score(end + by, planned, goal)
-                if distance < chosen.distance and not _revisits(limits, walks, mover, stance, end):
+                if distance < chosen.distance and not revisits(limits, walks, mover, stance, end):
                     turned = planned
                     fails = False
                     if limits.by_belief:
@@ -480,7 +480,7 @@ def nearest_flip(
                         turned = flipped(axis, way, angle, q)
                         end = pivot - rotate(turned, body_in)
                         fails = angle < limits.min_flip or angle > limits.max_flip
-                        fails = fails or _revisits(limits, walks, mover, stance, end)
+                        fails = fails or revisits(limits, walks, mover, stance, end)
                     if fails:
                         chosen.failed += ti.cast(distance < least, ti.i32)
                     else:
@@ -510,7 +510,7 @@ def planned_dock(limits: Ref, believed: Ref, body: Ref, s, pivot, planned, k):
     return met
 
 
-_WALKING, _ENDED, RECRUITED, SCRATCH_FULL = range(4)
+WALKING, ENDED, RECRUITED, SCRATCH_FULL = range(4)
 """States of a walk."""
 
 
@@ -531,7 +531,7 @@ def _ground_kind(point, limits):
 
 
 @ti.func
-def _sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k, point):
+def sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k, point):
     """Record what dock `k` at `point` touches; return whether any of it recruits."""
     count = 0
     called = 0
@@ -553,7 +553,7 @@ def _sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, 
 
 
 @ti.func
-def _is_attached(walks: Ref, mover, stance, k):
+def is_attached(walks: Ref, mover, stance, k):
     """Whether dock `k` touches another dock or the ground."""
     return walks.touching[mover, stance, k, 0] >= 0 or walks.on_ground[mover, stance, k] != 0
 
@@ -567,7 +567,7 @@ def _move_to(walks: Ref, mover, stance, here, q):
 
 
 @ti.func
-def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
+def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
     """Let a robot that touches with two docks turn about these until a third touches too.
 
     It turns the way that takes the smaller angle. The stance it comes to is written behind the
@@ -578,7 +578,7 @@ def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
     docks = body.shape[0]
     free, attached = -1, 0
     for k in range(docks):
-        if _is_attached(walks, m, best, k):
+        if is_attached(walks, m, best, k):
             attached += 1
         else:
             free = k
@@ -586,7 +586,7 @@ def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
         one, other = -1, -1
         for step in range(1, docks):
             k = (free + step) % docks
-            if _is_attached(walks, m, best, k):
+            if is_attached(walks, m, best, k):
                 one, other = ti.select(one < 0, k, one), k
         q = quaternion_at(walks.orientation, m, best)
         body_in = vector_at(body, one)
@@ -610,7 +610,7 @@ def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
             _move_to(walks, m, stay, end, turned)
             for k in range(docks):
                 point = end + rotate(turned, vector_at(body, k))
-                _sense_contacts(limits, structures, s, walks, m, stay, k, point)
+                sense_contacts(limits, structures, s, walks, m, stay, k, point)
 
 
 @ti.kernel
@@ -669,8 +669,8 @@ def climb(
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = earlier
-            state_out[m] = _WALKING
-            while state_out[m] == _WALKING:
+            state_out[m] = WALKING
+            while state_out[m] == WALKING:
                 here = vector_in(center_out, m, stance)
                 q = quaternion_at(orientation_out, m, stance)
                 flip = Flip(
@@ -680,7 +680,7 @@ def climb(
                 called = failed = 0
                 for k in range(dock_offset_body.shape[0]):
                     point = here + rotate(q, vector_at(dock_offset_body, k))
-                    called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
+                    called |= sense_contacts(limits, structures, s, walks, m, stance, k, point)
                 by = misplaced(limits, structures, believed, s, walks, m, stance, 0)
                 distance = score(here + by, q, target)
                 if distance < best_distance:
@@ -694,7 +694,7 @@ def climb(
                     least = -ti.math.inf
                     for _ in range(1 + limits.by_belief):
                         for k in range(dock_offset_body.shape[0]):
-                            if _is_attached(walks, m, stance, k):
+                            if is_attached(walks, m, stance, k):
                                 other = nearest_flip(
                                     limits, structures, believed, climbers, walks, m, stance, k,
                                     least, score,
@@ -707,10 +707,10 @@ def climb(
                         least = flip.distance
                 if limits.by_belief:
                     failed_out[m, stance] = failed
-                if state_out[m] == _WALKING:
+                if state_out[m] == WALKING:
                     # One is kept for settling.
                     if flip.pivot < 0 or stance + 2 >= center_out.shape[1]:
-                        state_out[m] = _ENDED
+                        state_out[m] = ENDED
                     else:
                         pivot_dock_out[m, stance] = flip.pivot
                         if limits.by_belief:
@@ -728,7 +728,7 @@ def climb(
             best_out[m] = best_stance
             stay_out[m] = best_stance
             if settles[m]:
-                _settle(limits, structures, climbers, walks, m)
+                settle(limits, structures, climbers, walks, m)
 
 
 @ti.func

@@ -30,7 +30,7 @@ from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_doc
 from tiswarm.world.history import DIED, FELL, LEFT, History, LoadSummary, Walk
 from tiswarm.world.mechanics import Frames, StructureFailure
 from tiswarm.world.params import StructureParams, anchor_places
-from tiswarm.world.walks import Spawn, Walks, climb_limits, recruit, relay
+from tiswarm.world.walks import Spawn, Walks, climb_limits, recruit
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -105,12 +105,13 @@ class _GrowthBatch:
             )
         self.structure_of = np.repeat(np.arange(count, dtype=np.int32), min(params.movers, robots))
         limits = climb_limits(params.climb, robot, params.terrain, by_belief=believe is not None)
-        self.walks = Walks(self.structure_of, limits, params.climb, robot)
+        self.walks = Walks(self.structure_of, limits, params, robot, seeds)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
         self.rounds = 0
         self.present = np.ones((count, robots), np.int32)
         self.mute = np.zeros((count, robots), np.bool_)
+        self.sensed = np.zeros((count, robots))
 
     def spawn(self) -> bool:
         """Fill the free slots of unfinished structures; return whether any robot moves."""
@@ -132,7 +133,7 @@ class _GrowthBatch:
     def round(self) -> int:
         """Let all movers climb, and those that can join; return how many did."""
         walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
-        walks.climb(self.arrays, self.believed, movers)
+        walks.climb(self.arrays, self.believed, movers, self.sensed, self.present)
         wants = np.zeros(len(self.structure_of), np.int32)
         for slot in movers:
             wants[slot] = walks.touches(slot) or self._climbed_by(slot).founding
@@ -157,11 +158,12 @@ class _GrowthBatch:
         self.frames.solve(due)
         for number in due:
             self.structures[number].note_loads()
-            call = self.structures[number].call
+            call, sensed = self.structures[number].call, self.structures[number].sensed
             self.call[number, : len(call)] = call
+            self.sensed[number, : len(sensed)] = sensed
         # Structures share no contacts: one relay serves them all.
         mute = self.mute.ravel() if self.departs else None
-        relayed = relay(self.call.ravel(), self.frames.joints, docks=walks.docks, mute=mute)
+        relayed = walks.pass_on(self.call.ravel(), self.frames.joints, mute)
         self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
         for slot in movers:
             self.moving[slot] &= not self._climbed_by(slot).ended
@@ -265,6 +267,7 @@ class GrowingStructure:
                     goal=params.goal(side),
                     patience=climb.patience if put is None else 0,
                     settles=settles and put is None,
+                    robot=index,
                 )
         self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
         return None
@@ -393,7 +396,8 @@ class GrowingStructure:
             return
         self.unsolved = 0
         self.sensed = np.where(self.alive, loads.sensed, np.nan)
-        self.call = recruit(np.where(self.alive, loads.sensed, 0.0), self.params)
+        call = getattr(self.params.rule, "call", recruit)
+        self.call = call(np.where(self.alive, loads.sensed, 0.0), self.params)
         self.loads[-1] = LoadSummary(
             peak=loads.peak,
             sensed_max=float(np.nanmax(self.sensed)),

@@ -1,26 +1,17 @@
-"""Kinds of structures, their settings: terrain, spawns, anchors, goals, climbing, recruitment.
-
-Plug-ins register a class:
-
-    @tiswarm.structure("leaning")
-    class Leaning(TowerParams):
-        def goal(self, side):
-            return np.array([20.0, 0.0, self.goal_height])
-"""
+"""Kinds of structures, their settings: terrain, spawns, anchors, goals, climbing, recruitment."""
 
 import math
-import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass as plain_dataclass
-from dataclasses import fields
-from functools import partial, wraps
-from inspect import isfunction
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, Union
+from collections.abc import Iterator
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
+    Discriminator,
     Field,
     Strict,
+    Tag,
     ValidationError,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
@@ -32,7 +23,6 @@ from scipy.spatial.distance import pdist, squareform
 
 from tiswarm.base import parts as door
 from tiswarm.base.aliases import AnyInts, Reals
-from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.compute.math import uniform
@@ -65,6 +55,50 @@ _Anchors = Annotated[
     | None,
     WrapValidator(_one_mistake),
 ]
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ReactiveBuild:
+    """Robots climb toward the goal, and stay where they are called or came nearest to it."""
+
+    name: Literal["reactive-build"] = "reactive-build"
+    """Name of the rule."""
+
+
+def _any_rule() -> Any:  # noqa: ANN401 - a type
+    """Return the type of the settings of any rule, plug-ins included: a name alone, or all."""
+    ours = (door.find("rule", name) for name in door.PARTS["rule"])
+    own = (found.value for found in door.registered("rule").values())
+    whole: Any = Annotated[Union[(*ours, *own)], Field(discriminator="name")]
+    names: Any = Annotated[Literal[door.names("rule")], AfterValidator(_named)]
+    return Annotated[
+        Annotated[names, Tag("name")] | Annotated[whole, Tag("settings")],
+        Discriminator(lambda given: "name" if isinstance(given, _NO_SETTINGS) else "settings"),
+        Field(
+            # Runs without the key keep their hashes, which name folders.
+            exclude_if=lambda rule: isinstance(rule, ReactiveBuild),
+            description="Which flip a climber takes, where it stays and whom it calls: "
+            "reactive-build, or the name of a rule of a plug-in, or {name: ...} with its settings.",
+        ),
+    ]
+
+
+def _named(name: str) -> object:
+    """Make the settings of a rule by its name alone."""
+    try:
+        return door.find("rule", name)()
+    except ValueError as error:
+        problem = f"{name} has settings without defaults; write it like {{name: {name}, ...}}"
+        raise ValueError(problem) from error
+
+
+_NO_SETTINGS = (str, int, float, bool, list, type(None))
+"""Types of what stands for a name, rightly or not."""
+
+if TYPE_CHECKING:
+    _Rule = Any
+else:
+    _Rule = _any_rule()
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -248,6 +282,8 @@ class GrowthParams(RecruitParams):
         float, Field(gt=0.0, description="Robots start at most this far behind that dock [R].")
     ] = 10.0
 
+    rule: _Rule = ReactiveBuild()
+
     climb: Annotated[ClimbParams, Field(description="How robots walk.")] = ClimbParams()
 
     mechanics: Annotated[
@@ -267,6 +303,16 @@ class GrowthParams(RecruitParams):
         if by == "estimate" and info.data.get("departures") is not None:
             raise ValueError("robots that estimate must stay; leave out departures, or set truth")
         return by
+
+    @field_validator("rule")
+    @classmethod
+    def _choose_by_truth(cls, rule: _Rule, info: ValidationInfo) -> _Rule:
+        if info.data.get("navigate_by") == "estimate" and hasattr(rule, "choose"):
+            raise ValueError(
+                f"{rule.name} chooses by true places; leave out navigate_by, or give the rule a "
+                "score in place of choose"
+            )
+        return rule
 
     @property
     def anchor_count(self) -> int:
@@ -469,107 +515,14 @@ else:
 """Any kind of structure."""
 
 
-_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_SHAPES: Mapping[str, Callable[..., tuple[int, ...]]] = {
-    "goal": lambda _side: (3,),
-    "behind": lambda _side, docks: (len(docks),),
-    "start": lambda _side, _rim, _draw: (2,),
-    "spread": lambda count, _behind: (count, 2),
-}
-"""By method of a kind, the shape of what it returns for its arguments."""
-
-_FARTHEST = 1e6
-"""Largest length that a method of a plug-in may return [R]."""
-
-_Kind = TypeVar("_Kind", bound=GrowthParams)
+def _take_rules() -> None:
+    """Let every kind of structure have the rules of plug-ins."""
+    for name in door.names("structure"):
+        kind = door.find("structure", name)
+        door.rebuild(kind, partial(setattr, kind.__dataclass_fields__["rule"], "type", _any_rule()))
 
 
-def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
-    """Register a class as a kind of structure, which scenarios choose as `structure.kind`.
-
-    It derives from one of this package's kinds, such as `TowerParams`, from `EdgeParams` or from
-    `GrowthParams`. Its annotated fields are keys of scenarios. It may replace the property
-    `terrain` and these methods, whose lengths are in R; `side` is 0 if robots come from one side.
-
-    - `goal(side)`: what robots climb toward, shape (3,).
-    - `behind(side, docks)`: how far docks of shape (n, 3) are behind the edge, shape (n,).
-    - `start(side, rim, draw)`: where a robot starts, shape (2,). `rim` is how far the farthest dock
-      is behind, `draw` two random numbers in [0, 1).
-    - `spread(count, behind)`: places of anchors given by their number, shape (count, 2).
-
-    Args:
-        name: Name of the kind: words of letters and digits, with "-".
-
-    Raises:
-        InputError: the name is taken or invalid, the class lacks a method, or a field cannot be
-            checked.
-    """
-    if not _NAME.fullmatch(name):
-        raise InputError(f"{name!r} names no kind of structure; use words like my-structure")
-
-    def add(settings: type[_Kind]) -> type[_Kind]:
-        if not (isinstance(settings, type) and issubclass(settings, GrowthParams)):
-            problem = f"{name}: {settings!r} is no kind of structure; derive it from TowerParams"
-            raise InputError(problem)
-        if lacking := [each for each in ("terrain", *_SHAPES) if not hasattr(settings, each)]:
-            problem = f"{name} lacks {', '.join(lacking)}; define it, or derive from TowerParams"
-            raise InputError(problem)
-        methods = [each for each in vars(settings).values() if isfunction(each)]
-        source = next(iter(methods), settings)  # a class of a session has no file
-        if "__dataclass_fields__" not in vars(settings):
-            settings = plain_dataclass(frozen=True, kw_only=True)(settings)
-        guards: dict[str, object] = {each: _guarded(name, settings, each) for each in _SHAPES}
-        ground = partial(_ground, name, settings)
-        guards |= {"terrain": property(ground), "__reduce__": _reduced}
-        kind: type[_Kind] = door.own_section(name, "kind", settings, settings, guards)
-        door.register("structure", name, kind, source)
-        return kind
-
-    return add
-
-
-def _guarded(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
-    """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
-    theirs = getattr(settings, method)
-
-    @wraps(theirs)
-    def call(self: GrowthParams, *given: Any) -> Any:  # noqa: ANN401 - as the method
-        plugin, what = door.registered("structure")[name].plugin, f"{name}.{method}"
-        found = door.guarded(plugin, what, lambda: np.asarray(theirs(self, *given)))
-        shape, wrong = _SHAPES[method](*given), ""
-        if found.shape != shape:
-            wrong = f"shape {found.shape}; return numbers of shape {shape}"
-        elif fault := door.fault_of_numbers(found, _FARTHEST, f"within {_FARTHEST:g} R"):
-            wrong = f"numbers that are {fault}; correct them"
-        if wrong:
-            problem = f"{plugin.file}: {what} returned {wrong}"
-            raise door.PluginError(problem, f"{problem}\n")
-        return found.astype(np.float64)
-
-    return call
-
-
-def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
-    """Return the terrain of a plug-in's structure."""
-    plugin, what = door.registered("structure")[name].plugin, f"{name}.terrain"
-    theirs = getattr(settings.terrain, "fget", lambda _: settings.terrain)
-    found = door.guarded(plugin, what, lambda: theirs(of))
-    if not isinstance(found, Terrain):
-        problem = f"{plugin.file}: {what} returned {type(found).__name__}; return a Terrain"
-        raise door.PluginError(problem, f"{problem}\n")
-    return found
-
-
-def _reduced(self: GrowthParams) -> tuple[Callable[..., GrowthParams], tuple[object, ...]]:
-    """Send the plug-in ahead, so that a worker loads it before it needs the class."""
-    values = {each.name: getattr(self, each.name) for each in fields(self)}
-    return _received, (door.registered("structure")[self.kind].plugin, values)
-
-
-def _received(plugin: door.Plugin, values: Mapping[str, Any]) -> GrowthParams:  # noqa: ARG001
-    """Make settings on a worker, where the plug-in has been loaded."""
-    made: GrowthParams = door.find("structure", values["kind"])(**values)
-    return made
+door.watch(_take_rules)
 
 
 def anchor_places(params: StructureParams, shape: RobotGeometry) -> Reals:

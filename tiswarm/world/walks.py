@@ -8,7 +8,9 @@ ReactiveBuild, DARS 2021).
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from scipy.spatial.distance import pdist
 
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import TiswarmError
+from tiswarm.base.parts import find
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
 from tiswarm.world import climb_kernels
@@ -31,7 +34,7 @@ from tiswarm.world.climb_kernels import (
     join_undisturbed,
 )
 from tiswarm.world.history import Walk
-from tiswarm.world.params import ClimbParams, RecruitParams
+from tiswarm.world.params import ClimbParams, GrowthParams, RecruitParams
 
 _Slots = NDArray[np.int32]
 
@@ -83,18 +86,40 @@ class Spawn(NamedTuple):
     settles: bool
     """Whether it turns, where it stays, until a third dock touches."""
 
+    robot: int
+    """Robots that started in the structure before."""
+
+
+@cache
+def _score_of(rule: Any) -> Any:  # noqa: ANN401 - settings of a rule, and a kernel's function
+    """Return the score of a rule; the same for equal settings, so that kernels compile once."""
+    return rule.score()
+
 
 class Walks:
     """Room for the walks of as many robots as climb at once, one slot each."""
 
     def __init__(
-        self, structure_of: _Slots, limits: ClimbLimits, climb: ClimbParams, robot: RobotGeometry
+        self,
+        structure_of: _Slots,
+        limits: ClimbLimits,
+        params: GrowthParams,
+        robot: RobotGeometry,
+        seeds: Sequence[int],
     ) -> None:
         """Reserve memory: about 90 kB a slot at the default cap on flips.
 
-        `structure_of` is the structure that each slot's robots climb, ascending, shape (slots,).
+        Args:
+            structure_of: Structure that each slot's robots climb, ascending, shape (slots,).
+            limits: Numbers that do not change.
+            params: How robots climb, and by which rule.
+            robot: The robots' shape.
+            seeds: Seed of each structure.
         """
-        slots, stances, docks = len(structure_of), climb.max_flips + 2, robot.dock_count
+        self.rule = params.rule
+        self.seed = np.array(seeds, np.uint64)[structure_of]
+        self.robot = np.zeros(len(structure_of), np.int32)
+        slots, stances, docks = len(structure_of), params.climb.max_flips + 2, robot.dock_count
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.
         near = math.ceil((limits.reach + robot.dock_radius) ** 3)
         self.limits = limits
@@ -133,20 +158,41 @@ class Walks:
         self.climbers.patience[slot] = spawn.patience
         self.climbers.settles[slot] = spawn.settles
         self.climbers.first_stance[slot] = 0
+        self.robot[slot] = spawn.robot
 
-    def climb(self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots) -> None:
-        """Let the robots in the slots `movers` walk on from their first stance."""
-        cells, *docks = structures
-        believed_cells, believed_dock = believed
-        climb_kernels.climb(
-            self.limits, movers, self.state, self.planned, self.failed, *cells, *docks,
-            *believed_cells, believed_dock, *self.climbers, *self.stances,
-            climb_kernels.goal_distance,
-        )  # fmt: skip
+    def climb(
+        self,
+        structures: StructureArrays,
+        believed: BelievedDocks,
+        movers: _Slots,
+        *robots: NDArray[Any],
+    ) -> None:
+        """Let the robots in the slots `movers` walk on from their first stance.
+
+        What rules see of the `robots` of each structure is what they sensed at the last solve and
+        whether they are present, shape (S, N) each.
+        """
+        if hasattr(self.rule, "choose"):
+            find("command", "rule")(self, structures, movers, *robots)
+        else:
+            self._climb_by_score(structures, believed, movers)
         if (self.state[movers] == climb_kernels.SCRATCH_FULL).any():
             raise TiswarmError(
                 "more docks than fit stand within one flip of a robot: the structure overlaps"
             )
+
+    def _climb_by_score(
+        self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots
+    ) -> None:
+        cells, *docks = structures
+        believed_cells, believed_dock = believed
+        is_own = hasattr(self.rule, "score")
+        score = _score_of(self.rule) if is_own else climb_kernels.goal_distance
+        climb_kernels.climb(
+            self.limits, movers, self.state, self.planned, self.failed, *cells, *docks,
+            *believed_cells, believed_dock, *self.climbers, *self.stances,
+            score,
+        )  # fmt: skip
 
     def join(self, structures: StructureArrays, movers: _Slots, wants: NDArray[np.int32]) -> None:
         """Let movers join whose walks no earlier one disturbs; see `join_undisturbed`.
@@ -163,6 +209,15 @@ class Walks:
             self.limits, first, movers, wants, self.climbers.dock_offset_body, *cells, *docks,
             *self.stances, self.disturbed, self.joined,
         )  # fmt: skip
+
+    def pass_on(
+        self, call: NDArray[np.int32], contacts: AnyInts, mute: Bools | None
+    ) -> NDArray[np.int32]:
+        """Return what each dock passes on by the rule; see `relay`."""
+        if not hasattr(self.rule, "spread"):
+            return relay(call, contacts, docks=self.docks, mute=mute)
+        spread: NDArray[np.int32] = self.rule.spread(call, contacts)
+        return spread if mute is None else np.where(np.repeat(mute, self.docks), 0, spread)
 
     def touches(self, slot: int) -> bool:
         """Whether the robot touches another one where it stays."""

@@ -1,0 +1,286 @@
+"""Rules of growth: those of the guide grow what the kernel grows, and all structures are sound."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests import oracle
+from tiswarm.base import parts as door
+from tiswarm.base.robot import RobotGeometry
+from tiswarm.compute.math import dock_offsets, uniform
+from tiswarm.world.growth import grow
+from tiswarm.world.history import History
+from tiswarm.world.history_file import find_fault
+from tiswarm.world.params import (
+    BridgeParams,
+    CantileverParams,
+    ChainParams,
+    ClimbParams,
+    DepartureParams,
+    GrowthParams,
+    TowerParams,
+)
+from tiswarm.world.walks import recruit, relay
+
+PAGE = (Path(__file__).parents[2] / "docs" / "guides" / "rules.md").read_text()
+CODE = "\n\n".join(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL))
+FIREANT = RobotGeometry()
+SEED = 100_000
+KINDS: dict[str, GrowthParams] = {
+    "tower": TowerParams(),
+    "cantilever": CantileverParams(anchor=3.5, founders=2),
+    "bridge": BridgeParams(),
+    "chain": ChainParams(),
+    "settling": TowerParams(climb=ClimbParams(settle=0.5)),
+    "movers": TowerParams(movers=4),
+    "plane": TowerParams(plane=True),
+    "anchors": TowerParams(anchors=2),
+    "leaving": TowerParams(departures=DepartureParams(rate=0.3)),
+    "dying": TowerParams(movers=3, departures=DepartureParams(rate=0.3, kind="die")),
+    "short": TowerParams(climb=ClimbParams(max_flips=6)),
+}
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """File with the rules of the page."""
+    file = tmp_path_factory.mktemp("rules") / "rules.py"
+    file.write_text(CODE)
+    return file
+
+
+@pytest.fixture(autouse=True)
+def _rules(page):
+    """Load the rules of the page, and leave none to the next test."""
+    door.load_plugins([page])
+    yield
+    door.forget()
+
+
+def _by(params: GrowthParams, name: str, **settings: object) -> GrowthParams:
+    return dataclasses.replace(params, rule=door.find("rule", name)(**settings))
+
+
+def _grow(params: GrowthParams, robots: int, seeds: "list[int] | range") -> list[History]:
+    return grow(params, robots=robots, seeds=seeds, robot=FIREANT)
+
+
+def _assert_same(one: list[History], other: list[History]) -> None:
+    for a, b in zip(one, other, strict=True):
+        assert (a.robot_count, a.spawns, a.crossed, a.ended) == (
+            b.robot_count, b.spawns, b.crossed, b.ended
+        )  # fmt: skip
+        np.testing.assert_array_equal(a.sensed, b.sensed)
+        np.testing.assert_array_equal(
+            *(np.array([*map(dataclasses.astuple, h.loads)]) for h in (a, b))
+        )
+        for mine, its in zip(a.walks, b.walks, strict=True):
+            for field in dataclasses.fields(mine):
+                np.testing.assert_array_equal(
+                    getattr(mine, field.name), getattr(its, field.name), err_msg=field.name
+                )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_reactive_build_in_python_grows_the_bytes_of_the_kernel(kind):
+    """All of the history is equal, for every kind of structure and way to climb."""
+    params, seeds = KINDS[kind], range(SEED, SEED + 2)
+
+    _assert_same(_grow(params, 12, seeds), _grow(_by(params, "reactive-build-python"), 12, seeds))
+
+
+@pytest.mark.trial
+@pytest.mark.parametrize(("robots", "seeds"), [(30, 50), (100, 4)])
+def test_reactive_build_in_python_grows_the_bytes_of_the_kernel_on_many_seeds(robots, seeds):
+    """So the published laws of ReactiveBuild hold for the rule as for the kernel."""
+    params = TowerParams()
+
+    _assert_same(
+        _grow(params, robots, range(SEED, SEED + seeds)),
+        _grow(_by(params, "reactive-build-python"), robots, range(SEED, SEED + seeds)),
+    )
+
+
+def test_a_score_grows_the_same_in_python_and_as_a_kernel():
+    """The ramp of the page does, with its settings."""
+    settings = {"slope": 0.4, "length": 15.0}
+    seeds = range(SEED, SEED + 2)
+
+    ramp = _grow(_by(TowerParams(), "ramp", **settings), 15, seeds)
+
+    _assert_same(ramp, _grow(_by(TowerParams(), "ramp-kernel", **settings), 15, seeds))
+    assert (ramp[0].position != _grow(TowerParams(), 15, seeds)[0].position).any()
+
+
+@pytest.mark.parametrize("kind", ["tower", "bridge", "movers"])
+def test_structures_of_a_random_rule_are_sound(kind):
+    """No overlap, contacts at the right distance, and nobody stays alone, whatever is chosen."""
+    params = _by(KINDS[kind], "random", flips=3)
+
+    for history in _grow(params, 15, [SEED, SEED + 1]):
+        assert find_fault(history, contact_gap=0.02) == ""
+        lonely = {*range(history.robot_count)} - {*history.contacts[:, [0, 2]].ravel().tolist()}
+        assert len(lonely) <= params.founder_count
+
+
+@pytest.mark.parametrize("rule", ["random", "ramp"])
+def test_company_does_not_change_a_structure(rule):
+    """A seed grows the same structure alone and in a batch, though a rule sees all at once."""
+    params = _by(TowerParams(), rule)
+
+    [alone] = _grow(params, 12, [SEED + 1])
+
+    _assert_same([alone], _grow(params, 12, [SEED, SEED + 1, SEED + 2])[1:2])
+
+
+def test_robots_stay_where_the_rule_says():
+    """Random climbers stay after so many flips, at the first robot that they touch."""
+    [history] = _grow(_by(TowerParams(), "random", flips=4), 12, [SEED])
+
+    for walk in history.walks[1:]:
+        touched = np.unique(walk.contacts[:, 0])
+        assert walk.stance_count - 1 == touched[touched >= 4].min()
+
+
+def test_a_rule_may_call_in_its_own_way():
+    """Robots that call from half the load end up under smaller loads."""
+    late, early = (
+        _grow(_by(TowerParams(), name), 25, [SEED])[0]
+        for name in ("reactive-build-python", "early-call")
+    )
+
+    assert early.sensed.max() < 0.7 * late.sensed.max()
+    calls = door.find("rule", "early-call")(share=1.0).call(np.array([1.0, 10.0]), TowerParams())
+    assert calls.tolist() == [0, 5]
+
+
+class Recorder:
+    """A rule that keeps what it saw and then does as another rule."""
+
+    name = "recorder"
+
+    def __init__(self, like: str, call=None, spread=None) -> None:
+        self.like, self.steps = door.find("rule", like)(), []
+        self.call = call or recruit
+        self.spread = spread or (lambda call, contacts: relay(call, contacts, docks=3))
+
+    def choose(self, step):
+        """Keep the step, and choose."""
+        seen = {
+            name: np.array(getattr(step, name))
+            for name in (
+                "structure", "robot", "stance", "center", "orientation_wxyz", "walk", "touching",
+                "on_ground", "called", "possible", "visited", "end", "end_orientation_wxyz",
+                "angle", "pivot", "end_touching", "end_on_ground", "end_called", "dock", "relay",
+                "robot_count", "sensed", "present",
+            )
+        }  # fmt: skip
+        seen["draw"] = step.uniform("flip", 3)
+        self.steps.append(seen)
+        return self.like.choose(step)
+
+
+def _recorded(params: GrowthParams, robots: int, seeds: list[int], like: str) -> list[dict]:
+    rule = Recorder(like)
+    params = dataclasses.replace(params)
+    object.__setattr__(params, "rule", rule)
+    _grow(params, robots, seeds)
+    return rule.steps
+
+
+@pytest.fixture(scope="module")
+def steps(page):
+    """What climbers of two towers saw at some of their steps."""
+    door.load_plugins([page])
+    found = _recorded(TowerParams(force_threshold=4.0), 12, [SEED, SEED + 1], "early-call")
+    return found[::7]
+
+
+def test_a_step_states_what_flips_end_at(steps):
+    """Ends are the poses that the flip makes; docks touch there what an oracle says they do."""
+    for step in steps:
+        for m, k in np.argwhere(step["possible"]).tolist():
+            here, q = step["center"][m], step["orientation_wxyz"][m]
+            end, turned = step["end"][m, k], step["end_orientation_wxyz"][m, k]
+            docks = end + dock_offsets(turned[None], FIREANT.dock_offset_body)[0]
+            before = here + dock_offsets(q[None], FIREANT.dock_offset_body)[0]
+            pivot = step["pivot"][k]
+            joined = step["dock"][step["structure"][m]][
+                : 3 * step["robot_count"][step["structure"][m]]
+            ]
+            apart = np.linalg.norm(docks[:, None] - joined, axis=2)
+
+            np.testing.assert_allclose(docks[pivot], before[pivot], atol=1e-12)
+            turn = oracle.matrix(turned) @ oracle.matrix(q).T
+            cosine = 0.5 * (np.trace(turn) - 1.0)
+            assert abs(np.cos(step["angle"][m, k]) - cosine) < 1e-9
+            assert apart.min(initial=9.0) > 2.0 - 1e-9
+            assert docks[:, 2].min() > 1.0 - 1e-9
+            for dock in range(3):
+                touched = step["end_touching"][m, k, dock]
+                assert {*touched[touched >= 0]} == {*np.flatnonzero(apart[dock] < 2.02)}
+                assert step["end_on_ground"][m, k, dock] == (docks[dock, 2] < 1.02)
+            relay = step["relay"][step["structure"][m]][: len(joined)]
+            assert step["end_called"][m, k] == (relay[(apart < 2.02).any(axis=0)] > 0).any()
+            walk = step["walk"][m, : step["stance"][m] + 1]
+            near = np.linalg.norm(walk - end, axis=1).min()
+            assert step["visited"][m, k] == (near < 0.05)
+
+
+def test_a_step_states_where_climbers_are(steps):
+    """The walk ends at the center; contacts of the stance and calls are those of the structure."""
+    assert any(step["called"].any() for step in steps)
+    for step in steps:
+        for m in range(len(step["stance"])):
+            s, stance = step["structure"][m], step["stance"][m]
+            docks = step["center"][m] + dock_offsets(
+                step["orientation_wxyz"][m][None], FIREANT.dock_offset_body
+            )[0]  # fmt: skip
+            joined = step["dock"][s][: 3 * step["robot_count"][s]]
+            is_near = np.linalg.norm(docks[:, None] - joined, axis=2) < 2.02
+            touching = step["touching"][m]
+
+            np.testing.assert_array_equal(step["walk"][m, stance], step["center"][m])
+            assert np.isnan(step["walk"][m, stance + 1 :]).all()
+            assert {*touching[touching >= 0]} == {*np.nonzero(is_near)[1]}
+            assert step["called"][m] == (step["relay"][s][: len(joined)][is_near.any(0)] > 0).any()
+            draw = uniform(SEED + s, "flip", step["robot"][m], 2**16 * stance + np.arange(3))
+            np.testing.assert_array_equal(step["draw"][m], draw)
+
+
+def test_a_rule_may_spread_calls_in_its_own_way():
+    """Where no call is passed on, nobody is recruited; the engine's relay is the default."""
+    params = dataclasses.replace(TowerParams(force_threshold=2.0))
+    silent = Recorder("reactive-build-python", spread=lambda call, _: np.repeat(0 * call, 3))
+    object.__setattr__(params, "rule", silent)
+
+    [quiet] = _grow(params, 15, [SEED])
+    [usual] = _grow(TowerParams(force_threshold=2.0), 15, [SEED])
+
+    assert not any(walk.recruited for walk in quiet.walks)
+    assert any(walk.recruited for walk in usual.walks)
+
+
+@pytest.mark.parametrize(
+    ("returned", "problem"),
+    [
+        ("np.zeros(1)", r"wrong\.py: wrong\.choose returned float64; return integers"),
+        ("np.zeros(9, int)", r"returned shape \(9,\); return a choice for each of 1 climbers"),
+        ("np.array([99])", r"returned 99 for climber 0; return a possible flip, -1 to stay"),
+        ("np.array([-9])", r"returned -9 for climber 0; .* stance s of its 1"),
+        ("(~step.possible).argmax(axis=1)", "return a possible flip"),
+        ("step.flips", r"wrong\.py:\d+: wrong\.choose failed: AttributeError"),
+    ],
+)
+def test_a_wrong_choice_is_a_line(tmp_path, returned, problem):
+    """It names the file, what was returned, and what to return."""
+    code = "import numpy as np\nimport tiswarm\n\n@tiswarm.rule('wrong')\nclass Wrong:\n"
+    code += f"    def choose(self, step):\n        return {returned}\n"
+    (tmp_path / "wrong.py").write_text(code)
+    door.load_plugins([tmp_path / "wrong.py"])
+
+    with pytest.raises(door.PluginError, match=problem):
+        _grow(_by(TowerParams(), "wrong"), 3, [SEED])
