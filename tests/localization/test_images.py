@@ -124,6 +124,19 @@ def test_parts_that_measure_centers_alone_are_mirrored():
     assert min(np.abs(each - expected).max() for each in found) < MET
 
 
+def test_robots_are_mirrored_in_the_plane_of_the_known_ones():
+    """All tags together: ranges to three known robots exclude neither image."""
+    log, place = foreign.room_of_tags(foreign.ROOM[:3], 2)
+    rows, position = pose_problem(log, FINAL).rows, place / log.dock_radius
+    parts = PartImages(log, rows, non_overlap=False)
+
+    found = [each for each, _ in parts.of(position, np.zeros(len(position)))]
+
+    alike = [np.abs(rows.residual(each) - rows.residual(position)).max() < MET for each in found]
+    moved = [(each != position).any(axis=1).sum() for each in found]
+    assert len(position) - 3 in np.array(moved)[alike]
+
+
 @pytest.fixture(scope="module")
 def mirrored():
     """A tower, chains that all end at the image of one part, and the part at the truth."""

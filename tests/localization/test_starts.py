@@ -11,7 +11,7 @@ from tests.structures import with_ranges
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.mixture import frames
 from tiswarm.localization.mixture.ends import Posed, further_starts
-from tiswarm.localization.mixture.frames import images, scaled_distances
+from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.settings import LARGE, JointParams
 from tiswarm.sensing import SensingParams, observe
 
@@ -157,43 +157,3 @@ def test_robots_that_no_range_ties_have_a_start_too():
         assert np.isfinite(image).all()
         size = np.linalg.norm(image[:6] - image[0], axis=1).max()
         assert np.linalg.norm(image[6:] - image[0], axis=1).min() > 0.3 * size
-
-
-def test_robots_that_are_not_known_are_mirrored_in_the_plane_of_those_that_are():
-    """Twice mirrored is as before; known robots stay, even where they are not quite in a plane."""
-    log, place = foreign.nearly_flat(0.3, 0)
-    position = place / log.dock_radius
-    known = pose_problem(log, PARAMS)
-
-    (image,) = images(known, position)
-
-    (back,) = images(known, image)
-    np.testing.assert_allclose(back, position, atol=1e-9)
-    np.testing.assert_array_equal(image[:30], position[:30])
-    middle = 0.5 * (image[30] + position[30])
-    assert abs(middle[2] - position[:30, 2].mean()) < 5.0
-    np.testing.assert_allclose(image[30, :2], position[30, :2], atol=5.0)
-    assert abs(image[30, 2] - position[30, 2]) > 100.0
-
-
-@pytest.mark.parametrize("beacons", [2, 3])
-def test_the_image_is_one_of_ranges_to_known_robots(beacons):
-    """With the anchor three known robots have a plane; two have none of their own."""
-    log, place = foreign.room_of_tags(foreign.ROOM[:beacons], 2)
-    known = pose_problem(log, PARAMS)
-    position = place / log.dock_radius
-
-    found = images(known, position)
-
-    assert len(found) == (beacons > 2)
-    for image in found:
-        np.testing.assert_allclose(known.rows.residual(image), known.rows.residual(position),
-                                   atol=1e-9)  # fmt: skip
-
-
-def test_where_all_robots_are_known_none_is_mirrored():
-    """Fixes of all robots leave no image."""
-    _, place = foreign.without_beacons(5, 0)
-    log = foreign.with_places(foreign.silent(place), place, range(1, 5))
-
-    assert images(pose_problem(log, PARAMS), place / log.dock_radius) == []

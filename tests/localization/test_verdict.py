@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.structures import Rule, silent, structure
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.assessment import Assessment, assess
 from tiswarm.localization.mixture.verdict import Evidence, judge, widened
@@ -21,6 +22,9 @@ from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence
 from tiswarm.records.sensing_file import lines_of
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import TowerParams
 
 ROBOTS = 12
 NEARER = (
@@ -52,6 +56,12 @@ def known() -> Evidence:
         ({"all_failed": True}, "all chains ended out of reach of their contacts, or ran hot"),
         ({"is_alone": True}, "no two chains ended at the same least cost"),
         ({"is_guess": np.ones(ROBOTS, np.bool_)}, "all positions are guesses"),
+        ({"is_single": True}, ""),
+        ({"overlap": 24.0}, ""),
+        (
+            {"overlap": 26.0},
+            "docks overlap at the least cost found, which no measurement error explains",
+        ),
         ({"missed": 50}, "the best chain misses 50 contacts or ranges"),
         ({"excess": 99.0}, ""),
         (
@@ -156,6 +166,36 @@ def test_noise_that_explains_no_rows_widens_stated_errors_alone(known):
     assert (found.converged, found.consistent, found.testable) == (True, False, True)
     assert found.reason == "noise as stated does not explain all rows"
     assert (found.sd_factor, silent.sd_factor) == (3.0, 1.0)
+
+
+def test_one_chain_alone_finds_nothing_wrong_with_a_log(known):
+    """A misfit that no second chain confirms is one of the search, and widens sd all the same."""
+    bad = replace(known, chi_square=360.0)
+
+    confirmed, single = judge(bad), judge(replace(bad, is_single=True))
+
+    assert (confirmed.converged, confirmed.consistent) == (True, False)
+    assert (single.converged, single.consistent) == (False, True)
+    assert (
+        single.reason == f"only one chain leads to the least cost found, where {confirmed.reason}"
+    )
+    assert single.sd_factor == confirmed.sd_factor == 3.0
+
+
+@pytest.mark.trial
+def test_a_right_log_is_searched_again_before_it_is_called_wrong():
+    """Without noise all robots can be where they are measured; first chains do not get there."""
+    robot, params = RobotGeometry(rho=3.0), TowerParams(plane=True)
+    for seed, robots in [(100062, 60), (100104, 60), (100102, 80)]:
+        (history,) = grow(params, robots=robots, seeds=[seed], robot=robot)
+        log = observe(history, SensingParams(stances=False, ground_docks=False))
+
+        found = localize(log, JointParams())
+
+        assert found.convergence.consistent
+        if found.convergence.converged:
+            off = np.linalg.norm(found.position - history.position, axis=1)
+            assert (off <= 1.6 * found.sd + 0.01).mean() > 0.8
 
 
 def ranging(readings: int, error: Callable[[np.random.Generator, NDArray], NDArray]) -> SensingLog:

@@ -53,11 +53,13 @@ def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate
     estimate = mixed(fit, restarted=restarted)
     steps, verdict = params.steps_for(posed.log.robot_count), estimate.convergence
     few = params.steps is None and posed.is_refined and steps < MOST_STEPS
-    if few and verdict is not None and not verdict.converged:
+    if few and verdict is not None and not verdict.trusted:
         # Motions of long chains of robots are slow: their time grows with the square of the length.
+        # Where chains are trapped, rows seem to be wrong.
         longer = replace(posed, params=replace(params, steps=MOST_STEPS))
-        fit, restarted = _further(longer, _annealed(longer))
-        estimate = mixed(fit, restarted=restarted + len(annealed.mean))
+        again, more = _further(longer, _annealed(longer))
+        fit = Fit.of(longer, fit.annealed.joined(again.annealed))
+        estimate = mixed(fit, restarted=restarted + more + len(annealed.mean))
     return without_outlier_robots(fit, estimate)
 
 

@@ -82,7 +82,8 @@ class Convergence:
 
     consistent: bool
     """Whether noise as stated explains the least cost, outliers left out. True without any check
-    unless `testable`."""
+    unless `testable`, and where the search did not find one least cost: it says nothing about the
+    measurements then."""
 
     testable: bool = True
     """Whether the log could be found not consistent: it was, or its spare measurements are at least

@@ -100,6 +100,9 @@ class _NearestMinimum(NamedTuple):
     freedom: int
     """Its degrees of freedom."""
 
+    overlap: float
+    """Squared overlaps of docks there, in variances [1]."""
+
     square: Reals
     """Part of it that each measurement carries [1], shape (E,)."""
 
@@ -159,6 +162,7 @@ def assess(
         freedom=found.freedom,
         is_counted=not is_large,
         has_sd=sd is not None,
+        overlap=found.overlap,
         excess=found.excess,
         is_within=_is_within(found.position - position, sd, is_guess | torn),
         is_unsearched=is_large,
@@ -230,7 +234,7 @@ def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) ->
     outlier = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
     square[outlier] = 0.0
     freedom = int((~outlier).sum()) - unknowns
-    return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, square)
+    return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, 0.0, square)
 
 
 def _minimum(
@@ -254,8 +258,10 @@ def _minimum(
     square[~outlier] = linear.square
     excess = own.chi_square - least.chi_square
     moved = np.where(is_guess[:, None], estimate[0], state.position)
-    least_square, freedom = linear.chi_square, linear.freedom()
-    return _NearestMinimum(moved, excess, outlier, least_square, freedom, square, linear)
+    return _NearestMinimum(
+        moved, excess, outlier, linear.chi_square, linear.freedom(),
+        linear.overlap, square, linear,
+    )  # fmt: skip
 
 
 def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:

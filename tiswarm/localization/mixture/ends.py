@@ -172,24 +172,6 @@ def _ends(fit: Fit, position: Reals, yaw: Reals, cost: Reals) -> Ends:
     )
 
 
-def with_further(ends: Ends, further: list[Reals]) -> Ends:
-    """Add the minima that further starts lead to, as chains that do not move."""
-    if not further:
-        return ends
-    fit, annealed = ends.fit, ends.fit.annealed
-    found = [
-        _descended(fit, (position, ends.yaw[0]), annealed.sigma, MIXTURE.warm_rounds)
-        for position in further
-    ]
-    position, yaw = (np.array([each[k] for each in found]) for k in (0, 1))
-    return _ends(
-        replace(fit, annealed=annealed.joined(annealed.still(position, yaw))),
-        np.concatenate([ends.position, position]),
-        np.concatenate([ends.yaw, yaw]),
-        np.concatenate([ends.cost, [cost for _, _, cost in found]]),
-    )
-
-
 def settled(posed: Posed, position: Reals, sigma: float, rounds: int) -> tuple[Reals, Reals, float]:
     """Move positions that no chain led to: first warm, then to a minimum as `_descended` does."""
     length = posed.problem.length[~posed.problem.is_offset]

@@ -1,4 +1,4 @@
-"""Configurations beside one: mirrored as a whole or in part, or built from distances.
+"""Configurations beside one: mirrored in part, or built from distances.
 
 Where measured distances fit as a whole, chains start beside those of the annealer.
 
@@ -88,28 +88,6 @@ def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
     turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     fitted: Reals = anchor + shape @ turn.T
     return fitted
-
-
-def images(problem: Problem, position: Reals) -> list[Reals]:
-    """Mirror a configuration in the plane nearest to the robots whose places are measured.
-
-    Where these are in one plane, as beacons on a ceiling, ranges exclude neither image.
-
-    Args:
-        problem: Measurements.
-        position: Centers [R], shape (N, 3).
-
-    Returns:
-        The image, shape (N, 3), if at least three robots are measured in all directions.
-    """
-    known: Bools = np.all(problem.sensed_place()[1], axis=1)
-    known[0] = True
-    if known.sum() < _AXES or known.all():
-        return []
-    center = position[known].mean(axis=0)
-    normal = np.linalg.svd(position[known] - center, full_matrices=False)[2][2]
-    mirrored = position - 2.0 * ((position - center) @ normal)[:, None] * normal
-    return [np.where(known[:, None], position, mirrored)]
 
 
 class PartImages:

@@ -24,8 +24,8 @@ from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED, grouped, moments
 from tiswarm.localization.cost.linear import Linear
-from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked, with_further
-from tiswarm.localization.mixture.frames import PartImages, images
+from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked
+from tiswarm.localization.mixture.frames import PartImages
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms, widened
 from tiswarm.measurements.model import Measurements
@@ -94,11 +94,7 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
         prior_sd: Standard deviation of positions that measurements leave open [R], shape (N,); that
             of the chains if None.
     """
-    ends = ranked(fit)
-    if fit.is_refined:
-        best = ends.position[int(ends.cost.argmin())]
-        ends = with_further(ends, images(fit.problem, best))
-    ends = aligned(ends)
+    ends = aligned(ranked(fit))
     log, problem, annealed = fit.log, fit.problem, ends.fit.annealed
     outlier = _outliers(ends)
     open_sd = _open_sd(ends, ~outlier) if prior_sd is None else prior_sd
@@ -354,6 +350,7 @@ def _outliers(ends: Ends) -> Bools:
 def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evidence:
     """Gather what chains and the likeliest solution say of an estimate."""
     problem, links = ends.fit.problem, len(ends.fit.problem.variance)
+    agreed = ends.cost <= (1.0 + MIXTURE.same) * ends.cost.min()
     chance = MIXTURE.alike * np.sqrt(2.0 * len(problem.rows))
     alike = ends.cost <= ends.cost.min() + chance
     is_missed = ends.missed[int(ends.cost.argmin()), :links] > CONVERGENCE.outlier_sd**2
@@ -371,6 +368,8 @@ def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evi
         chains=int((ends.weight > 0.0).sum()),
         all_failed=bool(ends.fit.has_failed.all()),
         is_alone=len(alike) > 1 and int(alike.sum()) == 1,
+        is_single=len(agreed) > 1 and int(agreed.sum()) == 1,
+        overlap=best.cost - best.chi_square,
         missed=int(is_missed[~outlier[:links]].sum()),
     )
 

@@ -74,6 +74,10 @@ class MixtureSettings:
     """Excess of a cost over the least one up to which both count as the same, in widths of a
     chi-square [1]."""
 
+    same: float = 0.1
+    """Excess of a cost over that of a minimum, in the latter, up to which chains agree on a misfit
+    [1]: wrong measurements are in all chains, and trapped chains differ by more."""
+
     spare: float = 0.25
     """Least degrees of freedom of a chi-square, in unknown coordinates [1]: where measurements are
     hardly more than these, the search leaves as much."""

@@ -74,6 +74,12 @@ class Evidence:
     is_alone: bool = False
     """Whether there are several chains, and no two ended at the same least cost."""
 
+    is_single: bool = False
+    """Whether there are several chains, and all but one end at a much higher cost."""
+
+    overlap: float = 0.0
+    """Squared overlaps of docks at the minimum, in variances [1]."""
+
     missed: int = 0
     """Contacts and ranges that the best end misses though they are no outliers."""
 
@@ -106,8 +112,11 @@ def judge(known: Evidence) -> Convergence:
     freedom = max(spare, int(MIXTURE.spare * known.unknowns))
     misfit_sd = _misfit_sd(chi_square, freedom)
     is_explained = misfit_sd <= MOST_MISFIT_SD
-    failures, wrong = [*_failures(known, is_explained=is_explained)], [*_wrong_sensors(known)]
-    wrong = [*_misfits(read, known.log, is_explained=is_explained), *wrong]
+    misfits = [*_misfits(read, known.log, is_explained=is_explained)]
+    trapped = [*_trapped(known, misfits)]
+    failures = [*trapped, *_failures(known, is_explained=is_explained)]
+    # What a search that failed misses says nothing about the measurements.
+    wrong = [*([] if trapped else misfits), *_wrong_sensors(known)]
     factor = 1.0
     if not is_explained and known.has_sd:
         factor = float(np.sqrt(chi_square / max(freedom, 1)))
@@ -236,14 +245,22 @@ def gains_without(rows: Measurements, linear: Linear, robots: Ints) -> tuple[Rea
     return gain, freed
 
 
-def _failures(known: Evidence, *, is_explained: bool) -> Iterator[str]:
-    """Say why no minimum was found, or not the right one."""
-    links = len(known.rows.other)
-    outliers = int(known.outlier[:links].sum())
+def _trapped(known: Evidence, misfits: list[str]) -> Iterator[str]:
+    """Say why the least cost was hardly found: robots are never inside each other."""
     if known.all_failed:
         yield "all chains ended out of reach of their contacts, or ran hot"
     if known.is_alone:
         yield "no two chains ended at the same least cost"
+    if known.overlap > CONVERGENCE.outlier_sd**2:
+        yield "docks overlap at the least cost found, which no measurement error explains"
+    if known.is_single and misfits:
+        yield f"only one chain leads to the least cost found, where {misfits[0]}"
+
+
+def _failures(known: Evidence, *, is_explained: bool) -> Iterator[str]:
+    """Say why no minimum was found, or not the right one."""
+    links = len(known.rows.other)
+    outliers = int(known.outlier[:links].sum())
     if known.is_guess[1:].all() and len(known.is_guess) > 1:
         yield "all positions are guesses"
     if 2 * known.torn > len(known.is_guess):
