@@ -16,7 +16,7 @@ run.export("ply")
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import fields
+from dataclasses import asdict, fields, is_dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -41,7 +41,6 @@ from tiswarm.app.results import (
 from tiswarm.base.errors import InputError, warn
 from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.parts import find, load_plugins
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import write_estimate
@@ -183,12 +182,17 @@ def run(
     return Run(result.folder, failed=result.what_failed, missing=result.missing)
 
 
+Section = str | Mapping[str, object] | object
+"""Section of a scenario: the name that selects it, its keys, or its settings as an object."""
+
+
 def grow(
-    structure: str | Mapping[str, object] = "tower",
+    structure: Section = "tower",
     robots: int = 100,
     seeds: int | Sequence[int] = 1,
     *,
-    robot: RobotGeometry | Mapping[str, object] | None = None,
+    rule: Section | None = None,
+    robot: Section | None = None,
     threads: int | None = None,
     plugins: Sequence[File] = (),
     quiet: bool = False,
@@ -196,13 +200,14 @@ def grow(
     """Grow structures side by side, as `tiswarm run` grows them.
 
     Args:
-        structure: Kind of structure, or the section `structure` of a scenario, such as
-            `{"kind": "tower", "goal_height": 40.0}`.
+        structure: Kind of structure, the section `structure` of a scenario, such as
+            `{"kind": "tower", "goal_height": 40.0}`, or the class or an instance of its settings.
         robots: Robots in each structure.
         seeds: Seeds, one structure each, or their number: 0, 1, ...
-        robot: Shape of the robots, or the section `robot` of a scenario; FireAntV3 if None.
+        rule: Rule of growth, given in the same ways; that of the structure if None.
+        robot: Shape of the robots, given in the same ways; FireAntV3 if None.
         threads: CPU threads; all that this process may use if None.
-        plugins: Python files that register structures and sensors.
+        plugins: Python files that register structures, rules and sensors.
         quiet: Whether to hide progress.
 
     Returns:
@@ -214,15 +219,25 @@ def grow(
         PluginError: code of a plug-in failed.
     """
     load_plugins(plugins)
-    kind = {"kind": structure} if isinstance(structure, str) else structure
-    shape = vars(robot) if isinstance(robot, RobotGeometry) else robot
+    kind = _section(structure, "kind")
+    if rule is not None and isinstance(kind, Mapping):
+        kind = {**kind, "rule": _section(rule, "name")}
     given = {
         "name": "grow", "robots": robots, "structure": kind, "localization": {"method": METHOD},
         "seeds": [*seeds] if isinstance(seeds, range | tuple) else seeds,
-        **({} if shape is None else {"robot": shape}),
+        **({} if robot is None else {"robot": _section(robot, "shape")}),
     }  # fmt: skip
     swarms = find("command", "grow")
     return swarms.grow(_load(given, None), threads=threads, quiet=quiet)
+
+
+def _section(settings: object, key: str) -> object:
+    """Write a section of a scenario as plain data; `key` selects which settings it has."""
+    if isinstance(settings, str):
+        return {key: settings}
+    if is_dataclass(settings):
+        return asdict(settings() if isinstance(settings, type) else settings)
+    return settings
 
 
 def open_swarms(path: File, *, plugins: Sequence[File] = ()) -> Any:  # noqa: ANN401 - `Swarms`

@@ -12,8 +12,10 @@ import pytest
 import tiswarm as library
 from tiswarm.base import parts
 from tiswarm.base.errors import InputError
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.parts import swarms as module
 from tiswarm.parts.pictures.pictures import build_pictures
+from tiswarm.world.params import BridgeParams, ClimbParams
 
 pytestmark = pytest.mark.filterwarnings("ignore::tiswarm.base.errors.ResultWarning")
 """A short `joint` does not converge, and says so."""
@@ -240,6 +242,33 @@ def test_arguments_are_checked_as_a_scenario_is(arguments, problem):
         library.grow(**{"structure": "tower", "robots": 4, **arguments})
 
 
+@pytest.mark.parametrize(
+    ("settings", "plain"),
+    [
+        (
+            {"structure": BridgeParams(gap=30.0, climb=ClimbParams(patience=5))},
+            {"structure": {"kind": "bridge", "gap": 30.0, "climb": {"patience": 5}}},
+        ),
+        ({"structure": BridgeParams}, {"structure": "bridge"}),
+        ({"robot": RobotGeometry(rho=1.7)}, {"robot": {"rho": 1.7}}),
+        (
+            {"robot": "square", "seeds": range(2, 4)},
+            {"robot": {"shape": "square"}, "seeds": [2, 3]},
+        ),
+        ({"robots": np.int64(3), "seeds": np.arange(2)}, {"robots": 3, "seeds": [0, 1]}),
+    ],
+)
+def test_settings_are_objects_or_plain_data(settings, plain):
+    """Both grow the same."""
+    one, other = (
+        library.grow(**{"structure": "tower", "robots": 3, **each}, quiet=True)
+        for each in (settings, plain)
+    )
+
+    assert one.scenario == other.scenario
+    assert np.array_equal(one.position, other.position)
+
+
 def test_settings_of_sensing_are_checked(towers):
     """The line names the key of the section."""
     with pytest.raises(InputError, match=r"^sensing.tilt_noise: unknown key; did you mean tilt_"):
@@ -387,6 +416,56 @@ def test_structures_of_a_plugin_grow_and_are_read_back(tmp_path):
     with pytest.raises(InputError, match=r"leaning.npz: structure.kind: .*a plug-in that you load"):
         library.open_swarms(file)
     assert len(library.open_swarms(file, plugins=[own])) == 2
+
+
+WALK = '''
+import numpy as np
+import tiswarm
+
+@tiswarm.rule("first-flip")
+class FirstFlip:
+    """Take the first possible flip until another robot is touched."""
+
+    flips: int = 40
+    """Flips before a climber stays."""
+
+    def choose(self, step):
+        touches = (step.touching >= 0).any(axis=(1, 2))
+        stays = touches | (step.stance >= self.flips) | ~step.possible.any(axis=1)
+        return np.where(stays, -1, step.possible.argmax(axis=1))
+'''
+
+
+@pytest.mark.usefixtures("_forget")
+def test_a_rule_is_a_name_keys_or_a_class(tmp_path):
+    """All ways grow the same, which differs from ReactiveBuild; the file names the rule."""
+    own = tmp_path / "own.py"
+    own.write_text(WALK)
+    first, *others = (
+        library.grow("tower", robots=6, seeds=2, rule=rule, plugins=[own], quiet=True)
+        for rule in ("first-flip", {"name": "first-flip"}, {"name": "first-flip", "flips": 40})
+    )
+    within = {"kind": "tower", "rule": {"name": "first-flip"}}
+    registered = parts.find("rule", "first-flip")
+    others += [library.grow(within, robots=6, seeds=2, quiet=True)]
+    others += [library.grow(robots=6, seeds=2, rule=each, quiet=True)
+               for each in (registered, registered(flips=40))]  # fmt: skip
+
+    for other in others:
+        assert np.array_equal(other.position, first.position, equal_nan=True)
+    built_in = library.grow("tower", robots=6, seeds=2, quiet=True)
+    assert not np.array_equal(built_in.position, first.position)
+    again = library.open_swarms(first.save(tmp_path / "own.npz"))
+    assert again.scenario.structure.rule.name == "first-flip"
+    for rule, problem in [
+        ("first-flop", r"structure\.rule.*did you mean first-flip\?"),
+        (
+            {"name": "first-flip", "flip": 3},
+            r"structure\.rule\.flip: unknown key; did you mean flips",
+        ),
+    ]:
+        with pytest.raises(InputError, match=f"^{problem}"):
+            library.grow("tower", robots=6, rule=rule)
 
 
 def test_long_growth_shows_its_progress(capsys):
