@@ -139,7 +139,17 @@ def traffic(results: Results) -> str:
         ]
         return f"{_head(results.table)}: {'; '.join([*first, *texts])}"
 
-    return answers.fitted(write, _MOST_NAMED)
+    text = answers.fitted(write, _MOST_NAMED)
+    if len(text) <= answers.MOST_LETTERS:
+        return text
+    where = (f"robots send at most {limit}", "more", "one place has all logs")
+    best = [
+        f"{place}, {min(each, key=lambda name: answers.least_error(each[name]))}"
+        f" {answers.range_of(min(map(answers.errors_of, each.values()), key=min))}"
+        for place, each in zip(where, kinds.values(), strict=True)
+        if each
+    ]
+    return f"{_head(results.table)}, least where {'; '.join(best)}"
 
 
 def cues(results: Results) -> str:

@@ -42,7 +42,10 @@ MOST_TIMES = 10_000
 """Ratio of two errors beyond which the smaller one is exact but for rounding."""
 
 MOST_LETTERS = 215
-"""Letters of an answer, so that it has two lines on a page."""
+"""Letters of an answer."""
+
+_TWO_LINES = 230
+"""Letters of two lines on a page."""
 
 _MOST_GROUPS = 3
 
@@ -429,7 +432,8 @@ def result_of(folder: Path, table: pd.DataFrame, labels: run_data.Labels) -> str
     question = run_data.stated_scenario(folder).get("question")
     text = answer(str(question), Results(rows, pairs, scaling)) if len(rows) > 1 else ""
     text = text or "; ".join(map(_in_words, rows.to_dict("records")))
-    return f"{text}{_disconnected_somewhere(rows) if 'RMSE' in text else ''}."
+    more = _disconnected_somewhere(rows) if "RMSE" in text else ""
+    return f"{text}{more if len(text + more) <= _TWO_LINES else ''}."  # warnings have it, too
 
 
 def _disconnected_somewhere(rows: pd.DataFrame) -> str:

@@ -98,76 +98,74 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
     return panels.finish(*notes, run.note)
 
 
-_Panels = dict[tuple[str, str], Series]
-"""Conditions of each panel, by point and method; a word that all panels share is empty."""
+_Trace = tuple[Reals, Reals]
+"""Iterations, and RMSE of each case at these, as `_traces` returns them."""
+
+_Panels = dict[tuple[str, str], dict[str, _Trace]]
+"""Traces of each panel by condition, by point and method; a word that all share is empty."""
 
 
 def _legible(points: _Panels) -> list[str]:
     """List the conditions that have a color each: all, or of too many the first, best and worst.
 
-    Best and worst are the means of the last RMSE over all points.
+    Best and worst of each method are the means of the last RMSE over all points.
     """
     names = list(dict.fromkeys(name for of_point in points.values() for name in of_point))
     if len(names) <= len(figure_style.PALETTE):
         return names
-    every: Series = {}
-    for of_point in points.values():
-        for name, cases in of_point.items():
-            every.setdefault(name, []).extend(cases)
-    order = _by_last_error(every)
-    chosen = {names[0], *order[:1], *order[-1:]}
+    chosen = {names[0]}
+    for method in dict.fromkeys(method for _, method in points):
+        ends: dict[str, list[float]] = {}
+        for (_, other), of_point in points.items():
+            for name, (_, rmse) in of_point.items() if other == method else ():
+                ends.setdefault(name, []).extend(rmse[:, -1])
+        order = sorted(ends, key=lambda name: float(np.mean(ends[name])))
+        chosen |= {*order[:1], *order[-1:]}
     return [name for name in names if name in chosen]
 
 
-def _by_last_error(series: Series) -> list[str]:
-    """Sort the names of series by the mean of the last RMSE; those without any are left out."""
-    ends = {}
-    for name, cases in series.items():
-        rmse = _traces(cases)[1]
-        if rmse.size:
-            ends[name] = float(np.mean(rmse[:, -1]))
-    return sorted(ends, key=lambda name: (ends[name], name))
-
-
-def _most_telling(series: Series, names: list[str]) -> Series:
-    """Keep the series that have a color, and as many others as a panel has room for."""
-    others = [name for name in series if name not in names]
-    count = figure_style.MOST_SERIES - (len(series) - len(others))
+def _most_telling(traces: dict[str, _Trace], names: list[str]) -> dict[str, _Trace]:
+    """Keep the traces that have a color, and as many others as a panel has room for."""
+    others = [name for name in traces if name not in names]
+    count = figure_style.MOST_SERIES - (len(traces) - len(others))
     kept = {*names, *others[: max(count, 0)]}
-    return {name: cases for name, cases in series.items() if name in kept}
+    return {name: trace for name, trace in traces.items() if name in kept}
 
 
 def _by_point(series: Series) -> _Panels:
-    """Group series by sweep point and method; a single group if each point has one condition."""
+    """Group traces by sweep point and method; by method alone if each point has one condition.
+
+    Methods without iterations are left out, unless there are no others.
+    """
     methods = {cases[0].method for cases in series.values()}
-    if len({cases[0].point for cases in series.values()}) == len(series) > 1:
-        return {("", method): _of_method(series, method) for method in sorted(methods)}
+    alone = len({cases[0].point for cases in series.values()}) == len(series)
     points: _Panels = {}
     for name, cases in series.items():
-        key = cases[0].point, cases[0].method * (len(methods) > 1)
-        points.setdefault(key, {})[cases[0].condition or name] = cases
-    return points
+        point, method = cases[0].point * (not alone), cases[0].method * (len(methods) > 1)
+        trace = _traces(cases)
+        if trace[0].size:
+            condition = name if alone else cases[0].condition or name
+            points.setdefault((point, method), {})[condition] = trace
+    moving = {
+        key: of_point
+        for key, of_point in points.items()
+        if any(iteration.size > 1 for iteration, _ in of_point.values())
+    }
+    return moving or points or {("", ""): {}}
 
 
-def _of_method(series: Series, method: str) -> Series:
-    return {name: cases for name, cases in series.items() if cases[0].method == method}
-
-
-def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
-    """Draw the mean of each series, colored by its place in `names`; returns the top [R].
+def _plot_convergence(axes: "Axes", traces: dict[str, _Trace], names: list[str]) -> float:
+    """Draw the mean of each trace, colored by its place in `names`; returns the top [R].
 
     The best and the worst have bands. Others than those named are thin and gray, and have one entry
     in a legend.
     """
     top = 0.0
-    order = _by_last_error(series)
+    order = sorted(traces, key=lambda name: float(traces[name][1][:, -1].mean()))
     banded = {*order[:1], *order[-1:]}
-    for name, cases in sorted(series.items(), key=lambda item: item[0] in names):
+    for name, (iteration, rmse) in sorted(traces.items(), key=lambda item: item[0] in names):
         is_named = name in names
         look = figure_style.line_style(names.index(name)) if is_named else dict(_OTHERS)
-        iteration, rmse = _traces(cases)
-        if not iteration.size:
-            continue
         mean, sd = rmse.mean(axis=0), rmse.std(axis=0) * (name in banded)
         axes.plot(iteration, mean, label=name if is_named else "others", **look)
         if sd.any():

@@ -321,6 +321,7 @@ def _gather(run: RunData) -> Page:
     words = ["condition", "suite", "way", "needs"]
     suites = run.table("suites.csv", words, [RMSE.mean], after="cases", optional=True)
     tables = page_tables.result_tables(table, pairs, suites)
+    headline = page_tables.headline_table(table)
     arch = manifest.backend.get("arch", "cpu")
     return Page(
         name=stated.get("name", run.folder.name),
@@ -329,11 +330,11 @@ def _gather(run: RunData) -> Page:
         what=_in_words(run, manifest),
         warnings=page_tables.warnings_of(run.summary),
         notes=page_tables.notes_of(run.summary, manifest),
-        headline=page_tables.headline_table(table),
+        headline=headline,
         tables=[each for each in tables if each.is_first],
         more=[each for each in tables if not each.is_first],
         view=build_view(run),
-        rows=page_tables.case_table(run.summary),
+        rows=page_tables.case_table(run.summary, in_words=page_tables.POINT in headline.frame),
         rows_example=f"{table['condition'].iloc[0]} done",
         reproduction=_Reproduction(
             version=manifest.tiswarm or "of the same version",

@@ -274,10 +274,13 @@ def _differences(paired: pd.DataFrame) -> PageTable:
     return _labeled(words, columns, "Differences on the same structures", note)
 
 
-def case_table(summary: pd.DataFrame) -> PageTable:
-    """Format a row for each case."""
+def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
+    """Format a row for each case, named by its folder, or in words by its series and seed."""
     shown = summary.head(MOST_ROWS)
     words = shown[["case", "status"]].fillna("").astype(str)
+    if in_words:
+        words["case"] = words["case"].str.replace(r"-.*", "", regex=True)
+        words["case"] = shown["series"] + ", seed " + words["case"]
     measures = PAGE["cases"] | PAGE["own"]
     headings = {"robots": "robots"} | {m.column: heading for m, heading in measures.items()}
     numbers = {
@@ -287,6 +290,7 @@ def case_table(summary: pd.DataFrame) -> PageTable:
     reason = {"reason": reasons} if reasons.any() else {}
     left_out = len(summary) - len(shown)
     note = f"{counted(left_out, 'more case')} in summary.csv." if left_out else ""
+    note = f"{note} The column `case` of summary.csv names their folders." if in_words else note
     return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, *reason])
 
 

@@ -68,3 +68,21 @@ def test_runs_in_which_nobody_sends_have_no_such_figure(run):
 def test_it_is_the_same_in_a_narrow_page(run):
     """Another width changes neither limits nor series."""
     require_alike(painters(run)["traffic"], run)
+
+
+def test_only_conditions_that_no_other_beats_have_names(run):
+    """Ten names within a thumb are none; the rest is gray."""
+    touch = run.summary[run.summary["condition"] == "touch"]
+    more = [
+        touch.assign(condition=name, series=name, rmse_R=error, sent_B=sent)
+        for name, error, sent in (("less", 0.9, 10.0), ("worse", 0.6, 2000.0), ("same", 0.5, 3e3))
+    ]
+
+    [axes] = painters(run)["traffic"](RunData(run.folder, pd.concat([run.summary, *more]))).axes
+
+    _, labels = axes.get_legend_handles_labels()
+    assert sorted(labels) == ["1 touch", "3 less", "joint", "others"]
+    [envelope] = [line for line in axes.lines if line.get_color() == "0.8"]
+    np.testing.assert_allclose(envelope.get_xydata(), [[10.0, 0.9], [1000.0, 0.5]])
+    [others] = [line for line in axes.lines if line.get_label() == "others"]
+    np.testing.assert_allclose(others.get_xydata(), [[3000.0, 0.5], [2000.0, 0.6]])

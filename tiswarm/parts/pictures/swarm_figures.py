@@ -1,6 +1,6 @@
 """Draws figures of robots that localize themselves: what they send, and errors as they join."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -30,9 +30,9 @@ CAPTIONS = {
     "structure, against the number of robots by then. Lines are conditions; methods that place "
     "robots as they join have a second, dashed line for the same robots once all have joined.",
     "traffic": "RMSE against the bytes that a robot sends in the mean, those that it passes on for "
-    "others included, both logarithmic: a marker for each condition whose robots localize "
-    "themselves. Lines are conditions that have the log of all robots in one place. Bars and bands "
-    "are 95 % CI. Farther left and lower is better.",
+    "others included, both logarithmic. Markers with numbers, joined by a gray line, are "
+    "conditions that no other beats in both. Horizontal lines are conditions that have the log of "
+    "all robots in one place. Bars and bands are 95 % CI. Farther left and lower is better.",
     "sd": "True structure, each robot colored by the standard deviation of its position that the "
     "method reports. It should resemble the errors.",
     "contact-graph": "Contacts: each ball is a robot, colored by its hops from an anchor, and "
@@ -64,15 +64,31 @@ def _traffic_painters(run: RunData) -> dict[str, figure_style.Painter]:
 def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     """Draw RMSE against the bytes that a robot sends, a panel for each kind and size.
 
-    Conditions lie close to each other, so each marker has a number, which the legend explains.
+    Conditions that no other beats in both have a marker with a number, which the legend explains,
+    and a line along them; the rest is gray.
     """
     done = run.summary[run.summary["status"] == "done"]
     groups = [*done.groupby(["kind", "robots"], sort=False)]
-    names = list(dict.fromkeys(done["condition"]))
+    fronts = [_front(cases) for _, cases in groups]
+    silent = done.groupby("condition", sort=False)[_SENT].count() == 0
+    wanted = {*silent[silent].index, *(name for front in fronts for name in front)}
+    every = list(dict.fromkeys(done["condition"]))
+    names = [name for name in every if name in wanted]
     columns = min(len(groups), 2)
     rows = -(-len(groups) // columns)
     panels = figure_style.Panels(1.0 + 3.0 * rows, len(groups), columns, share="xy", most=most)
-    for axes, ((kind, robots), cases) in panels.each(groups):
+    for axes, (((kind, robots), cases), front) in panels.each(zip(groups, fronts, strict=True)):
+        axes.plot(*np.array(list(front.values())).reshape(-1, 2).T, color="0.8", linewidth=0.8)
+        means = cases.groupby("condition")[[_SENT, _ERROR]].mean()
+        rest = means.loc[[name for name in means.index if name not in wanted]]
+        if len(rest):
+            look: dict[str, Any] = {
+                "linestyle": "",
+                "marker": "o",
+                "markersize": 2.5,
+                "color": "0.7",
+            }
+            axes.plot(rest[_SENT], rest[_ERROR], label="others", **look)
         for place, name in enumerate(names):
             _draw_condition(axes, cases[cases["condition"] == name], name, place)
         figure_style.set_title(axes, f"{kind}, {robots} robots")
@@ -86,6 +102,15 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     for axes in panels.axes:
         _number_markers(axes)
     return figure
+
+
+def _front(cases: pd.DataFrame) -> dict[str, tuple[float, float]]:
+    """List mean bytes and RMSE of conditions that no other beats in both, by ascending bytes."""
+    means = cases.groupby("condition", sort=False)[[_SENT, _ERROR]].mean().dropna()
+    means = means.sort_values([_SENT, _ERROR], kind="stable")
+    least = means[_ERROR].cummin()
+    front = means[(means[_ERROR] == least) & ~least.duplicated()]
+    return {str(name): (row.iloc[0], row.iloc[1]) for name, row in front.iterrows()}
 
 
 def _number_markers(axes: "Axes") -> None:
