@@ -75,7 +75,8 @@ def test_a_robot_may_stand_where_another_one_stood(lines, params):
     assert apart(estimate) < 0.3
     assert estimate.gone.tolist() == [row == LEFT for row in range(after.robot_count)]
     assert estimate.columns()["gone"][LEFT] == "yes"
-    both = localize(replace(after, gone=np.empty(0, np.int64)), params)
+    nobody = np.empty(0, np.int64)
+    both = localize(replace(after, gone=nobody, left_after=nobody), params)
     assert both.gone is None
     assert apart(both) > 0.5
 

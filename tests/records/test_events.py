@@ -114,16 +114,31 @@ def histories(draw):
 @settings(max_examples=60)
 @given(history=histories())
 def test_a_log_with_events_is_that_of_its_lines_after_them(scratch, history):
-    """Who writes the lines as they are at the end, and then who has left, has the same log."""
+    """Who writes the lines as they are at the end, and who left after each, has the same log."""
     lines, at_end, gone = history
-    left = [{"event": "leave", "robot": line["robot"]} for line in at_end if line["robot"] in gone]
+    joined, after = 0, {}
+    for line in lines:
+        joined += "event" not in line
+        if line.get("event") == "leave":
+            after.setdefault(joined, []).append(line)
+    final = [
+        each
+        for count, line in enumerate(at_end, 1)
+        for each in (line, *sorted(after.get(count, []), key=lambda leave: at_end.index(
+            next(line for line in at_end if line["robot"] == leave["robot"]))))
+    ]  # fmt: skip
 
     log = read_sensing_log(written(scratch, HEADER, *lines))
 
-    by_hand = read_sensing_log(written(scratch, HEADER, *at_end, *left))
+    by_hand = read_sensing_log(written(scratch, HEADER, *final))
     assert content(replace(log, line=None)) == content(by_hand)
     assert {*log.robot_id[log.gone].tolist()} == gone
     assert by_hand.line is None
+    assert [entry["robot"] for entry in log_entries(log) if "robot" in entry] == [
+        line["robot"] for line in final
+    ]
+    for number, line in enumerate(at_end):
+        assert by_hand.line_of(number) == 2 + final.index(line)
     write_sensing_log(log, scratch)
     assert content(read_sensing_log(scratch)) == content(by_hand)
     # The line of each robot is its last one.
@@ -142,7 +157,8 @@ def test_only_a_robot_that_left_makes_a_log_one_of_version_3(tmp_path):
 
     assert next(log_entries(stay))["version"] == 2
     assert next(log_entries(leave))["version"] == 3
-    assert [entry.get("event") for entry in log_entries(leave)] == [None] * 4 + ["leave"]
+    events = [entry.get("event") for entry in log_entries(leave)]
+    assert events == [None, None, None, "leave", None]
     assert leave.line_of(2) == 5
 
 

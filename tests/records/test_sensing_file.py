@@ -185,6 +185,7 @@ def logs(draw):
     radius = draw(st.floats(1e-9, 1e9))
     sources = draw(st.lists(st.text(letters, min_size=1, max_size=5), max_size=3, unique=True))
     measured = radius, len(sources)
+    gone = sorted(draw(st.sets(st.integers(1, robots - 1)))) if robots > 1 else []
     stances = draw(st.none() | stances_of(robots, *measured, ground=ground_z is not None))
     walked = np.zeros(robots, np.bool_) if stances is None else np.diff(stances.start) > 0
     turns = [draw(orientation) for _ in range(robots)]
@@ -212,9 +213,8 @@ def logs(draw):
         touches=draw(touches_of(range(robots))),
         displacements=draw(displacements_of(range(robots), radius)),
         stances=stances,
-        gone=np.array(
-            draw(st.sets(st.integers(1, robots - 1)).map(sorted)) if robots > 1 else [], np.int64
-        ),
+        gone=np.array(gone, np.int64),
+        left_after=np.array([draw(st.integers(robot + 1, robots)) for robot in gone], np.int64),
         noise=draw(st.none() | noises),
         source_name=tuple(sources),
         source_sd=radius * np.array([draw(widths) for _ in sources], np.float64),

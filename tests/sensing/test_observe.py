@@ -19,7 +19,7 @@ def test_a_log_holds_only_what_robots_sense():
         "displacements",
         "orientation_sd",  # follows from connections
         "source_name", "source_sd",
-        "gone",  # who said that it left
+        "gone", "left_after",  # who said that it left, and when
         "line",  # where the file says so, for messages
     }  # fmt: skip
 

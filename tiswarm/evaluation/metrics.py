@@ -220,7 +220,7 @@ def by_hops_apart(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataF
     apart = hops(log, start)
     rows = []
     for count in _HOPS_APART:
-        pairs = np.argwhere(apart == count)
+        pairs = np.argwhere((apart == count) & ~log.is_gone & ~log.is_gone[start, None])
         pairs[:, 0] = start[pairs[:, 0]]
         if len(pairs):
             error = relative_errors(estimate.position, truth.position, pairs)

@@ -1,6 +1,6 @@
 """Tables of a case: scores of its estimate, errors by robot and iteration, growth by join."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -25,7 +25,7 @@ from tiswarm.measurements.rigidity import weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.world.history import History
+from tiswarm.world.history import DIED, FELL, LEFT, History
 
 DOCK_DIAMETER = 2.0
 """The accuracy that the paper calls sufficient for attachment [R]."""
@@ -36,33 +36,38 @@ def score(
 ) -> dict[str, float | int]:
     """Return accuracy measures of an estimate, and properties of the structure that limit them.
 
-    `rows` are those of the log that the localizer used; `robot` is for lengths in rho.
+    Robots that left are not scored. `rows` are those of the log that the localizer used; `robot` is
+    for lengths in rho.
     """
-    estimated, true = estimate.position, truth.position
+    stays = ~log.is_gone
+    estimated, true = estimate.position[stays], truth.position[stays]
     rmse = metrics.rmse(estimated, true)
-    of_contacts = metrics.relative_errors(estimated, true, log.contacts[:, [0, 2]])
-    unknown = np.isnan(log.known_position[:, 0])
-    place, free = true / log.dock_radius, estimate.yaw is not None
+    pairs = log.contacts[:, [0, 2]]
+    pairs = pairs[stays[pairs].all(axis=1)]
+    of_contacts = metrics.relative_errors(estimate.position, truth.position, pairs)
+    unknown = np.isnan(log.known_position[:, 0]) & stays
+    error = metrics.robot_errors(estimate.position, truth.position)[unknown]
+    place, free = truth.position / log.dock_radius, estimate.yaw is not None
     modes = weld(rows, place, yaw_unknown=free).floppy_modes
     return {
         "joined": log.robot_count,
         "contacts_per_robot": _mean(metrics.earlier_contact_count(log)[unknown]),
         "rms_radius_R": metrics.rms_radius(true),
         "floppy_modes": np.nan if modes is None else modes,
-        "disconnected": int(estimate.disconnected.sum()),
+        "disconnected": int(estimate.disconnected[stays].sum()),
         "sse_R2": metrics.sse(estimated, true),
         "rmse_R": rmse,
         "rmse_rho": rmse / robot.dock_distance,
         "rmse_yaw_aligned_R": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
         "rmse_rigid_aligned_R": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
         "rmse_per_contact_R": _mean(of_contacts**2) ** 0.5,
-        "within_dock": _mean(metrics.robot_errors(estimated, true)[unknown] <= DOCK_DIAMETER),
+        "within_dock": _mean(error <= DOCK_DIAMETER),
         "contacts_within_dock": _mean(of_contacts <= DOCK_DIAMETER),
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
         **(
             {}
             if estimate.at_join is None
-            else {"rmse_at_join_R": metrics.rmse(estimate.at_join, true)}
+            else {"rmse_at_join_R": metrics.rmse(estimate.at_join, truth.position)}
         ),
         **({} if estimate.steps is None else {"steps_per_robot": _mean(estimate.steps[unknown])}),
         **_of_located(truth, estimate, unknown),
@@ -122,19 +127,23 @@ def by_robot(
     table[["x_est_R", "y_est_R", "z_est_R"]] = estimated
     sensed = with_orientations(log).orientation_wxyz
     table[["qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"]] = sensed
-    yaw_aligned = metrics.yaw_aligned(estimated, true)
-    rigidly_aligned = metrics.rigidly_aligned(estimated, true)
+    stays = ~log.is_gone
+    error = pd.DataFrame(index=np.flatnonzero(stays))  # none of robots that left
+    error["error_R"] = metrics.robot_errors(estimated[stays], true[stays])
+    for name, aligned in (("yaw", metrics.yaw_aligned), ("rigid", metrics.rigidly_aligned)):
+        fitted = aligned(estimated[stays], true[stays])
+        error[f"error_{name}_aligned_R"] = metrics.robot_errors(fitted, true[stays])
     if estimate.at_join is not None:
         table["error_at_join_R"] = metrics.robot_errors(estimate.at_join, true)
     if estimate.doubtful is not None:
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
         table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
+    if len(log.gone):
+        table["gone"] = log.is_gone.astype(int)
     apart = pd.Series(hops_from_anchors(log))
     return table.assign(
-        error_R=metrics.robot_errors(estimated, true),
-        error_yaw_aligned_R=metrics.robot_errors(yaw_aligned, true),
-        error_rigid_aligned_R=metrics.robot_errors(rigidly_aligned, true),
+        **error,
         contacts=contacts.contact_count(log),
         hops_from_anchor=apart.replace(np.inf, np.nan).astype("Int64"),
         ground_docks=np.bincount(log.ground_docks[:, 0], minlength=log.robot_count),
@@ -144,10 +153,10 @@ def by_robot(
     )
 
 
-def by_iteration(truth: Truth, estimate: Estimate) -> pd.DataFrame:
+def by_iteration(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
     """Tabulate each recorded iteration: errors, and the residual of the localizer."""
     table = pd.DataFrame({"iteration": estimate.iteration})
-    true, trace = truth.position, estimate.trace
+    true, trace = truth.position[~log.is_gone], estimate.trace[:, ~log.is_gone]
     table["sse_R2"] = [metrics.sse(frame, true) for frame in trace]
     table["rmse_R"] = [metrics.rmse(frame, true) for frame in trace]
     table["procrustes_disparity"] = [metrics.procrustes_disparity(frame, true) for frame in trace]
@@ -161,44 +170,77 @@ def by_join(history: History) -> pd.DataFrame:
     """
     walks, loads, terrain = history.walks, history.loads, history.terrain
     (x, _, z), joined = history.position.T, np.arange(1, len(walks) + 1)
-    standing = np.concatenate([history.ground_docks, history.edge_docks])[:, 0]
-    parts, anchored = DisjointSet([*range(len(walks))]), []
-    for j, walk in enumerate(walks):
-        for i in walk.at_rest(walk.contacts)[:, 1]:
-            parts.merge(int(i), j)
-        tied = {parts[i] for i in range(min(history.anchors, j + 1))}
-        anchored.append(sum(map(parts.subset_size, tied)))
+    standing = np.concatenate([history.table("ground_docks"), history.table("edge_docks")])
+    last = np.array([walk.stance_count - 1 for walk in walks])
+    standing = standing[standing[:, 1] == last[standing[:, 0]], 0]
+    loss = _losses(history)
     return pd.DataFrame(
         {
             "robots": joined,
-            "height_R": np.maximum.accumulate(z) - history.ground_z,
-            "depth_R": history.ground_z - np.minimum.accumulate(z),
-            "reach_R": np.maximum.accumulate(x),
+            "height_R": _standing(z, history, np.max) - history.ground_z,
+            "depth_R": history.ground_z + _standing(-z, history, np.max),
+            "reach_R": _standing(x, history, np.max),
             "peak_stress": [s.peak for s in loads],
             "sensed_max": [s.sensed_max for s in loads],
             "calling": [s.calling for s in loads],
             "recruited": np.cumsum([walk.recruited for walk in walks]),
             "flips": [walk.stance_count - 1 for walk in walks],
-            "contacts": np.bincount(history.contacts[:, 2], minlength=len(walks)),
+            "contacts": np.bincount(history.contacts_at_join[:, 2], minlength=len(walks)),
             "ground_docks": np.bincount(standing, minlength=len(walks)),
             "on_anchor": np.cumsum(np.isin(joined - 1, _on_anchor(history))),
-            "anchored": anchored,
+            "anchored": _anchored(history),
             "least_support": [s.least_support for s in loads],
-            "overhang_R": np.nan if terrain.is_plane else np.cumsum(x) / joined - terrain.left_edge,
+            "overhang_R": np.nan
+            if terrain.is_plane
+            else _standing(x, history, np.mean) - terrain.left_edge,
+            **loss,
         }
     )
+
+
+def _losses(history: History) -> dict[str, Ints]:
+    """Count who had left, fallen and died by each join; empty where all stay."""
+    if not len(history.departures):
+        return {}
+    _, after, event = history.departures.T
+    joined = np.arange(1, history.robot_count + 1)
+    counted = {"left": LEFT, "fell": FELL, "died": DIED}
+    return {
+        name: np.searchsorted(after[event == k], joined, "right") for name, k in counted.items()
+    }
+
+
+def _standing(places: Reals, history: History, of: Callable[[Reals], float]) -> Reals:
+    """Compute the maximum or mean over the robots that stand after each join, shape (N,)."""
+    after, joined = history.left_after, np.arange(1, len(places) + 1)
+    if not history.is_gone.any():  # which needs no loop
+        every: Reals = np.cumsum(places) / joined
+        return every if of is np.mean else np.maximum.accumulate(places)
+    return np.array([of(places[:n][after[:n] > n]) for n in joined.tolist()])
+
+
+def _anchored(history: History) -> list[int]:
+    """Count the robots that contacts tie to an anchor after each join; all if some have left."""
+    parts, anchored = DisjointSet([*range(history.robot_count)]), []
+    for j, walk in enumerate(history.walks):
+        for i in walk.at_rest(walk.contacts)[:, 1]:
+            parts.merge(int(i), j)
+        tied = {parts[i] for i in range(min(history.anchors, j + 1))}
+        anchored.append(sum(map(parts.subset_size, tied)))
+    return anchored
 
 
 def totals(history: History) -> dict[str, float | int]:
     """Return the size and load of a finished structure."""
     grown = by_join(history)
     names = ("height_R", "reach_R", "depth_R", "peak_stress", "sensed_max", "recruited")
-    x, terrain = history.position[:, 0], history.terrain
+    x, terrain = history.position[~history.is_gone, 0], history.terrain
     is_beyond = (x > terrain.left_edge) & (x < terrain.right_edge)
     first, second, third, *_ = [*map(int, _on_anchor(history)), np.nan, np.nan, np.nan]
     return {
         **{name: grown[name].tolist()[-1] for name in names},
         "spawns": history.spawns,
+        **({name: grown[name].iloc[-1] for name in ("left", "fell", "died") if name in grown}),
         "crossed": int(history.crossed),
         "beyond_edge": np.nan if terrain.is_plane else float(is_beyond.mean()),
         "flips_as_planned": _flips_as_planned(history),
@@ -234,8 +276,8 @@ def _failed_flips(history: History) -> float:
 
 def _on_anchor(history: History) -> NDArray[np.int32]:
     """List the robots that touch an anchor, in join order."""
-    is_on_one = history.contacts[:, 0] < history.anchors
-    touching: NDArray[np.int32] = np.unique(history.contacts[is_on_one, 2])
+    contacts = history.contacts_at_join
+    touching: NDArray[np.int32] = np.unique(contacts[contacts[:, 0] < history.anchors, 2])
     return touching
 
 
@@ -407,7 +449,7 @@ def evaluate(
         measurements=", ".join(measured.used(cues)),
         tables={
             "robots": by_robot(truth, log, estimate, history.sensed),
-            "convergence": by_iteration(truth, estimate),
+            "convergence": by_iteration(truth, log, estimate),
             "growth": by_join(history),
             "relative": by_hops_apart(truth, log, estimate),
         },

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
-from itertools import chain, zip_longest
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -88,7 +88,7 @@ class SensingLogBuilder:
         self.header, self._of_some = header, of_some
         self._source_of = {name: row for row, name in enumerate(header.sources or {})}
         self._index_of: dict[int, int] = {}
-        self._gone: set[int] = set()
+        self._gone: dict[int, int] = {}  # robots that had joined by then
         self._lines = 1  # the header
         # A robot has one entry in all columns that follow, or one more with each new line.
         self._entry = array("q")
@@ -141,7 +141,7 @@ class SensingLogBuilder:
         if number == 0:
             problem = "the anchor holds all others; start a log with another anchor"
             raise InputError(problem, key="robot")
-        self._gone.add(number)
+        self._gone[number] = len(self._index_of)
         self._lines += 1
 
     def release(self, robot: int, contacts: Sequence[Contact]) -> None:
@@ -210,10 +210,14 @@ class SensingLogBuilder:
             pivot_dock=_of_entries(self._pivot_dock, 1)[chosen],
             **self._earlier.arrays(chosen, robots),
         )
-        in_order = np.array_equal(line, 2 + np.arange(len(line)))
+        gone = np.flatnonzero(np.isin(robots, [*self._gone]))
+        after = np.searchsorted(robots, [self._gone[n] for n in robots[gone].tolist()])
+        robot, left = np.arange(len(line)), np.sort(after)
+        in_order = np.array_equal(line, 2 + robot + np.searchsorted(left, robot, side="right"))
         return SensingLog(
             robot_id=np.array(list(self._index_of), dtype=np.int64)[robots],
-            gone=np.flatnonzero(np.isin(robots, [*self._gone])),
+            gone=gone,
+            left_after=after,
             line=None if in_order else line,
             dock_radius=self.header.dock_radius,
             dock_offset_body=np.array(self.header.dock_offsets, dtype=np.float64),
@@ -559,9 +563,12 @@ def write_sensing_log(log: SensingLog, path: Path, *, opened: Opener = replacing
 
 
 def log_entries(log: SensingLog) -> Iterator[dict[str, Any]]:
-    """Yield the content of each line of a sensing file: the header, robot by robot, who left."""
-    left = ({"event": "leave", "robot": robot} for robot in log.robot_id[log.gone].tolist())
-    return chain([_header_entries(log)], _robot_entries(log), left)
+    """Yield the content of each line of a sensing file: header, robots, and who left after each."""
+    yield _header_entries(log)
+    for count, entries in enumerate(_robot_entries(log), 1):
+        yield entries
+        for robot in log.robot_id[log.gone[log.left_after == count]].tolist():
+            yield {"event": "leave", "robot": robot}
 
 
 def lines_of(log: SensingLog) -> tuple[HeaderLine, list[RobotLine]]:

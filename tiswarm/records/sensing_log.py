@@ -307,8 +307,11 @@ class SensingLog(Sensed):
     """Robots that have left, ascending, shape (G,). What they sensed and what others sensed of them
     stays, and is about where they last stood; later robots may stand there, too."""
 
+    left_after: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    """Robots that had joined when each of them left, shape (G,)."""
+
     line: Ints | None = None
-    """Line of each robot in its file, shape (N,); None where robots follow the header in order."""
+    """Line of each robot in its file, shape (N,); None where they are as tiswarm writes them."""
 
     length_unit: str = "R"
     """Name of the log's unit of length."""
@@ -374,7 +377,8 @@ class SensingLog(Sensed):
 
     def line_of(self, robot: int) -> int:
         """Return the number of a robot's line in its file, the header being 1."""
-        return 2 + robot if self.line is None else int(self.line[robot])
+        left = np.count_nonzero(self.left_after <= robot)
+        return 2 + robot + left if self.line is None else int(self.line[robot])
 
     @property
     def size(self) -> str:

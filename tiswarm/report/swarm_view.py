@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import with_orientations
@@ -76,7 +76,7 @@ class SwarmView:
     @property
     def has_truth(self) -> bool:
         """Whether the true poses are known."""
-        return bool(np.isfinite(self.pose).all())
+        return bool(np.isfinite(self.pose).all(axis=1).any())
 
     @property
     def has_estimate(self) -> bool:
@@ -127,6 +127,8 @@ def read_case_view(case: StoredCase) -> SwarmView:
     """Read the poses, errors and forces of a case."""
     gaps = [*_ESTIMATED_POSE, "error_R", "sensed_force"]
     table = case.columns("robots.csv", [*POSE, *gaps, "robot"], gaps=gaps)
+    sd, is_gone = _spread(case, len(table))
+    table[is_gone, :-1] = np.nan  # robots that left are not shown
     pose, estimated, rest = np.split(table, [7, 14], axis=1)
     error, force, robot = rest.T
     path = run_file(case.folder / "sensing.jsonl", MAX_LOG_BYTES)
@@ -148,7 +150,7 @@ def read_case_view(case: StoredCase) -> SwarmView:
         estimated_pose=estimated,
         error=error,
         force=force,
-        sd=_standard_deviation(case, len(robot)),
+        sd=sd,
         dock_offset_body=np.array(header.dock_offsets) / header.dock_radius,
         terrain=None
         if header.ground_z is None
@@ -162,17 +164,18 @@ def read_case_view(case: StoredCase) -> SwarmView:
     )
 
 
-def _standard_deviation(case: StoredCase, robots: int) -> Reals:
-    """Read the standard deviations of robots that are tied to the anchor [R], NaN of others."""
+def _spread(case: StoredCase, robots: int) -> tuple[Reals, Bools]:
+    """Read the sd of robots that are tied to the anchor [R], NaN of others; and who has left."""
     path = case.folder / "estimate.csv"
     table = read_frame(path)
-    if "sd_R" not in table:
-        return np.full(robots, np.nan)
-    if len(table) != robots:
+    if ("sd_R" in table or "gone" in table) and len(table) != robots:
         problem = f"has {len(table)} robots, robots.csv {robots}; run the scenario again"
         raise InputError(problem, path=path, line=len(table) + 2)
+    is_gone = np.broadcast_to(table.get("gone") == "yes", robots)
+    if "sd_R" not in table:
+        return np.full(robots, np.nan), is_gone
     sd = case.columns(path.name, ["sd_R"], gaps=["sd_R"])[:, 0]
-    return np.where(table.get("known") == "disconnected", np.nan, sd)
+    return np.where(table.get("known") == "disconnected", np.nan, sd), is_gone
 
 
 def view_log(

@@ -159,6 +159,15 @@ class Scenario:
     localization: LocalizationParams
     """Localization method and its settings."""
 
+    @field_validator("localization")
+    @classmethod
+    def _keep_who_must_stay(cls, method: LocalizationParams, info: ValidationInfo) -> object:
+        structure = info.data.get("structure")
+        departs = structure and structure.departures and structure.departures.kind == "leave"
+        if departs and getattr(method, "robots_stay", False):
+            raise ValueError(f"{method.method} takes robots that stay; choose joint")
+        return method
+
     conditions: Annotated[
         dict[_Slug, _Overrides], Field(min_length=1), AfterValidator(_labeled)
     ] = field(default_factory=lambda: {"baseline": {}})

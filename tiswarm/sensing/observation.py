@@ -74,6 +74,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     orientation[is_mute] = spawn[is_mute] = np.nan
     return SensingLog(
         robot_id=np.arange(history.robot_count),
+        gone=np.flatnonzero(history.is_gone),
+        left_after=history.left_after[history.is_gone],
         dock_radius=history.robot.dock_radius,
         dock_offset_body=history.robot.dock_offset_body,
         anchor_position=history.walks[0].center[-1],

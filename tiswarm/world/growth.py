@@ -27,8 +27,8 @@ from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_docks
-from tiswarm.world.history import DIED, FELL, LEFT, History, LoadSummary, Walk
-from tiswarm.world.mechanics import Frames, StructureFailure
+from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
+from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
 from tiswarm.world.params import StructureParams, anchor_places
 from tiswarm.world.walks import Spawn, Walks, climb_limits, recruit
 

@@ -1,15 +1,14 @@
 """The history of a structure's growth: the true stances of every robot."""
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
-from tiswarm.world.mechanics import held
+from tiswarm.world.mechanics import LoadSummary, held
 
 LEFT, FELL, DIED = range(3)
 """What happened to a robot: it left, it fell as others left, or it died where it stands."""
@@ -65,26 +64,6 @@ class Walk:
         return rows[rows[:, 0] == self.stance_count - 1, 1:]
 
 
-@dataclass(frozen=True)
-class LoadSummary:
-    """Loads in a structure under its weight; NaN where it was not solved after that join."""
-
-    peak: float = math.nan
-    """Largest stress in any contact [weight of a dock / R^2]."""
-
-    sensed_max: float = math.nan
-    """Largest load that any robot senses [weight of a dock]."""
-
-    calling: int = 0
-    """Robots that call for help."""
-
-    least_support: float = math.nan
-    """Least upward force of the ground on a dock; negative where the ground pulls."""
-
-    imbalance: float = math.nan
-    """Difference of weight and ground forces, per weight [1]."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class History:
     """A structure of N robots as it grew; the truth that sensing and evaluation start from."""
@@ -130,10 +109,18 @@ class History:
         return known
 
     @property
+    def left_after(self) -> Ints:
+        """Robots that had joined when each left or fell; N + 1 for one that remains, shape (N,)."""
+        after = np.full(self.robot_count, self.robot_count + 1)
+        robot, joined, _ = self.departures[self.departures[:, 2] != DIED].T
+        after[robot] = joined
+        return after
+
+    @property
     def is_gone(self) -> Bools:
         """Whether each robot left or fell, shape (N,)."""
-        robot, _, event = self.departures.T
-        return np.isin(np.arange(self.robot_count), robot[event != DIED])
+        is_gone: Bools = self.left_after <= self.robot_count
+        return is_gone
 
     @property
     def is_held(self) -> Bools:

@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.io import replacing
-from tiswarm.world.history import History, LoadSummary, Walk
+from tiswarm.world.history import History, Walk
+from tiswarm.world.mechanics import LoadSummary
 from tiswarm.world.params import StructureParams
 
 _SINGLE = ("recruited", "round")

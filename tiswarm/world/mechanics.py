@@ -20,6 +20,7 @@ moments at its first end are
 with P = 1 - e e' and S t = t x e (Przemieniecki, Theory of Matrix Structural Analysis, 1968).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
@@ -99,6 +100,26 @@ class Loads:
     def peak(self) -> float:
         """Largest stress anywhere."""
         return float(max(self.contact_stress.max(initial=0.0), self.ground_stress.max(initial=0.0)))
+
+
+@dataclass(frozen=True)
+class LoadSummary:
+    """Loads in a structure under its weight; NaN where it was not solved after that join."""
+
+    peak: float = math.nan
+    """Largest stress in any contact [weight of a dock / R^2]."""
+
+    sensed_max: float = math.nan
+    """Largest load that any robot senses [weight of a dock]."""
+
+    calling: int = 0
+    """Robots that call for help."""
+
+    least_support: float = math.nan
+    """Least upward force of the ground on a dock; negative where the ground pulls."""
+
+    imbalance: float = math.nan
+    """Difference of weight and ground forces, per weight [1]."""
 
 
 class Frames:

@@ -40,6 +40,7 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
 
     module: ClassVar = "tiswarm.parts.between.method"
     calls: ClassVar = VirtualForceParams
+    robots_stay: ClassVar = True
 
     method: Literal["distributed"] = "distributed"
     """Name of the method."""

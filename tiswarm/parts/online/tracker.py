@@ -548,9 +548,8 @@ def localize(
     frames = []
     for count, line in enumerate(robots, start=1):
         tracker.join(line)
-        # The log does not say when: a robot that will have left is in nobody's way.
-        if count - 1 in log.gone:
-            tracker.leave(int(log.robot_id[count - 1]))
+        for robot in log.robot_id[log.gone[log.left_after == count]].tolist():
+            tracker.leave(robot)
         at_join[count - 1] = tracker.positions[-1]
         if count in every:
             frames.append(tracker.positions)

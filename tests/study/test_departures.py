@@ -1,0 +1,121 @@
+"""Runs of structures that lose robots: what logs, scores, tables and views have of them."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.runs import REPOSITORY
+from tiswarm import study
+from tiswarm.base.errors import InputError
+from tiswarm.base.progress import Progress
+from tiswarm.base.robot import RobotGeometry
+from tiswarm.records.sensing_file import log_entries, read_sensing_log
+from tiswarm.report.run_data import load_run
+from tiswarm.report.swarm_view import read_case_view, view_data
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import DepartureParams, TowerParams
+
+LEAVING = "structure={kind: tower, departures: {rate: 0.3}}"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Folder of a run of a tower of 15 robots, a third of which leave."""
+    scenario = load_scenario(
+        REPOSITORY / "scenarios" / "tower.yaml",
+        [
+            LEAVING,
+            "robots=15",
+            "seeds=[1]",
+            "conditions={a: {localization.method: online}, b: {localization.method: hop-by-hop}}",
+        ],
+    )
+    return study.run(scenario, tmp_path_factory.mktemp("leaving"), progress=Progress()).folder
+
+
+@pytest.fixture(scope="module")
+def history():
+    """The structure of that run."""
+    params = TowerParams(departures=DepartureParams(rate=0.3))
+    return grow(params, robots=15, seeds=[1], robot=RobotGeometry())[0]
+
+
+def test_a_log_says_where_robots_left(history, folder):
+    """After the line of the robot that joined last before; nobody names a robot that has left."""
+    log = observe(history, SensingParams())
+    joined, gone, left = 0, set(), []
+    for line in list(log_entries(log))[1:]:
+        if line.get("event") == "leave":
+            gone.add(line["robot"])
+            left.append((line["robot"], joined))
+            continue
+        stances = [line, *line["stances"]]
+        assert not gone & {other for stance in stances for _, other, _ in stance["contacts"]}
+        joined += 1
+
+    expected = sorted((robot, after) for robot, after, _ in history.departures.tolist())
+    assert sorted(left) == expected
+    assert len(expected) > 2
+    stored = read_sensing_log(folder / "cases" / "1-a" / "sensing.jsonl")
+    assert [*log_entries(stored)][1:] == [
+        json.loads(line)
+        for line in (folder / "cases" / "1-a" / "sensing.jsonl").read_text().splitlines()[1:]
+    ]
+    np.testing.assert_array_equal(stored.gone, log.gone)
+    np.testing.assert_array_equal(stored.left_after, log.left_after)
+
+
+@pytest.mark.parametrize("condition", ["a", "b"])
+def test_robots_that_remain_are_scored(folder, history, condition):
+    """Their root mean square error, by hand; those that left have a position, and no error."""
+    case = folder / "cases" / f"1-{condition}"
+    robots, estimate = pd.read_csv(case / "robots.csv"), pd.read_csv(case / "estimate.csv")
+    scores = json.loads((case / "case.json").read_text())["scores"]
+    stays = ~history.is_gone
+
+    assert (robots["gone"] == 1).tolist() == (estimate["gone"] == "yes").tolist()
+    assert (robots["gone"] == 0).tolist() == stays.tolist()
+    off = estimate[["x_R", "y_R", "z_R"]].to_numpy() - history.position
+    error = np.linalg.norm(off, axis=1)
+    assert scores["rmse_R"] == pytest.approx(np.sqrt((error[stays] ** 2).mean()), rel=1e-9)
+    assert robots["error_R"].isna().tolist() == history.is_gone.tolist()
+    assert scores["height_R"] == pytest.approx(history.position[stays, 2].max())
+    profile = pd.read_csv(folder / "profiles.csv")
+    by_join = profile[(profile["by"] == "join") & (profile["condition"] == condition)]
+    assert by_join["count"].sum() == np.count_nonzero(stays)
+
+
+def test_growth_counts_who_is_left(folder, history):
+    """Height after each join is that of the robots that stand then; losses add up."""
+    table = pd.read_csv(folder / "cases" / "1-a" / "growth.csv")
+    events = history.departures.tolist()
+    for n in range(1, 16):
+        gone = {robot for robot, after, _ in events if after <= n}
+        top = max(history.position[j, 2] for j in range(n) if j not in gone)
+        assert table["height_R"][n - 1] == pytest.approx(top)
+        assert table["left"][n - 1] + table["fell"][n - 1] == len(gone)
+    assert (table["died"] == 0).all()
+
+
+def test_a_view_shows_who_is_left(folder, history):
+    """Robots that left are in no picture of the run, nor are their contacts."""
+    view = read_case_view(load_run(folder).cases[0])
+    shown = view_data(view)
+
+    stays = np.flatnonzero(~history.is_gone)
+    assert view.has_truth
+    assert shown["robot"] == stays.tolist()
+    pairs = {(shown["robot"][i], shown["robot"][j]) for i, _, j, _ in shown["contacts"]}
+    assert pairs == {(i, j) for i, _, j, _ in history.contacts.tolist()}
+
+
+def test_a_method_that_cannot_do_without_says_so():
+    """Before a robot grows."""
+    file = REPOSITORY / "scenarios" / "tower.yaml"
+
+    with pytest.raises(InputError, match="distributed takes robots that stay; choose joint"):
+        load_scenario(file, [LEAVING, "localization={method: distributed}", "conditions={a: {}}"])
