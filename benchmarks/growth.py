@@ -18,7 +18,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.machine import machine
 from tiswarm.study.provenance import peak_memory_mb
-from tiswarm.world import frame_kernels, growth, mechanics
+from tiswarm.world import frame_kernels, growth, mechanics, walks
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.params import TowerParams
@@ -38,7 +38,7 @@ PARTS: dict[str, tuple[Any, str]] = {
     "joining (kernel)": (Walks, "join"),
     "mechanics": (mechanics.Frames, "solve"),
     "elimination and loads (kernel) within mechanics": (frame_kernels, "find_loads"),
-    "relays": (growth, "relay"),
+    "relays": (walks, "relay"),
     "spawning": (growth.GrowingStructure, "spawn"),
 }
 

@@ -30,7 +30,7 @@ from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.records.messages import three_digits
 from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, colors_along
 from tiswarm.report.run_data import RunData, StoredCase, load_run
-from tiswarm.report.swarm_view import read_case_view
+from tiswarm.report.swarm_view import SwarmView, read_case_view
 
 _IMAGES = Path("docs/images")
 _COMPARED = {"joint": "joint", "algorithm-1": "Algorithm 1 of the paper"}
@@ -102,7 +102,13 @@ def _beside(
 
 def draw_kinds(runs: list[RunData], renderer: str) -> Image.Image:
     """Draw a structure of each kind, colored by the force that its robots sense."""
-    views = [(run.choose(None).kind, read_case_view(run.choose(None))) for run in runs]
+    return draw_forces(
+        [(run.choose(None).kind, read_case_view(run.choose(None))) for run in runs], renderer
+    )
+
+
+def draw_forces(views: Sequence[tuple[str, SwarmView]], renderer: str) -> Image.Image:
+    """Draw structures side by side, colored by the force that their robots sense, with names."""
     greatest = max(float(np.nanmax(view.force)) for _, view in views)
     tiles = []
     for kind, view in views:
@@ -126,6 +132,13 @@ def _middle(dock: Reals) -> Reals:
     return middle
 
 
+def save(image: Image.Image, name: str) -> None:
+    """Write a picture for the pages."""
+    height = round(image.height * _WIDTH / image.width)
+    small = image.resize((_WIDTH, height), Image.Resampling.LANCZOS)
+    small.save(_IMAGES / f"{name}.png", optimize=True)
+
+
 def main() -> None:
     """Draw all pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -140,9 +153,7 @@ def main() -> None:
     }
     (_IMAGES / "growing.webp").write_bytes(draw_growing(runs[0], arguments.renderer))
     for name, image in images.items():
-        height = round(image.height * _WIDTH / image.width)
-        small = image.resize((_WIDTH, height), Image.Resampling.LANCZOS)
-        small.save(_IMAGES / f"{name}.png", optimize=True)
+        save(image, name)
 
 
 if __name__ == "__main__":
