@@ -411,6 +411,13 @@ def test_a_worker_refuses_a_plugin_that_changed(files):
         pickle.loads(sent)  # noqa: S301 - our own
 
 
+@pytest.mark.parametrize("code", [ORIGIN, LEANING, RANDOM])
+def test_a_prompt_without_sources_says_so(code):
+    """Python before 3.13 forgets what is typed at its prompt; results state a digest of it."""
+    with pytest.raises(InputError, match=r"^this prompt keeps no source of what is typed; "):
+        exec(compile(code, "<stdin>", "exec"), {"__name__": "__main__"})  # noqa: S102 - as typed
+
+
 def test_a_method_of_a_session_needs_no_file(log):
     """A notebook registers a function and localizes by it; only workers need a file."""
 

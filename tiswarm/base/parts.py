@@ -596,9 +596,17 @@ def _line_in(file: Path, error: BaseException) -> int | None:
 
 
 def _defined_by(function: Callable[..., object]) -> Plugin:
-    """Describe the source of a function that was defined in this session."""
-    file = Path(inspect.getfile(function))
-    source = file.read_bytes() if file.is_file() else inspect.getsource(function).encode()
+    """Describe the source of a function that was defined in this session.
+
+    Raises:
+        InputError: the session keeps no source, of which results state the digest.
+    """
+    try:
+        file = Path(inspect.getfile(function))
+        source = file.read_bytes() if file.is_file() else inspect.getsource(function).encode()
+    except (OSError, TypeError) as error:
+        problem = "this prompt keeps no source of what is typed; write it in a file or a notebook"
+        raise InputError(problem) from error
     return Plugin(file=file, digest=_digest(source), can_load=False)
 
 
