@@ -51,7 +51,10 @@ ASKED = {
 }
 """By part, a command that needs it."""
 
-CALLED = {"tiswarm.parts.swarms": "tiswarm.grow(robots=4, quiet=True)"}
+CALLED = {
+    "tiswarm.parts.swarms": "tiswarm.grow(robots=4, quiet=True)",
+    "tiswarm.parts.forces": "tiswarm.relax([], [], [], robot=None, steps=0)",
+}
 """By part, a call that needs it, where no command does."""
 
 STAY = """

@@ -22,6 +22,7 @@ from tests.localization.test_virtual_force import CUES
 from tests.parts.between.test_distributed import QUICK as DISTRIBUTED
 from tests.parts.online.test_online import QUICK as ONLINE
 from tests.parts.suites.test_sight import cloud, views
+from tests.parts.test_forces import Atom, crystal, langevin, lennard_jones, level
 from tests.runs import REPOSITORY, repeated_files
 from tests.structures import NOISY, silent
 from tests.world.test_growth import FIREANT, KINDS
@@ -157,6 +158,19 @@ def _relax(sides: tuple[int, int, int]) -> Work:
     return move
 
 
+def _fluid(scale: Scale, _: Path) -> object:
+    """Move atoms in shuffled order by a force and an integrator of a user, with noise."""
+    position = np.random.default_rng(6).permutation(crystal(scale.swarm, 6))
+    done = relax(
+        position, level(scale.swarm), [], robot=Atom, steps=6,
+        force=lennard_jones, integrator=langevin, cutoff=2.5, seed=3, max_step=0.3,
+        parameters={"epsilon": 1.0, "friction": 1.0, "temperature": 90.0, "dt": 0.02},
+        threads=backend.current().threads,
+    )  # fmt: skip
+    assert done.list_builds > 1
+    return done.position
+
+
 def _run(*sets: str) -> Work:
     """Run a scenario and read all files that must repeat."""
 
@@ -184,6 +198,7 @@ WORKS: dict[str, Work] = {
     "distributed by radio": _messages(DISTRIBUTED, "radio"),
     "relax, dense": _relax((1, 1, 1)),
     "relax, tall": _relax((1, 1, 400)),
+    "relax, a fluid": _fluid,
     "run": _run("robots=12", "seeds=2"),
     "closed loop": _run(
         "robots=8",

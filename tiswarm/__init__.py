@@ -46,12 +46,13 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.base.errors import InputError as InputError
     from tiswarm.base.parts import Swarms as Swarms
     from tiswarm.base.parts import Tracker as Tracker
+    from tiswarm.base.parts import relax as relax
     from tiswarm.base.parts import rule as rule
     from tiswarm.base.parts import sensor as sensor
     from tiswarm.base.parts import structure as structure
     from tiswarm.base.robot import RobotGeometry as RobotGeometry
+    from tiswarm.compute.lang import ti as ti
     from tiswarm.engine.relax import RelaxResult as RelaxResult
-    from tiswarm.engine.relax import relax as relax
     from tiswarm.localization.methods import method as method
     from tiswarm.localization.virtual_force.method import Localizer as Localizer
     from tiswarm.records.measures import measure as measure

@@ -7,8 +7,8 @@ import numpy as np
 from benchmarks.logs.grade import Known, error
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import WholeCost
-from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog

@@ -22,9 +22,9 @@ from tests.structures import (
 )
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.cost import HINGE_SD, SETTLED, STRAIN_SD, State, WholeCost
 from tiswarm.localization.cost.linear import NOMINAL
-from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.localization.settings import LARGE, JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER, connections_of, with_orientations

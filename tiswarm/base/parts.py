@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
     Swarms: Any  # of `__getattr__`
     Tracker: Any
+    relax: Any
     rule: Any
     sensor: Any
     structure: Any
@@ -116,6 +117,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "class": {
         "Swarms": "tiswarm.parts.swarms:Swarms",
         "Tracker": "tiswarm.parts.online.tracker:Tracker",
+        "relax": "tiswarm.parts.forces:relax",
         "rule": "tiswarm.parts.growth:rule",
         "sensor": "tiswarm.parts.suites:sensor",
         "structure": "tiswarm.parts.growth:structure",
@@ -599,7 +601,7 @@ def _defined_by(function: Callable[..., object]) -> Plugin:
     """Describe the source of a function that was defined in this session.
 
     Raises:
-        InputError: the session keeps no source, of which results state the digest.
+        InputError: the session keeps no source, whose digest results state.
     """
     try:
         file = Path(inspect.getfile(function))

@@ -25,7 +25,7 @@ from tiswarm.compute.lang import (
     holds_integers,
     ti,
 )  # fmt: skip
-from tiswarm.compute.math_kernels import rotate, vector_at
+from tiswarm.compute.math_kernels import mixed, rotate, vector_at
 from tiswarm.compute.neighbor_kernels import (
     Cells,
     ConnectedDocks,
@@ -34,7 +34,7 @@ from tiswarm.compute.neighbor_kernels import (
     begin_structure,
     fits,
     list_structure,
-)
+)  # fmt: skip
 
 _TINY = 1e-20
 """Docks nearer than this [R] have no direction to part in, and no force acts on them."""
@@ -60,31 +60,19 @@ class Control(Columns):
     """On cards, the bits of the longest squared step as an f32."""
 
 
-class Strength(Columns):
-    """Columns of the gains in a step, as the ramp a has them."""
+class Numbers(Columns):
+    """Columns of the numbers of a step; those that the dynamics ask for follow."""
 
-    ATTRACTION = 1
-    """A a of Eq. (1) [1]."""
-    REPULSION = 1
-    """B (1 - a) of Eqs. (1) and (2) [R^-3]."""
-    PARTING = 1
-    """Stiffness with which connected docks nearer than D part, in a guided swarm [1]."""
-
-
-class Constants(NamedTuple):
-    """Numbers that all steps share."""
-
-    height_gain: float
+    HEIGHT_GAIN = 1
     """k_z of Eq. (3) [1]."""
-
-    spacing: float
+    SPACING = 1
     """D: distance between the centers of two docks that touch [R]."""
-
-    max_step: float
+    MAX_STEP = 1
     """Longest step of a robot [R]."""
-
-    momentum: float
-    """Share of its last step that a robot takes again, in a guided swarm [1]."""
+    CUTOFF = 1
+    """Where forces of unconnected docks end [R]."""
+    ORIGIN = 3
+    """Place of a center with the numbers 0 [R]."""
 
 
 class SwarmState(NamedTuple):
@@ -107,10 +95,14 @@ class SwarmState(NamedTuple):
     half `t % 2` and writes the other one."""
 
     mobility: Reals2
-    """Step along each axis for a force of 1 [1], shape (N, 3), or (1, 1) if not guided."""
+    """Step along each axis for a force of 1 [1], shape (N, 3), or (1, 1) if unused."""
 
     last_step: Reals2
-    """Last step of each robot [R], shape (N, 3), or (1, 1) if not guided."""
+    """Last step of each robot [R], shape (N, 3), or (1, 1) if unused."""
+
+    number: Ints1
+    """Seed, number of the first step, and the caller's numbers of robots, shape (2 + N,), or (1,)
+    if unused."""
 
 
 @ti.func
@@ -130,28 +122,15 @@ def _in_places(length, unit, places: Ref):
 
 
 @ti.func
-def _strength_at(strength: Ref, t):
-    """Read the gains of a step, as a vector of columns."""
-    return ti.Vector([strength[t, c] for c in range(Strength.TOTAL)])
-
-
-@ti.func
-def attract_or_repel(distance, connected, strength, spacing):
-    """Compute the magnitude of Eqs. (1) and (2).
+def attract_or_repel(distance, connected, spacing, attraction, repulsion):
+    """Compute the magnitude of Eqs. (1) and (2), with attraction A a and repulsion B (1 - a).
 
     Every branch is computed, since which one holds cannot be predicted in a dense swarm.
     """
     gap = distance - spacing
     square = gap * gap  # a name, so that strict arithmetic multiplies twice, not three times
-    pull = ti.select(connected, strength[Strength.ATTRACTION] * gap, 0.0)
-    return ti.select(gap > 0.0, pull, -strength[Strength.REPULSION] * square * square)
-
-
-@ti.func
-def part_connected(distance, connected, strength, spacing):
-    """Compute the magnitude of Eqs. (1) and (2), and of a spring that parts connected docks."""
-    spring = ti.select(connected, strength[Strength.PARTING] * ti.min(distance - spacing, 0.0), 0.0)
-    return attract_or_repel(distance, connected, strength, spacing) + spring
+    pull = ti.select(connected, attraction * gap, 0.0)
+    return ti.select(gap > 0.0, pull, -repulsion * square * square)
 
 
 @ti.func
@@ -164,8 +143,8 @@ def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
         F = -B (1 - a) (d - D)^4 u    otherwise
     """
     distance = offset.norm()
-    strength = ti.Vector([attraction_gain * ramp, repulsion_gain * (1.0 - ramp), 0.0])
-    pull = attract_or_repel(distance, True, strength, spacing)
+    attraction, repulsion = attraction_gain * ramp, repulsion_gain * (1.0 - ramp)
+    pull = attract_or_repel(distance, True, spacing, attraction, repulsion)
     return pull / ti.max(distance, _TINY) * offset
 
 
@@ -183,45 +162,99 @@ def capped(step, max_step):
     return step * ti.select(length > max_step, max_step / length, 1.0)
 
 
-@ti.func
-def follow_force(constants: Ref, _robots: Ref, _robot, force):
-    """Take the force itself as the step; return the force and the step."""
-    return force, capped(force, constants.max_step)
-
-
-@ti.func
-def follow_guide(constants: Ref, robots: Ref, robot, force):
-    """Scale the force by the robot's mobility and add momentum; return that and the step."""
-    guided = force
-    for c in ti.static(range(3)):
-        guided[c] *= robots.mobility[robot, c]
-        guided[c] += constants.momentum * robots.last_step[robot, c]
-    step = capped(guided, constants.max_step)
-    for c in ti.static(range(3)):
-        robots.last_step[robot, c] = step[c]
-    return guided, step
-
-
 class Dynamics(NamedTuple):
     """How a swarm moves: functions of kernels, which are compiled for them."""
 
     pull: Any
-    """Magnitude of the force between two docks, as `attract_or_repel`."""
+    """Force of a pair as `pull_freely`: a vector, or its magnitude toward the other dock."""
 
     integrate: Any
-    """Step of a robot under the sum of its forces, as `follow_force`."""
+    """Step of a robot before it is capped, as `follow_force`: a vector."""
+
+    names: tuple[str, ...]
+    """Numbers that they ask for, in the order of columns."""
+
+    is_cut: bool = False
+    """Whether the engine ends forces of unconnected docks at the cutoff."""
+
+    asks: tuple[str, ...] = ()
+    """Fields of `SwarmState` that they ask for."""
 
 
-FREE = Dynamics(attract_or_repel, follow_force)
+@ti.func
+def pull_freely(_offset, distance, connected, number):
+    """Compute the magnitude of Eqs. (1) and (2), from the columns of `Numbers` and FREE."""
+    attraction, repulsion = number[Numbers.TOTAL], number[Numbers.TOTAL + 1]
+    return attract_or_repel(distance, connected, number[Numbers.SPACING], attraction, repulsion)
+
+
+@ti.func
+def part_connected(offset, distance, connected, number):
+    """Compute the magnitude of Eqs. (1) and (2), and of a spring that parts connected docks."""
+    overlap = ti.min(distance - number[Numbers.SPACING], 0.0)
+    spring = ti.select(connected, number[Numbers.TOTAL + 2] * overlap, 0.0)
+    return pull_freely(offset, distance, connected, number) + spring
+
+
+@ti.func
+def follow_force(force, _here, _robot, _t, _unit, _robots: Ref, _number):
+    """Take the force on a robot as its step t, from where its center is, in numbers of a unit."""
+    return force
+
+
+@ti.func
+def follow_guide(force, _here, robot, _t, _unit, robots: Ref, number):
+    """Scale the force by the robot's mobility and add momentum."""
+    for c in ti.static(range(3)):
+        force[c] *= robots.mobility[robot, c]
+        force[c] += number[Numbers.TOTAL + 3] * robots.last_step[robot, c]
+    return force
+
+
+FREE = Dynamics(pull_freely, follow_force, ("attraction", "repulsion"))
 """Robots follow the forces of the paper."""
-GUIDED = Dynamics(part_connected, follow_guide)
+GUIDED = Dynamics(
+    part_connected, follow_guide, (*FREE.names, "parting", "momentum"),
+    asks=("mobility", "last_step"),
+)  # fmt: skip
 """Robots have a mobility along each axis and inertia, and connected docks part."""
 
 
 @ti.func
+def place_of(here, unit, x, y, z, robots: Ref):
+    """Convert the numbers of a center to its place; the origin is at x, y, z."""
+    return ti.Vector([x, y, z]) + _in_length(here, unit, robots.position)
+
+
+@ti.func
+def number_of(robots: Ref, at):
+    """Read a whole number: the seed, the first step's, or that of robot `at - 2`."""
+    return robots.number[at]
+
+
+@ti.func
+def noise(robots: Ref, robot, t):
+    """Draw three standard normal numbers, a hash of seed, robot and step, by Box and Muller."""
+    key = mixed(
+        mixed(ti.cast(robots.number[0], ti.u64)) ^ ti.cast(robots.number[2 + robot], ti.u64)
+    )
+    key += mixed(ti.cast(robots.number[1] + t, ti.u64))
+    share = ti.Vector([0.0, 0.0, 0.0, 0.0])
+    for k in ti.static(range(4)):
+        share[k] = (ti.cast(mixed(key + ti.u64(k << 20)), float) + 0.5) / 2.0**32
+    radius, turn = ti.sqrt(-2.0 * ti.log(share[0])), 2.0 * ti.math.pi * share[1]
+    last = ti.sqrt(-2.0 * ti.log(share[2])) * ti.cos(2.0 * ti.math.pi * share[3])
+    return ti.Vector([radius * ti.cos(turn), radius * ti.sin(turn), last])
+
+
+def is_vector(value: Any) -> bool:  # noqa: ANN401 - an expression of a kernel
+    """Whether an expression is a vector; to be asked in `ti.static`."""
+    return isinstance(value, ti.Matrix) or (hasattr(value, "is_tensor") and value.is_tensor())
+
+
+@ti.func
 def _add_row(
-    grid: Ref, dynamics: Static, spacing, strength, base, row, row_docks, rows: Ref, robots: Ref,
-    force,
+    grid: Ref, dynamics: Static, number, base, row, row_docks, rows: Ref, robots: Ref, force
 ):  # fmt: skip
     """Add the forces of the docks of a row."""
     flag = 1 << grid.own_bits
@@ -233,58 +266,69 @@ def _add_row(
         apart = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
         offset = _in_length(apart, grid.unit, robots.dock)
         distance = offset.norm()
-        pull = dynamics.pull(distance, (entry & flag) != 0, strength, spacing)
-        force += pull / ti.max(distance, _TINY) * offset
+        connected = (entry & flag) != 0
+        pull = dynamics.pull(offset, distance, connected, number)
+        # An `or` would be a branch, which keeps compilers from vectorizing the loop.
+        reaches = connected | (offset.norm_sqr() < number[Numbers.CUTOFF] ** 2)
+        if ti.static(is_vector(pull)):
+            for c in ti.static(range(3)):
+                force[c] += ti.select(reaches, pull[c], 0.0)
+        else:
+            if ti.static(dynamics.is_cut):
+                pull = ti.select(reaches, pull, 0.0)
+            force += pull / ti.max(distance, _TINY) * offset
     return force
 
 
 @ti.func
 def _force_on_robot(
-    on_card: Static, dynamics: Static, grid: Ref, spacing, strength, base, robot, rows: Ref,
-    robots: Ref,
+    on_card: Static, dynamics: Static, grid: Ref, number, base, robot, rows: Ref, robots: Ref
 ):  # fmt: skip
     """Sum the forces of a robot's rows."""
     force = ti.Vector([0.0, 0.0, 0.0])
     if ti.static(on_card):
         for row in range(robot * grid.docks, (robot + 1) * grid.docks):
-            force = _add_row(grid, dynamics, spacing, strength, base, row, 1, rows, robots, force)
+            force = _add_row(grid, dynamics, number, base, row, 1, rows, robots, force)
     else:
-        force = _add_row(
-            grid, dynamics, spacing, strength, base, robot, grid.docks, rows, robots, force
-        )
+        force = _add_row(grid, dynamics, number, base, robot, grid.docks, rows, robots, force)
     return force
 
 
 @ti.func
 def step_robot(
-    on_card: Static, dynamics: Static, grid: Ref, constants: Ref, strength, base, next_base,
-    robot, rows: Ref, robots: Ref,
+    on_card: Static, dynamics: Static, grid: Ref, numbers: Ref, t, base, next_base, robot,
+    rows: Ref, robots: Ref,
 ):  # fmt: skip
     """Move a robot by its forces; return its squared step and distance from its reference.
 
     A robot whose whole numbers would go beyond the WALL stops there; its step is OUT_OF_REACH.
     """
-    force = _force_on_robot(
-        on_card, dynamics, grid, constants.spacing, strength, base, robot, rows, robots
-    )
+    count = ti.static(Numbers.TOTAL + len(dynamics.names))
+    number = ti.Vector([numbers[t, c] for c in range(count)])
+    force = _force_on_robot(on_card, dynamics, grid, number, base, robot, rows, robots)
     here = vector_at(robots.position, robot)
-    if constants.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
+    if (
+        number[Numbers.HEIGHT_GAIN] > 0.0
+    ):  # nested, since the language evaluates both sides of an `and`
         if robots.height[robot] != UNKNOWN:
             rise = _in_length(robots.height[robot] - here[2], grid.unit, robots.height)
-            force[2] += constants.height_gain * rise
-    force, step = dynamics.integrate(constants, robots, robot, force)
+            force[2] += number[Numbers.HEIGHT_GAIN] * rise
+    wanted = dynamics.integrate(force, here, robot, t, grid.unit, robots, number)
+    step = capped(wanted, number[Numbers.MAX_STEP])
     square = step.norm_sqr()
     strayed = 0.0
     for c in ti.static(range(3)):
         here[c] += _in_places(step[c], grid.unit, robots.position)
         if ti.static(holds_integers(robots.position)):
             beyond = ti.abs(here[c]) >= int(WALL) or ti.abs(step[c]) >= WALL * grid.unit
-            if beyond or ti.abs(force[c]) > _LONGEST_F32:
+            if beyond or ti.abs(wanted[c]) > _LONGEST_F32:
                 square = OUT_OF_REACH
             here[c] = ti.max(-int(WALL), ti.min(here[c], int(WALL)))
         robots.position[robot, c] = here[c]
         moved = here[c] - robots.reference[robot, c]
         strayed += _in_length(moved, grid.unit, robots.position) ** 2
+        if ti.static("last_step" in dynamics.asks):
+            robots.last_step[robot, c] = step[c]
     for m in range(robot * grid.docks, (robot + 1) * grid.docks):
         for c in ti.static(range(3)):
             arm = _in_places(robots.arm[m, c], grid.unit, robots.dock)
@@ -294,13 +338,11 @@ def step_robot(
 
 @ti.kernel
 def step_robots(
-    on_card: Static, steps: Static, pull: Static, integrate: Static,  # Dynamics
-    docks: I32, own_bits: I32, entry_stride: I32,
-    height_gain: Float, spacing: Float, max_step: Float, momentum: Float,  # Constants
-    stray_limit: Float, unit: Float, first_t: I32, strength: Reals2,
+    on_card: Static, steps: Static, dynamics: Static, docks: I32, own_bits: I32, entry_stride: I32,
+    stray_limit: Float, unit: Float, first_t: I32, numbers: Reals2,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     position_out: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
-    mobility: Reals2, last_step_out: Reals2,  # SwarmState
+    mobility: Reals2, last_step_out: Reals2, number: Ints1,  # SwarmState
     control_out: Ints1, largest_move_out: Reals1,
 ):  # fmt: skip
     """Move every robot a few times, until rows are stale.
@@ -313,20 +355,19 @@ def step_robots(
     Args:
         on_card: Whether a graphics card computes.
         steps: Most steps of a call.
+        dynamics: A `Dynamics`.
         docks: First number of `grid`.
         stray_limit: Distance of a robot from its reference at which rows are stale [R].
         unit: What whole centers and docks are numbers of [R]; unused if they are real.
         first_t: Which step comes first.
-        strength: Gains in each step, columns of `Strength`, shape (T, 3).
+        numbers: Columns of `Numbers` and those of the dynamics in each step, shape (T, columns).
         control_out: Columns of `Control`; read, too.
         largest_move_out: Longest step of a robot in step t [R], shape (T,) or longer.
     """
     rows = ti.static(Rows(entry, row_first, row_count))
     robots = ti.static(SwarmState(
-        position_out, reference, height, arm, dock_out, mobility, last_step_out
+        position_out, reference, height, arm, dock_out, mobility, last_step_out, number
     ))  # fmt: skip
-    dynamics = ti.static(Dynamics(pull, integrate))
-    constants = ti.static(Constants(height_gain, spacing, max_step, momentum))
     # The one dock of a card's row needs no bits; known to the compiler, this saves registers.
     grid = ti.Struct(
         docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride,
@@ -341,8 +382,8 @@ def step_robots(
             if control_out[Control.STALE] == 0:
                 base = (first_t + k) % 2 * half
                 moved_by, way = step_robot(
-                    on_card, dynamics, grid, constants, _strength_at(strength, first_t + k), base,
-                    half - base, robot, rows, robots,
+                    on_card, dynamics, grid, numbers, first_t + k, base, half - base, robot, rows,
+                    robots,
                 )  # fmt: skip
                 if ti.static(on_card):
                     if way > stray_limit * stray_limit:
@@ -355,7 +396,7 @@ def step_robots(
                     ti.atomic_max(strayed, way)
         if control_out[Control.STALE] == 0:
             control_out[Control.TAKEN] = t + 1
-            gone = strayed > stray_limit * stray_limit or t + 1 == strength.shape[0]
+            gone = strayed > stray_limit * stray_limit or t + 1 == numbers.shape[0]
             if ti.static(on_card):
                 gone = gone or control_out[Control.STRAYED] == 1
                 moved = ti.bit_cast(control_out[Control.LONGEST], ti.f32)
@@ -412,15 +453,13 @@ def start_interval(position: Reals2, reference_out: Reals2, control_out: Ints1):
 
 @ti.kernel
 def relax_structures(
-    pull: Static, integrate: Static,  # Dynamics
-    own_bits: I32, cutoff: Float, stray_limit: Float, unit: Float,
-    height_gain: Float, spacing: Float, max_step: Float, momentum: Float,  # Constants
-    strength: Reals2, structure_out: Ints2,
+    dynamics: Static, own_bits: I32, cutoff: Float, stray_limit: Float, unit: Float,
+    numbers: Reals2, structure_out: Ints2,
     begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Reals1,  # Cells
     connection_start: Ints1, connection: Ints1,  # ConnectedDocks
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
     position_out: Reals2, reference_out: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
-    mobility: Reals2, last_step_out: Reals2,  # SwarmState
+    mobility: Reals2, last_step_out: Reals2, number: Ints1,  # SwarmState
     largest_move_out: Reals2,
 ):  # fmt: skip
     """Take every step of small structures, each on one thread.
@@ -428,9 +467,9 @@ def relax_structures(
     A structure stops where its rows do not fit.
 
     Args:
+        dynamics: A `Dynamics`.
         own_bits: First number of `grid`.
-        stray_limit: As for `step_robots`, like `unit`.
-        strength: As for `step_robots`.
+        stray_limit: As for `step_robots`, like `unit` and `numbers`.
         structure_out: Columns of `StructureTable`, shape (S, 10).
         largest_move_out: Longest step of a robot by structure and step [R], shape (S, T).
     """
@@ -438,10 +477,8 @@ def relax_structures(
     connections = ti.static(ConnectedDocks(connection_start, connection))
     rows = ti.static(Rows(entry_out, row_first_out, row_count_out))
     robots = ti.static(SwarmState(
-        position_out, reference_out, height, arm, dock_out, mobility, last_step_out
+        position_out, reference_out, height, arm, dock_out, mobility, last_step_out, number
     ))  # fmt: skip
-    dynamics = ti.static(Dynamics(pull, integrate))
-    constants = ti.static(Constants(height_gain, spacing, max_step, momentum))
     table = ti.static(structure_out)
     docks = arm.shape[0] // position_out.shape[0]
     half = dock_out.shape[0] // 2
@@ -456,7 +493,7 @@ def relax_structures(
             )  # fmt: skip
             begin_structure(s, table)
             stale = 1
-            for t in range(strength.shape[0]):
+            for t in range(numbers.shape[0]):
                 base = t % 2 * half
                 if stale == 1 and fits(s, table):
                     list_structure(grid, s, base, dock_out, cells, connections, rows, table)
@@ -468,8 +505,8 @@ def relax_structures(
                     moved = 0.0
                     for robot in range(first, end):
                         moved_by, way = step_robot(
-                            False, dynamics, grid, constants, _strength_at(strength, t), base,
-                            half - base, robot, rows, robots,
+                            False, dynamics, grid, numbers, t, base, half - base, robot, rows,
+                            robots,
                         )  # fmt: skip
                         moved = ti.max(moved, moved_by)
                         if way > stray_limit * stray_limit:

@@ -5,10 +5,11 @@
         + k_z (h_i - z_i) along z, Eq. (3)
     p_i <- p_i + F_i, no farther than the longest step
 
-Equations as in `tiswarm.engine.kernels`. Lengths in the unit of the robot's spacing D.
+Equations as in `tiswarm.engine.kernels`. Other `Dynamics` replace all but Eq. (3) and the cap.
+Lengths in the unit of the robot's spacing D.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,7 @@ from tiswarm.base.params import AnyArch, AnyPrecision, Precision
 from tiswarm.base.robot import Robot
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
-from tiswarm.engine.kernels import Constants
+from tiswarm.engine.kernels import FREE, GUIDED, Dynamics, Numbers
 from tiswarm.engine.stepping import Places, RelaxState, Stepper, Swarm
 
 SMALL = 2_000
@@ -37,6 +38,9 @@ class RelaxResult:
     position: Reals
     """Centers, in the caller's order, shape (N, 3)."""
 
+    last_step: Reals
+    """Last step of each robot if its integrator asks for it, else zero, shape (N, 3)."""
+
     largest_move: Reals
     """Longest step of any robot, by step, shape (steps,)."""
 
@@ -51,71 +55,8 @@ class RelaxResult:
     docks D / 2 from touching, connected or not, where that is larger."""
 
 
-@backend.exclusive()
-def relax(
-    position: ArrayLike,
-    orientation_wxyz: ArrayLike,
-    contacts: ArrayLike,
-    *,
-    robot: Robot,
-    attraction_gain: float,
-    repulsion_gain: float,
-    ramp: float | Sequence[float] | Reals,
-    steps: int,
-    height: ArrayLike | None = None,
-    height_gain: float = 0.0,
-    max_step: float | None = None,
-    structure: ArrayLike | None = None,
-    precision: AnyPrecision = "auto",
-    arch: AnyArch = "cpu",
-    threads: int | None = None,
-) -> RelaxResult:
-    """Take steps of the whole swarm under Eqs. (1)-(3), all robots at once.
-
-    The bytes of the result depend on the arguments alone, not on threads.
-
-    >>> from tiswarm.base.robot import RobotGeometry
-    >>> places, level = [[0, 0, 0], [6, 0, 0]], [[1, 0, 0, 0]] * 2
-    >>> gains = {"attraction_gain": 0.1, "repulsion_gain": 0.1, "ramp": 1.0}
-    >>> result = relax(places, level, [[0, 0, 1, 0]], robot=RobotGeometry(), steps=50, **gains)
-    >>> result.position[:, 0].round(3).tolist()  # connected docks touch at a distance of D = 2
-    [2.0, 4.0]
-
-    Args:
-        position: Centers, shape (N, 3).
-        orientation_wxyz: Body to world, unit quaternions, kept throughout, shape (N, 4).
-        contacts: Connected docks, rows of (robot i, dock, robot j, dock), shape (C, 4).
-        robot: Where docks are on a robot, and D; its unit of length is that of all lengths here.
-        attraction_gain: A of Eq. (1) [1].
-        repulsion_gain: B of Eqs. (1) and (2) [length^-3].
-        ramp: alpha, the share of attraction, 0 to 1: one number, or one a step.
-        steps: T.
-        height: Height that each robot is pulled toward, NaN for none, shape (N,).
-        height_gain: k_z of Eq. (3) [1].
-        max_step: Longest step of a robot; None for no limit.
-        structure: Number of each robot's structure, shape (N,); robots of different structures
-            never interact. None for one structure.
-        precision: f32 halves the memory and rounds the more the larger the swarm, wherever it is;
-            `auto` as for `tiswarm.compute.backend.choose`.
-        arch: Device; it computes there or an error is raised. `auto` takes a card if one works.
-        threads: CPU threads; all that this process may use if None.
-
-    Raises:
-        InputError: an argument makes no sense, or forces diverge.
-        EnvironmentTroubleError: the machine lacks the device or the memory.
-    """
-    swarm = PreparedSwarm(
-        position, orientation_wxyz, contacts, robot=robot, height=height, structure=structure,
-        precision=precision, arch=arch, threads=threads,
-    )  # fmt: skip
-    return swarm.relax(
-        attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, ramp=ramp, steps=steps,
-        height_gain=height_gain, max_step=max_step,
-    )  # fmt: skip
-
-
 class PreparedSwarm:
-    """A swarm on the device, to be relaxed again and again; arguments as for `relax`.
+    """A swarm on the device, to be relaxed again and again; arguments as for `tiswarm.relax`.
 
     A guided swarm has inertia and a mobility of each robot m, and its connected docks part where
     they are nearer than D:
@@ -128,6 +69,12 @@ class PreparedSwarm:
 
     running: Backend
     """What computes."""
+
+    dynamics: Dynamics
+    """How they move."""
+
+    cutoff: float
+    """Where forces of unconnected docks end."""
 
     stepper: Stepper | None
     """Their arrays on the device; None without robots."""
@@ -148,6 +95,8 @@ class PreparedSwarm:
         robot: Robot,
         height: ArrayLike | None = None,
         mobility: ArrayLike | None = None,
+        dynamics: Dynamics | None = None,
+        cutoff: float | None = None,
         structure: ArrayLike | None = None,
         precision: AnyPrecision = "auto",
         arch: AnyArch = "cpu",
@@ -157,12 +106,15 @@ class PreparedSwarm:
         """Check the robots, renumber them and copy them to the device.
 
         A `mobility`, the step of each robot along each axis for a force of 1 [1], shape (N, 3),
-        makes the swarm guided; 0 fixes a coordinate. `running` is a backend that runs already.
+        makes the swarm guided; 0 fixes a coordinate. `dynamics` replace those of free and guided
+        swarms, and `cutoff` D. `running` is a backend that runs already.
         """
         self.swarm = swarm = Swarm.check(
             position, orientation_wxyz, contacts, robot=robot, height=height, mobility=mobility,
             structure=structure,
         )  # fmt: skip
+        self.cutoff = swarm.spacing if cutoff is None else cutoff
+        self.dynamics = dynamics or (FREE if mobility is None else GUIDED)
         if running is None:
             running = backend.start(arch, threads=threads, precision=precision)
         self.running = running
@@ -175,7 +127,7 @@ class PreparedSwarm:
         if len(swarm.position):
             largest = np.bincount(swarm.structure).max()
             self.stepper = Stepper(
-                swarm, running, self.first.places,
+                swarm, running, self.first.places, self.dynamics, cutoff=self.cutoff,
                 by_structure=not running.on_card and bool(largest <= SMALL),
             )  # fmt: skip
 
@@ -199,33 +151,37 @@ class PreparedSwarm:
     def relax(
         self,
         *,
-        attraction_gain: float,
-        repulsion_gain: float,
-        ramp: float | Sequence[float] | Reals,
         steps: int,
+        attraction_gain: float | None = None,
+        repulsion_gain: float | None = None,
+        ramp: ArrayLike | None = None,
         height_gain: float = 0.0,
         max_step: float | None = None,
         parting_gain: float = 0.0,
         momentum: float = 0.0,
+        parameters: Mapping[str, ArrayLike] | None = None,
+        seed: int = 0,
         resume: bool = False,
     ) -> RelaxResult:
         """Take steps from where the robots were at first, or, to `resume`, where they are.
 
         In a guided swarm connected docks nearer than D part by a spring of stiffness `parting_gain`
         times the ramp [1], and a robot takes the share `momentum` of its last step again [1].
+        `parameters` are further numbers that dynamics ask for, each one, or one a step.
         """
-        ramps = np.asarray(ramp, np.float64)
-        if steps < 0 or ramps.shape not in {(), (steps,)}:
-            raise InputError(
-                f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
-            )
         limit = _NO_LIMIT if max_step is None else max_step
-        gains = attraction_gain, repulsion_gain, height_gain
+        gains = attraction_gain or 0.0, repulsion_gain or 0.0, height_gain
         if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains) and limit >= 0.0):
             raise InputError(
                 f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
                 f"not {gains} and {limit:g}"
             )
+        shared = {"height_gain": height_gain, "max_step": limit, "momentum": momentum}
+        weighted = self._weighted(
+            ramp, steps,
+            attraction=attraction_gain, repulsion=repulsion_gain, parting=parting_gain,
+        )  # fmt: skip
+        numbers = self._tabulate({**shared, **weighted, **(parameters or {})}, steps)
         state = self.state if resume else self.first
         stepper = self.stepper
         if steps == 0 or stepper is None:
@@ -234,25 +190,51 @@ class PreparedSwarm:
         # Arrays of a single thread are on the host, and outlast the device.
         if backend.current() is not self.running and not stepper.by_structure:
             raise InputError("another device started, which freed the swarm; prepare it again")
-        constants = Constants(height_gain, self.swarm.spacing, limit, momentum)
-        ramps = np.broadcast_to(ramps, steps)
-        # Rounded first: the shares add up to 1, and what is left of 1 has few digits in f32.
-        shares = np.column_stack([ramps, 1.0 - ramps, ramps]).astype(self.running.dtype)
-        most = np.array([attraction_gain, repulsion_gain, parting_gain], self.running.dtype)
         while True:
-            moves, builds = stepper.take_steps(state, constants, shares * most)
+            moves, builds = stepper.take_steps(state, numbers, seed)
             if not state.places.were_left(moves):
                 break
             # Whole numbers ran out: take the same steps again, in a larger unit.
             state = state.coarser()
             if not state.places.is_resolved(state.position):
                 raise InputError(f"{_DIVERGED}, or use precision f64")
-        end = stepper.state()
+        end = stepper.state(state.taken + steps)
         farthest = _farthest(state.position, end.position, moves)
         if not end.places.is_resolved(farthest):
             raise InputError(_DIVERGED)
         self.state = end
         return self._result(moves, builds, farthest)
+
+    def _weighted(
+        self, ramp: ArrayLike | None, steps: int, **gains: float | None
+    ) -> dict[str, ArrayLike]:
+        """Weight the gains that are given by the ramp, if there is one."""
+        ramps = np.asarray(0.0 if ramp is None else ramp, np.float64)
+        if steps < 0 or ramps.shape not in {(), (steps,)}:
+            raise InputError(
+                f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
+            )
+        # Rounded first: the shares add up to 1, and what is left of 1 has few digits in f32.
+        real = self.running.dtype
+        weighted: dict[str, ArrayLike] = {"ramp": ramps}
+        for name, gain in gains.items():
+            if gain is not None:
+                share = 1.0 - ramps if name == "repulsion" else ramps
+                weighted[name] = share.astype(real) * real(gain)
+        return {} if ramp is None else weighted
+
+    def _tabulate(self, given: Mapping[str, ArrayLike], steps: int) -> Reals:
+        """Tabulate `Numbers` and those of the dynamics, shape (steps, columns)."""
+        names = self.dynamics.names
+        numbers: Reals = np.zeros((steps, Numbers.TOTAL + len(names)))
+        numbers[:, Numbers.SPACING], numbers[:, Numbers.CUTOFF] = self.swarm.spacing, self.cutoff
+        numbers[:, Numbers.HEIGHT_GAIN] = given["height_gain"]
+        numbers[:, Numbers.MAX_STEP] = given["max_step"]
+        for column, name in enumerate(names, Numbers.TOTAL):
+            if name not in given:
+                raise InputError(f"forces need {name}; give {name}_gain and ramp")
+            numbers[:, column] = given[name]
+        return numbers
 
     def _result(self, moves: Reals, builds: int, farthest: float) -> RelaxResult:
         """Describe the state after a call; `farthest` is the largest coordinate on the way."""
@@ -262,6 +244,7 @@ class PreparedSwarm:
             farthest = float(2.0 * places.unit / np.finfo(np.float32).eps)
         return RelaxResult(
             position=self.state.position.copy(),
+            last_step=self.state.last_step.copy(),
             largest_move=moves,
             list_builds=builds,
             precision=self.running.precision,

@@ -21,18 +21,7 @@ from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_kernels import StructureTable
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList
 from tiswarm.engine import kernels
-from tiswarm.engine.kernels import (
-    FREE,
-    GUIDED,
-    OUT_OF_REACH,
-    UNKNOWN,
-    Constants,
-    Control,
-    Dynamics,
-    Strength,
-    SwarmState,
-    relax_structures,
-)
+from tiswarm.engine.kernels import OUT_OF_REACH, UNKNOWN, Control, Dynamics, Numbers, SwarmState
 
 _NORM_SLACK = 1e-6
 """Largest deviation of a quaternion's norm from 1."""
@@ -107,7 +96,7 @@ class Swarm:
             structure=ids,
             height=np.full(1, np.nan) if height is None else _shaped("height", height, (robots,)),
             mobility=None if mobility is None else _shaped("mobility", mobility, (robots, 3)),
-            dock_offset_body=robot.dock_offset_body,
+            dock_offset_body=np.asarray(robot.dock_offset_body, np.float64),
             spacing=robot.spacing,
         )
 
@@ -221,7 +210,8 @@ class Places:
 
 
 _SKIN = 0.25
-"""Reach of rows of neighbors beyond D [D]."""
+"""Reach of rows of neighbors beyond a cutoff of D [D]. It grows with the square root of the cutoff,
+since wide skins of long cutoffs hold many pairs."""
 _STEPS, _STEPS_ON_CARD = 4, 16
 """Most steps of a call. On a card Python needs longer for a call than the card for its steps; rows
 serve some 13, and the card skips the rest."""
@@ -240,7 +230,10 @@ class RelaxState:
     """Centers, shape (N, 3)."""
 
     last_step: Reals
-    """Last step of each robot of a guided swarm, zero of others, shape (N, 3)."""
+    """Last step of each robot if its dynamics ask for it, else zero, shape (N, 3)."""
+
+    taken: int = 0
+    """Steps taken."""
 
     def coarser(self) -> "RelaxState":
         """Return the same robots in places with a larger unit."""
@@ -286,24 +279,22 @@ class Stepper:
     moves: DeviceArray
     """Longest step of any robot in each step, kept for calls of as many, shape (T,)."""
 
-    strength: DeviceArray
-    """Gains in each step, kept for calls of as many, shape (T, 3)."""
+    numbers: DeviceArray
+    """Numbers in each step, kept for calls of as many, shape (T, columns)."""
 
-    spacing: float
-    """D."""
+    reach: float
+    """Docks nearer than this are in rows."""
 
     stray_limit: float
     """Distance of a robot from where its row was made at which this is stale."""
-
-    is_guided: bool
-    """Whether robots have a mobility and inertia."""
 
     dynamics: Dynamics
     """How the robots move."""
 
     def __init__(
-        self, swarm: Swarm, running: Backend, places: Places, *, by_structure: bool
-    ) -> None:
+        self, swarm: Swarm, running: Backend, places: Places, dynamics: Dynamics, *, cutoff: float,
+        by_structure: bool,
+    ) -> None:  # fmt: skip
         """Renumber the robots and reserve their arrays.
 
         Raises:
@@ -311,15 +302,15 @@ class Stepper:
             EnvironmentTroubleError: they do not fit into memory.
         """
         robots, docks = len(swarm.position), len(swarm.dock_offset_body)
-        self.spacing, self.is_guided = swarm.spacing, swarm.mobility is not None
-        self.dynamics = GUIDED if self.is_guided else FREE
+        self.dynamics, skin = dynamics, _SKIN * (swarm.spacing / cutoff) ** 0.5
+        self.reach = (1.0 + skin) * cutoff
         # Two robots that approach each other share the skin.
-        self.stray_limit = 0.5 * _SKIN * swarm.spacing
+        self.stray_limit = 0.5 * skin * cutoff
         self.by_structure, self.places = by_structure, places
         self.order = order = morton_order(swarm.position, swarm.structure)
         self.start = np.concatenate([[0], np.bincount(swarm.structure).cumsum()])
         self.target = swarm.height[order] if len(swarm.height) == robots else swarm.height
-        per_robot = _bytes_of_robot(running.dtype, docks, guided=self.is_guided)
+        per_robot = _bytes_of_robot(running.dtype, docks, guided=bool(dynamics.asks))
         running.require_memory(robots * per_robot, robots)
         contacts = swarm.contacts.copy()
         # The inverse of the order: from the caller's numbers to those on the device.
@@ -327,67 +318,71 @@ class Stepper:
         self.memory = memory = Allocator(running, on_host=by_structure)
         self.neighbors = NeighborList(
             memory, swarm.position[order], contacts,
-            docks=docks, reach=swarm.reach, cutoff=(1.0 + _SKIN) * self.spacing,
+            docks=docks, reach=swarm.reach, cutoff=self.reach,
             start=self.start if by_structure else None, unit=places.unit,
         )  # fmt: skip
         numbers = memory.reals if places.unit is None else memory.ints
-        share = np.ones((1, 1)) if swarm.mobility is None else swarm.mobility[order]
+        share = np.ones((robots, 3)) if swarm.mobility is None else swarm.mobility[order]
         self.robots = SwarmState(
             position=numbers(robots, 3),
             reference=numbers(robots, 3),
             height=numbers(len(self.target)),
             arm=memory.reals(robots * docks, 3),
             dock=numbers(2 * robots * docks * 4),
-            mobility=memory.upload(share),
-            last_step=memory.reals(*share.shape),
+            mobility=memory.upload(share if "mobility" in dynamics.asks else np.ones((1, 1))),
+            last_step=memory.reals(*((robots, 3) if "last_step" in dynamics.asks else (1, 1))),
+            number=memory.ints(robots + 2 if "number" in dynamics.asks else 1),
         )
         self.control = memory.ints(Control.TOTAL)
-        self.moves, self.strength = memory.reals(1), memory.reals(1, Strength.TOTAL)
+        self.moves = memory.reals(1)
+        self.numbers = memory.reals(1, Numbers.TOTAL + len(dynamics.names))
         seldom = memory.for_few_launches()
         self.structure = seldom.upload(swarm.structure[order])
         turns, body = swarm.orientation_wxyz[order], swarm.dock_offset_body
         kernels.turn_docks(seldom.upload(turns), seldom.upload(body), self.robots.arm)
 
-    def take_steps(
-        self, state: RelaxState, constants: Constants, strength: Reals
-    ) -> tuple[Reals, int]:
-        """Take a step for each row of gains.
+    def take_steps(self, state: RelaxState, numbers: Reals, seed: int) -> tuple[Reals, int]:
+        """Take a step for each row of numbers.
 
         Args:
             state: Where the robots start.
-            constants: Numbers that all steps share.
-            strength: Gains in each step, columns of `Strength`, shape (T, 3).
+            numbers: Columns of `Numbers` but ORIGIN, and those of the dynamics, shape (T, columns).
+            seed: Seed of noise.
 
         Returns:
             Longest step of any robot, shape (T,), and how often rows were made.
         """
         self.places = places = state.places
         # Rows are searched in numbers, not in lengths.
-        self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / places.scale
+        self.neighbors.cutoff = self.reach / places.scale
+        numbers[:, Numbers.ORIGIN : Numbers.ORIGIN + 3] = places.origin
         robots, refill = self.robots, self.memory.refill
         start = state.position[self.order]
         take = self._by_structure if self.by_structure else self._all_at_once
         while True:
             refill(robots.position, places.to_numbers(start, places.origin))
             refill(robots.height, places.to_numbers(self.target, places.origin[2]))
-            if self.is_guided:
+            if "last_step" in self.dynamics.asks:
                 refill(robots.last_step, state.last_step[self.order])
+            if "number" in self.dynamics.asks:
+                refill(robots.number, np.append([seed, state.taken], self.order))
             kernels.place_docks(
                 places.scale, self.structure, robots.position, robots.arm, robots.dock
             )
-            if found := take(constants, strength):
+            if found := take(numbers):
                 return found
 
-    def state(self) -> RelaxState:
-        """Read where the robots are after the steps that were taken last."""
+    def state(self, taken: int) -> RelaxState:
+        """Read where the robots are after the steps that were taken last, `taken` in all."""
         center = self.places.to_lengths(self.memory.download(self.robots.position))
         step: Reals = np.zeros((len(self.order), 3))
-        if self.is_guided:
+        if "last_step" in self.dynamics.asks:
             step = self.memory.download(self.robots.last_step)
         return RelaxState(
             places=self.places,
             position=self._by_caller(center),
             last_step=self._by_caller(step),
+            taken=taken,
         )
 
     def _by_caller(self, array: Reals) -> Reals:
@@ -396,14 +391,14 @@ class Stepper:
         ordered[self.order] = array
         return ordered
 
-    def _all_at_once(self, constants: Constants, strength: Reals) -> tuple[Reals, int]:
+    def _all_at_once(self, numbers: Reals) -> tuple[Reals, int]:
         """Step by step, each with all threads; make rows anew where they are stale."""
         neighbors, robots, control = self.neighbors, self.robots, self.control
-        steps = len(strength)
+        steps = len(numbers)
         if self.moves.shape[0] != steps:
             self.moves = self.memory.reals(steps)
-            self.strength = self.memory.reals(*strength.shape)
-        self.memory.refill(self.strength, strength)
+            self.numbers = self.memory.reals(*numbers.shape)
+        self.memory.refill(self.numbers, numbers)
         # Docks are held twice: a step reads one half and writes the other.
         taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
         most, calls = (_STEPS_ON_CARD, 1) if neighbors.on_card else (_STEPS, _CALLS)
@@ -415,9 +410,9 @@ class Stepper:
                 with backend.fast_arithmetic():
                     for t in range(taken, taken + calls * most, most):
                         kernels.step_robots(
-                            neighbors.on_card, most, *self.dynamics, neighbors.docks,
-                            neighbors.own_bits, neighbors.entry_stride, *constants,
-                            self.stray_limit, self.places.scale, t, self.strength,
+                            neighbors.on_card, most, self.dynamics, neighbors.docks,
+                            neighbors.own_bits, neighbors.entry_stride,
+                            self.stray_limit, self.places.scale, t, self.numbers,
                             *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
                 before, taken = taken, int(control[Control.TAKEN])
@@ -427,14 +422,14 @@ class Stepper:
         moves = self.memory.download(self.moves).astype(np.float64)
         return moves, neighbors.builds - builds_before
 
-    def _by_structure(self, constants: Constants, strength: Reals) -> tuple[Reals, int] | None:
+    def _by_structure(self, numbers: Reals) -> tuple[Reals, int] | None:
         """All steps of a structure on one thread; None if a row was too short, which is now not."""
         neighbors, structures = self.neighbors, len(self.start) - 1
-        moves = self.memory.reals(structures, len(strength))
+        moves = self.memory.reals(structures, len(numbers))
         with backend.fast_arithmetic():
-            relax_structures(
-                *self.dynamics, neighbors.own_bits, neighbors.cutoff, self.stray_limit,
-                self.places.scale, *constants, self.memory.upload(strength),
+            kernels.relax_structures(
+                self.dynamics, neighbors.own_bits, neighbors.cutoff, self.stray_limit,
+                self.places.scale, self.memory.upload(numbers),
                 neighbors.structure, *neighbors.cells, *neighbors.connections, *neighbors.rows,
                 *self.robots, moves,
             )  # fmt: skip

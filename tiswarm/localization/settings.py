@@ -7,7 +7,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
-from tiswarm.localization.cost.settings import EXTENSION
+from tiswarm.localization.cost import EXTENSION
 from tiswarm.measurements.cues import cue_names, switched
 
 MOST_STEPS = 3000

@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import dijkstra
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets, normal
 from tiswarm.localization.chains.problem import Planes, Problem
-from tiswarm.localization.cost.settings import ROBUST_SD
+from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.contacts import stand_across, touching
 from tiswarm.measurements.model import KNOWN

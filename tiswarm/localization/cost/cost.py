@@ -24,8 +24,8 @@ from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows
-from tiswarm.localization.cost.settings import OVERLAP_SD
 from tiswarm.measurements import equations
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import SPACING, Measurements, are_known

@@ -15,9 +15,9 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected
+from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import SETTLED, WholeCost
 from tiswarm.localization.cost.linear import Linear
-from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.mixture.verdict import Evidence, extent, judge, misfit_by_robot, widened

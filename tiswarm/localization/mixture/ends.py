@@ -13,8 +13,8 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
+from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import WholeCost, grouped, weights
-from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
 from tiswarm.localization.settings import ChiSquareParams

@@ -17,9 +17,9 @@ from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to impor
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import DISREGARDED_SD, pose_problem
+from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State
 from tiswarm.localization.cost.linear import Linear
-from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.mixture.ends import Fit, Posed
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS

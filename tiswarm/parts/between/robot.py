@@ -36,8 +36,8 @@ from tiswarm.localization.chains.views import (
     cooled,
     find_subtrees,
 )
+from tiswarm.localization.cost import EXTENSION, ROBUST_SD
 from tiswarm.localization.cost.cost import State, weights
-from tiswarm.localization.cost.settings import EXTENSION, ROBUST_SD
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.parts.between import wire
 from tiswarm.parts.between.channel import Message

@@ -19,7 +19,7 @@ from tiswarm.compute.lang import (
     ti,
 )  # fmt: skip
 from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
-from tiswarm.localization.cost.settings import OVERLAP_SD
+from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.measurements import equations
 from tiswarm.measurements.model import KNOWN, SPACING
 from tiswarm.parts.online.settings import CANDIDATES

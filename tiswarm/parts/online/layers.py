@@ -12,8 +12,8 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import chosen_rows
+from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, moments, weights
-from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.cues import CUES

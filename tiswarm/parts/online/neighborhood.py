@@ -22,8 +22,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.cost import EXTENSION
 from tiswarm.localization.cost.cost import Cost, State, grouped, shortened
-from tiswarm.localization.cost.settings import EXTENSION
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.parts.online.kernels import (
     COORDINATE,

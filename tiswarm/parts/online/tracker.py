@@ -32,8 +32,8 @@ from tiswarm.localization import methods
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected, set_apart, view_of
+from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, WholeCost, moments
-from tiswarm.localization.cost.settings import ROBUST_SD
 from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.assessment import Assessment, assess
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked

@@ -30,7 +30,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
-from tiswarm.localization.cost.settings import EXTENSION, OVERLAP_SD
+from tiswarm.localization.cost import EXTENSION, OVERLAP_SD
 from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.mixture.verdict import rms
 from tiswarm.measurements.contacts import disconnected, overlap, parts

@@ -1,0 +1,397 @@
+"""Forces and integrators of a user: functions of the kernel language, which the engine compiles.
+
+A function asks for what it needs by the names of its arguments. A force may ask for FORCE, an
+integrator for INTEGRATOR. All other arguments are numbers, which the caller gives for each call or
+for each step. Kernels are compiled for functions, not for numbers.
+"""
+
+import inspect
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tiswarm.base.errors import InputError, did_you_mean
+from tiswarm.base.params import AnyArch, AnyPrecision
+from tiswarm.base.robot import Robot
+from tiswarm.compute import backend
+from tiswarm.compute.lang import LIBRARIES, LIBRARY, Ref, ti
+from tiswarm.compute.math_kernels import vector_at
+from tiswarm.engine import kernels
+from tiswarm.engine.kernels import FREE, GUIDED, Dynamics, Numbers, is_vector
+from tiswarm.engine.relax import PreparedSwarm, RelaxResult
+
+FORCE = ("offset", "distance", "connected", "spacing")
+"""What a force may ask for; the guide to the engine explains it."""
+INTEGRATOR = (
+    "force", "position", "last_step", "mobility", "noise", "last_noise", "robot", "step", "spacing",
+)  # fmt: skip
+"""What an integrator may ask for."""
+_WEIGHTED = ("ramp", "attraction", "repulsion", "parting")
+"""Numbers that the ramp makes."""
+_LARGEST_SEED = 2**31 - 1
+
+
+def relax(
+    position: ArrayLike,
+    orientation_wxyz: ArrayLike,
+    contacts: ArrayLike,
+    *,
+    robot: Robot,
+    steps: int,
+    attraction_gain: float | None = None,
+    repulsion_gain: float | None = None,
+    ramp: ArrayLike | None = None,
+    height: ArrayLike | None = None,
+    height_gain: float = 0.0,
+    max_step: float | None = None,
+    force: Callable[..., Any] | None = None,
+    integrator: Callable[..., Any] | None = None,
+    parameters: Mapping[str, ArrayLike] | None = None,
+    cutoff: float | None = None,
+    mobility: ArrayLike | None = None,
+    seed: int = 0,
+    structure: ArrayLike | None = None,
+    precision: AnyPrecision = "auto",
+    arch: AnyArch = "cpu",
+    threads: int | None = None,
+) -> RelaxResult:
+    """Take steps of the whole swarm under Eqs. (1)-(3), or a force of yours, all robots at once.
+
+    The bytes of the result depend on the arguments alone, not on threads.
+
+    >>> from tiswarm.base.robot import RobotGeometry
+    >>> places, level = [[0, 0, 0], [6, 0, 0]], [[1, 0, 0, 0]] * 2
+    >>> gains = {"attraction_gain": 0.1, "repulsion_gain": 0.1, "ramp": 1.0}
+    >>> result = relax(places, level, [[0, 0, 1, 0]], robot=RobotGeometry(), steps=50, **gains)
+    >>> result.position[:, 0].round(3).tolist()  # connected docks touch at a distance of D = 2
+    [2.0, 4.0]
+
+    Args:
+        position: Centers, shape (N, 3).
+        orientation_wxyz: Body to world, unit quaternions, kept throughout, shape (N, 4).
+        contacts: Connected docks, rows of (robot i, dock, robot j, dock), shape (C, 4).
+        robot: Where docks are on a robot, and D; its unit of length is that of all lengths here.
+        steps: T.
+        attraction_gain: A of Eq. (1) [1].
+        repulsion_gain: B of Eqs. (1) and (2) [length^-3].
+        ramp: alpha, the share of attraction, 0 to 1: one number, or one a step.
+        height: Height that each robot is pulled toward, NaN for none, shape (N,).
+        height_gain: k_z of Eq. (3) [1].
+        max_step: Longest step of a robot; None for no limit.
+        force: Function in place of Eqs. (1) and (2), which needs neither gains nor ramp. Its
+            arguments are names of `offset`, `distance`, `connected` and `spacing`, and of numbers.
+            It returns a vector, or its length toward the other dock.
+        integrator: Function that returns the step of a robot, a vector; the force itself if None.
+            Its arguments are names of `force`, `position`, `last_step`, `mobility`, `noise`,
+            `last_noise`, `robot`, `step` and `spacing`, and of numbers.
+        parameters: Numbers that the two functions ask for, each one number, or one a step. They may
+            also ask for `ramp`, and with gains for `attraction` A alpha and `repulsion`
+            B (1 - alpha).
+        cutoff: Distance at which your force between unconnected docks ends; D if None.
+        mobility: Step along each axis for a force of 1 [1], shape (N, 3); 0 fixes a coordinate.
+        seed: Seed of the noise that an integrator asks for.
+        structure: Number of each robot's structure, shape (N,); robots of different structures
+            never interact. None for one structure.
+        precision: f32 halves the memory and rounds the more the larger the swarm, wherever it is;
+            `auto` as for `tiswarm.compute.backend.choose`.
+        arch: Device; it computes there or an error is raised. `auto` takes a card if one works.
+        threads: CPU threads; all that this process may use if None.
+
+    Raises:
+        InputError: an argument makes no sense, a function does not compile, or forces diverge.
+        EnvironmentTroubleError: the machine lacks the device or the memory.
+    """
+    swarm = MovingSwarm(
+        position, orientation_wxyz, contacts, force=force, integrator=integrator, cutoff=cutoff,
+        mobility=mobility, robot=robot, height=height, structure=structure, precision=precision,
+        arch=arch, threads=threads,
+    )  # fmt: skip
+    return swarm.relax(
+        steps=steps, attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, ramp=ramp,
+        height_gain=height_gain, max_step=max_step, parameters=parameters, seed=seed,
+    )  # fmt: skip
+
+
+class MovingSwarm(PreparedSwarm):
+    """A swarm on the device that moves by functions of a user, again and again.
+
+    Arguments are those of `tiswarm.relax`: those of a swarm to make it, and the others to `relax`
+    it, where `resume=True` goes on from where the robots are.
+    """
+
+    @backend.exclusive()
+    def __init__(
+        self,
+        position: ArrayLike,
+        orientation_wxyz: ArrayLike,
+        contacts: ArrayLike,
+        *,
+        force: Callable[..., Any] | None = None,
+        integrator: Callable[..., Any] | None = None,
+        cutoff: float | None = None,
+        mobility: ArrayLike | None = None,
+        **options: Any,  # noqa: ANN401 - those of `PreparedSwarm`
+    ) -> None:
+        """Check the functions and the robots, and copy these to the device."""
+        if cutoff is not None and (force is None or not 0.0 < cutoff < np.inf):
+            problem = f"{cutoff:g} is no reach of a force of yours; give both, the cutoff above 0"
+            raise InputError(problem, argument="cutoff")
+        self.law = _chosen(force, integrator, is_guided=mobility is not None)
+        super().__init__(
+            position, orientation_wxyz, contacts, dynamics=self.law.dynamics, cutoff=cutoff,
+            mobility=mobility, **options,
+        )  # fmt: skip
+
+    @backend.exclusive()
+    def relax(
+        self,
+        *,
+        steps: int,
+        parameters: Mapping[str, ArrayLike] | None = None,
+        ramp: ArrayLike | None = None,
+        seed: int = 0,
+        **options: Any,  # noqa: ANN401 - those of `PreparedSwarm.relax`
+    ) -> RelaxResult:
+        """Take steps from where the robots were at first, or, to `resume`, where they are."""
+        if not 0 <= seed <= _LARGEST_SEED:
+            raise InputError(f"{seed} is not 0 to {_LARGEST_SEED}; correct it", argument="seed")
+        numbers = self.law.numbers(dict(parameters or {}), steps)
+        given = {name: options.get(f"{name}_gain") for name in FREE.names}
+        for name, asker in self.law.askers.items():
+            lacks = ramp is None or given.get(name, 0.0) is None
+            if name in _WEIGHTED and name not in numbers and lacks:
+                gain = f"{name}_gain and ramp" if name in given else "ramp"
+                if asker is None:
+                    gain += ", or a force of yours"
+                raise _error(f"needs {name}; give {gain}", asker)
+        with _mistakes_named(self.law):
+            found = super().relax(steps=steps, parameters=numbers, ramp=ramp, seed=seed, **options)
+        return replace(found, force_error=np.nan) if self.dynamics.is_cut else found
+
+
+class _Law(NamedTuple):
+    """A force and an integrator of a user, or of the engine."""
+
+    dynamics: Dynamics
+    functions: tuple[FunctionType, ...]
+    """Those of the user."""
+
+    askers: dict[str, FunctionType | None]
+    """By number, the function that asks for it; None for one of the engine."""
+
+    defaults: dict[str, float]
+    """Numbers that the caller may leave out."""
+
+    def numbers(self, parameters: dict[str, ArrayLike], steps: int) -> dict[str, ArrayLike]:
+        """Check parameters, and add defaults.
+
+        Raises:
+            InputError: a function lacks a number, or none asks for it, or it is none.
+        """
+        for name, value in parameters.items():
+            if name not in self.askers:
+                meant = did_you_mean(name, self.askers) or "; leave it out"
+                problem = f"neither force nor integrator has an argument {name}{meant}"
+                raise InputError(problem, argument="parameters")
+            try:
+                is_finite = np.isfinite(np.broadcast_to(np.asarray(value, float), steps)).all()
+            except (TypeError, ValueError):
+                problem = (
+                    f"{name} is no number and no {steps} numbers, one a step; give one of these"
+                )
+                raise InputError(problem, argument="parameters") from None
+            if not is_finite:
+                raise InputError(f"{name} is not finite; correct it", argument="parameters")
+        found = {**self.defaults, **parameters}
+        for name, asker in self.askers.items():
+            if asker is not None and name not in found and name not in _WEIGHTED:
+                raise _error(f"needs {name}; give it in `parameters`", asker)
+        return found
+
+
+def _chosen(
+    force: Callable[..., Any] | None, integrator: Callable[..., Any] | None, *, is_guided: bool
+) -> _Law:
+    """Choose functions of the engine in place of those that are not given."""
+    ours = GUIDED if is_guided else FREE
+    if force is None and integrator is None:
+        return _Law(ours, (), dict.fromkeys(ours.names), {})
+    pull = None if force is None else _checked(force, "force", FORCE)
+    move = None if integrator is None else _checked(integrator, "integrator", INTEGRATOR)
+    return _compiled(pull, move, ours)
+
+
+@cache  # kernels are compiled anew for each new function
+def _compiled(force: FunctionType | None, integrator: FunctionType | None, ours: Dynamics) -> _Law:
+    """Make functions callable by kernels."""
+    # Those of the engine read the first columns.
+    is_ours = force is None or (integrator is None and bool(ours.asks))
+    askers: dict[str, FunctionType | None] = dict.fromkeys(ours.names if is_ours else ())
+    defaults: dict[str, float] = {}
+    asks = set() if integrator is not None else set(ours.asks)
+    for function, known in ((force, FORCE), (integrator, INTEGRATOR)):
+        for name, argument in _arguments(function).items():
+            if name in known:
+                asks.update(_ARRAYS.get(name, ()))
+                continue
+            askers[name] = askers.get(name) or function
+            if argument.default is not argument.empty:
+                defaults.setdefault(name, argument.default)
+    if force is not None:  # the columns of the engine's force are there, but unused
+        unused = [name for name in FREE.names if name in askers and askers[name] is None]
+        defaults |= dict.fromkeys([*unused, "parting"] if unused else [], 0.0)
+    names = tuple(askers)
+    dynamics = Dynamics(
+        ours.pull if force is None else _caller("force", force, names),
+        ours.integrate if integrator is None else _caller("integrator", integrator, names),
+        names,
+        is_cut=force is not None,
+        asks=tuple(sorted(asks)),
+    )
+    return _Law(dynamics, tuple(f for f in (force, integrator) if f), askers, defaults)
+
+
+_ARRAYS = {
+    "last_step": ("last_step",), "mobility": ("mobility",), "noise": ("number",),
+    "last_noise": ("number",), "robot": ("number",), "step": ("number",),
+}  # fmt: skip
+"""Fields of `SwarmState` that a name needs."""
+
+
+def _arguments(function: FunctionType | None) -> Mapping[str, inspect.Parameter]:
+    return {} if function is None else inspect.signature(function).parameters
+
+
+def _caller(kind: str, function: FunctionType, names: tuple[str, ...]) -> object:
+    """Return a function as `Dynamics` have it, which calls that of a user."""
+    # Kernels would refuse annotations that are no types of theirs.
+    bare = FunctionType(
+        function.__code__, function.__globals__, function.__name__, None, function.__closure__
+    )
+    called = ti.func(bare)
+    takes, count = tuple(_arguments(function)), Numbers.TOTAL + len(names)
+
+    def evaluate(known: Mapping[str, Callable[[], object]], *number: object) -> tuple[object]:
+        columns = dict(zip(names, number[Numbers.TOTAL :], strict=True))
+        given: dict[str, Callable[[], object]] = {
+            **known, "spacing": lambda: number[Numbers.SPACING]
+        }  # fmt: skip
+        value = called(*[given[n]() if n in given else columns[n] for n in takes])
+        is_scalar = value is not None and not is_vector(value)
+        is_three = is_vector(value) and tuple(value.get_shape()) == (3,)
+        if not (is_three or (is_scalar and kind == "force")):
+            other = ", or a number" if kind == "force" else ""
+            raise ValueError(f"{function.__name__} has to return a vector of three numbers{other}")
+        return (value,)
+
+    def pull(offset, distance, connected, number):  # noqa: ANN001, ANN202 - of kernels
+        return ti.static(
+            evaluate(_of_pair(offset, distance, connected), *[number[c] for c in range(count)])
+        )[0]
+
+    def integrate(force, here, robot, t, unit, robots: Ref, number):  # noqa: ANN001, ANN202
+        return ti.static(
+            evaluate(
+                _of_motion(force, here, robot, t, unit, robots, [number[c] for c in range(count)]),
+                *[number[c] for c in range(count)],
+            )
+        )[0]
+
+    return ti.func(pull if kind == "force" else integrate)
+
+
+def _of_pair(
+    offset: object, distance: object, connected: object
+) -> dict[str, Callable[[], object]]:
+    """Return by name what a force may ask for."""
+    return {
+        "offset": lambda: offset,
+        "distance": lambda: distance,
+        "connected": lambda: connected,
+    }
+
+
+def _of_motion(
+    force: object, here: object, robot: Any, t: Any, unit: object, robots: Any,  # noqa: ANN401
+    number: list[object],
+) -> dict[str, Callable[[], object]]:  # fmt: skip
+    """Return by name what computes what an integrator may ask for."""
+    origin = number[Numbers.ORIGIN : Numbers.ORIGIN + 3]
+    return {
+        "force": lambda: force,
+        "position": lambda: kernels.place_of(here, unit, *origin, robots),
+        "last_step": lambda: vector_at(robots.last_step, robot),
+        "mobility": lambda: vector_at(robots.mobility, robot),
+        "noise": lambda: kernels.noise(robots, robot, t),
+        "last_noise": lambda: kernels.noise(robots, robot, t - 1),
+        "robot": lambda: kernels.number_of(robots, 2 + robot),
+        "step": lambda: kernels.number_of(robots, 1) + t,
+    }
+
+
+def _checked(function: Callable[..., Any], kind: str, known: tuple[str, ...]) -> FunctionType:
+    """Return the function that a decorator may hide."""
+    bare = inspect.unwrap(function)
+    if not isinstance(bare, FunctionType) or bare.__name__ == "<lambda>":
+        raise InputError(f"{function!r} is no function; define one by def", argument=kind)
+    others = [name for name in LIBRARIES if hasattr(function, f"_is_{name}_function")]
+    if others not in ([], [LIBRARY]):
+        problem = f"is a function of {others[0]}, but {LIBRARY} computes; use tiswarm.ti"
+        raise _error(problem, bare)
+    for name, argument in _arguments(bare).items():
+        if argument.kind is not argument.POSITIONAL_OR_KEYWORD:
+            raise _error(f"takes {argument}; name each argument", bare)
+        if name in {*FORCE, *INTEGRATOR} - {*known}:
+            other = "an integrator" if kind == "force" else "a force"
+            raise _error(f"cannot ask for {name}; only {other} can", bare)
+    try:
+        inspect.getsource(bare)
+    except (OSError, TypeError):
+        raise _error("has no source to compile; define it in a file or a cell", bare) from None
+    return bare
+
+
+def _error(problem: str, function: FunctionType | None, line: int | None = None) -> InputError:
+    """Return an error of a function, with its place if it is the user's."""
+    if function is None:
+        return InputError(f"the force of the paper {problem}")
+    code = function.__code__
+    problem = f"{function.__name__} {problem}"
+    return InputError(problem, path=Path(code.co_filename), line=line or code.co_firstlineno)
+
+
+_PLACE = re.compile(r'File "(.*?)", line (\d+), in (.*):$', re.MULTILINE)
+_MARK = re.compile(r"^[ ~]*\^[ ~^]*$", re.MULTILINE)
+
+
+@contextmanager
+def _mistakes_named(law: _Law) -> Iterator[None]:
+    """Say in a line what is wrong in a user's function, and where, if it does not compile."""
+    try:
+        with warnings.catch_warnings():
+            if law.functions:  # the library warns of each function that `ti.func` does not decorate
+                warnings.simplefilter("ignore", SyntaxWarning)
+            yield
+    except Exception as error:
+        if type(error).__module__.partition(".")[0] != LIBRARY or not law.functions:
+            raise
+        text = str(error)
+        lines = _MARK.split(text)[-1].strip().splitlines()
+        # Where Python raised an error, its last line says which.
+        problem = " ".join(lines[-1:] if "Traceback" in text else lines).strip(".")
+        for file, line, name in reversed(_PLACE.findall(text)):
+            if not Path(file).is_relative_to(Path(__file__).parents[1]):
+                problem = f"{name}: {problem}; correct it"
+                raise InputError(problem, path=Path(file), line=int(line)) from error
+        names = " or ".join(f.__name__ for f in law.functions)
+        problem = f"does not compile: {problem}; correct {names}"
+        raise _error(problem, law.functions[0]) from error
