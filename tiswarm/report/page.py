@@ -36,6 +36,10 @@ LARGEST = 7_900_000
 _FIRST = (
     "price",
     "grades",
+    "scaling",
+    "building",
+    "traffic",
+    "shape",
     "accuracy",
     "convergence",
     "structure",
