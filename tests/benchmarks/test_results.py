@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import re
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from benchmarks import results
 from tests.runs import REPOSITORY
+from tiswarm.evaluation.paper import PAPER as PAPER_CELLS
 from tiswarm.parts.formats.imports import GAINS
 
 KIND = "AMD EPYC family 26 model 2"
@@ -148,50 +150,97 @@ def test_sizes_and_verdicts_of_the_page_of_accuracy_are_in_the_file():
             assert _stored(condition, structure, name)["value"][KIND] == 1.0
 
 
-PAPER_SETS = {
-    ("tower", "F = 3.5"): "{kind: tower, force_threshold: 3.5}",
-    ("tower", "F = 10"): "{kind: tower}",
-    ("cantilever", "F = 3.5"): (
-        "{kind: cantilever, force_threshold: 3.5, anchor: 5.0, founders: 2, spawn_behind: placed}"
-    ),
-    ("cantilever", "F = 10"): "{kind: cantilever, anchor: 6.5, founders: 2}",
+CONDITIONS = ("all-cues", "no-z", "no-z-no-undock")
+"""Conditions of the paper's table, in the order of its cells."""
+
+PAPER = {
+    "tower": "tower, recruit_base: 1.5",
+    "cantilever": "cantilever, recruit_base: 1.5, anchor: 6.5, founders: 2",
 }
-"""Structures of the scenario paper by kind and set, as docs/paper.md names them."""
+"""Structures of the scenario paper."""
+
+PAPER_SETS = {
+    "J = 1, 5 R": (
+        "tower, recruit_limit: 1",
+        "cantilever, recruit_limit: 1, anchor: 5.0, founders: 2",
+    ),
+    "F = 17, 5 R": (
+        "tower, force_threshold: 17.0",
+        "cantilever, force_threshold: 17.0, anchor: 5.0, founders: 2",
+    ),
+    "F = 10, 6.5 R: tiswarm's defaults": ("tower", "cantilever, anchor: 6.5, founders: 2"),
+    "F = 3.5, 5 R, `placed`": (
+        "tower, force_threshold: 3.5",
+        "cantilever, force_threshold: 3.5, anchor: 5.0, founders: 2, spawn_behind: placed",
+    ),
+}
+"""Structures of the scenario paper-sets: towers and cantilevers, as docs/paper.md names them."""
+
+
+def _of_paper(kind, condition, measure, scenario="paper"):
+    rows = _stored(condition, f"{{kind: {kind}}}", measure, scenario=scenario)
+    return rows.loc[KIND]
 
 
 def test_the_page_of_the_paper_has_the_file_s_results():
-    """Means and intervals of RMSE and disparity: two sets of two kinds in three conditions."""
+    """Means and intervals of RMSE and disparity: two kinds in three conditions."""
     page = _page("docs", "paper.md")
-    table = re.search(r"\| \| paper: RMSE, d \|.*?\n\n", page, re.DOTALL)[0].splitlines()[2:-1]
-    conditions = ("all-cues", "no-z", "no-z-no-undock")
+    table = re.search(r"\| \| paper: RMSE, d \|.*?\n\n", page, re.DOTALL)[0].splitlines()[2:]
 
-    rows = itertools.product(("tower", "cantilever"), conditions, ("F = 3.5", "F = 10"))
-
-    for line, (kind, condition, name) in zip(table, rows, strict=True):
+    for line, (kind, condition) in zip(
+        filter(None, table), itertools.product(PAPER, CONDITIONS), strict=True
+    ):
         cells = [cell.strip() for cell in line.strip("| ").split(" | ")]
-        structure = PAPER_SETS[kind, name]
-        assert name in cells
-        for cell, measure in (
-            (cells[cells.index(name) + 1], "rmse_R"),
-            (cells[cells.index(name) + 5], "procrustes_disparity"),
-        ):
-            row = _stored(condition, structure, measure, scenario="paper").loc[KIND]
+        assert cells[0].startswith(kind)
+        for cell, measure in ((cells[2], "rmse_R"), (cells[6], "procrustes_disparity")):
+            row = _of_paper(PAPER[kind], condition, measure)
             mean, half = _numbers(cell)[:2]
             assert _is_rounded(mean, row["value"]), line
             assert _is_rounded(half, (row["high"] - row["low"]) / 2), line
 
 
 def test_the_page_of_the_paper_states_what_its_structures_are():
-    """Heights, reach and robots beyond the edge, by set and kind."""
+    """Heights, reach and robots beyond the edge, by kind."""
     page = _page("docs", "paper.md")
-    for (kind, name), structure in PAPER_SETS.items():
-        cells = _cells(page, f"{name} | {kind}")
-        size = {"tower": "height_R", "cantilever": "reach_R"}[kind]
-        reached = _stored("all-cues", structure, size, scenario="paper")["value"][KIND]
-        assert _is_rounded(cells[3], reached)
-        if kind == "cantilever":
-            found = _stored("all-cues", structure, "beyond_edge", scenario="paper")
-            assert _is_rounded(_numbers(cells[4])[0], 100.0 * found["value"][KIND])
+    tower, cantilever = (
+        _cells(page, start) for start in ("tower | 65 R up", "cantilever | 45 R out")
+    )
+
+    assert _is_rounded(tower[2], _of_paper(PAPER["tower"], "all-cues", "height_R")["value"])
+    reach, beyond = (
+        _of_paper(PAPER["cantilever"], "all-cues", name)["value"]
+        for name in ("reach_R", "beyond_edge")
+    )
+    assert _is_rounded(cantilever[2], reach)
+    assert _is_rounded(_numbers(cantilever[3])[0], 100.0 * beyond)
+
+
+@pytest.mark.parametrize("name", PAPER_SETS)
+def test_other_sets_of_the_paper_have_the_file_s_ratios(name):
+    """Six ratios of RMSE in rho, six of the disparity, and the mean factor off."""
+    cells = _cells(_page("docs", "paper.md"), name)
+    reach, height = _numbers(cells[5])
+    tower, cantilever = PAPER_SETS[name]
+    ratios = []
+    for cell, measure, unit in ((6, "rmse_R", 1.506), (7, "procrustes_disparity", 1.0)):
+        published = [
+            each.rmse_radii if measure == "rmse_R" else each.disparity
+            for each in PAPER_CELLS.values()
+        ]
+        ours = [
+            _of_paper(kind, condition, measure, "paper-sets")["value"] / unit
+            for kind in (tower, cantilever)
+            for condition in CONDITIONS
+        ]
+        found = [a / b for a, b in zip(ours, published, strict=True)]
+        stated = re.findall(r"\d*\.\d+", cells[cell])
+        # Means are stored with four digits.
+        assert all(abs(float(s) - f) < 0.006 for s, f in zip(stated, found, strict=True))
+        ratios += found
+    factor = math.exp(sum(abs(math.log(ratio)) for ratio in ratios) / len(ratios))
+    assert abs(factor - float(_numbers(cells[8])[0])) < 0.006
+    for kind, measure, stated in ((tower, "height_R", height), (cantilever, "reach_R", reach)):
+        assert _is_rounded(stated, _of_paper(kind, "all-cues", measure, "paper-sets")["value"])
 
 
 @pytest.mark.parametrize(
@@ -233,16 +282,16 @@ def test_the_page_of_messages_has_the_file_s_errors_and_bytes(start, condition):
 
 @pytest.fixture
 def run(tmp_path):
-    """Folder of a run of two conditions with three structures, one of which failed."""
+    """Folder of a run of two conditions with six structures, one of which failed."""
     folder = tmp_path / "small-1a2b3c4d"
     folder.mkdir()
     table = pd.DataFrame(
         {
-            "condition": ["a"] * 3 + ["b"] * 3,
-            "point": [np.nan] * 6,
-            "seed": [4, 5, 6] * 2,
-            "status": ["done", "done", "failed"] + ["done"] * 3,
-            "rmse_R": [1.0, 3.0, np.nan, 0.5, 0.5, 0.5],
+            "condition": ["a"] * 6 + ["b"] * 6,
+            "point": [np.nan] * 12,
+            "seed": [*range(4, 10)] * 2,
+            "status": ["done"] * 5 + ["failed"] + ["done"] * 6,
+            "rmse_R": [1.0, 3.0, 1.0, 3.0, 2.0, np.nan] + [0.5] * 6,
         }
     )
     table.to_csv(folder / "summary.csv", index=False)
@@ -264,10 +313,10 @@ def test_the_command_takes_means_of_finished_cases_and_replaces_rows(run, tmp_pa
     assert capsys.readouterr().out.splitlines()[-1] == f"{out}: 4 results"
     assert table["kind"].tolist() == ["Other CPU", "Some CPU family 26 model 2"] * 2
     assert table["value"].tolist() == [2.0, 2.0, 0.5, 0.5]
-    assert table["structures"].tolist() == [2, 2, 3, 3]
-    assert table["seeds"].tolist() == ["4-5", "4-5", "4-6", "4-6"]
-    # Two values 1 apart from their mean: Student's t of one degree of freedom is 12.7.
-    assert table["high"][0] - 2.0 == pytest.approx(12.71, abs=0.01)
+    assert table["structures"].tolist() == [5, 5, 6, 6]
+    assert table["seeds"].tolist() == ["4-8", "4-8", "4-9", "4-9"]
+    # The standard deviation is 1, and Student's t of four degrees of freedom 2.776.
+    assert table["high"][0] - 2.0 == pytest.approx(2.776 / 5.0**0.5, abs=0.002)
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
