@@ -162,7 +162,7 @@ def capped(step, max_step):
     return step * ti.select(length > max_step, max_step / length, 1.0)
 
 
-class Dynamics(NamedTuple):
+class Dynamics:
     """How a swarm moves: functions of kernels, which are compiled for them."""
 
     pull: Any
@@ -179,6 +179,10 @@ class Dynamics(NamedTuple):
 
     asks: tuple[str, ...] = ()
     """Fields of `SwarmState` that they ask for."""
+
+    def __init__(self, pull: Any, integrate: Any, names: tuple[str, ...], **others: Any) -> None:  # noqa: ANN401
+        """Set fields; a tuple would slow quadrants down, and it takes dataclasses apart."""
+        vars(self).update(pull=pull, integrate=integrate, names=names, **others)
 
 
 @ti.func
