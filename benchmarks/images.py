@@ -2,18 +2,25 @@
 
 for kind in tower cantilever bridge chain; do tiswarm run scenarios/$kind.yaml --set seeds=1; done
 python -m benchmarks.images reports/tower-* reports/cantilever-* reports/bridge-* reports/chain-*
+
+`python -m benchmarks.images --repair repair.py` draws only the film of robots that leave, with the
+rule of docs/guides/repair.md in that file.
 """
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+import tiswarm
 from tiswarm.base.aliases import Reals
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
+from tiswarm.compute.math import dock_offsets
 from tiswarm.parts.pictures.pictures import (
     FRAME_MS,
     LAST_MS,
@@ -23,14 +30,16 @@ from tiswarm.parts.pictures.pictures import (
     add_legend,
     build_pictures,
     draw_joins,
+    draw_scenes,
     draw_side_by_side,
     encode_webp,
 )
 from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.records.messages import three_digits
-from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, colors_along
+from tiswarm.records.terrain import Terrain
+from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, JOIN_COLORS, colors_along
 from tiswarm.report.run_data import RunData, StoredCase, load_run
-from tiswarm.report.swarm_view import SwarmView, read_case_view
+from tiswarm.report.swarm_view import DrawnRobots, SwarmView, read_case_view
 
 _IMAGES = Path("docs/images")
 _COMPARED = {"joint": "joint", "algorithm-1": "Algorithm 1 of the paper"}
@@ -41,6 +50,8 @@ _FRAMES = 60
 _FRAME = (420, 480)  # most columns and rows of a structure in the animation [pixels]
 _BELOW = 64  # rows for its title [pixels]
 _QUALITY = 70
+_ROBOTS, _LEFT_SEED = 100, 0
+"""Size and seed of the structure that loses robots."""
 
 
 def draw_methods(run: RunData, renderer: str) -> Image.Image:
@@ -80,6 +91,51 @@ def draw_growing(run: RunData, renderer: str) -> bytes:
         frames.append(_beside(pictures, titles, errors, legend))
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
     return encode_webp(frames, durations, _QUALITY)
+
+
+def draw_departures(rule: Path, renderer: str) -> bytes:
+    """Animate a tower that loses robots by ReactiveBuild and by the rule `repair`, as WebP."""
+    structure = {"kind": "tower", "departures": {"rate": 0.1}}
+    grown = {"ReactiveBuild": tiswarm.grow(structure, robots=_ROBOTS, seeds=[_LEFT_SEED])[0]}
+    grown["repair"] = tiswarm.grow(
+        structure, robots=_ROBOTS, seeds=[_LEFT_SEED], rule="repair", plugins=[rule]
+    )[0]
+    body, color = RobotGeometry().dock_offset_body, colors_along(
+        np.linspace(0.0, 1.0, _ROBOTS), JOIN_COLORS
+    )  # fmt: skip
+    robots = [
+        DrawnRobots(
+            center=each.position,
+            dock=each.position[:, None] + dock_offsets(each.orientation_wxyz, body),
+            color=color,
+            look=TRUE_SIZE,
+        )
+        for each in grown.values()
+    ]
+    around = np.concatenate([each.dock.reshape(-1, 3) for each in robots])
+    legend = Scale(JOIN_COLORS, "join index  0", f"{_ROBOTS - 1}")
+    drawn, counts = [], range(2, _ROBOTS + 1, 2)
+    for structure_of, all_robots in zip(grown.values(), robots, strict=True):
+        camera = build_scene(all_robots, Terrain(), around=around).within(*_FRAME).camera
+        scenes = []
+        for count in counts:
+            events = structure_of.departures
+            gone = events[events[:, 1] <= count, 0]
+            there = np.setdiff1d(np.arange(count), gone)
+            part = replace(
+                all_robots, center=all_robots.center[there], dock=all_robots.dock[there],
+                color=color[there],
+            )  # fmt: skip
+            scenes.append(build_scene(part, Terrain(), around=around).seen_by(camera))
+        drawn.append(draw_scenes(scenes, renderer)[0])
+    frames = []
+    for count, *pictures in zip(counts, *drawn, strict=True):
+        titles = []
+        for name, each in grown.items():
+            left = np.count_nonzero(each.departures[:, 1] <= count)
+            titles.append(f"{name}\n{count} joined, {left} gone")
+        frames.append(_beside(pictures, titles, [np.nan, np.nan], legend))
+    return encode_webp(frames, [FRAME_MS] * (len(frames) - 1) + [LAST_MS], _QUALITY)
 
 
 def _beside(
@@ -142,10 +198,15 @@ def save(image: Image.Image, name: str) -> None:
 def main() -> None:
     """Draw all pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("runs", type=Path, nargs="+", help="run folders; the first is the tower")
+    parser.add_argument("runs", type=Path, nargs="*", help="run folders; the first is the tower")
+    parser.add_argument("--repair", type=Path, help="file of the rule `repair`")
     parser.add_argument("--renderer", default="open3d", choices=["open3d", "taichi"])
     arguments = parser.parse_args()
     backend.start("cpu")
+    if arguments.repair:
+        film = draw_departures(arguments.repair, arguments.renderer)
+        (_IMAGES / "repair.webp").write_bytes(film)
+        return
     runs = [load_run(folder) for folder in arguments.runs]
     images = {
         "tower": draw_methods(runs[0], arguments.renderer),
