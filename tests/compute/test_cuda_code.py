@@ -42,8 +42,8 @@ KERNELS = {  # registers rounded up to eights, in which a card grants them
     "sort_docks": Limits(11, 32, 32, 2),
     "fill_rows": Limits(2, 80, 72, 1),
     "start_interval": Limits(3, 16, 16, 0),
-    "step_robots": Limits(33, 72, 48, 16),  # 16 steps
-    "step_robots, guided": Limits(33, 80, 48, 16),
+    "step_robots": Limits(33, 80, 56, 16),  # 16 steps; numbers of a step come from a table
+    "step_robots, guided": Limits(33, 80, 56, 16),
     "note_places": Limits(2, 16, 16, 0),
     "take_steps_on_card": Limits(17, 176, 96, 0),  # two steps
 }
