@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests import foreign
 from tiswarm.cli import main
 from tiswarm.localization import methods
 from tiswarm.measurements.observability import observability
@@ -69,6 +70,41 @@ def test_a_trusted_estimate_says_that_its_positions_are_a_mean(localize):
         ),
     ]
     assert [row["robot"] for row in rows if row["known"] == "mirrored"] == ["4", "6"]
+
+
+@pytest.mark.parametrize("method", ["joint", "least-squares", "hop-by-hop", "online"])
+@pytest.mark.parametrize(
+    ("beacons", "tags", "is_testable"), [(4, 1, False), (6, 1, False), (7, 3, True)]
+)
+def test_a_log_that_could_show_no_mistake_is_not_called_consistent(
+    tiswarm, tmp_path, method, beacons, tags, is_testable
+):
+    """Of the ranges of a tag to beacons all but three are spare; nothing is wrong: status 0.
+
+    A quarter of the unknowns must be spare; with places of beacons, these are 3 for each robot.
+    """
+    corners = np.array([*np.ndindex(2, 2, 2)])[[0, 4, 2, 1, 7, 6, 5][:beacons]]
+    inside = np.array([[1.0, 1.3, 0.8], [2.0, 0.6, 1.9], [0.4, 2.2, 1.4]])[:tags]
+    place = np.concatenate([3.0 * corners, inside])
+    log = foreign.with_places(foreign.silent(place), place, range(1, beacons))
+    rows = [
+        (beacons + k, j, np.linalg.norm(inside[k] - place[j]), 0.05, -1.0)
+        for k in range(tags)
+        for j in range(beacons)
+    ]
+    path = tmp_path / "log.jsonl"
+    write_sensing_log(replace(log, ranges=np.array(rows)), path)
+
+    done = tiswarm("localize", path, "--method", method, "--out", tmp_path / "estimate.csv")
+
+    assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr
+    assert f"{beacons + tags} robots, converged" in done.stdout
+    measured = "spare measurement" if beacons == 4 else "spare measurements"
+    text = f"converged; consistency not testable ({tags * (beacons - 3)} {measured})"
+    assert (text in done.stdout) == (not is_testable)
+    assert ("not testable" in done.stdout) == (not is_testable)
+    assert "not consistent" not in done.stdout
 
 
 def test_a_solution_is_written_with_its_own_sd(localize):

@@ -172,6 +172,57 @@ def test_many_readings_that_share_an_error_do_not_outvote_an_anchor(method):
     assert found.outlier_places is None or not len(found.outlier_places)
 
 
+def known_room(seed):
+    """Log four known anchors and tags that range to them; return true places, too."""
+    log, place = foreign.room_of_tags(foreign.ROOM, seed, count=4, sd=0.02)
+    fixes = log.fixes.copy()
+    fixes[:, 5] = KNOWN_SD * log.dock_radius
+    return replace(log, fixes=fixes), place
+
+
+@pytest.mark.parametrize("method", ["joint", "least-squares", "hop-by-hop", "online"])
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_a_misfit_of_an_anchor_that_stays_is_in_the_verdict(method, seed):
+    """A wrong place misses ranges by 19 sd of these: no verdict is good, and no fix is an outlier.
+
+    The right place is called consistent, and misfit is what noise explains: about a row each.
+    """
+    log, place = known_room(seed)
+    shift, wrong = np.array([0.3, -0.2, 0.1]), log.fixes.copy()
+    one = wrong[:, 0] == 1
+    wrong[one, 4] += wrong[one, 1:4] @ shift
+
+    right = localize(log, METHODS[method])
+    found = localize(replace(log, fixes=wrong), METHODS[method])
+
+    assert right.convergence.trusted
+    rows = len(log.ranges) + len(log.fixes)
+    assert right.misfit.sum() < rows + 5.0 * np.sqrt(2.0 * rows)
+    np.testing.assert_allclose(found.position[1] - place[1], shift, atol=1e-3)
+    assert not found.convergence.trusted
+    assert found.misfit.sum() > right.misfit.sum()
+    assert found.outlier_places is None or not len(found.outlier_places)
+
+
+@pytest.mark.parametrize("method", ["joint", "least-squares", "hop-by-hop", "online"])
+def test_two_known_places_of_an_anchor_that_differ_are_not_consistent(method):
+    """Neither is dropped: by hand, two at 2 d from each other carry 2 (d / sd)^2."""
+    log, place = known_room(2)
+    [again] = [log.fixes[log.fixes[:, 0] == 1].copy()]
+    shift = 20.0 * KNOWN_SD * log.dock_radius * np.ones(3)
+    again[:, 4] += again[:, 1:4] @ shift
+    fixes = np.concatenate([log.fixes, again])
+    twice = replace(log, fixes=fixes[np.argsort(fixes[:, 0], kind="stable")])
+
+    found = localize(twice, METHODS[method])
+
+    assert not found.convergence.consistent
+    assert "scatter more than their stated noise" in found.convergence.reason
+    np.testing.assert_allclose(found.position[1], place[1] + 0.5 * shift, atol=1e-3)
+    assert found.misfit.argmax() == 1
+    assert found.misfit[1] == pytest.approx(3 * 2 * 10.0**2, rel=0.1)
+
+
 def test_advice_chooses_anchors_on_the_ground(towers):
     """Expected errors are those of the log with the fixes of the anchors chosen."""
     log, place = observe(towers[0], SensingParams(tilt_noise_deg=2.0, yaw_noise_deg=4.0)), towers[0]

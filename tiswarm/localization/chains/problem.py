@@ -456,7 +456,7 @@ def chosen_rows(
 
 
 def _most_precise(rows: Measurements, variance: Reals) -> Bools:
-    """Choose all links, and of the coordinates of a robot in one direction the most precise one.
+    """Choose all links, known coordinates, and the most precise one of a robot in each direction.
 
     Args:
         rows: Rows to choose from.
@@ -473,6 +473,7 @@ def _most_precise(rows: Measurements, variance: Reals) -> Bools:
     _, first = np.unique(group[order], return_index=True)
     chosen = np.arange(len(rows)) < contacts
     chosen[contacts + order[first]] = True
+    chosen |= are_known(variance, contacts)
     chosen[contacts:] &= rows.robot[contacts:] > 0
     return chosen
 
