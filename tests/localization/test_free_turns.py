@@ -278,6 +278,34 @@ def test_a_tracker_and_its_final_answer_state_the_same_sd():
         assert (estimate.sd[4:] < 1.6 * radius).all()
 
 
+@pytest.mark.parametrize("growth", [0.1, 1e6], ids=["annealed", "local"])
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_tracker_states_at_each_join_how_wide_a_circle_is(seed, growth):
+    """By hand: the mean square distance from a point is that to the axis and that of the circle.
+
+    A position of one of two tags that range to each other ends the turn of both.
+    """
+    tags = around(3, seed)
+    log, place = ranged(LINE, tags, [*each_to_all(LINE, tags), (6, 5)])
+    known = foreign.with_places(log, place, [*range(1, len(LINE)), 6])
+    header, robots = lines_of(log)
+    tracker = Tracker(header, OnlineParams(chains=2, steps=60, anneal_growth=growth))
+
+    for count, line in enumerate(robots, start=1):
+        tracker.join(line)
+        radius, away = (
+            np.linalg.norm(x[4:, 1:], axis=1) for x in (place[:count], tracker.positions)
+        )
+        np.testing.assert_allclose(tracker.sd[4:], np.hypot(radius, away), rtol=0.15)
+        assert (tracker.sd[:4] < SD).all()
+    np.testing.assert_allclose(tracker.sd[4:], tracker.estimate().sd[4:], rtol=0.05)
+
+    tracker.update(lines_of(known)[1][-1])
+
+    assert tracker.sd[6] < SD
+    assert tracker.sd[4] > 0.9 * radius[0]
+
+
 def test_words_and_advice_name_the_line_and_what_excludes_the_turn():
     """A position of either tag removes the one motion of both; a range between them does not."""
     tags = around(2, 3)

@@ -444,11 +444,11 @@ class Measurements:
             other_arm=self.other_arm[pair],
         )
 
-    def free_turns(self, position: Reals) -> "Turns":
-        """Find sets of robots that may turn without a change of these rows, at centers (N, 3)."""
+    def free_turns(self, position: Reals, among: Bools | None = None) -> "Turns":
+        """Find sets of robots that may turn at centers (N, 3), as `Turns.of` does."""
         from tiswarm.measurements.turns import Turns  # noqa: PLC0415 - for logs with ranges alone
 
-        return Turns.of(self, position)
+        return Turns.of(self, position, among)
 
     @property
     def quantity(self) -> Ints:

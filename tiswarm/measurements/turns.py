@@ -105,22 +105,24 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
     """Free turns of one structure of N robots, that of its frame first, then larger sets first."""
 
     @classmethod
-    def of(cls, rows: Measurements, position: Reals) -> "Turns":
+    def of(cls, rows: Measurements, position: Reals, among: Bools | None = None) -> "Turns":
         """Find all, at positions where measurements are met [R], shape (N, 3).
 
         A set of robots may turn that shares rows with one other robot, or with several in a line.
         Sets are what hangs together once one or two robots, or none, are taken away.
+        No frame is found if only those `among` robots may turn, shape (N,).
         """
         part, near = parts(rows), np.zeros((rows.robots, rows.robots), np.bool_)
         tied, of_pair = part == part[0], rows.robot[: len(rows.other)]
         measured = spans(rows.robot[len(rows.other) :], rows.places.direction, rows.robots)
         known = np.linalg.matrix_rank(measured, hermitian=True) == _AXES
         known[0] = True
-        frame = free_frame(rows, position, tied)
+        frame = free_frame(rows, position, tied & (among is None))
         # Nothing of the world but the anchor is known, and robots that move have a shape.
         is_frame = bool(frame.names) and not (known & tied)[1:].any()
         is_frame &= bool((tied[of_pair] & (of_pair > 0) & (rows.other > 0)).any())
         found = [frame._replace(is_frame=True)] if is_frame else []
+        known |= among is not None and ~among
         if rows.robots > _MOST_ROBOTS or not rows.is_central.any():
             return cls(found)
         near[of_pair, rows.other] = near[rows.other, of_pair] = True
@@ -161,6 +163,11 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
         moved = (draws != position).any(axis=(0, 2))
         mean = np.where(moved[:, None], draws.mean(axis=0), position)
         return mean, ((draws - mean) ** 2).sum(axis=2).mean(axis=0)
+
+    def off(self, position: Reals, stated: Reals) -> Reals:
+        """Average squares of distances from centers (N, 3), 0 of those that stay [R^2], (N,)."""
+        mean, square = self.swept(position)
+        return np.where(square > 0.0, square + ((stated - mean) ** 2).sum(axis=1), 0.0)
 
     def stated(self, position: Reals, unit: float) -> dict[str, Any]:
         """Write them as fields of an estimate, for positions (N, 3) and R in the log's unit."""

@@ -281,12 +281,7 @@ def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
 
 
 def _opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals, dict[str, Any]]:
-    """Find how far free turns move robots from an estimate that is one configuration, or the mean.
-
-    Args:
-        log: What was sensed.
-        rows: Measurements.
-        position: Centers [R], shape (N, 3).
+    """Find how far free turns move robots from centers (N, 3) of one configuration, or the mean.
 
     Returns:
         Standard deviation of the estimate, 0 of robots that do not turn [R], shape (N,), and the
@@ -305,7 +300,6 @@ def _opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals
     turns = rows.free_turns(state.position)
     if not turns:
         return nowhere, {}
-    mean, square = turns.swept(state.position)
-    own = linear.variance(turns.motions(state.position)) + ((position - mean) ** 2).sum(axis=1)
-    sd = np.sqrt(np.where(square > 0.0, square + own, 0.0))
-    return sd, turns.stated(state.position, log.dock_radius)
+    square = turns.off(state.position, position)
+    square += (square > 0.0) * linear.variance(turns.motions(state.position))
+    return np.sqrt(square), turns.stated(state.position, log.dock_radius)

@@ -15,10 +15,13 @@ from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, moments, weights
 from tiswarm.localization.methods import centered
+from tiswarm.localization.mixture.settings import CONVERGENCE
+from tiswarm.localization.mixture.verdict import extent
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.cues import CUES
-from tiswarm.measurements.model import SPACING
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import Odometry
+from tiswarm.measurements.turns import Turns
 from tiswarm.parts.online.neighborhood import (
     Block,
     NearCost,
@@ -169,6 +172,33 @@ class LocalLayers:
         self.sd[number] = np.hypot(self.sd[number], np.sqrt(spread))
         return surprised
 
+    def loose_near(self, number: int) -> Ints:
+        """Find robots near one that ranges may leave free to turn, ascending, shape (k,)."""
+        near = self.near(number, NEIGHBORS.most)
+        if not any(block.rows.is_central.any() for block in self.blocks_about(near)):
+            return near[:0]
+        far = extent(self.mean)[near]
+        linear = self.neighborhood(near).linearized(self.state)
+        return near[linear.sd(np.repeat(far, _AXES) ** -2.0) >= NEIGHBORS.loose * far]
+
+    def widen(self, rows: Measurements, number: int, loose: Ints) -> None:
+        """Set the sd of robots near one that turn freely: a circle is far from its tangent.
+
+        Args:
+            rows: Measurements of all robots.
+            number: The robot.
+            loose: Robots near it that may turn, ascending, shape (k,).
+        """
+        position, near = self.state.position, self.near(number, NEIGHBORS.most)
+        if not (turns := turns_at(rows, position, loose)):
+            return
+        square = turns.off(position, self.mean)[near]
+        held = turns.motions(position).reshape(len(position), _AXES, -1)[near]
+        far = np.repeat(extent(self.mean)[near], _AXES)
+        linear = self.neighborhood(near).linearized(self.state)
+        own = linear.sd(far**-2.0, held.reshape(len(far), -1))
+        self.sd[near] = np.where(square > 0.0, np.sqrt(square + own**2), self.sd[near])
+
     def _revise_means(self, near: Ints, sd: Reals, number: int, *, is_new: bool) -> None:
         """Set the sd of robots nearby, and shift means as far as likely states still differ."""
         # What is known better now is less uncertain between states, too.
@@ -282,6 +312,12 @@ def _by_coordinates(block: Block, start: Reals) -> Reals:
     missed = weight * rows.residual(np.tile(start, (rows.robots, 1)))
     place: Reals = start - np.linalg.lstsq(weight[:, None] * rows.places.direction, missed)[0]
     return place
+
+
+def turns_at(rows: Measurements, position: Reals, loose: Ints) -> Turns:
+    """Find how loose robots turn freely at a minimum (N, 3), without rows that it misses."""
+    met = rows.residual(position) ** 2 <= CONVERGENCE.outlier_sd**2 * rows.variance()
+    return rows.select(met).free_turns(position, np.isin(np.arange(len(position)), loose))
 
 
 def refuse_header(head: HeaderLine) -> None:

@@ -43,6 +43,9 @@ from tiswarm.parts.online.kernels import (
 from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 
 _AXES = 3
+_HELD = 1e-4
+"""Standard deviation of motions that do not count [R]: no error of a measurement is as small."""
+
 _PARTS = 6
 """Unknowns of a robot: its shift and its turn."""
 
@@ -294,8 +297,12 @@ class NearLinear:
     holds_anchor: bool
     """Whether the first robot is the anchor, which only turns."""
 
-    def _factor(self, damping: float) -> Reals:
+    def _factor(self, damping: Reals | float, held: Reals | None = None) -> Reals:
         """Damp shifts, hold the anchor, and factor what is known: all turns, then all shifts.
+
+        Args:
+            damping: Precision that each coordinate has beside its rows [R^-2], shape (3 K,).
+            held: Orthonormal motions that do not happen, shape (3 K, n).
 
         Returns:
             The lower Cholesky factor, shape (6 K, 6 K).
@@ -304,6 +311,8 @@ class NearLinear:
         known = np.roll(self.information, count, axis=(0, 1))
         shifts = np.arange(count, 2 * count)
         known[shifts, shifts] += damping
+        if held is not None:
+            known[count:, count:] += _HELD**-2.0 * (held @ held.T)
         if self.holds_anchor:
             # The anchor stays where it is, but its orientation is as noisy as any.
             anchor = shifts[:_AXES]
@@ -329,13 +338,19 @@ class NearLinear:
         shift, turn = np.roll(step, count).reshape(2, -1, _AXES)
         return shift, turn
 
-    def sd(self) -> Reals:
+    def sd(
+        self, open_precision: Reals | float = NEIGHBORS.open_precision, held: Reals | None = None
+    ) -> Reals:
         """Compute the standard deviation of each robot that may move [R], shape (K,).
 
         Errors of the robots that stay count as a shift that they share.
+
+        Args:
+            open_precision: Precision of what nothing determines [R^-2], shape (3 K,).
+            held: Orthonormal motions that do not count, shape (3 K, n).
         """
         count = len(self.slope) // 2
-        factor = self._factor(NEIGHBORS.open_precision)
+        factor = self._factor(open_precision, held)
         others = np.roll(self.of_others, count, axis=0)
         if self.holds_anchor:
             others[count : count + _AXES] = 0.0

@@ -145,6 +145,10 @@ class NeighborhoodSettings:
     """Precision of positions that nothing determines, for their sd [R^-2]: a robot that turns about
     a contact is within about 2 R."""
 
+    loose: float = 0.1
+    """Standard deviation by the linear problem, in the root mean square distance from all robots,
+    from which on a robot with ranges may turn freely [1]: on a circle the problem is not linear."""
+
     longest_step: float = 0.7
     """Longest step of a robot in a round [R]."""
 

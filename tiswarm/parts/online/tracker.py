@@ -28,23 +28,32 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
+from tiswarm.compute.math import normal
 from tiswarm.localization import methods
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected, set_apart, view_of
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, WholeCost, moments
+from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.methods import centered, uncentered
 from tiswarm.localization.mixture.assessment import Assessment, assess
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
 from tiswarm.localization.mixture.settings import CONVERGENCE, REFINEMENT
-from tiswarm.localization.mixture.verdict import rms
+from tiswarm.localization.mixture.verdict import extent, rms
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
-from tiswarm.parts.online.layers import Joiner, LocalLayers, measured, refuse_header, refuse_line
+from tiswarm.parts.online.layers import (
+    Joiner,
+    LocalLayers,
+    measured,
+    refuse_header,
+    refuse_line,
+    turns_at,
+)
 from tiswarm.parts.online.neighborhood import NearCost
-from tiswarm.parts.online.settings import CANDIDATES, TIMES, OnlineParams
+from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS, TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
 from tiswarm.records.messages import counted
@@ -328,6 +337,7 @@ class Tracker:
         grown = len(self._builder.numbers) / self._annealed_at - 1.0
         least = TIMES.surprised_growth if any(surprised) else self._params.anneal_growth
         if len(self._builder.numbers) < TIMES.fewest or grown < least:
+            self._widen(numbers)
             return False
         self._annealed_at = len(self._builder.numbers)
         log = centered(self.log)
@@ -341,6 +351,13 @@ class Tracker:
         # What a search has left is wrong in itself: no later join asks for another search.
         self._outliers = self._surprising() if is_small else set()
         return True
+
+    def _widen(self, numbers: list[int]) -> None:
+        """Set the sd of robots near some that are free to turn."""
+        for number in numbers:
+            if len(loose := self._layers.loose_near(number)):
+                rows = pose_problem(centered(self.log), self._params).rows
+                self._layers.widen(rows, number, loose)
 
     def _due(self) -> Bools:
         """Find the robots to anneal: what is known of them has changed, shape (n,).
@@ -439,6 +456,7 @@ def reannealed(
     settled = whole.at(there.position, yaw, there.turn, there.earlier)
     linear = whole.linearized(settled)
     own = linear.variance(draws=TIMES.draws)  # its factors serve the step, too
+    own = np.minimum(own, extent(settled.position) ** 2)
     trial, _ = whole.moved(settled, linear, np.inf)
     if whole.linearized(trial).cost <= linear.cost:
         settled = trial
@@ -451,8 +469,29 @@ def reannealed(
     # Chains that ended far above the best minimum say nothing about it.
     counts = ~problem.untied & (found[1][1].cost <= least.cost + CANDIDATES.likely)
     shift = np.where(counts[:, None], mean, 0.0)
-    sd = np.sqrt(own + np.where(counts, between, square[0]))
-    return State(placed[0], settled.turn), shift, sd
+    square = own + np.where(counts, between, square[0])
+    loose = _loose(linear, placed[0]) if problem.rows.is_central.any() else np.empty(0, np.int64)
+    if len(loose) and (turns := turns_at(problem.rows, placed[0], loose)):
+        turned = turns.off(placed[0], placed[0] + shift)
+        own = linear.variance(turns.motions(placed[0]), TIMES.draws)
+        square = np.where(turned > 0.0, turned + own, square)
+    return State(placed[0], settled.turn), shift, np.sqrt(square)
+
+
+def _loose(linear: Linear, position: Reals) -> Ints:
+    """Find robots at centers (N, 3) that ranges may leave free to turn, ascending, shape (k,).
+
+    Errors do not excite a motion that nothing resists. The inverse of the information, times random
+    numbers, is large along it: the variance of a motion that is resisted.
+    """
+    draw = np.zeros((len(linear.precision), TIMES.draws))
+    each = np.arange(linear.shifts)[:, None]
+    draw[: linear.shifts] = normal(0, "loose", each, np.arange(TIMES.draws))
+    shift = linear.undamped.solve(draw)[: linear.shifts].reshape(-1, _AXES, TIMES.draws)
+    variance = np.sqrt((shift**2).sum(axis=1).mean(axis=1))
+    far = extent(position)[linear.moves]
+    loose: Ints = np.flatnonzero(linear.moves)[variance >= (NEIGHBORS.loose * far) ** 2]
+    return loose
 
 
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: State) -> Estimate:
