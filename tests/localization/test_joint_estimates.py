@@ -1,6 +1,7 @@
 """Estimates by joint: how near they are, with and without noise, and what wrong logs do to them."""
 
 import dataclasses
+from itertools import compress
 from types import SimpleNamespace
 
 import numpy as np
@@ -109,7 +110,10 @@ def test_single_precision_is_precise_enough(towers):
 
 
 def test_wrong_contacts_are_given_up(towers):
-    """Contacts that are none ruin a trusting estimate and hardly touch a robust one."""
+    """Contacts that are none ruin a trusting estimate and hardly touch a robust one.
+
+    Where the search failed, which short settings allow for one of three towers, it names none.
+    """
     noise = dataclasses.replace(NOISY, false_contacts=0.05)
     logs = [observe(history, noise) for history in towers]
     params = dataclasses.replace(SHORT, steps=2000)
@@ -122,7 +126,10 @@ def test_wrong_contacts_are_given_up(towers):
 
     assert total(robust) < 0.7 * total(trusting)
     taken, right, wanted = 0, 0, 0
-    for log, history, estimate in zip(logs, towers, robust, strict=True):
+    named = [estimate.outlier_contacts is not None for estimate in robust]
+    assert named == [estimate.convergence.converged for estimate in robust]
+    assert sum(named) >= 2
+    for log, history, estimate in compress(zip(logs, towers, robust, strict=True), named):
         judged = outlier_scores(history, estimate, rows=measure(log, params.cues))
         true = _touched(history)
         felt = [tuple(row) for row in measure(log, SWITCHES).sensed_contacts.tolist()]
