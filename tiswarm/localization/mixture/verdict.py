@@ -220,8 +220,8 @@ def _worst_group(read: _Readings, log: SensingLog) -> str:
         if not len(suspects):  # the first family is that of robots
             suspects = np.argsort(chance, kind="stable").astype(np.int64)[:_TRIED]
     gain, freed = gains_without(rows, read.linear, suspects)
-    # A single row that others hardly check is off by what the linear problem leaves out.
-    chance = np.where(freed > 1, chdtrc(np.maximum(freed, 1), gain), 1.0)
+    # One or two rows that others hardly check are off by what the linear problem leaves out.
+    chance = np.where(freed > 2, chdtrc(np.maximum(freed, 1), gain), 1.0)  # noqa: PLR2004
     if len(chance) and chance.min() < least:
         robot = suspects[chance.argmin()]
         least, worst = float(chance.min()), f"the orientations of robot {name[robot]}"
