@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.foreign import open_chain
+from tests.runs import python
 from tests.structures import NOISY, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
@@ -114,6 +115,19 @@ def test_estimates_do_not_depend_on_later_lines(towers, lines):
 
     assert places[0][:8] == places[1][:8]
     assert places[0] != places[1]
+
+
+def test_a_tracker_is_the_first_thing_that_a_process_does(lines, tmp_path):
+    """It starts the backend itself before it places a robot."""
+    (tmp_path / "log.jsonl").write_text("\n".join(lines[:4]))
+    code = (
+        "import sys, tiswarm; lines = [*open(sys.argv[1])]; tracker = tiswarm.Tracker(lines[0]); "
+        "[tracker.join(line) for line in lines[1:]]; print(len(tracker.names))"
+    )
+
+    done = python("-c", code, tmp_path / "log.jsonl")
+
+    assert done.stdout.splitlines()[-1:] == ["3"], done.stderr
 
 
 def test_the_same_lines_give_the_same_bytes(lines):

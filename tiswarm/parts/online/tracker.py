@@ -322,6 +322,7 @@ class Tracker:
         """Add a checked robot, and solve for what is near; return whether chains annealed it."""
         # A line that is refused leaves no trace.
         self._builder.add(line)
+        backend.processor()
         number = self._builder.numbers[line.robot]
         self._layers.append(self._measured(number))
         if number == 0:
@@ -330,7 +331,6 @@ class Tracker:
 
     def _settle(self, numbers: list[int], places: Reals | None = None) -> bool:
         """Solve for what is near some robots; anneal all where that is due, and say whether."""
-        backend.processor()
         surprised = [self._layers.solve_near(number, places) for number in numbers]
         self._solved.update(numbers)
         # As growth is relative, annealing costs each robot the same in the mean.
@@ -388,6 +388,7 @@ class Tracker:
 
         Positions are where they were before; return whether chains annealed them.
         """
+        backend.processor()
         anew = {number: self._measured(number) for number in changed}
         self._layers = self._layers.with_other(anew)
         for number in solved:
