@@ -50,6 +50,35 @@ def test_true_robots_are_drawn_where_the_error_is_seen(run_folder, wrong, ghosts
     assert np.isclose(apart, 2.0).sum() == rods
 
 
+@pytest.mark.parametrize("wrong", [0, 12])
+def test_robots_that_left_are_in_no_picture(run_folder, wrong):
+    """They have no pose, and their missing errors make nobody else's ghosts balls."""
+    view = read_case_view(load_run(run_folder).cases[0])
+    left, stays = np.arange(5, 12), 5
+    pose, moved = view.pose.copy(), view.pose.copy()
+    error = np.where(np.arange(12) < wrong, 2.0, 0.0)
+    moved[:, 0] += error
+    pose[left], moved[left], error[left] = np.nan, np.nan, np.nan
+
+    pictures = build_pictures(replace(view, pose=pose, error=error, estimated_pose=moved))
+
+    balls = {name: _balls(picture.scene) for name, picture in pictures.items()}
+    docks = len(view.dock_offset_body)
+    assert balls["structure"] == stays * (1 + docks)
+    assert balls["truth-and-estimate"] == (2 * stays * 3 if wrong else stays * (1 + docks))
+    assert balls["contact-graph"] == stays * 3
+    for picture in pictures.values():
+        assert np.isfinite(picture.scene.camera.eye).all()
+        assert np.isfinite(picture.scene.start).all()
+        assert np.isfinite(picture.scene.end).all()
+    assert pictures["truth-and-estimate"].scene.ghost is None
+
+
+def _balls(scene):
+    """Count capsules without length: hubs and docks, and of a node its arm too."""
+    return int((scene.start == scene.end).all(axis=1).sum())
+
+
 @pytest.fixture
 def broken_open3d(monkeypatch):
     """A machine that lacks a system library which open3d loads."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageChops, ImageDraw, ImageFont
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Advance, Progress, ignore
@@ -98,18 +98,25 @@ def _truth_and_estimate(view: SwarmView, around: Reals) -> Picture:
     """
     keys = ((_GHOST_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
     estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), TRUE_SIZE)
-    is_placed = np.isfinite(view.estimated_pose).all(axis=1)
-    seen = (view.error > _SEEN_ERROR) | ~is_placed
-    if seen.mean() > _MOST_GHOSTS:
-        ends = np.stack([view.pose[is_placed, :3], view.estimated_pose[is_placed, :3]], axis=1)
-        center = np.concatenate([view.pose[:, :3], ends[:, 1]])
-        color = np.repeat([rgb(TRUE_BLUE), rgb(ESTIMATE_ORANGE)], [len(view.pose), len(ends)], 0)
+    is_true, is_placed = (_known(pose) for pose in (view.pose, view.estimated_pose))
+    seen = is_true & ((view.error > _SEEN_ERROR) | ~is_placed)
+    if seen.sum() > _MOST_GHOSTS * is_true.sum():
+        ends = np.stack([view.pose[:, :3], view.estimated_pose[:, :3]], axis=1)
+        center = np.concatenate([ends[is_true, 0], ends[is_placed, 1]])
+        colors = [rgb(TRUE_BLUE), rgb(ESTIMATE_ORANGE)]
+        color = np.repeat(colors, [is_true.sum(), is_placed.sum()], 0)
+        ends = ends[is_true & is_placed]
         nodes = DrawnRobots(center=center, dock=center[:, None], color=color, look=_NODE)
         scene = build_scene(nodes, view.terrain, rods=ends, around=around)
         return Picture(scene, ((TRUE_BLUE, "true"), *keys[1:]))
     shown = np.where(seen[:, None], view.pose, np.nan)
     ghosts = view.robots(shown, rgb(TRUE_BLUE), TRUE_SIZE) if seen.any() else None
     return Picture(build_scene(estimate, view.terrain, ghosts=ghosts, around=around), keys)
+
+
+def _known(pose: Reals) -> Bools:
+    """Find the robots whose pose (N, 7) is known, which that of robots that left is not."""
+    return np.asarray(np.isfinite(pose).all(axis=1))
 
 
 def _scaled(
@@ -124,12 +131,14 @@ def _scaled(
 
 def _contact_graph(view: SwarmView, around: Reals) -> Picture:
     """Draw robots as balls, colored by hops from the anchor, and contacts as rods."""
-    away = hops_from_anchors(view.log)
-    farthest = max(np.max(away, initial=1.0, where=np.isfinite(away)), 1.0)
+    away, is_known = hops_from_anchors(view.log), _known(view.best_pose)
+    farthest = max(np.max(away, initial=1.0, where=np.isfinite(away) & is_known), 1.0)
     color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
     center = view.best_pose[:, :3]
-    nodes = DrawnRobots(center=center, dock=center[:, None], color=color, look=_NODE)
-    rods = center[view.log.contacts[:, [0, 2]]]
+    shown = center[is_known]
+    nodes = DrawnRobots(center=shown, dock=shown[:, None], color=color[is_known], look=_NODE)
+    pairs = view.log.contacts[:, [0, 2]]
+    rods = center[pairs[is_known[pairs].all(axis=1)]]
     scene = build_scene(nodes, view.terrain, rods=rods, around=around)
     return Picture(scene, Scale(JOIN_COLORS, "hops from an anchor  0", f"{farthest:.0f}"))
 
