@@ -79,6 +79,21 @@ def test_nonsense_is_refused(arch, threads):
         backend.start(arch, threads=threads)
 
 
+@pytest.mark.parametrize(
+    ("precision", "way_out"),
+    [("float64", "did you mean f64"), ("F64", "did you mean f64"), (64, "did you mean f64"),
+     ("double", "choose one of auto, f64, f32"), (None, "choose one of auto, f64, f32")],
+)  # fmt: skip
+@pytest.mark.parametrize(
+    ("begin", "arch"), [(backend.start, "cpu"), (backend.start, "auto"), (backend.choose, "cpu")]
+)
+def test_a_precision_that_is_mistyped_is_refused(begin, arch, precision, way_out):
+    """It is never taken as f32."""
+    message = f"precision: unknown precision {precision!r}; {way_out}"
+    with pytest.raises(InputError, match=message):
+        begin(arch, precision=precision)
+
+
 def test_starting_twice_is_starting_once():
     """The same settings give the very same running backend; others start anew."""
     first = backend.start(threads=1)

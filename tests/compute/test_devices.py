@@ -201,6 +201,9 @@ def test_a_device_that_no_stage_uses_is_refused(towers, tmp_path, method):
         tiswarm.localize(log, method, arch="metal")
     with pytest.raises(InputError, match=r"precision: f32 has no use"):
         tiswarm.localize(log, method, precision="f32")
+    for each in (method, "joint"):
+        with pytest.raises(InputError, match=r"precision 'float64'; did you mean f64"):
+            tiswarm.localize(log, each, precision="float64")
     assert methods.start_device([methods.settings_of(method)()], "auto").arch == "cpu"
 
     with pytest.raises(InputError, match="vulkan has no use"):

@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import psutil
@@ -32,7 +32,7 @@ import scipy.linalg.blas
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.errors import EnvironmentTroubleError, InputError, did_you_mean
 from tiswarm.base.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
 from tiswarm.base.process import naming_shortage, require_address_space
 from tiswarm.compute import kernel_cache, machine
@@ -298,7 +298,7 @@ def choose(
             and on cards that compute it at half the rate of f32, else f32.
 
     Raises:
-        InputError: the device is unknown or the thread count below 1.
+        InputError: the device or the precision is unknown, or the thread count below 1.
     """
     _chosen.choice = _checked(arch, threads, precision)
 
@@ -312,7 +312,7 @@ def start(
     takes no software that stands in for a card.
 
     Raises:
-        InputError: the device is unknown or the thread count below 1.
+        InputError: the device or the precision is unknown, or the thread count below 1.
         EnvironmentTroubleError: the machine lacks the device, the precision or the memory.
     """
     if arch != "auto":
@@ -354,6 +354,9 @@ def _checked(arch: Arch, threads: int | None, precision: AnyPrecision) -> _Choic
         raise InputError(f"{threads} threads cannot compute; give 1 or more", argument="threads")
     if threads is not None and threads > (most := max(_MOST_THREADS, available_threads())):
         raise InputError(f"{threads} threads are too many; give {most} at most", argument="threads")
+    if precision not in (known := get_args(AnyPrecision)):
+        meant = did_you_mean(precision, known) or f"; choose one of {', '.join(known)}"
+        raise InputError(f"unknown precision {precision!r}{meant}", argument="precision")
     return _Choice(arch, threads, precision)
 
 

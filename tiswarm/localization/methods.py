@@ -157,7 +157,7 @@ def start_device(
 
     require_use(params, arch, precision)
     if not any(each.is_parallel for each in params):
-        return backend.start("cpu", threads=threads)
+        return backend.start("cpu", threads=threads, precision=precision)
     return backend.start(arch, threads=threads, precision=precision)
 
 
