@@ -3,6 +3,7 @@
 import itertools
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,7 @@ from tiswarm.report.answers import (
 )
 from tiswarm.report.run_data import measured_words
 
+REPOSITORY = Path(__file__).parents[2]
 NONE = pd.DataFrame()
 CUES = ("contacts", "contacts, height", "contacts, height, walk_contacts, non_overlap")
 HEADER = re.compile(r"(?:Mean )?RMSE of (\d+) structures?(?: at each of (\d+) points)?: ")
@@ -125,7 +127,7 @@ def compared(*errors, structures=FEWEST, equal=True):
 
 
 def test_conditions_with_equal_measurements_are_named_by_these():
-    """A reader sees what each group knows, in words, and how much more the others err."""
+    """A reader sees what each group knows, in words: another one, or what the first one lacks."""
     table, pairs = compared(0.52, 2.56, 1.3, 0.13)
     table.loc[3, "measurements"] = CUES[2]
     pairs["equal_measurements"] = ~(pairs["condition"] == "d")
@@ -134,7 +136,7 @@ def test_conditions_with_equal_measurements_are_named_by_these():
 
     assert text == (
         "Mean RMSE of 5 structures: with contacts, heights, contacts on the way and non-overlap, "
-        "d 0.13 R. With contacts and heights, a is best, 0.52 R; c 2.5x, b 4.9x (same measurements)"
+        "d 0.13 R. With contacts and heights, a is best, 0.52 R; c 1.3 R, b 2.6 R"
     )
 
 
@@ -144,7 +146,7 @@ def test_few_structures_have_numbers_alone(structures):
     text = conclusion(*compared(0.5, 1.3, structures=structures))
 
     assert "best" not in text
-    assert text.endswith(": a 0.50 R; b 2.6x (same measurements)")
+    assert text.endswith(": a 0.50 R; b 1.3 R (same measurements)")
 
 
 def test_many_conditions_with_measurements_of_their_own_are_one_list():
@@ -159,9 +161,41 @@ def test_many_conditions_with_measurements_of_their_own_are_one_list():
     )
 
 
-def test_large_ratios_have_no_exponent():
-    """Nobody reads 2.56e+03 at a glance."""
-    assert " b 2560x " in conclusion(*compared(0.001, 2.56, structures=2))
+TOWER_CUES = "contacts, height, ground, non_overlap"
+
+
+def test_a_readme_states_what_a_run_of_it_prints():
+    """Numbers differ by kind of processor; words, and who stands beside whom, do not."""
+    table, pairs = compared(3.7, 1.9, 0.66, 0.24, structures=3)
+    names = ["Algorithm 1", "Algorithm 1 (all at once)", "joint", "joint (with walks)"]
+    labels = dict(zip("abcd", names, strict=True))
+    pairs["equal_measurements"] = ~(pairs["condition"] == "d")
+    pairs = pairs.replace({"condition": labels, "against": labels})
+    table = table.assign(condition=names, measurements=TOWER_CUES)
+    table.loc[3, "measurements"] += ", walk_contacts"
+
+    said = f"{answer('least-error', Results(table, pairs, NONE))}."
+
+    readme = (REPOSITORY / "README.md").read_text().splitlines()
+    [stated] = [line for line in readme if line.startswith("Mean RMSE of 3 structures")]
+    assert re.sub(r"\d+\.\d+", "#", stated) == re.sub(r"\d+\.\d+", "#", said)
+    assert len(said) <= 230  # letters of two lines on a page
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_each_of_a_few_conditions_is_named_with_its_error(count):
+    """A method that a run was made to compare does not end among "1 more"."""
+    errors = [3.7, 1.9, 0.66, 0.24][:count]
+    for equal in (True, False):
+        table, pairs = compared(*errors, structures=3, equal=equal)
+        for long in ("", " with a name that is too long to fit twice"):
+            named = table.assign(condition=[f"{name}{long}" for name in "abcd"[:count]])
+
+            text = answer("least-error", Results(named, pairs, NONE))
+
+            assert all(f"{name} {two_digits(error)} R" in text
+                       for name, error in zip(named["condition"], errors, strict=True))  # fmt: skip
+            assert "more" not in text
 
 
 def test_swept_methods_are_compared_under_each_condition():
@@ -319,7 +353,7 @@ def test_methods_under_one_condition_have_no_common_traffic():
 
     texts = [answer("traffic", Results(t, NONE, NONE)) for t in (table, table[::-1])]
 
-    assert all("joint 0.10 R; distributed 2.0x" in text for text in texts)
+    assert all("joint 0.10 R; distributed 0.20 R" in text for text in texts)
 
 
 @pytest.mark.parametrize("points", [1, 12])

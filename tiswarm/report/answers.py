@@ -38,9 +38,6 @@ METHOD = "localization.method"
 MOST_NAMED = 3
 """Conditions of a group that a sentence names, beside those that are the smallest somewhere."""
 
-MOST_TIMES = 10_000
-"""Ratio of two errors beyond which the smaller one is exact but for rounding."""
-
 MOST_LETTERS = 215
 """Letters of an answer."""
 
@@ -49,6 +46,8 @@ _TWO_LINES = 230
 
 _MOST_GROUPS = 3
 
+_FEW = 4
+"""Conditions that a sentence names all where there is no sweep."""
 
 Row = dict[Hashable, Any]
 """A row of `table.csv`."""
@@ -86,15 +85,16 @@ def conclusion(table: pd.DataFrame, pairs: pd.DataFrame) -> str:
         return ""
     rows = [row for group in found for rows in group.members.values() for row in rows]
     points = len(at_points(table, _compared(table)))
-    texts = [_apart(found)] if _are_apart(found) else [*_by_measurements(found, points)]
+    are_apart = len(found) > _MOST_GROUPS and all(len(group.members) == 1 for group in found)
+    texts = [_apart(found)] if are_apart else [*_by_measurements(found, points)]
     first, *more = texts
     by_condition = swept(table) == ["condition", METHOD]
     head = mean_of(rows, points, by_condition=by_condition)
     return ". ".join([f"{head}: {first}", *(text[:1].upper() + text[1:] for text in more)])
 
 
-def _brief(table: pd.DataFrame) -> str:
-    """State the range of mean RMSE of the best conditions, and how far those of the rest reach."""
+def _brief(table: pd.DataFrame, *, is_small: bool) -> str:
+    """State mean RMSE: of all of a few conditions, else of the best, and the range of the rest."""
     key = _compared(table)
     points = at_points(table, key)
     every = [row for rows in points.values() for row in rows]
@@ -105,9 +105,11 @@ def _brief(table: pd.DataFrame) -> str:
     head = mean_of(every, len(points), by_condition=swept(table) == ["condition", METHOD])
     differ = len({_measurements(row) for row in every}) > 1
     note = "; measurements differ" if differ else ""
-    return fitted(
-        lambda most: f"{head}: {list_errors(rows, ordered[:most], ordered[most:], {})}{note}"
-    )
+
+    def write(most: int) -> str:
+        return f"{head}: {list_errors(rows, ordered[:most], ordered[most:], {})}{note}"
+
+    return write(_FEW) if is_small else fitted(write)
 
 
 def fitted(write: Callable[[int], str], most: int = MOST_NAMED) -> str:
@@ -215,30 +217,33 @@ def list_errors(
     return ", ".join(texts)
 
 
-def _are_apart(found: Sequence[Group]) -> bool:
-    """Whether there are many conditions, none of them with the measurements of another."""
-    return len(found) > _MOST_GROUPS and all(len(group.members) == 1 for group in found)
-
-
 def _apart(found: Sequence[Group]) -> str:
     """State the errors of conditions whose measurements all differ."""
     rows = {name: rows for group in found for name, rows in group.members.items()}
     ordered = sorted(rows, key=lambda name: least_error(rows[name]))
-    listed = list_errors(rows, ordered[:MOST_NAMED], ordered[MOST_NAMED:], {})
+    most = _FEW if len(rows) <= _FEW else MOST_NAMED
+    listed = list_errors(rows, ordered[:most], ordered[most:], {})
     return f"{len(rows)} conditions, each with other measurements or noise, {listed}"
 
 
 def _by_measurements(found: Sequence[Group], points: int) -> Iterable[str]:
     """State the errors of each of the first groups, and how far those of the others reach."""
+    if len(found) == 1:
+        yield _compare(found[0]) + " (same measurements)" * (len(found[0].members) > 1)
+        return
     stated: set[str] = set()
-    shared = set.intersection(*({*group.measurements.split(", ")} for group in found))
-    for group in found[:_MOST_GROUPS]:
-        used = run_data.measured_words(group.measurements, without=shared & {"non_overlap"})
+    first, *_ = known = [{*group.measurements.split(", ")} for group in found]
+    hidden = set.intersection(*known) & {"non_overlap"}
+    for group, cues in zip(found[:_MOST_GROUPS], known, strict=False):
+        used = run_data.measured_words(group.measurements, without=hidden)
         again = ", sensed otherwise" if used in stated else ""
-        somewhere = f" (at {counted(group.points, 'point')})" if group.points < points else ""
-        with_these = f"with {used or 'unknown measurements'}{again}{somewhere}, "
         stated.add(used)
-        yield f"{with_these if len(found) > 1 else ''}{_compare(group)}"
+        these = f"with {used or 'unknown measurements'}{again}"
+        if used and cues < first:  # the first sentence has all of its measurements
+            lost = run_data.measured_words(", ".join(first - cues))
+            these = min(these, f"without {lost}", key=len)
+        somewhere = f" (at {counted(group.points, 'point')})" if group.points < points else ""
+        yield f"{these}{somewhere}, {_compare(group)}"
     if rest := found[_MOST_GROUPS:]:
         rows = [row for group in rest for rows in group.members.values() for row in rows]
         count = counted(len({*(name for group in rest for name in group.members)}), "condition")
@@ -247,39 +252,27 @@ def _by_measurements(found: Sequence[Group], points: int) -> Iterable[str]:
 
 
 def _compare(group: Group) -> str:
-    """State which condition of a group is best, and how many times as much the others err.
+    """State which condition of a group is best, and the errors of all or of the first ones.
 
-    Conditions beyond the first ones are named where they are best. At several points of a sweep,
-    ranges of errors stand for ratios.
+    Conditions beyond the first ones are named where they are best.
     """
     first, *others = group.members
-    named = [name for n, name in enumerate(others, 1) if n < MOST_NAMED or group.smallest[name]]
+    count = _FEW if len(group.members) <= _FEW else MOST_NAMED
+    named = [name for n, name in enumerate(others, 1) if n < count or group.smallest[name]]
     texts = [_with_rank(group, name) for name in named]
     if rest := [name for name in others if name not in named]:
         most = max(error for name in rest for error in errors_of(group.members[name]))
         texts.append(f"and {len(rest)} more up to {two_digits(most)} R")
     best = _with_rank(group, first)
-    return f"{best}; {', '.join(texts)} (same measurements)" if texts else best
+    return f"{best}; {', '.join(texts)}" if texts else best
 
 
 def _with_rank(group: Group, name: str) -> str:
-    """State the error of a condition and where it is best, or how many times the least it is."""
-    rows, points, won = group.members[name], group.points, group.smallest[name]
-    errors = range_of(errors_of(rows))
-    if won:
-        where = f" at {won} of {points} points" if points > 1 else ""
-        return f"{name} is best{where}, {errors}"
-    is_ratio = points == 1 and name != next(iter(group.members)) and group.least > 0.0
-    return f"{name} {_times(least_error(rows) / group.least) if is_ratio else errors}"
-
-
-def _times(ratio: float) -> str:
-    """Write a ratio of errors.
-
-    >>> _times(2.44), _times(25.6), _times(123456.0)
-    ('2.4x', '26x', 'over 10,000x')
-    """
-    return f"over {MOST_TIMES:,}x" if ratio > MOST_TIMES else f"{two_digits(ratio)}x"
+    """State the error of a condition, and where it is best."""
+    points, won = group.points, group.smallest[name]
+    errors = range_of(errors_of(group.members[name]))
+    where = f" at {won} of {points} points" if points > 1 else ""
+    return f"{name} is best{where}, {errors}" if won else f"{name} {errors}"
 
 
 _Pair = tuple[str, str, str]
@@ -372,8 +365,10 @@ def answer(question: str, results: Results) -> str:
 
 def mean_errors(results: Results) -> str:
     """State mean RMSE by groups of conditions with equal measurements, or in brief."""
-    text = conclusion(results.table, results.pairs)
-    return text if len(text) <= MOST_LETTERS else _brief(results.table)
+    table, text = results.table, conclusion(results.table, results.pairs)
+    is_small = len(table) <= _FEW and swept(table) == ["condition"]
+    most = _TWO_LINES if is_small else MOST_LETTERS
+    return text if len(text) <= most else _brief(table, is_small=is_small)
 
 
 _NEEDED = [RMSE.mean, RMSE.ci95, RMSE.least, RMSE.most, DISPARITY.mean]
