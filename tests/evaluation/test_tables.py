@@ -93,7 +93,8 @@ def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
         converged=True, consistent=False, spare=900, misfit_sd=27.0, sd_factor=3.1, chains=8,
         restarted=0,
     )  # fmt: skip
-    judged = dataclasses.replace(estimate, convergence=at_odds, mirrored=np.arange(30) < 4)
+    mirrored = np.isin(np.arange(30), [1, 2, 3, 4])
+    judged = dataclasses.replace(estimate, convergence=at_odds, mirrored=mirrored)
     blind = dataclasses.replace(judged, observability=None)
     naming = dataclasses.replace(judged, outlier_robots=np.array([7, 12]))
 
@@ -197,6 +198,27 @@ def test_robots_are_matched_by_name(tmp_path):
     assert scores["RMSE"] > 1.0
     assert scores["RMSE, yaw and place aligned"] == pytest.approx(0.0, abs=1e-9)
     assert scores["Procrustes disparity"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_robots_that_left_are_not_scored(tmp_path):
+    """However far off they are; rows may have any order, and the scores say how many left."""
+    order, off = np.array([3, 1, 4, 0, 5, 2]), np.zeros_like(SHAPE)
+    off[:, 0] = [0.0, 0.3, 90.0, -0.4, 70.0, 0.0]
+    gone = np.where(off[:, 0] > 1.0, "yes", "no")
+    write_positions(tmp_path / "truth.csv", np.arange(6), SHAPE)
+    moved = (SHAPE + off)[order]
+    write_positions(tmp_path / "estimate.csv", order, moved, {"gone": gone[order].tolist()})
+
+    scores = score_files(tmp_path / "truth.csv", tmp_path / "estimate.csv")
+
+    assert scores["RMSE"] == pytest.approx(0.25)
+    assert scores["largest error"] == pytest.approx(0.4)
+    assert scores["RMSE, yaw and place aligned"] < 0.5
+    assert scores["Procrustes disparity"] < 0.1
+    assert scores.left == 2
+    assert str(scores).splitlines()[-1] == "robots that left, not scored 2"
+    for errors in scores.errors.values():
+        assert len(errors) == 4
 
 
 @pytest.mark.parametrize(

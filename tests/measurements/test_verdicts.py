@@ -201,6 +201,19 @@ def test_cautions_say_which_robots_are_mirrored_and_that_the_frame_is_arbitrary(
     assert [*cautions(log, estimate)] == []
 
 
+def test_no_sentence_calls_a_robot_that_left_mirrored(log, estimate):
+    """Nobody can measure it; distances between solutions are those of robots that remain."""
+    left = replace(log, gone=np.array([3, 7]))
+    solutions = (_solution(0.7), _solution(0.3, off={3: 7.0, 9: 5.0}))
+    found = replace(estimate, solutions=solutions, mirrored=_which(3, 7, 9))
+
+    assert headline(left, found).endswith("mirrored: 1 robot (109)")
+    assert [text.partition(";")[0] for text in cautions(left, found)] == ["mirrored: 1 robot (109)"]
+    assert "up to 5 R from solution 1: 1 robot (109)" in [*describe_solutions(left, found)][1]
+    assert [*cautions(left, replace(found, mirrored=_which(3, 7)))] == []
+    assert not headline(left, replace(found, mirrored=_which(3, 7))).count("mirrored")
+
+
 def test_cautions_name_robots_that_outliers_alone_tie(log, estimate):
     """The log itself ties them: what cues determine does not show it."""
     known = Observability(

@@ -37,7 +37,7 @@ def test_positions_come_back_bit_for_bit(scratch, position, first):
     robot_id = np.arange(len(position), dtype=np.int64) + first
     write_positions(scratch, robot_id, position)
 
-    names, back = read_positions(scratch)
+    names, back, _ = read_positions(scratch)
 
     assert names.tolist() == robot_id.tolist()
     assert back.tobytes() == position.tobytes()
@@ -71,7 +71,7 @@ def test_another_unit_is_not_taken_for_ours(tmp_path):
     path = tmp_path / "truth.csv"
     write_positions(path, np.array([0]), np.zeros((1, 3)), length_unit="mm")
 
-    names, _ = read_positions(path, length_unit="mm")
+    names, *_ = read_positions(path, length_unit="mm")
 
     assert names.tolist() == [0]
     with pytest.raises(InputError, match=re.escape(f"columns are not {COLUMNS}; rename")):
@@ -192,7 +192,7 @@ def test_separators_and_comments_of_spreadsheets_are_read(tmp_path, text):
     path = tmp_path / "truth.csv"
     path.write_text(text)
 
-    robots, position = read_positions(path)
+    robots, position, _ = read_positions(path)
 
     assert robots.tolist() == [7]
     assert position.tolist() == [[1.0, 2.0, 3.0]]
@@ -214,7 +214,7 @@ def test_decimal_commas_are_read(tmp_path, separator):
     rows = [["robot", "x_R", "y_R", "z_R"], ["7", "-1,5", "2,25e-1", "3"]]
     path.write_text("\n".join(separator.join(row) for row in rows))
 
-    _, position = read_positions(path)
+    _, position, _ = read_positions(path)
 
     assert position.tolist() == [[-1.5, 0.225, 3.0]]
 

@@ -6,14 +6,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import tiswarm
 from tests.runs import REPOSITORY
 from tiswarm import study
+from tiswarm.app.logs import open_log
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.records.sensing_file import log_entries, read_sensing_log
 from tiswarm.report.run_data import load_run
-from tiswarm.report.swarm_view import read_case_view, view_data
+from tiswarm.report.swarm_view import read_case_view, view_data, view_log
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -87,6 +89,26 @@ def test_robots_that_remain_are_scored(folder, history, condition):
     profile = pd.read_csv(folder / "profiles.csv")
     by_join = profile[(profile["by"] == "join") & (profile["condition"] == condition)]
     assert by_join["count"].sum() == np.count_nonzero(stays)
+
+
+def test_all_ways_to_score_agree(folder, tmp_path):
+    """On the robots that remain: the run, its files, and the page of its log."""
+    case, page = folder / "cases" / "1-a", tmp_path / "view.html"
+    rmse = json.loads((case / "case.json").read_text())["scores"]["rmse_R"]
+    truth, table = case / "truth.csv", case / "estimate.csv"
+    estimate = open_log(case / "sensing.jsonl").with_estimate(table)
+    left = int(estimate.gone.sum())
+
+    text = estimate.view(truth, out=page).read_text()
+
+    assert left > 2
+    for found in (tiswarm.score(truth, table), tiswarm.score(truth, estimate)):
+        assert found["RMSE"] == pytest.approx(rmse, rel=1e-9)
+        assert found.left == left
+    assert f"{15 - left} robots located" in text
+    assert f"an RMSE of {rmse:.3g} R. {left} left." in text
+    view = view_log(estimate.log, estimate, estimate.log.positions(truth))
+    assert np.isnan(view.error).tolist() == estimate.gone.tolist()
 
 
 def test_growth_counts_who_is_left(folder, history):

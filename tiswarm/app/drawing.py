@@ -139,11 +139,11 @@ def draw_log(
         InputError: there is such a file, and it is not to be replaced.
         EnvironmentTroubleError: the file cannot be written.
     """
-    scores = {}
+    scores: Mapping[str, float] = {}
     if true is not None:
-        from tiswarm.evaluation.tables import score_positions  # noqa: PLC0415 - slow to import
+        from tiswarm.evaluation.tables import Scores  # noqa: PLC0415 - slow to import
 
-        scores = score_positions(true, estimate.position)
+        scores = Scores(true, estimate.position, log.is_gone, log.length_unit)
     view = view_log(log, estimate, true)
     page = gather_log_page(
         view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice,

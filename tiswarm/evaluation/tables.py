@@ -282,22 +282,24 @@ def _on_anchor(history: History) -> NDArray[np.int32]:
 
 
 class Scores(dict[str, float]):
-    """Accuracy measures by name, in the length unit of the truth."""
+    """Accuracy measures by name, in the length unit of the truth, of the robots that remain."""
 
-    def __init__(
-        self, values: Mapping[str, float], unit: str, true: Reals, estimated: Reals
-    ) -> None:
-        """Name the unit of all measures but the disparity, which has none.
+    def __init__(self, true: Reals, estimated: Reals, is_gone: Bools, unit: str) -> None:
+        """Compare true and estimated centers [unit], both of shape (N, 3).
 
-        Args:
-            values: Measures by name.
-            unit: Unit of lengths.
-            true: True centers in the order of the estimate [unit], shape (N, 3).
-            estimated: Estimated centers in the same order [unit], shape (N, 3).
+        Robots that left, `is_gone` of shape (N,), do not count: the scores have their number as
+        `left`, and `true` and `estimated` are of the others.
         """
-        super().__init__(values)
-        self.unit = unit
-        self.true, self.estimated = true, estimated
+        true, estimated = true[~is_gone], estimated[~is_gone]
+        self.unit, self.left, self.true, self.estimated = unit, int(is_gone.sum()), true, estimated
+        super().__init__({
+            "RMSE": metrics.rmse(estimated, true),
+            "RMSE, yaw and place aligned": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
+            "RMSE, rigidly aligned": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
+            "largest error": float(metrics.robot_errors(estimated, true).max()),
+            "rms radius of the structure": metrics.rms_radius(true),
+            "Procrustes disparity": metrics.procrustes_disparity(estimated, true),
+        })  # fmt: skip
 
     @property
     def errors(self) -> dict[str, Reals]:
@@ -310,24 +312,27 @@ class Scores(dict[str, float]):
 
     def __str__(self) -> str:
         """Give a line for each measure."""
-        lines = ((f"{name:<28} {value:.4g}", name) for name, value in self.items())
-        return "\n".join(
-            f"{line}{'' if 'disparity' in name else f' {self.unit}'}" for line, name in lines
-        )
+        left = [f"{'robots that left, not scored':<28} {self.left}"] if self.left else []
+        units = {name: "" if "disparity" in name else f" {self.unit}" for name in self}
+        return "\n".join([*(f"{k:<28} {v:.4g}{units[k]}" for k, v in self.items()), *left])
 
 
 def score_files(truth: Path, estimate: Path | Estimate) -> Scores:
     """Compare a table of true positions with an estimate or its table, matching robots by name.
 
+    Robots that left do not count.
+
     Raises:
         InputError: if a table is malformed, or the estimate has another unit or other robots.
     """
     unit = read_length_unit(truth)
-    names, true = read_positions(truth, length_unit=unit)
+    names, true, _ = read_positions(truth, unit)
+    further: Mapping[str, object]
     if isinstance(estimate, Path):
-        path, (other_names, estimated) = estimate, read_positions(estimate, length_unit=unit)
+        path, (other_names, estimated, further) = estimate, read_positions(estimate, unit)
     else:
         path, other_names, estimated = None, estimate.robot_id, estimate.position
+        further = estimate.columns()
         if estimate.length_unit != unit:
             problem = f"is in {estimate.length_unit}, the truth in {unit}; use the same unit"
             raise InputError(problem, argument="estimate")
@@ -335,21 +340,8 @@ def score_files(truth: Path, estimate: Path | Estimate) -> Scores:
     if len(missing):
         problem = f"robot {missing[0]} is in one of the two tables only; score the same robots"
         raise InputError(problem, path=path, key="robot")
-    true = true[names.argsort()]
-    values = score_positions(true, estimated[other_names.argsort()])
-    return Scores(values, unit, true[other_names.argsort().argsort()], estimated)
-
-
-def score_positions(true: Reals, estimated: Reals) -> dict[str, float]:
-    """Return accuracy measures of estimated centers by name, in the unit of both, shape (N, 3)."""
-    return {
-        "RMSE": metrics.rmse(estimated, true),
-        "RMSE, yaw and place aligned": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
-        "RMSE, rigidly aligned": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
-        "largest error": float(metrics.robot_errors(estimated, true).max()),
-        "rms radius of the structure": metrics.rms_radius(true),
-        "Procrustes disparity": metrics.procrustes_disparity(estimated, true),
-    }
+    is_gone = np.broadcast_to(np.asarray(further.get("gone", "no")) == "yes", len(true))
+    return Scores(true[names.argsort()][other_names.argsort().argsort()], estimated, is_gone, unit)
 
 
 def _of_located(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, float]:
@@ -390,9 +382,9 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
         scores |= {"sd_factor": found.sd_factor}
         scores |= {"chains": found.chains, "restarted_chains": found.restarted}
     if estimate.is_open is not None:
-        scores["open_robots"] = int(estimate.is_open.sum())
+        scores["open_robots"] = int(estimate.is_open[unknown].sum())
     if estimate.mirrored is not None:
-        scores["mirrored"] = int(estimate.mirrored.sum())
+        scores["mirrored"] = int(estimate.mirrored[unknown].sum())
     if estimate.convergence is not None:
         suspects = estimate.outlier_robots
         scores["suspects"] = 0 if suspects is None else len(suspects)

@@ -162,7 +162,7 @@ def describe_solutions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
             text += f", chi-square {more:+.3g}"
         text += f", {solution.chains} of {chains} chains"
         if number > 1:
-            away = np.linalg.norm(solution.position - found[0].position, axis=1)
+            away = ~log.is_gone * np.linalg.norm(solution.position - found[0].position, axis=1)
             farthest = np.argsort(-away, kind="stable")
             elsewhere = farthest[away[farthest] > log.spacing]
             text += f"; up to {away.max():.3g} {unit} from solution 1"
@@ -214,8 +214,8 @@ def _fitting(estimate: Estimate) -> Iterator[str]:
 
 
 def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:
-    if estimate.mirrored is not None and (robots := np.flatnonzero(estimate.mirrored)).size:
-        yield f"mirrored: {named(log, robots)}"
+    if (found := estimate.mirrored) is not None and (found & ~log.is_gone).any():
+        yield f"mirrored: {named(log, np.flatnonzero(found & ~log.is_gone))}"
 
 
 def _torn(estimate: Estimate) -> Ints:

@@ -84,23 +84,13 @@ def _write(
         file.write(text.getvalue().encode())
 
 
-def read_positions(path: Path, *, length_unit: str = "R") -> tuple[Ints, Reals]:
-    """Read the names, shape (N,), and the positions, shape (N, 3), in a table of positions.
-
-    Raises:
-        InputError: the table cannot be read or a row is malformed; names file and line.
-    """
-    robot, position, _ = _read(path, length_unit)
-    return robot, position
-
-
 def read_positions_of(log: SensingLog, path: Path) -> Reals:
     """Read the positions of a log's robots, in its unit and join order, shape (N, 3).
 
     Raises:
         InputError: the table cannot be read, is malformed, or has other robots than the log.
     """
-    robot, position, _ = _read(path, log.length_unit)
+    robot, position, _ = read_positions(path, log.length_unit)
     return position[_join_order(log, robot, path)]
 
 
@@ -110,7 +100,7 @@ def read_estimate(log: SensingLog, path: Path) -> Estimate:
     Raises:
         InputError: the table cannot be read, is malformed, or has other robots than the log.
     """
-    robot, position, further = _read(path, log.length_unit)
+    robot, position, further = read_positions(path, log.length_unit)
     order, robots = _join_order(log, robot, path), log.robot_count
     known = further.get("known", np.full(robots, ""))[order]
     sd, yaw_deg = further.get(f"sd_{log.length_unit}"), further.get("yaw_deg")
@@ -143,8 +133,14 @@ def read_estimate(log: SensingLog, path: Path) -> Estimate:
     )
 
 
-def _read(path: Path, length_unit: str) -> tuple[Ints, Reals, dict[str, NDArray[Any]]]:
-    """Read names, positions and, by name, the further columns of a table of positions."""
+def read_positions(
+    path: Path, length_unit: str = "R"
+) -> tuple[Ints, Reals, dict[str, NDArray[Any]]]:
+    """Read names, (N,), positions, (N, 3), and further columns by name of a table of positions.
+
+    Raises:
+        InputError: the table cannot be read or a row is malformed; names file and line.
+    """
     table = CsvFile(path)
     columns = _header(length_unit)
     required, optional = columns[:4], columns[4:]

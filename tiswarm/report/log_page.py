@@ -72,8 +72,9 @@ def _result(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) ->
         accuracy.append(f"a standard deviation of {np.median(sd):.2g} {unit} in the median")
     if scores:
         accuracy.append(f"an RMSE of {scores['RMSE']:.3g} {unit}")
-    located = f"{counted(len(view.robot), 'robot')} located"
-    return f"{located} with {' and '.join(accuracy)}." if accuracy else f"{located}."
+    left, known = len(view.log.gone), f" with {' and '.join(accuracy)}" if accuracy else ""
+    located = f"{counted(len(view.robot) - left, 'robot')} located{known}."
+    return f"{located} {left} left." if left else located
 
 
 def _in_words(log: SensingLog, estimate: Estimate) -> str:
@@ -111,6 +112,7 @@ def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -
     """Tabulate sizes, uncertainty and, where the truth is known, accuracy."""
     unit = view.log.length_unit
     rows = {"robots": str(len(view.robot)), "contacts": str(len(view.log.contacts))}
+    rows |= {"robots that left, not scored": str(len(left))} if len(left := view.log.gone) else {}
     if len(sd := _tied_sd(view, estimate)):
         rows |= {
             f"median sd [{unit}]": f"{np.median(sd):.3g}",
@@ -131,7 +133,8 @@ def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[PageTable]:
     if len(found) < 2:  # noqa: PLR2004
         return
     unit = log.length_unit
-    away = [np.linalg.norm(each.position - found[0].position, axis=1) for each in found]
+    place = [each.position[~log.is_gone] for each in found]
+    away = [np.linalg.norm(each - place[0], axis=1) for each in place]
     more = [each.chi_square - found[0].chi_square for each in found]
     frame = pd.DataFrame(
         {
@@ -171,8 +174,7 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[PageTable]:
 def _space(view: SwarmView, estimate: Estimate) -> View:
     """Show the estimate, then each solution."""
     radius, unit = view.log.dock_radius, view.log.length_unit
-    gone = view.log.is_gone
-    sd = np.where(estimate.disconnected | gone, np.nan, view.sd)
+    sd = np.where(estimate.disconnected, np.nan, view.sd)
     values = [("error", view.error), (SD, sd)]
     colorings = [Coloring(label, unit, value * radius) for label, value in values]
     shown = [view_data(replace(view, name="estimate"), colorings)]
@@ -188,8 +190,8 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
         values = [("distance from the estimate", away), (SD, sd)]
         shown.append(view_data(moved, [Coloring(label, unit, value) for label, value in values]))
     notes = []
-    if estimate.sd is not None and gone.any():
-        notes.append("Where sd is the color, robots that have left are gray.")
+    if len(view.log.gone):
+        notes.append("Where sd or error is the color, robots that have left are gray.")
     if estimate.sd is not None and estimate.disconnected.any():
         notes.append(
             "Where sd is the color, robots that are disconnected from the anchor are gray."

@@ -165,7 +165,7 @@ def read_case_view(case: StoredCase) -> SwarmView:
 
 
 def _spread(case: StoredCase, robots: int) -> tuple[Reals, Bools]:
-    """Read the sd of robots that are tied to the anchor [R], NaN of others; and who has left."""
+    """Read the sd of robots that stay, tied to the anchor [R], NaN of others; and who has left."""
     path = case.folder / "estimate.csv"
     table = read_frame(path)
     if ("sd_R" in table or "gone" in table) and len(table) != robots:
@@ -175,7 +175,7 @@ def _spread(case: StoredCase, robots: int) -> tuple[Reals, Bools]:
     if "sd_R" not in table:
         return np.full(robots, np.nan), is_gone
     sd = case.columns(path.name, ["sd_R"], gaps=["sd_R"])[:, 0]
-    return np.where(table.get("known") == "disconnected", np.nan, sd), is_gone
+    return np.where((table.get("known") == "disconnected") | is_gone, np.nan, sd), is_gone
 
 
 def view_log(
@@ -193,6 +193,7 @@ def view_log(
     turned = with_orientations(log).orientation_wxyz
     unknown, unit = np.full((log.robot_count, 3), np.nan), log.dock_radius
     place, center = estimate.position / unit, unknown if true is None else true / unit
+    gone = np.where(log.is_gone, np.nan, 0.0)  # robots that left have neither error nor sd
     trace = thinned(estimate)
     if trace is not None:
         trace = trace._replace(center=trace.center / unit)
@@ -201,9 +202,9 @@ def view_log(
         robot=log.robot_id,
         pose=np.column_stack([center, turned]),
         estimated_pose=np.column_stack([place, turned]),
-        error=np.linalg.norm(place - center, axis=1),
+        error=np.linalg.norm(place - center, axis=1) + gone,
         force=unknown[:, 0],
-        sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit,
+        sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit + gone,
         dock_offset_body=log.dock_offset_body / unit,
         terrain=None if log.ground_z is None else Terrain(ground_z=log.ground_z / unit),
         read_log=lambda: log,

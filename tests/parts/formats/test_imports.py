@@ -59,7 +59,7 @@ def test_contacts_of_a_grown_structure_come_back(towers, tmp_path):
     imported = bring_in(tmp_path, f"{POSES},join", rows, ground_z=0.0)
     write_imports({"": imported}, tmp_path / "in")
     log = read_sensing_log(tmp_path / "in" / "sensing.jsonl")
-    _, position = read_positions(tmp_path / "in" / "truth.csv")
+    _, position, _ = read_positions(tmp_path / "in" / "truth.csv")
 
     np.testing.assert_array_equal(log.robot_id, np.arange(100, 130))
     np.testing.assert_array_equal(log.contacts, sensed.contacts)

@@ -130,7 +130,7 @@ def show_one(log: SensingLog, estimate: Estimate) -> list[Shown]:
     earlier robots, or one if none touches more; without standard deviations, the one that touches
     most.
     """
-    touched = np.bincount(log.contacts[:, 2], minlength=log.robot_count)
+    touched = np.bincount(log.contacts[:, 2], minlength=log.robot_count) * ~log.is_gone
     least = min(_ENOUGH, int(touched.max()))
     if not least:
         return []

@@ -117,6 +117,7 @@ class _Question(NamedTuple):
     posterior: Posterior | None  # None for more than `MOST_ROBOTS` robots
     images: Images | None  # None where no robot is mirrored
     candidates: list[_Candidates]
+    is_gone: Bools  # whether each robot has left, shape (N,)
 
     @classmethod
     def of(
@@ -134,7 +135,7 @@ class _Question(NamedTuple):
         if motions is None:
             return None
         if len(center) == 1:
-            return cls(odometry, center, bodies, motions, None, pair, [])
+            return cls(odometry, center, bodies, motions, None, pair, [], log.is_gone)
         is_small = len(center) <= MOST_ROBOTS
         candidates = [*_candidates(log, odometry, center)]
         if pair is not None and len(log.ranges) and is_small:
@@ -144,7 +145,7 @@ class _Question(NamedTuple):
             is_turn = pair is not None and images[1].weight <= _NO_WEIGHT
             turning = images[1].sd if is_turn else None
             posterior = Posterior(rows.averaged(), center, log.yaw_bias, turning)
-        return cls(odometry, center, bodies, motions, posterior, pair, candidates)
+        return cls(odometry, center, bodies, motions, posterior, pair, candidates, log.is_gone)
 
     @property
     def fixes_gauge(self) -> Bools:
@@ -200,14 +201,14 @@ class _Question(NamedTuple):
         return modes - any(fixed)
 
     def determined(self, further: Sequence[Measurements]) -> Ints:
-        """List the robots that are floppy without some further rows and not with them."""
+        """List the robots that stay, floppy without some further rows and not with them."""
         every = Measurements.gather(
             self.odometry,
             [rows.distances for rows in further],
             [rows.places for rows in further],
         )
         left = self.motions.robots(further_rows(self.bodies, every, self.center))
-        return np.flatnonzero(self.motions.robots() & ~left)
+        return np.flatnonzero(self.motions.robots() & ~left & ~self.is_gone)
 
 
 def advise(
@@ -507,7 +508,7 @@ def _images(
     Where robots are free to turn, the two are opposite places. The second one has no weight: each
     turn is a motion of its own, whose error `Posterior` takes from `sd` [R].
     """
-    if estimate.mirrored is not None and estimate.mirrored.any():
+    if estimate.mirrored is not None and (estimate.mirrored & ~log.is_gone).any():
         return estimate.position, estimate.solutions
     unit, center = log.dock_radius, estimate.configuration / log.dock_radius
     rows = measure(log, cues).associated(center)
