@@ -388,6 +388,45 @@ def test_a_mistake_in_a_function_is_one_line_with_its_place(change, where, messa
     relax(**PAIR, robot=Atom, steps=1, ramp=0.5, **GAINS)
 
 
+def plain(distance, zero):
+    """Return 0 / 0 where the number is 0."""
+    return 0.01 * distance * zero / zero
+
+
+def drift(force, zero):
+    """Return a vector with 0 / 0."""
+    return force + ti.Vector([0.0, 0.01 * zero / zero, 0.0])
+
+
+@pytest.mark.usefixtures("_way")
+@pytest.mark.parametrize("precision", ["f64", pytest.param("f32", marks=pytest.mark.trial)])
+@pytest.mark.parametrize(("kind", "function"), [("force", plain), ("integrator", drift)])
+def test_nan_of_a_function_is_an_error_that_names_it(kind, function, precision):
+    """At the step that returned it, counted over calls, even where `max_step` bounds steps."""
+    gains = {} if kind == "force" else dict.fromkeys((*GAINS, "ramp"), 0.5)
+    gains.pop("max_step", None)
+    mover = MovingSwarm(**PAIR, robot=Atom, precision=precision, **{kind: function})
+    mover.relax(steps=2, parameters={"zero": 1.0}, **gains)
+    where = f"{__file__}:{_line(function, 'def')}: {kind} `{function.__name__}`"
+
+    for limit in (0.1, None):
+        with pytest.raises(InputError) as caught:
+            mover.relax(
+                steps=4, parameters={"zero": [1, 1, 0, 1]}, max_step=limit, resume=True, **gains
+            )
+        assert str(caught.value).startswith(f"{where} returned NaN at step 4; guard it")
+    mover.relax(steps=2, parameters={"zero": 1.0}, resume=True, **gains)
+
+
+def test_forces_that_diverge_are_no_nan():
+    """Robots that go out of reach by a force that only then overflows."""
+    with pytest.raises(InputError, match="the forces diverged"):
+        relax(
+            **{**PAIR, "contacts": [[0, 0, 1, 0]]}, robot=Atom, steps=9, force=chain_bond,
+            parameters={"stiffness": 1e60},
+        )  # fmt: skip
+
+
 def _undefined():
     names = {}
     exec("def stored(distance):\n    return distance", names)  # noqa: S102

@@ -406,14 +406,14 @@ def current() -> Backend:
 
 
 @contextlib.contextmanager
-def fast_arithmetic() -> Iterator[None]:
-    """Let kernels that are compiled within reorder sums and ignore NaN.
+def fast_arithmetic(*, ignores_nan: bool) -> Iterator[None]:
+    """Let kernels that are compiled within reorder sums, if they may ignore NaN, too.
 
     Sums over neighbors are then vectorized. Their bits do not depend on the number of threads,
     but may differ between kinds of processors.
     """
     config = ti.lang.impl.current_cfg()
-    config.fast_math = config.cfg_optimization = True
+    config.fast_math, config.cfg_optimization = ignores_nan, True
     try:
         yield
     finally:

@@ -44,6 +44,8 @@ WALL = 3.0 * 2.0**28
 """Largest whole number of a center; two docks' numbers then differ by one that fits in 32 bits."""
 OUT_OF_REACH = 1e36
 """Squared step that stands for one beyond the WALL, or too long for its square to fit in an f32."""
+NAN_OF_FORCE, NAN_OF_STEP = 1e38, 1e37
+"""Squared steps that stand for NaN of a user's force and integrator."""
 _LONGEST_F32 = 1e18
 
 
@@ -106,7 +108,7 @@ class SwarmState(NamedTuple):
 
 
 @ti.func
-def _in_length(difference, unit, places: Ref):
+def in_length(difference, unit, places: Ref):
     """Convert a difference of numbers in `places` to a length."""
     return ti.cast(difference, float) * unit if ti.static(holds_integers(places)) else difference
 
@@ -180,6 +182,10 @@ class Dynamics:
     asks: tuple[str, ...] = ()
     """Fields of `SwarmState` that they ask for."""
 
+    has_force: bool = False
+    has_integrator: bool = False
+    """Whether it is a function of a user, which may return NaN."""
+
     def __init__(self, pull: Any, integrate: Any, names: tuple[str, ...], **others: Any) -> None:  # noqa: ANN401
         """Set fields; a tuple would slow quadrants down, and it takes dataclasses apart."""
         vars(self).update(pull=pull, integrate=integrate, names=names, **others)
@@ -224,12 +230,6 @@ GUIDED = Dynamics(
 """Robots have a mobility along each axis and inertia, and connected docks part."""
 
 
-@ti.func
-def place_of(here, unit, x, y, z, robots: Ref):
-    """Convert the numbers of a center to its place; the origin is at x, y, z."""
-    return ti.Vector([x, y, z]) + _in_length(here, unit, robots.position)
-
-
 def is_vector(value: Any) -> bool:  # noqa: ANN401 - an expression of a kernel
     """Whether an expression is a vector; to be asked in `ti.static`."""
     return isinstance(value, ti.Matrix) or (hasattr(value, "is_tensor") and value.is_tensor())
@@ -247,7 +247,7 @@ def _add_row(
         own = base + 4 * (row * row_docks + (entry & (flag - 1)))
         other = base + 4 * (entry >> (grid.own_bits + 1))
         apart = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
-        offset = _in_length(apart, grid.unit, robots.dock)
+        offset = in_length(apart, grid.unit, robots.dock)
         distance = offset.norm()
         connected = (entry & flag) != 0
         pull = dynamics.pull(offset, distance, connected, number)
@@ -294,11 +294,20 @@ def step_robot(
         number[Numbers.HEIGHT_GAIN] > 0.0
     ):  # nested, since the language evaluates both sides of an `and`
         if robots.height[robot] != UNKNOWN:
-            rise = _in_length(robots.height[robot] - here[2], grid.unit, robots.height)
+            rise = in_length(robots.height[robot] - here[2], grid.unit, robots.height)
             force[2] += number[Numbers.HEIGHT_GAIN] * rise
     wanted = dynamics.integrate(force, here, robot, t, grid.unit, robots, number)
+    lost = 0.0
+    if ti.static(dynamics.has_integrator):
+        lost = ti.select(ti.math.isnan(wanted.norm_sqr()), NAN_OF_STEP, lost)
+    if ti.static(dynamics.has_force):
+        lost = ti.select(ti.math.isnan(force.norm_sqr()), NAN_OF_FORCE, lost)
     step = capped(wanted, number[Numbers.MAX_STEP])
     square = step.norm_sqr()
+    if ti.static(dynamics.has_force or dynamics.has_integrator):
+        square = ti.select(lost > 0.0, lost, square)
+        for c in ti.static(range(3)):
+            step[c] = ti.select(lost > 0.0, 0.0, step[c])
     strayed = 0.0
     for c in ti.static(range(3)):
         here[c] += _in_places(step[c], grid.unit, robots.position)
@@ -309,7 +318,7 @@ def step_robot(
             here[c] = ti.max(-int(WALL), ti.min(here[c], int(WALL)))
         robots.position[robot, c] = here[c]
         moved = here[c] - robots.reference[robot, c]
-        strayed += _in_length(moved, grid.unit, robots.position) ** 2
+        strayed += in_length(moved, grid.unit, robots.position) ** 2
         if ti.static("last_step" in dynamics.asks):
             robots.last_step[robot, c] = step[c]
     for m in range(robot * grid.docks, (robot + 1) * grid.docks):

@@ -85,6 +85,9 @@ class PreparedSwarm:
     state: RelaxState
     """The robots after the last call."""
 
+    moves: Reals
+    """Longest steps of the last call, even if it diverged."""
+
     @backend.exclusive()
     def __init__(
         self,
@@ -192,6 +195,7 @@ class PreparedSwarm:
             raise InputError("another device started, which freed the swarm; prepare it again")
         while True:
             moves, builds = stepper.take_steps(state, numbers, seed)
+            self.moves = moves
             if not state.places.were_left(moves):
                 break
             # Whole numbers ran out: take the same steps again, in a larger unit.

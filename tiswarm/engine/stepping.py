@@ -302,6 +302,7 @@ class Stepper:
             EnvironmentTroubleError: they do not fit into memory.
         """
         robots, docks = len(swarm.position), len(swarm.dock_offset_body)
+        self.ignores_nan = not (dynamics.has_force or dynamics.has_integrator)
         self.dynamics, skin = dynamics, _SKIN * (swarm.spacing / cutoff) ** 0.5
         self.reach = (1.0 + skin) * cutoff
         # Two robots that approach each other share the skin.
@@ -407,7 +408,7 @@ class Stepper:
             neighbors.build(robots.dock, taken % 2 * half)
             kernels.start_interval(robots.position, robots.reference, control)
             while not control[Control.STALE]:
-                with backend.fast_arithmetic():
+                with backend.fast_arithmetic(ignores_nan=self.ignores_nan):
                     for t in range(taken, taken + calls * most, most):
                         kernels.step_robots(
                             neighbors.on_card, most, self.dynamics, neighbors.docks,
@@ -426,7 +427,7 @@ class Stepper:
         """All steps of a structure on one thread; None if a row was too short, which is now not."""
         neighbors, structures = self.neighbors, len(self.start) - 1
         moves = self.memory.reals(structures, len(numbers))
-        with backend.fast_arithmetic():
+        with backend.fast_arithmetic(ignores_nan=self.ignores_nan):
             kernels.relax_structures(
                 self.dynamics, neighbors.own_bits, neighbors.cutoff, self.stray_limit,
                 self.places.scale, self.memory.upload(numbers),

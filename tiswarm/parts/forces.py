@@ -26,8 +26,17 @@ from tiswarm.compute import backend
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, Ref, ti
 from tiswarm.compute.math_kernels import mixed, vector_at
 from tiswarm.engine import kernels
-from tiswarm.engine.kernels import FREE, GUIDED, Dynamics, Numbers, is_vector
+from tiswarm.engine.kernels import (
+    FREE,
+    GUIDED,
+    NAN_OF_FORCE,
+    NAN_OF_STEP,
+    Dynamics,
+    Numbers,
+    is_vector,
+)
 from tiswarm.engine.relax import PreparedSwarm, RelaxResult
+from tiswarm.engine.stepping import RelaxState
 
 FORCE = ("offset", "distance", "connected", "spacing")
 """What a force may ask for; the guide to the engine explains it."""
@@ -173,9 +182,30 @@ class MovingSwarm(PreparedSwarm):
                 if asker is None:
                     gain += ", or a force of yours"
                 raise _error(f"needs {name}; give {gain}", asker)
-        with _mistakes_named(self.law):
-            found = super().relax(steps=steps, parameters=numbers, ramp=ramp, seed=seed, **options)
+        self.moves, kept = np.zeros(0), self.state
+        try:
+            with _mistakes_named(self.law):
+                found = super().relax(
+                    steps=steps, parameters=numbers, ramp=ramp, seed=seed, **options
+                )
+        finally:  # a robot that NaN would move stays, so that steps may end well
+            self._refuse_nan(kept, kept if options.get("resume") else self.first)
         return replace(found, force_error=np.nan) if self.dynamics.is_cut else found
+
+    def _refuse_nan(self, kept: RelaxState, start: RelaxState) -> None:
+        """Name the function that returned NaN, unless the forces diverged before."""
+        lost = np.argwhere(np.isclose(self.moves[:, None], np.sqrt([NAN_OF_FORCE, NAN_OF_STEP])))
+        for step, which in lost[:1]:
+            if start.places.is_resolved(self.moves[:step]):
+                self.state = kept
+                # A force is the first function, an integrator the last.
+                function, kind = self.law.functions[-which], ("force", "integrator")[which]
+                code, name = function.__code__, function.__name__
+                raise InputError(
+                    f"{kind} `{name}` returned NaN at step {start.taken + step}; "
+                    "guard it against 0 / 0 and roots of negative numbers",
+                    path=Path(code.co_filename), line=code.co_firstlineno,
+                ) from None  # fmt: skip
 
 
 class _Law(NamedTuple):
@@ -256,6 +286,8 @@ def _compiled(force: FunctionType | None, integrator: FunctionType | None, ours:
         names,
         is_cut=force is not None,
         asks=tuple(sorted(asks)),
+        has_force=force is not None,
+        has_integrator=integrator is not None,
     )
     return _Law(dynamics, tuple(f for f in (force, integrator) if f), askers, defaults)
 
@@ -321,6 +353,12 @@ def _of_pair(
 
 
 @ti.func
+def _place_of(here, unit, x, y, z, robots: Ref):  # noqa: ANN001, ANN202 - of kernels
+    """Convert the numbers of a center to its place; the origin is at x, y, z."""
+    return ti.Vector([x, y, z]) + kernels.in_length(here, unit, robots.position)
+
+
+@ti.func
 def _number_of(robots: Ref, at):  # noqa: ANN001, ANN202 - of kernels
     """Read a whole number: the seed, the first step's, or that of robot `at - 2`."""
     return robots.number[at]
@@ -349,7 +387,7 @@ def _of_motion(
     origin = number[Numbers.ORIGIN : Numbers.ORIGIN + 3]
     return {
         "force": lambda: force,
-        "position": lambda: kernels.place_of(here, unit, *origin, robots),
+        "position": lambda: _place_of(here, unit, *origin, robots),
         "last_step": lambda: vector_at(robots.last_step, robot),
         "mobility": lambda: vector_at(robots.mobility, robot),
         "noise": lambda: _noise(robots, robot, t),
