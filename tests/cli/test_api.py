@@ -3,6 +3,7 @@
 import html
 import io
 import re
+import shutil
 import subprocess
 import sys
 from copy import deepcopy
@@ -38,6 +39,19 @@ def test_tables_are_data_frames(run):
     assert {"condition", "cases", "rmse_R_least"} < {*run.table} < {*full}
     assert len(run.table.columns) < 40
     pd.testing.assert_frame_equal(run.table, full[[*run.table]])
+
+
+def test_a_run_without_a_finished_case_has_no_table_for_a_paper(run, tiswarm, tmp_path):
+    """The names of conditions alone would look like a table."""
+    folder = tmp_path / "failed"
+    shutil.copytree(run.folder, folder)
+    table = pd.read_csv(folder / "table.csv")
+    table.assign(cases=0, failed=3).to_csv(folder / "table.csv", index=False)
+
+    done = tiswarm("table", folder)
+
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"{folder}: no case of this run is done; correct the scenario" in done.stderr
 
 
 def test_a_table_for_a_paper_is_that_of_the_page(run, tiswarm):

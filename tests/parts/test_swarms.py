@@ -3,6 +3,7 @@
 import json
 import pickle
 import re
+import warnings
 import zipfile
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 import tiswarm as library
 from tiswarm.base import parts
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import InputError, ResultWarning
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.parts import swarms as module
 from tiswarm.parts.pictures.pictures import build_pictures
@@ -163,6 +164,8 @@ def test_structures_print_themselves(towers, bridges):
         "height_R",
         "reach_R",
         "peak_stress",
+        "[dock",
+        "weights/R^2]",
         "growth_rounds",
     ]
     assert lines[2].split()[:3] == ["3", "8", f"{towers.height[0]:.1f}"]
@@ -434,6 +437,34 @@ class FirstFlip:
         stays = touches | (step.stance >= self.flips) | ~step.possible.any(axis=1)
         return np.where(stays, -1, step.possible.argmax(axis=1))
 '''
+
+
+IDLE = """
+import tiswarm
+
+
+@tiswarm.rule("idle")
+class Idle:
+    def choose(self, step):
+        return -1
+"""
+
+
+@pytest.mark.usefixtures("_forget")
+def test_structures_that_end_early_are_one_warning(bridges, tmp_path):
+    """Its reason names the rule that was chosen; a bridge that closes is no early end."""
+    (tmp_path / "idle.py").write_text(IDLE)
+    early = r"^2 of 2 structures ended before all robots joined: .*or correct the rule idle$"
+    with pytest.warns(ResultWarning, match=early) as found:
+        grown = library.grow("tower", robots=4, seeds=2, rule="idle",
+                             plugins=[tmp_path / "idle.py"], quiet=True)  # fmt: skip
+    assert len(found) == 1
+    assert grown.robot_count.tolist() == [1, 1]
+    closed = [each.seed for each in bridges if each.ended.startswith("the gap is bridged")]
+    assert closed
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        library.grow(BRIDGES, robots=12, seeds=closed, quiet=True)
 
 
 @pytest.mark.usefixtures("_forget")

@@ -272,6 +272,8 @@ def test_a_rule_may_spread_calls_in_its_own_way():
         ("np.array([99])", r"returned 99 for climber 0; return a possible flip, -1 to stay"),
         ("np.array([-9])", r"returned -9 for climber 0; .* stance s of its 1"),
         ("(~step.possible).argmax(axis=1)", "return a possible flip"),
+        ("None", r"wrong\.choose returned None; return integers"),
+        ("step.back(99)", r"returned -101 for climber 0; .* stance s of its 1"),
         ("step.flips", r"wrong\.py:\d+: wrong\.choose failed: AttributeError"),
     ],
 )
@@ -284,3 +286,42 @@ def test_a_wrong_choice_is_a_line(tmp_path, returned, problem):
 
     with pytest.raises(door.PluginError, match=problem):
         _grow(_by(TowerParams(), "wrong"), 3, [SEED])
+
+
+@pytest.mark.parametrize("name", ["dock", "relay", "robot_count", "sensed"])
+def test_a_rule_cannot_write_what_it_sees(tmp_path, name):
+    """Docks that a rule moved would let the next robots stay inside others."""
+    code = "import tiswarm\n\n@tiswarm.rule('writes')\nclass Writes:\n"
+    code += f"    def choose(self, step):\n        step.{name}[...] = 0\n        return -1\n"
+    (tmp_path / "writes.py").write_text(code)
+    door.load_plugins([tmp_path / "writes.py"])
+
+    with pytest.raises(door.PluginError, match=r"writes\.py:6: writes\.choose failed: .*read-only"):
+        _grow(_by(TowerParams(), "writes"), 3, [SEED])
+
+
+def test_a_rule_cannot_write_calls(tmp_path):
+    """The loads that robots sensed are those of the record."""
+    code = "import tiswarm\n\n@tiswarm.rule('calls')\nclass Calls:\n"
+    code += "    def choose(self, step):\n        return -1\n\n"
+    code += "    def call(self, sensed, params):\n        sensed[:] = 0.0\n        return sensed\n"
+    (tmp_path / "calls.py").write_text(code)
+    door.load_plugins([tmp_path / "calls.py"])
+
+    with pytest.raises(door.PluginError, match=r"calls\.call failed: .*read-only"):
+        door.find("rule", "calls")().call(np.ones(2), None)
+
+
+@pytest.mark.parametrize("one", ["-1", "step.back(0)"])
+def test_one_choice_is_that_of_all_climbers(tmp_path, one):
+    """A number stands for an array of equal ones."""
+    grown = []
+    for name, returned in [("one", one), ("each", f"np.full(len(step.robot), {one})")]:
+        file = tmp_path / f"{name}.py"
+        code = f"import numpy as np\nimport tiswarm\n\n@tiswarm.rule('{name}')\nclass Rule:\n"
+        file.write_text(f"{code}    def choose(self, step):\n        return {returned}\n")
+        door.load_plugins([file])
+        grown += [_grow(_by(TowerParams(), name), 3, [SEED])]
+
+    assert f"or correct the rule {name}" in grown[1][0].ended
+    _assert_same(*([dataclasses.replace(each, ended="") for each in found] for found in grown))

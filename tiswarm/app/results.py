@@ -125,6 +125,9 @@ class Run:
         from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
 
         table = self._data().table("table.csv", ["condition"], ["cases"], after="cases")
+        if not table["cases"].any():
+            problem = "no case of this run is done; correct the scenario and run it again"
+            raise InputError(problem, path=self.folder)
         return headline_table(table)
 
     def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":

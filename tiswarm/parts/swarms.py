@@ -639,7 +639,9 @@ class Swarms(Sequence[Structure]):
 
     @property
     def _short(self) -> pd.DataFrame:
+        stress = PEAK_STRESS.column
         shown = self.table[_SHOWN].round(1)
+        shown = shown.rename(columns={stress: f"{stress} [{PEAK_STRESS.unit}]"})
         return shown if any(self.ended) else shown.drop(columns="ended")
 
 
@@ -667,6 +669,11 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
             raise InputError(f"seed {history.seed}: no robot joined: {history.ended}")
         if fault := find_fault(history, contact_gap=structure.climb.contact_gap):
             warn(f"seed {history.seed}: the structure is invalid: {fault}")
+    # A bridge that closes has reached its aim, with any number of robots.
+    if early := [each for each in histories if each.ended and not each.crossed]:
+        count, reasons = counted(len(histories), "structure"), {each.ended for each in early}
+        more = f" (and {len(reasons) - 1} more reasons)" if len(reasons) > 1 else ""
+        warn(f"{len(early)} of {count} ended before all robots joined: {early[0].ended}{more}")
     return Swarms([Structure(history, scenario) for history in histories], scenario)
 
 

@@ -29,7 +29,7 @@ from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_docks
 from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
 from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
-from tiswarm.world.params import StructureParams, anchor_places
+from tiswarm.world.params import ReactiveBuild, StructureParams, anchor_places
 from tiswarm.world.walks import Spawn, Walks, climb_limits, recruit
 
 _MAX_TRIES = 64
@@ -324,10 +324,11 @@ class GrowingStructure:
         """Count a robot that found no place; end growth after too many in a row."""
         self.rejected += 1
         if self.rejected >= self.params.climb.max_spawns:
-            self.ended = (
-                f"{self.rejected} robots in a row reached no other robot; "
-                "raise structure.climb.max_spawns or move the goal"
-            )
+            rule = self.params.rule
+            is_own = not isinstance(rule, ReactiveBuild)
+            fix = f"correct the rule {rule.name}" if is_own else "move the goal"
+            what = f"{self.rejected} robots in a row reached no other robot"
+            self.ended = f"{what}; raise structure.climb.max_spawns or {fix}"
 
     def join(self, walk: Walk, docks: Reals) -> None:
         """Make a robot part of the structure; `docks` are the structure's [R], shape (n, 3)."""

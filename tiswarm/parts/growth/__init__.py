@@ -76,7 +76,7 @@ class ClimbStep:
 
     A choice is the number of a possible flip, -1 to stay at the current stance, or `back(s)` to
     go back to an earlier stance and stay there. Who stays where it touches no robot is taken away
-    and starts again. Arrays are not to be changed.
+    and starts again. Arrays of the structures cannot be written: copy them first.
     """
 
     def __init__(
@@ -109,11 +109,11 @@ class ClimbStep:
         """Angle of each flip [rad], negative if backward, 0 if there is none, shape (M, K)."""
         self.possible: Bools = self.angle != 0.0
         """Which flips there are: about an attached dock, and something stops them, (M, K)."""
-        self.dock, self.relay = structures.dock, structures.relay
+        self.dock, self.relay = _read_only(structures.dock), _read_only(structures.relay)
         """Dock centers of all structures [R], (S, n N, 3), and what each passes on, (S, n N)."""
-        self.robot_count = structures.robot_count
+        self.robot_count = _read_only(structures.robot_count)
         """Robots that have joined; rows of others are meaningless, shape (S,)."""
-        self.sensed = sensed
+        self.sensed = _read_only(sensed)
         """Load that each robot sensed at the last solve [weight of a dock], shape (S, N)."""
         self.present: Bools = present != 0
         """Whether each robot has not left again, shape (S, N)."""
@@ -182,8 +182,12 @@ class ClimbStep:
         draw = (self.stance.astype(np.int64) << _DRAW_BITS)[:, None] + np.arange(count)
         return uniform(self._walks.seed[self._slots, None], stream, self.robot[:, None], draw)
 
-    def back(self, stance: AnyInts) -> AnyInts:
-        """Return the choice to go back to a stance, 0 up to the current one, and stay there."""
+    def back(self, stance: AnyInts | int) -> AnyInts:
+        """Return the choice to go back to a stance, 0 up to the current one, and stay there.
+
+        Args:
+            stance: That of each climber, shape (M,), or of all.
+        """
         return -2 - np.asarray(stance)
 
 
@@ -243,7 +247,7 @@ def rule(name: str) -> Callable[[_Class], _Class]:
 
     Its annotated fields are settings. It has one of these methods:
 
-    - `choose(step)`: the choice of each of M climbers, integers of shape (M,): a flip of
+    - `choose(step)`: the choice of each of M climbers, integers of shape (M,) or one: a flip of
       `step`, -1 to stay, or `step.back(s)` to go back to stance s and stay there.
       `help(type(step))` lists what a step has.
     - `score()`: a function of the kernel language of (center, orientation, goal), to be least in
@@ -293,10 +297,13 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
     @wraps(theirs)
     def call(*given: Any) -> Any:  # noqa: ANN401 - as the method
         plugin, what = door.registered("rule")[name].plugin, f"{name}.{method}"
-        found = door.guarded(plugin, what, lambda: theirs(*given))
+        shown = [_read_only(each) if isinstance(each, np.ndarray) else each for each in given]
+        found = door.guarded(plugin, what, lambda: theirs(*shown))
         if fault is None:
             return found
         found = np.asarray(found)
+        if method == "choose" and not found.ndim:  # one choice of all
+            found = np.full(given[1].stance.shape, found)
         if wrong := _fault_of_integers(found) or fault(found, *given[1:]):
             problem = f"{plugin.file}: {what} returned {wrong}"
             raise door.PluginError(problem, f"{problem}\n")
@@ -305,8 +312,17 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
     return call
 
 
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a view that code of users cannot write: the array is that of the engine."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 def _fault_of_integers(found: NDArray[Any]) -> str:
-    return "" if found.dtype.kind in "iu" else f"{found.dtype}; return integers"
+    is_none = found.dtype == np.object_ and found.size > 0 and found.flat[0] is None
+    kind = "None" if is_none else found.dtype
+    return "" if found.dtype.kind in "iu" else f"{kind}; return integers"
 
 
 def _fault_of_choice(choice: AnyInts, step: Any) -> str:  # noqa: ANN401 - of a part
@@ -405,7 +421,8 @@ def _checked(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
         found = door.guarded(plugin, what, lambda: np.asarray(theirs(self, *given)))
         shape, wrong = _SHAPES[method](*given), ""
         if found.shape != shape:
-            wrong = f"shape {found.shape}; return numbers of shape {shape}"
+            kind = "None" if found.tolist() is None else f"shape {found.shape}"
+            wrong = f"{kind}; return numbers of shape {shape}"
         elif fault := door.fault_of_numbers(found, _FARTHEST, f"within {_FARTHEST:g} R"):
             wrong = f"numbers that are {fault}; correct them"
         if wrong:
