@@ -340,6 +340,14 @@ def _of_two(force):
     return ti.Vector([force[0], force[1]])
 
 
+def _scalar(force):
+    return force[0]
+
+
+def _pair(offset):
+    return offset[0], offset[1]
+
+
 def _starred(*distance):
     return distance[0]
 
@@ -368,6 +376,8 @@ PAIR = {"position": [[0, 0, 0], [0.5, 0, 0]], "orientation_wxyz": level(2), "con
         ({"force": _of_numpy}, "return", "instead of `numpy.sqrt`"),
         ({"force": _empty}, "def", "_empty has to return a vector of three numbers, or a number"),
         ({"integrator": _of_two}, "def", "_of_two has to return a vector of three numbers;"),
+        ({"integrator": _scalar, "force": nothing}, "def", "_scalar has to return a vector"),
+        ({"force": _pair}, "def", "_pair has to return a vector of three numbers, or a number"),
         ({"force": _starred}, "def", r"_starred takes \*distance; name each argument"),
         ({"force": _noisy}, "def", "_noisy cannot ask for noise; only an integrator can"),
         ({"integrator": _docked}, "def", "_docked cannot ask for connected; only a force can"),
@@ -443,9 +453,16 @@ def _undefined():
         ({"parameters": {"epsilon": "a"}}, "parameters: epsilon is no number and no 2 numbers"),
         ({"parameters": {"epsilon": [1.0, 2.0, 3.0]}}, "epsilon is no number and no 2 numbers"),
         ({"parameters": {"epsilon": np.nan}}, "parameters: epsilon is not finite; correct it"),
-        ({"cutoff": 0.0}, "cutoff: 0 is no reach of a force of yours"),
+        ({"cutoff": 0.0}, "cutoff: 0.0 is no distance; give one above 0"),
         ({"force": None, "parameters": None}, "cutoff: 2.5 is no reach of a force of yours"),
         ({"seed": -1}, "seed: -1 is not 0 to"),
+        ({"seed": 1.5}, "seed: 1.5 is not 0 to"),
+        ({"steps": -1}, "steps: -1 is no number of steps; give a whole number"),
+        ({"steps": "10", "parameters": None}, "steps: '10' is no number of steps"),
+        ({"steps": 1.5}, "steps: 1.5 is no number of steps"),
+        ({"mobility": -1.0}, r"mobility has shape \(\); expected \(2, 3\)"),
+        ({"robot": "FireAntV3"}, "robot: 'FireAntV3' has no spacing and dock_offset_body"),
+        ({"attraction_gain": 1.0}, "attraction_gain: your force does not ask for attraction"),
         (
             {"force": None, "cutoff": None, "parameters": None},
             "of the paper needs attraction; give attraction_gain and ramp, or a force of yours",
@@ -456,7 +473,7 @@ def test_what_makes_no_sense_is_refused(change, message):
     """In one line that says what to do."""
     options = {"force": lennard_jones, "parameters": {"epsilon": 1.0}, "cutoff": 2.5} | change
     with pytest.raises(InputError, match=message) as caught:
-        relax(**PAIR, robot=Atom, steps=2, **options)
+        relax(**{**PAIR, "robot": Atom, "steps": 2, **options})
     assert "\n" not in str(caught.value)
 
 

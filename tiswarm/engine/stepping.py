@@ -112,7 +112,7 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals
         ) from error
     if array.size == 0:
         array = array.reshape(0, *(int(length) for length in shape[1:]))
-    wanted = tuple(len(array) if isinstance(n, str) else n for n in shape) if array.ndim else ()
+    wanted = tuple(len(array) if isinstance(n, str) else n for n in shape) if array.ndim else None
     if array.shape != wanted:
         raise InputError(f"{name} has shape {array.shape}; expected {expected}")
     return array

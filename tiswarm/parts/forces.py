@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from numbers import Integral, Real
 from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
@@ -151,9 +152,15 @@ class MovingSwarm(PreparedSwarm):
         **options: Any,  # noqa: ANN401 - those of `PreparedSwarm`
     ) -> None:
         """Check the functions and the robots, and copy these to the device."""
-        if cutoff is not None and (force is None or not 0.0 < cutoff < np.inf):
-            problem = f"{cutoff:g} is no reach of a force of yours; give both, the cutoff above 0"
+        if cutoff is not None and force is None:
+            problem = f"{cutoff} is no reach of a force of yours; give force, too"
             raise InputError(problem, argument="cutoff")
+        if cutoff is not None and not (isinstance(cutoff, Real) and 0.0 < cutoff < np.inf):
+            raise InputError(f"{cutoff!r} is no distance; give one above 0", argument="cutoff")
+        robot = options.get("robot")
+        if not (hasattr(robot, "spacing") and hasattr(robot, "dock_offset_body")):
+            problem = f"{robot!r} has no spacing and dock_offset_body; give a RobotGeometry"
+            raise InputError(problem, argument="robot")
         self.law = _chosen(force, integrator, is_guided=mobility is not None)
         super().__init__(
             position, orientation_wxyz, contacts, dynamics=self.law.dynamics, cutoff=cutoff,
@@ -171,10 +178,19 @@ class MovingSwarm(PreparedSwarm):
         **options: Any,  # noqa: ANN401 - those of `PreparedSwarm.relax`
     ) -> RelaxResult:
         """Take steps from where the robots were at first, or, to `resume`, where they are."""
-        if not 0 <= seed <= _LARGEST_SEED:
-            raise InputError(f"{seed} is not 0 to {_LARGEST_SEED}; correct it", argument="seed")
+        if not isinstance(steps, Integral) or steps < 0:
+            problem = f"{steps!r} is no number of steps; give a whole number, 0 or more"
+            raise InputError(problem, argument="steps")
+        if not (isinstance(seed, Integral) and 0 <= seed <= _LARGEST_SEED):
+            raise InputError(
+                f"{seed!r} is not 0 to {_LARGEST_SEED}, whole; correct it", argument="seed"
+            )
         numbers = self.law.numbers(dict(parameters or {}), steps)
         given = {name: options.get(f"{name}_gain") for name in FREE.names}
+        for name, gain in given.items():
+            if gain is not None and self.dynamics.has_force and not self.law.askers.get(name):
+                problem = f"your force does not ask for {name}; leave the gain out"
+                raise InputError(problem, argument=f"{name}_gain")
         for name, asker in self.law.askers.items():
             lacks = ramp is None or given.get(name, 0.0) is None
             if name in _WEIGHTED and name not in numbers and lacks:
@@ -318,7 +334,7 @@ def _caller(kind: str, function: FunctionType, names: tuple[str, ...]) -> object
             **known, "spacing": lambda: number[Numbers.SPACING]
         }  # fmt: skip
         value = called(*[given[n]() if n in given else columns[n] for n in takes])
-        is_scalar = value is not None and not is_vector(value)
+        is_scalar = isinstance(value, (Real, ti.lang.expr.Expr)) and not is_vector(value)
         is_three = is_vector(value) and tuple(value.get_shape()) == (3,)
         if not (is_three or (is_scalar and kind == "force")):
             other = ", or a number" if kind == "force" else ""
@@ -453,4 +469,5 @@ def _mistakes_named(law: _Law) -> Iterator[None]:
                 raise InputError(problem, path=Path(file), line=int(line)) from error
         names = " or ".join(f.__name__ for f in law.functions)
         problem = f"does not compile: {problem}; correct {names}"
-        raise _error(problem, law.functions[0]) from error
+        wrong = [f for f in law.functions if f"{f.__name__} has to return" in problem]
+        raise _error(problem, (wrong or law.functions)[0]) from error
