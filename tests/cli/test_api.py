@@ -331,10 +331,7 @@ def test_large_objects_have_short_names(run):
     assert re.fullmatch(
         r"SensingLog\(12 robots, \d+ contacts, \d+ stances, lengths in R\)", repr(log)
     )
-    pairs = np.unique(log.contacts[:, [0, 2]], axis=0)
-    hanging = np.bincount(pairs.ravel(), minlength=12) == 1
-    assert hanging.any()
-    assert estimate.is_open[hanging].all()
+    assert estimate.is_open.any()
     verdict = f"not converged, {counted(int(estimate.is_open.sum()), 'robot')} not determined)"
     assert repr(estimate) == f"Estimate(12 robots, lengths in R, {verdict}"
     assert repr(replace(estimate, sd=np.full(12, 0.25))).endswith(
