@@ -161,13 +161,17 @@ def test_a_summary_has_the_geometric_mean():
     grades = [
         Grade(method="a", log="1", rmse=1.0, over_limit=2.0, verdict="trusted", **each),
         Grade(method="a", log="2", rmse=1.0, over_limit=8.0, verdict="warned", **each),
+        *(
+            Grade(method="a", log=str(5 + k), rmse=1.0, over_limit=4.0, verdict="trusted", **each)
+            for k in range(3)
+        ),
         Grade(method="a", log="3", rmse=3.0, over_limit=nan, verdict="trusted", **each),
         Grade(method="a", log="4", rmse=nan, over_limit=nan, verdict="no compass", **each),
     ]
 
     [row] = summary(pd.DataFrame(grades)).to_dict("records")
 
-    assert (row["logs"], row["warned"], row["silent"]) == (3, 1, 0)
+    assert (row["logs"], row["warned"], row["silent"]) == (6, 1, 0)
     assert row["over_limit"] == pytest.approx(4.0)
     assert row["open_R"] == pytest.approx(3.0, rel=1e-4)
     assert row["from"] < 4.0 < row["to"]

@@ -192,9 +192,9 @@ def test_an_estimate_that_did_not_converge_is_written_with_a_warning(tiswarm, tm
 
     assert done.returncode == quiet.returncode == 4
     assert done.stderr.splitlines()[-1] == quiet.stderr.strip()
-    assert quiet.stderr.startswith("tiswarm: warning: neither converged nor consistent")
+    assert quiet.stderr.startswith("tiswarm: warning: not converged: all chains ended out of reach")
     assert "positions and sd may be far off; " in quiet.stderr
-    assert f"20 robots, neither converged nor consistent -> {out}" in done.stdout
+    assert f"20 robots, not converged -> {out}" in done.stdout
     assert "outlier" not in done.stdout
     assert len(out.read_text().splitlines()) == 21
 

@@ -101,7 +101,7 @@ class ResultWarning(UserWarning):
 def warn(text: str) -> None:
     """Warn of a result, at the line of the caller's own code."""
     depth, frame = 1, sys._getframe()  # noqa: SLF001 - each Python that we support has it
-    while frame.f_back and frame.f_globals["__name__"].startswith("tiswarm."):
+    while frame.f_back and frame.f_globals.get("__name__", "").startswith("tiswarm."):
         depth, frame = depth + 1, frame.f_back
     warnings.warn(text, ResultWarning, stacklevel=depth)
 

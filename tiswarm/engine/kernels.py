@@ -25,7 +25,7 @@ from tiswarm.compute.lang import (
     holds_integers,
     ti,
 )  # fmt: skip
-from tiswarm.compute.math_kernels import rotate, vector_at
+from tiswarm.compute.math_kernels import mixed, rotate, vector_at
 from tiswarm.compute.neighbor_kernels import (
     Cells,
     ConnectedDocks,
@@ -111,6 +111,33 @@ class SwarmState(NamedTuple):
 def in_length(difference, unit, places: Ref):
     """Convert a difference of numbers in `places` to a length."""
     return ti.cast(difference, float) * unit if ti.static(holds_integers(places)) else difference
+
+
+@ti.func
+def place_of(here, unit, x, y, z, robots: Ref):
+    """Convert the numbers of a center to its place; the origin is at x, y, z."""
+    return ti.Vector([x, y, z]) + in_length(here, unit, robots.position)
+
+
+@ti.func
+def number_of(robots: Ref, at):
+    """Read a whole number: the seed, the first step's, or that of robot `at - 2`."""
+    return robots.number[at]
+
+
+@ti.func
+def noise_of(robots: Ref, robot, t):
+    """Draw three standard normal numbers, a hash of seed, robot and step, by Box and Muller."""
+    key = mixed(
+        mixed(ti.cast(robots.number[0], ti.u64)) ^ ti.cast(robots.number[2 + robot], ti.u64)
+    )
+    key += mixed(ti.cast(robots.number[1] + t, ti.u64))
+    share = ti.Vector([0.0, 0.0, 0.0, 0.0])
+    for k in ti.static(range(4)):
+        share[k] = (ti.cast(mixed(key + ti.u64(k << 20)), float) + 0.5) / 2.0**32
+    radius, turn = ti.sqrt(-2.0 * ti.log(share[0])), 2.0 * ti.math.pi * share[1]
+    last = ti.sqrt(-2.0 * ti.log(share[2])) * ti.cos(2.0 * ti.math.pi * share[3])
+    return ti.Vector([radius * ti.cos(turn), radius * ti.sin(turn), last])
 
 
 @ti.func

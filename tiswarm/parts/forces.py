@@ -25,7 +25,7 @@ from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.robot import Robot
 from tiswarm.compute import backend
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, Ref, ti
-from tiswarm.compute.math_kernels import mixed, vector_at
+from tiswarm.compute.math_kernels import vector_at
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import (
     FREE,
@@ -368,33 +368,6 @@ def _of_pair(
     }
 
 
-@ti.func
-def _place_of(here, unit, x, y, z, robots: Ref):  # noqa: ANN001, ANN202 - of kernels
-    """Convert the numbers of a center to its place; the origin is at x, y, z."""
-    return ti.Vector([x, y, z]) + kernels.in_length(here, unit, robots.position)
-
-
-@ti.func
-def _number_of(robots: Ref, at):  # noqa: ANN001, ANN202 - of kernels
-    """Read a whole number: the seed, the first step's, or that of robot `at - 2`."""
-    return robots.number[at]
-
-
-@ti.func
-def _noise(robots: Ref, robot, t):  # noqa: ANN001, ANN202 - of kernels
-    """Draw three standard normal numbers, a hash of seed, robot and step, by Box and Muller."""
-    key = mixed(
-        mixed(ti.cast(robots.number[0], ti.u64)) ^ ti.cast(robots.number[2 + robot], ti.u64)
-    )
-    key += mixed(ti.cast(robots.number[1] + t, ti.u64))
-    share = ti.Vector([0.0, 0.0, 0.0, 0.0])
-    for k in ti.static(range(4)):
-        share[k] = (ti.cast(mixed(key + ti.u64(k << 20)), float) + 0.5) / 2.0**32
-    radius, turn = ti.sqrt(-2.0 * ti.log(share[0])), 2.0 * ti.math.pi * share[1]
-    last = ti.sqrt(-2.0 * ti.log(share[2])) * ti.cos(2.0 * ti.math.pi * share[3])
-    return ti.Vector([radius * ti.cos(turn), radius * ti.sin(turn), last])
-
-
 def _of_motion(
     force: object, here: object, robot: Any, t: Any, unit: object, robots: Any,  # noqa: ANN401
     number: list[object],
@@ -403,13 +376,13 @@ def _of_motion(
     origin = number[Numbers.ORIGIN : Numbers.ORIGIN + 3]
     return {
         "force": lambda: force,
-        "position": lambda: _place_of(here, unit, *origin, robots),
+        "position": lambda: kernels.place_of(here, unit, *origin, robots),
         "last_step": lambda: vector_at(robots.last_step, robot),
         "mobility": lambda: vector_at(robots.mobility, robot),
-        "noise": lambda: _noise(robots, robot, t),
-        "last_noise": lambda: _noise(robots, robot, t - 1),
-        "robot": lambda: _number_of(robots, 2 + robot),
-        "step": lambda: _number_of(robots, 1) + t,
+        "noise": lambda: kernels.noise_of(robots, robot, t),
+        "last_noise": lambda: kernels.noise_of(robots, robot, t - 1),
+        "robot": lambda: kernels.number_of(robots, 2 + robot),
+        "step": lambda: kernels.number_of(robots, 1) + t,
     }
 
 
