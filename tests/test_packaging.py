@@ -245,7 +245,7 @@ def test_the_wheel_works_without_the_checkout(wheel, tmp_path):
         [python, "-c", "import tiswarm; print(tiswarm.__file__)"],
         check=True, cwd=tmp_path, capture_output=True, text=True,
     ).stdout  # fmt: skip
-    listed = _run(python, "scenarios")
+    listed = _run(python, "scenarios", "--all")
     planned = _run(python, "run", "tower", "--plan")
 
     assert found.startswith(str(site))
