@@ -77,11 +77,7 @@ Threads = Annotated[
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only warnings and errors.")]
 Plugins = Annotated[
     list[Path],
-    Option(
-        "--plugin",
-        metavar="FILE",
-        help="Load a plug-in of yours from a file (repeatable).",
-    ),
+    Option("--plugin", metavar="FILE", help="Load a plug-in of yours from a file (repeatable)."),
 ]
 Debug = Annotated[bool, Option("--debug", help="Print the traceback if a plug-in fails.")]
 RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
@@ -95,9 +91,7 @@ Pdf = Annotated[
 Animate = Annotated[
     bool,
     Option(
-        "--animate",
-        help="Animate the growth of the largest structure.",
-        rich_help_panel=PICTURES,
+        "--animate", help="Animate the growth of the largest structure.", rich_help_panel=PICTURES
     ),
 ]
 Movie = Annotated[

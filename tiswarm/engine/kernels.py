@@ -128,10 +128,8 @@ def number_of(robots: Ref, at):
 @ti.func
 def noise_of(robots: Ref, robot, t):
     """Draw three standard normal numbers, a hash of seed, robot and step, by Box and Muller."""
-    key = mixed(
-        mixed(ti.cast(robots.number[0], ti.u64)) ^ ti.cast(robots.number[2 + robot], ti.u64)
-    )
-    key += mixed(ti.cast(robots.number[1] + t, ti.u64))
+    own = mixed(ti.cast(robots.number[0], ti.u64)) ^ ti.cast(robots.number[2 + robot], ti.u64)
+    key = mixed(own) + mixed(ti.cast(robots.number[1] + t, ti.u64))
     share = ti.Vector([0.0, 0.0, 0.0, 0.0])
     for k in ti.static(range(4)):
         share[k] = (ti.cast(mixed(key + ti.u64(k << 20)), float) + 0.5) / 2.0**32

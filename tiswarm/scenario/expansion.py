@@ -70,10 +70,8 @@ def load_scenario(given: Path | Plain, overrides: Sequence[str] = ()) -> Scenari
     if not more:
         raise first
     problem = f"{first.problem} (and {counted(more, 'more mistake')}; check lists all)"
-    raise InputError(
-        problem, path=first.path, line=first.line, column=first.column,
-        argument=first.argument, key=first.key,
-    )  # fmt: skip
+    places = {name: getattr(first, name) for name in ("path", "line", "column", "argument", "key")}
+    raise InputError(problem, **places)
 
 
 def find_mistakes(given: Path | Plain, overrides: Sequence[str] = ()) -> list[InputError]:

@@ -203,9 +203,7 @@ def _mistake(problem: str, mark: yaml.Mark, at: tuple[Part, ...] = ()) -> InputE
 _FOLDER = Path(__file__).parent / "files"
 
 
-FIRST = (
-    "tower", "cantilever", "bridge", "chain", "paper", "scaling", "closed-loop", "failures",
-)  # fmt: skip
+FIRST = ["tower", "cantilever", "bridge", "chain", "paper", "scaling", "closed-loop", "failures"]
 """Scenarios to begin with."""
 
 
