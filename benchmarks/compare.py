@@ -26,7 +26,7 @@ from benchmarks.swarm_step.machine import describe
 from benchmarks.threads import WORKS, Task, Work
 from tiswarm.compute import backend
 from tiswarm.localization.methods import LocalizationParams, localize_many
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.study.provenance import all_code
 
 BASELINES = Path(__file__).with_name("baselines")

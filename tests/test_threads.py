@@ -33,7 +33,7 @@ from tiswarm.compute import backend
 from tiswarm.localization.chains.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.methods import localize_many
 from tiswarm.localization.settings import Together
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.parts.suites.senses import in_sight
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import load_scenario

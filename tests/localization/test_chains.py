@@ -13,9 +13,9 @@ from tiswarm.localization import joint
 from tiswarm.localization.chains.annealer import anneal, annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
+from tiswarm.localization.mixture import CONVERGENCE
 from tiswarm.localization.mixture.ends import failed, squares
 from tiswarm.localization.mixture.mixture import between_chains, deviation
-from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.contacts import reach
 

@@ -9,7 +9,7 @@ from tests.localization.test_problem import true_yaw
 from tests.structures import NOISY, with_directions
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts.peers.settings import LeastSquaresParams
+from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 

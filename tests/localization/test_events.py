@@ -13,7 +13,7 @@ from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.parts.advice.further import advise
 from tiswarm.parts.online.tracker import Tracker
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import parse_header, parse_line
 from tiswarm.sensing import observe

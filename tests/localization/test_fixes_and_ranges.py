@@ -13,7 +13,7 @@ from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 

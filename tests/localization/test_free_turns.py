@@ -15,7 +15,7 @@ from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.turns import Turn, Turns
 from tiswarm.measurements.verdicts import cautions, headline
 from tiswarm.parts.advice.further import tabulate
-from tiswarm.parts.online.settings import OnlineParams
+from tiswarm.parts.online import OnlineParams
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import lines_of
 

@@ -11,7 +11,7 @@ import tiswarm
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
-from tiswarm.parts.peers.settings import LeastSquaresParams
+from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 

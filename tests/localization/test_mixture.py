@@ -16,9 +16,9 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.mixture import MIXTURE, SD_CALIBRATION
 from tiswarm.localization.mixture.ends import Fit, aligned, ranked
 from tiswarm.localization.mixture.mixture import deviation, minimum, mixed
-from tiswarm.localization.mixture.settings import MIXTURE, SD_CALIBRATION
 from tiswarm.localization.settings import JointParams
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow

@@ -11,9 +11,8 @@ from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
-from tiswarm.localization.mixture import outliers, verdict
+from tiswarm.localization.mixture import OutlierRobotSettings, outliers, verdict
 from tiswarm.localization.mixture.assessment import assess
-from tiswarm.localization.mixture.settings import OutlierRobotSettings
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.odometry import Odometry, stuck_robots
 from tiswarm.measurements.verdicts import describe_outliers

@@ -11,7 +11,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
 from tiswarm.measurements.cues import in_plane
-from tiswarm.parts.peers.settings import LeastSquaresParams
+from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

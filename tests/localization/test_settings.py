@@ -8,10 +8,10 @@ import re
 
 import pytest
 
+from tiswarm.localization import mixture
 from tiswarm.localization.chains.views import AnnealSchedule
-from tiswarm.localization.mixture import settings
 
-CLASSES = [AnnealSchedule, *filter(inspect.isclass, vars(settings).values())]
+CLASSES = [AnnealSchedule, *filter(inspect.isclass, vars(mixture).values())]
 
 
 @pytest.mark.parametrize("kind", CLASSES)

@@ -14,10 +14,10 @@ from tiswarm.localization.settings import BackPropagation, JointParams, Together
 from tiswarm.localization.virtual_force.method import Localizer
 from tiswarm.measurements.cues import cue_names
 from tiswarm.parts.advice.further import advise, advise_together
-from tiswarm.parts.between.settings import DistributedParams
+from tiswarm.parts.between import DistributedParams
 from tiswarm.parts.navigation import _parts
-from tiswarm.parts.online.settings import OnlineParams
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.online import OnlineParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.scenario.expansion import load_scenario

@@ -11,7 +11,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.parts.units import contradictions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

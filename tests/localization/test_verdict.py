@@ -16,9 +16,9 @@ from tiswarm.localization.mixture.assessment import Assessment, assess
 from tiswarm.localization.mixture.verdict import Evidence, judge, widened
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.cues import measure
-from tiswarm.parts.online.settings import OnlineParams
+from tiswarm.parts.online import OnlineParams
 from tiswarm.parts.online.tracker import Tracker
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence
 from tiswarm.records.sensing_file import lines_of
 from tiswarm.records.sensing_log import SensingLog

@@ -12,8 +12,8 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import view_of
 from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import JointParams
+from tiswarm.parts.between import DistributedParams
 from tiswarm.parts.between.robot import view_near
-from tiswarm.parts.between.settings import DistributedParams
 
 PARAMS = JointParams(chains=2, steps=20, hold_steps=1, robust=False)
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tiswarm.localization.chains.views import ANNEALING
+from tiswarm.localization.mixture import MIXTURE, SD_CALIBRATION
 from tiswarm.localization.mixture.ends import _weights
 from tiswarm.localization.mixture.mixture import deviation
-from tiswarm.localization.mixture.settings import MIXTURE, SD_CALIBRATION
 
 
 def _weighed(cost, heat):

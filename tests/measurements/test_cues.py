@@ -8,7 +8,7 @@ from tiswarm.measurements import cues
 from tiswarm.measurements.model import Coordinates
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER
-from tiswarm.parts.peers.settings import LeastSquaresParams
+from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.sensing import SensingParams, observe
 
 

@@ -16,7 +16,7 @@ from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import weld
 from tiswarm.measurements.verdicts import describe_outliers
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_log import SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

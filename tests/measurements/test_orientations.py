@@ -13,7 +13,7 @@ from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.odometry import Odometry, connections_of, with_orientations
-from tiswarm.parts.peers.settings import LeastSquaresParams
+from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

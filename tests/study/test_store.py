@@ -21,9 +21,8 @@ from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.compute import numerics
 from tiswarm.records.io import path_for
-from tiswarm.scenario.expansion import load_scenario
+from tiswarm.scenario.expansion import load_scenario, plan
 from tiswarm.study import provenance, store
-from tiswarm.study.cases import plan
 from tiswarm.study.store import RunFolder
 from tiswarm.world.growth import grow
 

@@ -57,11 +57,11 @@ GROUP = "tiswarm.plugins"
 PARTS: Mapping[str, Mapping[str, str]] = {
     "method": {
         "virtual-force": "tiswarm.localization.settings:VirtualForceParams",
-        "least-squares": "tiswarm.parts.peers.settings:LeastSquaresParams",
+        "least-squares": "tiswarm.parts.peers:LeastSquaresParams",
         "joint": "tiswarm.localization.settings:JointParams",
-        "hop-by-hop": "tiswarm.parts.peers.settings:HopByHopParams",
-        "online": "tiswarm.parts.online.settings:OnlineParams",
-        "distributed": "tiswarm.parts.between.settings:DistributedParams",
+        "hop-by-hop": "tiswarm.parts.peers:HopByHopParams",
+        "online": "tiswarm.parts.online:OnlineParams",
+        "distributed": "tiswarm.parts.between:DistributedParams",
     },
     "sensor": {
         "fireant-v3": "tiswarm.parts.suites:FIREANT_V3",

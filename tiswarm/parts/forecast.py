@@ -7,9 +7,8 @@ robots.
 from typing import NamedTuple
 
 from tiswarm.records.messages import counted
-from tiswarm.scenario.expansion import variants
+from tiswarm.scenario.expansion import structure_kind, variants
 from tiswarm.scenario.model import Scenario
-from tiswarm.study.cases import structure_kind
 from tiswarm.study.executors import Execution
 from tiswarm.study.runner import ROBOTS_AT_ONCE
 

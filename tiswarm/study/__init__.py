@@ -3,7 +3,7 @@
 No other room holds the truth and an estimate together.
 """
 
-from tiswarm.study.cases import plan
+from tiswarm.scenario.expansion import plan
 from tiswarm.study.executors import Execution
 from tiswarm.study.run import open_folder, run, tabulate
 

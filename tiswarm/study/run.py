@@ -18,9 +18,8 @@ from tiswarm.base.progress import Progress
 from tiswarm.localization import methods
 from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted
-from tiswarm.scenario.expansion import load_scenario
+from tiswarm.scenario.expansion import Group, Plan, load_scenario, plan
 from tiswarm.scenario.model import Scenario
-from tiswarm.study.cases import Group, Plan, plan
 from tiswarm.study.executors import Execution, Executor, open_executor, reason
 from tiswarm.study.runner import Job, Outcome, batch, failure
 from tiswarm.study.store import CaseRecord, RunFolder

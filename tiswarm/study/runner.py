@@ -21,9 +21,9 @@ from tiswarm.localization.methods import LocalizationParams, localize_many
 from tiswarm.localization.settings import JointParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.scenario.expansion import Case, Group
 from tiswarm.sensing import observe
 from tiswarm.sensing.params import SensingParams
-from tiswarm.study.cases import Case, Group
 from tiswarm.study.provenance import Costs, Used, case_code
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow

@@ -35,8 +35,8 @@ from tiswarm.records.run_folder import (
 )
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.scenario.expansion import Case
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
-from tiswarm.study.cases import Case
 from tiswarm.study.provenance import Cost, Used, is_current, manifest, structure_code
 from tiswarm.world.history import History
 from tiswarm.world.history_file import read_history, write_history

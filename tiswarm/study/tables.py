@@ -31,9 +31,9 @@ from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.positions import Truth, read_estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.terrain import NO_EDGE, Terrain
+from tiswarm.scenario.expansion import Group, Plan
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
-from tiswarm.study.cases import Group, Plan
 from tiswarm.study.provenance import Cost
 from tiswarm.study.store import CaseRecord
 

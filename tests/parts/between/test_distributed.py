@@ -15,6 +15,7 @@ from tests.structures import NOISY, with_directions, with_fixes
 from tiswarm.base.errors import InputError
 from tiswarm.localization.methods import centered, localize_many
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
+from tiswarm.parts.between import DistributedParams
 from tiswarm.parts.between.channel import (
     ACKNOWLEDGMENT,
     ADDRESS,
@@ -24,7 +25,6 @@ from tiswarm.parts.between.channel import (
 )
 from tiswarm.parts.between.method import PeerSwarm
 from tiswarm.parts.between.robot import Program
-from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.between.wire import (
     Reader,
     Writer,

@@ -12,7 +12,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.methods import localize
 from tiswarm.parts.formats.imports import import_poses, write_imports
 from tiswarm.parts.formats.poses import Assumptions, read_dock_offsets
-from tiswarm.parts.peers.settings import LeastSquaresParams
+from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.positions import read_positions
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingNoise

@@ -16,10 +16,9 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import State, WholeCost
 from tiswarm.localization.methods import centered, localize
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts.online import tracker
-from tiswarm.parts.online.settings import OnlineParams
+from tiswarm.parts.online import OnlineParams, tracker
 from tiswarm.parts.online.tracker import Tracker, annealed_estimate, fitted, reannealed
-from tiswarm.parts.peers.settings import HopByHopParams
+from tiswarm.parts.peers import HopByHopParams
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import observe
 from tiswarm.world.growth import grow

@@ -21,7 +21,7 @@ from tests.structures import (
 )
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.methods import localize, localize_many
-from tiswarm.parts.peers.settings import HopByHopParams
+from tiswarm.parts.peers import HopByHopParams
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

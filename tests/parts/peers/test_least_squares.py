@@ -12,7 +12,7 @@ from tests.structures import NOISY, silent
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.sensing import SensingParams, observe
 
 APART = LeastSquaresParams(non_overlap=False)

@@ -18,8 +18,8 @@ from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import SETTLED, WholeCost
 from tiswarm.localization.cost.linear import Linear
+from tiswarm.localization.mixture import CONVERGENCE
 from tiswarm.localization.mixture.ends import Posed
-from tiswarm.localization.mixture.settings import CONVERGENCE
 from tiswarm.localization.mixture.verdict import Evidence, extent, judge, misfit_by_robot, widened
 from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
 from tiswarm.measurements.model import Measurements, are_known

@@ -15,8 +15,8 @@ from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import WholeCost, grouped, weights
+from tiswarm.localization.mixture import CONVERGENCE, MIXTURE
 from tiswarm.localization.mixture.frames import scaled_distances
-from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.cost import OVERLAP_SD
-from tiswarm.localization.mixture.settings import MIXTURE
+from tiswarm.localization.mixture import MIXTURE
 from tiswarm.measurements.contacts import close_docks, spans
 from tiswarm.measurements.model import SPACING, Measurements, turned
 from tiswarm.records.sensing_log import SensingLog

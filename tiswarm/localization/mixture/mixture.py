@@ -24,9 +24,9 @@ from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED, grouped, moments
 from tiswarm.localization.cost.linear import Linear
+from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked
 from tiswarm.localization.mixture.frames import PartImages
-from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms, widened
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import stuck_robots

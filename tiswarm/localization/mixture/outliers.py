@@ -20,9 +20,9 @@ from tiswarm.localization.chains.problem import DISREGARDED_SD, pose_problem
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State
 from tiswarm.localization.cost.linear import Linear
+from tiswarm.localization.mixture import OUTLIER_ROBOTS
 from tiswarm.localization.mixture.ends import Fit, Posed
 from tiswarm.localization.mixture.mixture import mixed
-from tiswarm.localization.mixture.settings import OUTLIER_ROBOTS
 from tiswarm.localization.mixture.verdict import gains_without, widened
 from tiswarm.measurements.odometry import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate

@@ -9,7 +9,7 @@ from scipy.special import chdtrc  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.cost.linear import Linear
-from tiswarm.localization.mixture.settings import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
+from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
 from tiswarm.localization.settings import LARGE
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import stuck_robots

@@ -1,1 +1,139 @@
-"""Optional: localization by robots that know their own rows and what others sent them."""
+"""Optional: localization by robots that know their own rows and what others sent them.
+
+Here are the settings of `distributed`, each with its unit and its reason. Lengths in R.
+"""
+
+from dataclasses import fields
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from tiswarm.base.params import STRICT
+from tiswarm.localization.settings import (
+    BackPropagation,
+    ChiSquareParams,
+    DocksNamed,
+    VirtualForceParams,
+)
+
+_JOIN_S = 0.01
+"""Processor time of a join by messages, without annealing [s]."""
+
+_STEP_S = 8e-6, 1e-7
+"""Processor time of a step of one chain of it: at all, and for each robot [s]."""
+
+_SENDING_S = 1.5e-3
+"""Processor time of the messages of a robot in Algorithm 1 [s]."""
+
+_OF_SCHEME = {
+    "joiner": ("hops", "robots", "solver", "reach", "growth", "chains", "steps", "start_sigma"),
+    "algorithm-1": ("poses", "back_propagation", "undocked_repulsion"),
+}
+"""Settings that have a meaning in one scheme only."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
+    """What robots send each other to find out where they are, and by which channel.
+
+    A robot computes from its own rows and from what it was sent. By default one robot, the anchor,
+    solves for all within `reach` of it, and so for all of a structure of 100.
+    """
+
+    module: ClassVar = "tiswarm.parts.between.method"
+    calls: ClassVar = VirtualForceParams
+    robots_stay: ClassVar = True
+
+    method: Literal["distributed"] = "distributed"
+    """Name of the method."""
+
+    solve_yaw: Literal[False] = False
+    """No bias of yaw is solved for."""
+
+    scheme: Literal["joiner", "algorithm-1"] = "joiner"
+    """joiner: where a robot joins, one robot asks those nearby for what they measured, solves for
+    their positions and sends them the answer. algorithm-1: the paper's, by the defaults of
+    `virtual-force`, whose positions are those without losses and rounding."""
+
+    poses: Literal["once", "every-join"] = "every-join"
+    """When robots send their poses in `algorithm-1`: once they are placed, or at each join."""
+
+    undocked_repulsion: bool = True
+    """Use Eq. (2) in `algorithm-1`, for which robots hear of all others; without it they hear of
+    those that they touch alone, once."""
+
+    back_propagation: BackPropagation | None = None
+    """Rounds of `algorithm-1` in which all robots move again; off if null."""
+
+    channel: Literal["touch", "radio"] = "touch"
+    """touch: robots in contact pass on what they hear, robot by robot. radio: all robots hear what
+    one of them sends."""
+
+    loss: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of transmissions that are lost [1]."""
+
+    delay: Annotated[int, Field(ge=0, le=1000)] = 0
+    """Rounds that a transmission takes beyond the next one [1]."""
+
+    retries: Annotated[int, Field(ge=0, le=100)] = 4
+    """Times at most that a transmission without an answer is repeated [1]."""
+
+    bits: Annotated[int, Field(ge=8, le=32)] | None = 16
+    """Bits of each number that is sent, in a range that its message states; all 64 if null."""
+
+    hops: Annotated[int, Field(ge=1)] = 2
+    """Steps of "shares a measurement" within which robots are asked [1]."""
+
+    robots: Annotated[int, Field(ge=2)] = 100
+    """Robots at most that are asked, and that a robot holds measurements of [1]."""
+
+    solver: Literal["joiner", "keeper"] = "keeper"
+    """Who solves: the robot that joined, or the nearest one that solved for the first robot that it
+    touches, which holds the measurements of those nearby."""
+
+    reach: Annotated[int, Field(ge=0, le=254)] = 12
+    """Contacts at most to such a robot [1]; without one, the robot touched solves. With 12 the
+    anchor solves for all of 100 robots; with 3 several robots do."""
+
+    growth: Annotated[float, Field(gt=0.0)] = 0.1
+    """Growth after which a robot that solves anneals all robots that it holds [1]."""
+
+    chains: Annotated[int, Field(ge=0, le=1000)] = 8
+    """Annealings of the robots nearby by the robot that solves; 0 for none."""
+
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 400
+    """Steps of each annealing."""
+
+    start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
+    """Square root of the temperature at which annealings begin [R]."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings of another scheme."""
+        usual = {field.name: field.default for field in fields(self)}
+        for scheme, names in _OF_SCHEME.items():
+            for name in names:
+                if scheme != self.scheme and getattr(self, name) != usual[name]:
+                    raise ValueError(
+                        f"{name} is of scheme {scheme}; remove it, or set scheme to {scheme}"
+                    )
+
+    @property
+    def published(self) -> VirtualForceParams:
+        """Settings of Algorithm 1, for the scheme `algorithm-1`."""
+        return VirtualForceParams(
+            back_propagation=self.back_propagation, undocked_repulsion=self.undocked_repulsion
+        )
+
+    @property
+    def cues(self) -> tuple[str, ...]:
+        """What of the log is used; Algorithm 1 knows fewer cues."""
+        return self.published.cues if self.scheme == "algorithm-1" else super().cues
+
+    def seconds(self, robots: int) -> float:
+        """Estimate the processor time of robots that localize themselves [s]."""
+        if self.scheme == "algorithm-1":
+            return _SENDING_S * robots + self.published.seconds(robots)
+        once, each = _STEP_S
+        steps = self.chains * self.steps
+        return robots * (_JOIN_S + steps * (once + each * robots))

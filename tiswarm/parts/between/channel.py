@@ -18,7 +18,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import uniform
-from tiswarm.parts.between.settings import DistributedParams
+from tiswarm.parts.between import DistributedParams
 
 HEADER = 4
 """Bytes before the parts of a message: its kind, sender, number and length."""

@@ -27,9 +27,9 @@ from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.mixture.verdict import rms
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
 from tiswarm.measurements.contacts import contact_count
+from tiswarm.parts.between import DistributedParams
 from tiswarm.parts.between.channel import HEADER, Channel, Message
 from tiswarm.parts.between.robot import Peer, Program
-from tiswarm.parts.between.settings import DistributedParams
 from tiswarm.parts.between.wire import MOST_ROBOTS, pose_bytes
 from tiswarm.parts.online.layers import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate

@@ -39,9 +39,9 @@ from tiswarm.localization.chains.views import (
 from tiswarm.localization.cost import EXTENSION, ROBUST_SD
 from tiswarm.localization.cost.cost import State, weights
 from tiswarm.measurements.odometry import CENTER
-from tiswarm.parts.between import wire
+from tiswarm.parts.between import DistributedParams, wire
 from tiswarm.parts.between.channel import Message
-from tiswarm.parts.between.settings import DistributedParams
+from tiswarm.parts.online import CANDIDATES, NEIGHBORS
 from tiswarm.parts.online.kernels import (
     COORDINATE,
     OFFSET,
@@ -52,7 +52,6 @@ from tiswarm.parts.online.kernels import (
 )
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
 from tiswarm.parts.online.neighborhood import Block, NearCost
-from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import LISTS

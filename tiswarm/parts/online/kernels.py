@@ -22,7 +22,7 @@ from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.measurements import equations
 from tiswarm.measurements.model import KNOWN, SPACING
-from tiswarm.parts.online.settings import CANDIDATES
+from tiswarm.parts.online import CANDIDATES
 
 DISTANCE, HINGE, OFFSET, COORDINATE = range(4)
 """Kinds of rows; only distances that are too short count of a hinge."""

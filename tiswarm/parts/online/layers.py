@@ -15,13 +15,14 @@ from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, moments, weights
 from tiswarm.localization.methods import centered
-from tiswarm.localization.mixture.settings import CONVERGENCE
+from tiswarm.localization.mixture import CONVERGENCE
 from tiswarm.localization.mixture.verdict import extent
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.cues import CUES
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.turns import Turns
+from tiswarm.parts.online import CANDIDATES, NEIGHBORS
 from tiswarm.parts.online.neighborhood import (
     Block,
     NearCost,
@@ -31,7 +32,6 @@ from tiswarm.parts.online.neighborhood import (
     candidates,
     extension,
 )
-from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 

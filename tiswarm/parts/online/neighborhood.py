@@ -25,6 +25,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.cost import EXTENSION
 from tiswarm.localization.cost.cost import Cost, State, grouped, shortened
 from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.parts.online import CANDIDATES, NEIGHBORS
 from tiswarm.parts.online.kernels import (
     COORDINATE,
     DISTANCE,
@@ -40,7 +41,6 @@ from tiswarm.parts.online.kernels import (
     descend,
     sum_equations,
 )
-from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS
 
 _AXES = 3
 _HELD = 1e-4

@@ -37,13 +37,14 @@ from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, WholeCost, moments
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.methods import centered, uncentered
+from tiswarm.localization.mixture import CONVERGENCE, REFINEMENT
 from tiswarm.localization.mixture.assessment import Assessment, assess
 from tiswarm.localization.mixture.ends import Fit, Posed, ranked
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
-from tiswarm.localization.mixture.settings import CONVERGENCE, REFINEMENT
 from tiswarm.localization.mixture.verdict import extent, rms
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
+from tiswarm.parts.online import CANDIDATES, NEIGHBORS, TIMES, OnlineParams
 from tiswarm.parts.online.layers import (
     Joiner,
     LocalLayers,
@@ -53,7 +54,6 @@ from tiswarm.parts.online.layers import (
     turns_at,
 )
 from tiswarm.parts.online.neighborhood import NearCost
-from tiswarm.parts.online.settings import CANDIDATES, NEIGHBORS, TIMES, OnlineParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
 from tiswarm.records.messages import counted

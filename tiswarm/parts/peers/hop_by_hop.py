@@ -37,7 +37,7 @@ from tiswarm.measurements.contacts import disconnected, overlap, parts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.equations import components, missed_along, missed_distance
 from tiswarm.measurements.model import SPACING, Measurements
-from tiswarm.parts.peers.settings import HopByHopParams
+from tiswarm.parts.peers import HopByHopParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

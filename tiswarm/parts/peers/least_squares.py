@@ -21,8 +21,8 @@ from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.settings import DOCKS_UNKNOWN
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING
+from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.parts.peers.hop_by_hop import place
-from tiswarm.parts.peers.settings import LeastSquaresParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -8,8 +8,7 @@ from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.base.progress import Progress
 from tiswarm.report.run_data import load_run
-from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study.cases import plan
+from tiswarm.scenario.expansion import load_scenario, plan
 from tiswarm.study.runner import Job, batch
 from tiswarm.study.store import RunFolder
 
