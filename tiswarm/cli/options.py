@@ -1,6 +1,7 @@
 """The `tiswarm` application, its exit status, and options that several commands share."""
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -198,6 +199,7 @@ def _status(arguments: list[str]) -> int:
     warnings.simplefilter("always", ResultWarning)  # PYTHONWARNINGS hides none
     os.environ["MPLBACKEND"] = "agg"  # figures go to files; an unknown name would be refused
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # idle threads would still reserve memory
+    gc.set_threshold(50_000, 20, 100)  # most objects of a command live until it ends
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         with naming_shortage():

@@ -27,7 +27,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -109,6 +109,17 @@ def load_library() -> tuple[str, Any]:
 
 
 LIBRARY, ti = load_library()
+
+
+def _place(context: Any, node: Any) -> str:  # noqa: ANN401 - of the library
+    """Name the place of a statement; carets below all of it are a quarter of a kernel's load."""
+    line, source = node.lineno + context.lineno_offset, context.src[node.lineno - 1].strip()
+    return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n{source}\n^\n'
+
+
+with suppress(AttributeError, ImportError):  # of another version of the library
+    _ast = import_module(f"{LIBRARY}.lang.ast.ast_transformer_utils")
+    _ast.ASTTransformerContext.get_pos_info = _place
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as kernel_struct

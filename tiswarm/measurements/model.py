@@ -97,16 +97,14 @@ class Distances(NamedTuple):
     ) -> "Distances":
         """Make rows with their length [R], own standard deviation [R] and source, of one kind."""
         rows = len(stance)
+        i, a, j, b = np.stack([stance, dock, other_stance, other_dock]).astype(np.int64)
         return cls(
-            stance=stance.astype(np.int64),
-            dock=dock.astype(np.int64),
-            other_stance=other_stance.astype(np.int64),
-            other_dock=other_dock.astype(np.int64),
+            i, a, j, b,
             length=np.broadcast_to(length, rows),
             own_variance=np.broadcast_to(np.square(sd), rows),
             is_hinge=np.full(rows, is_hinge),
             source=np.broadcast_to(source, rows),
-        )
+        )  # fmt: skip
 
 
 class Offsets(NamedTuple):
@@ -162,17 +160,14 @@ class Offsets(NamedTuple):
         """
         axis = _frames(vector / np.linalg.norm(vector, axis=1, keepdims=True))
         along, across = (np.broadcast_to(sd, len(vector)) for sd in (along_sd, across_sd))
-        number = np.column_stack([stance, dock, other_stance, other_dock]).astype(np.int64)
-        thrice = np.repeat(number, _AXES, axis=0)
+        number = np.stack([stance, dock, other_stance, other_dock]).astype(np.int64)
+        i, a, j, b = np.repeat(number, _AXES, axis=1)
         return cls(
-            stance=thrice[:, 0],
-            dock=thrice[:, 1],
-            other_stance=thrice[:, 2],
-            other_dock=thrice[:, 3],
+            i, a, j, b,
             vector=np.repeat(vector, _AXES, axis=0),
             axis=axis.reshape(-1, _AXES),
             own_variance=np.column_stack([along, across, across]).ravel() ** 2,
-        )
+        )  # fmt: skip
 
 
 class Coordinates(NamedTuple):
