@@ -105,7 +105,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "tum": "tiswarm.parts.formats.trajectories:read_tum",
         "gsd": "tiswarm.parts.formats.trajectories:read_gsd",
         "mocap": "tiswarm.parts.formats.trajectories:read_mocap",
-        "table": "tiswarm.parts.formats.imports:read_table_file",
+        "table": "tiswarm.parts.formats.poses:read_table",
     },
     "question": {
         "least-error": "tiswarm.report.answers:mean_errors",

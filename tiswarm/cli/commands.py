@@ -225,30 +225,22 @@ def import_(
     poses: Annotated[
         Path,
         Argument(
-            help="Table robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z; .gsd; .tum or a folder of "
-            "such files; an export of Motive, Qualisys or Vicon."
+            help="Table of poses, a robot or all robots a row; a folder with a table for each "
+            "robot; .tum; .gsd; an export of Motive, Qualisys or Vicon."
         ),
     ],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
     dock_radius: Annotated[float, Option(min=1e-9, max=1e9, help="Radius of a dock sphere.")] = 1.0,
     dock_offset: Annotated[
         float | None,
-        Option(
-            min=0.0,
-            max=1e12,
-            help="Distance from robot center to docks (default: where most docks touch, or 1.506 "
-            "dock radii if none stands out); not for a table of spheres.",
-        ),
+        Option(min=0.0, max=1e12, help="Center to dock (default: where most docks touch)."),
     ] = None,
     docks: Annotated[
         Path | None, Option(metavar="CSV", help="Docks in the body frame: dock,x,y,z.")
     ] = None,
     gap: Annotated[
         float | None,
-        Option(
-            min=0.0,
-            help="Largest gap of a contact (default: 2 % of the radius, or as docks overlap).",
-        ),
+        Option(min=0.0, help="Largest gap of a contact (default: 2 % of the radius, or noise)."),
     ] = None,
     overlap: Annotated[
         float | None, Option(min=0.0, help="Largest overlap of a contact (default: the same).")
@@ -259,14 +251,17 @@ def import_(
     ] = None,
     anchor: Annotated[
         str,
-        Option(
-            metavar="ID,...",
-            help="Anchor robot, and further robots at known positions (default: the first robot).",
-        ),
+        Option(metavar="ID,...", help="Anchor, and further robots at known positions."),
     ] = "",
     up: Annotated[
         str, Option(metavar="AXIS", help="Axis that is up: x, y, z, -x, -y, -z; it becomes z.")
     ] = "z",
+    euler: Annotated[
+        str, Option(help="Order of angles as in SciPy: ZYX (of the body), zyx (fixed) or rotvec.")
+    ] = "",
+    column: Annotated[
+        str, Option(metavar="NAME=COLUMN,...", help="Columns, such as x=center_x,robot=label.")
+    ] = "",
     ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
     glitch_frames: Annotated[
         int, Option(min=0, help="Most poses in a row to leave out as one error of tracking.")
@@ -282,6 +277,9 @@ def import_(
     conjugate: Annotated[
         bool, Option("--conjugate", help="Read quaternions as world to body, not body to world.")
     ] = False,
+    left_handed: Annotated[
+        bool, Option("--left-handed", help="Turn a left-handed frame to a right-handed one.")
+    ] = False,
     drop_disconnected: Annotated[
         bool,
         Option("--drop-disconnected", help="Drop robots that no contacts connect to an anchor."),
@@ -293,7 +291,7 @@ def import_(
     debug: options.Debug = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Convert poses of any simulator to a sensing log and a truth.
+    """Convert poses of any program to a sensing log and a truth.
 
     A column `run` names the structure of each row; each then has a folder of its own in --out.
     """
@@ -309,11 +307,13 @@ def import_(
         problem = f"{anchor!r} is not a list of robots; write it like 0,5"
         raise InputError(problem, argument="anchor") from None
     body = None if dock_offset is None else docks_in_plane(dock_offset)
+    named = dict(pair.partition("=")[::2] for pair in column.split(",") if pair)
     with options.showing_traceback(debug=debug):
         found = api.import_poses(
             poses, out=out, plugins=plugins, overwrite=overwrite, dock_radius=dock_radius,
             dock_offset_body=body, docks=docks, gap=gap, overlap=overlap, contacts=contacts,
-            anchors=anchors, up=up, conjugate=conjugate, ground_z=ground_z, heights=heights,
+            anchors=anchors, up=up, euler=euler, columns=named,
+            left_handed=left_handed, conjugate=conjugate, ground_z=ground_z, heights=heights,
             drop_disconnected=drop_disconnected, drop_incomplete=drop_incomplete,
             glitch_frames=glitch_frames, tilt_deg=tilt_deg, yaw_deg=yaw_deg,
             length_unit=length_unit,

@@ -100,11 +100,11 @@ def test_columns_that_are_not_found_are_listed(tmp_path):
     """The line has the names of the file, and those that it lacks."""
     problem = (
         "t.csv:1: the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z but "
-        "name,x [mm],y [mm],z [mm],roll,pitch,yaw; rename or add robot,qw,qx,qy,qz"
+        "label,x [mm],y [mm],z [mm],heading; rename or add robot,qw,qx,qy,qz, or name"
     )
 
     with pytest.raises(InputError, match=re.escape(problem)):
-        bring_in(tmp_path / "t.csv", ["name;x [mm];y [mm];z [mm];roll;pitch;yaw", "1;2;3;4;5;6;7"])
+        bring_in(tmp_path / "t.csv", ["label;x [mm];y [mm];z [mm];heading", "1;2;3;4;5"])
 
 
 @pytest.mark.parametrize("other", ["vel", "std", "cmd", "est"])

@@ -171,7 +171,7 @@ def test_an_exported_trajectory_comes_back(exported, towers):
         ("7.tum", "# t\n", "7.tum:1: there are no poses; add a line for each"),
         ("a.tum", "0 0 0 0 0 0 0 1\n", "a.tum: the name has no number, or several; name the file"),
         (f"{10**19}.tum", "0 0 0 0 0 0 0 1\n", "000.tum: the name has no number, or several"),
-        ("7.txt", "", "there are no files *.tum; add one for each robot"),
+        ("7.log", "", "there are no files *.tum or *.csv; add one for each robot"),
     ],
 )
 def test_malformed_trajectories_are_refused(tmp_path, name, text, problem):

@@ -29,16 +29,20 @@ from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.parts.formats.motion import Rests, find_rests, stances_of, without_glitches
 from tiswarm.parts.formats.poses import (
+    EULER,
     TOLERANCE,
     UPWARD,
     Assumptions,
     Poses,
     PoseTable,
+    Sheet,
+    horizontal_mirror,
     poses_by_run,
     read_contacts,
     read_dock_offsets,
     read_table,
     some,
+    turns_by,
 )
 from tiswarm.records import outputs, sensing_log
 from tiswarm.records.io import at_line, make_folder
@@ -120,25 +124,10 @@ def _read(path: Path, assumed: Assumptions) -> PoseTable:
     for name, own in registered("import_format").items():
         if path.name.endswith(own.value.suffix):
             columns = guarded(own.plugin, name, partial(own.value.read, path))
-            return _read_table(path, assumed, pd.DataFrame(columns).to_csv(index=False))
+            return read_table(path, assumed, Sheet(pd.DataFrame(columns).to_csv(index=False)))
     readers = (find("import_format", name) for name in PARTS["import_format"])
     found: Iterator[PoseTable | None] = (read(path, assumed) for read in readers)
     return next(table for table in found if table)
-
-
-def read_table_file(path: Path, assumed: Assumptions) -> PoseTable:
-    """Read a table, as any other file is."""
-    return _read_table(path, assumed)
-
-
-def _read_table(path: Path, assumed: Assumptions, text: str | None = None) -> PoseTable:
-    return read_table(
-        path,
-        dock_radius=assumed.dock_radius,
-        drop_incomplete=assumed.drop_incomplete,
-        length_unit=assumed.length_unit,
-        text=text,
-    )
 
 
 def write_imports(
@@ -176,6 +165,10 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     if assumed.up not in {"z", *UPWARD}:
         problem = f"{assumed.up!r} is no axis; use z, {', '.join(UPWARD)}"
         raise InputError(problem, argument="up")
+    if assumed.left_handed:
+        poses = poses.right_handed(assumed.up)
+        if (body := assumed.dock_offset_body) is not None:
+            assumed = replace(assumed, dock_offset_body=body * horizontal_mirror(assumed.up))
     poses = poses if assumed.up == "z" else poses.upright(assumed.up)
     poses = poses.conjugate() if assumed.conjugate else poses
     poses, order_of_numbers = in_likely_order(poses, assumed)
@@ -660,12 +653,17 @@ def few_contacts(poses: Poses, assumed: Assumptions, contacts: int, overlaps: in
     return [problem + (cause or usual)]
 
 
+_SCALES = (1000.0, 100.0, 10.0, 25.4, 2.0)
+"""Ratios of units that are mixed up, and of a diameter to a radius."""
+
+
 def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
     """Name the other meaning of poses that would make far more docks touch; empty if none would."""
     poses = poses.nearest(_MOST_ROBOTS)
     least = max(ENOUGH * len(poses.robot_id), FAR_MORE * contacts, 1.0)
-    if (touching := count_touching(poses.conjugate(), assumed)) >= least:
-        return f"quaternions that turn world to body give {touching}: add --conjugate"
+    for other, found, remedy in _readings(poses, assumed):
+        if (touching := count_touching(other, assumed)) >= max(least, len(poses.robot_id) - 1.0):
+            return f"{found} {touching}: {remedy}"
     quarter = Rotation.create_group("O")
     for turn in (quarter[k] for k in range(1, len(quarter))):
         turned = poses.turned(turn)
@@ -680,6 +678,34 @@ def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
     if (touching := count_touching(poses, as_moved)) >= least:
         return _by_docks(moved, touching)
     return ""
+
+
+def _readings(poses: Poses, assumed: Assumptions) -> Iterator[tuple[Poses, str, str]]:
+    """Yield poses as they would be by another convention, what would give contacts, and a remedy.
+
+    These are conventions of orientations first, then of units and of handedness.
+    """
+    yield poses.conjugate(), "quaternions that turn world to body give", "add --conjugate"
+    orders = [*EULER, *(order.swapcase() for order in EULER), "rotvec"]
+    for order in () if poses.angles is None else orders:
+        turned = poses._replace(orientation_wxyz=turns_by(np.asarray(poses.angles), order))
+        yield turned, f"angles read as {order} give", f"add --euler {order}"
+    for scale in (*_SCALES, *(1.0 / scale for scale in _SCALES)):
+        size = f"{assumed.dock_radius / scale:.4g}"
+        remedy = f"give --dock-radius {size}, and docks in that unit"
+        scaled = poses._replace(position=poses.position * scale)
+        yield scaled, f"a dock radius of {size} in the unit of the poses gives", remedy
+    for axis, name in enumerate("xyz"):
+        for scale in (*_SCALES[:-1], *(1.0 / scale for scale in _SCALES[:-1])):
+            position = poses.position * np.where(np.arange(3) == axis, scale, 1.0)
+            remedy = f"the axes have different units; multiply {name} by {scale:.4g}"
+            yield poses._replace(position=position), f"{name} times {scale:.4g} gives", remedy
+        position = poses.position * np.where(np.arange(3) == axis, -1.0, 1.0)
+        remedy = "positions and orientations have frames of different hands; export both alike"
+        yield poses._replace(position=position), f"{name} reversed gives", remedy
+    if assumed.dock_offset_body is not None:
+        mirrored = poses.right_handed("z")  # the docks are not
+        yield mirrored, "docks of the mirror image give", "reverse y in --docks"
 
 
 def _by_docks(offset: Reals, touching: int) -> str:

@@ -1,28 +1,23 @@
-"""Reads poses over time of other programs: GSD, TUM RGB-D, exports of motion capture.
+"""Reads poses over time of other programs: GSD, TUM RGB-D, exports of motion capture, folders.
 
     GSD        particles of all frames; a frame's step is its time
     TUM        time x y z qx qy qz qw, separated by spaces
-    Motive     CSV, rows Type, Name, ID, then Rotation and Position; quaternions
+    Motive     CSV, rows Type, Name, ID, then Rotation and Position; quaternions or angles
     Qualisys   TSV, columns X, Y, Z, Roll, Pitch, Yaw, Residual and maybe Rot[0] to Rot[8]; mm
-    Vicon      CSV, blocks Objects or Segments, columns RX, RY, RZ, RW, TX, TY, TZ
+    Vicon      CSV, blocks Objects or Segments, columns RX, RY, RZ, maybe RW, TX, TY, TZ
 
-A folder of TUM files has one for each robot, whose name is the number in that of the file. A single
-file has one line for each robot, as `tiswarm export` writes it; its time is the join index. In
-exports of motion capture, a line has all rigid bodies. A body is the robot whose number is in its
-name. Bodies that the cameras lost have empty cells, or zeros in Qualisys' exports.
+The head of an export becomes one line, with names of bodies before those of quantities; the rest is
+a table with all robots a row. A folder has a file for each robot, whose name is the number in that
+of the file. A single TUM file has one line for each robot, as `tiswarm export` writes it; its time
+is the join index. Bodies that the cameras lost have empty cells, or zeros in Qualisys' exports.
 """
 
 import csv
-import math
 import re
-from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
@@ -102,7 +97,7 @@ def _docks(particles: object, path: Path, dock_radius: float) -> Reals | None:
 
 
 def read_tum(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
-    """Read a folder of trajectories, one for each robot, or a file with a robot a line.
+    """Read a folder with a file for each robot, or a TUM file with a robot a line.
 
     Return None if the path is neither a folder nor named `.tum`.
 
@@ -113,22 +108,7 @@ def read_tum(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
         return None
     drop, notes = assumed.drop_incomplete, list[str]()
     if path.is_dir():
-        tables = []
-        named: dict[int, str] = {}
-        for file in sorted(path.glob("*.tum")):
-            numbers = re.findall(r"\d+", file.stem)
-            if len(numbers) != 1 or len(numbers[0]) > poses.LONGEST_NUMBER:
-                problem = "the name has no number, or several; name the file as robot_7.tum"
-                raise InputError(problem, path=file)
-            if (other := named.setdefault(int(numbers[0]), file.name)) != file.name:
-                problem = f"the name has the number of {other}; give each robot its own"
-                raise InputError(problem, path=file)
-            rows, lines = _trajectory(file, assumed.dock_radius)
-            notes += poses.report_incomplete(file, lines, drop=drop, name=file.name)
-            tables.append(rows.assign(robot=int(numbers[0]), file=str(file)))
-        if not tables:
-            raise InputError("there are no files *.tum; add one for each robot", path=path)
-        return poses.PoseTable(pd.concat(tables).assign(run=""), "", (), notes)
+        return _read_folder(path, assumed)
     rows, lines = _trajectory(path, assumed.dock_radius)
     notes += poses.report_incomplete(path, lines, drop=drop)
     rank = rows["time"].argsort(kind="stable").argsort().to_numpy()
@@ -136,6 +116,43 @@ def read_tum(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
     return poses.PoseTable(
         rows.drop(columns="time").assign(robot=rank, join=rank, run=""), "", (), [note, *notes]
     )
+
+
+def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
+    """Read a file for each robot, whose number is in the file's name: `.tum`, else tables."""
+    tables, notes, named = [], list[str](), dict[int, str]()
+    files = sorted(path.glob("*.tum")) or sorted(
+        file for file in path.iterdir() if file.suffix in {".csv", ".txt", ".tsv"}
+    )
+    for file in files:
+        numbers = re.findall(r"\d+", file.stem)
+        if len(numbers) != 1 or len(numbers[0]) > poses.LONGEST_NUMBER:
+            problem = "the name has no number, or several; name the file as robot_7.tum"
+            raise InputError(problem, path=file)
+        if (other := named.setdefault(int(numbers[0]), file.name)) != file.name:
+            problem = f"the name has the number of {other}; give each robot its own"
+            raise InputError(problem, path=file)
+        if file.suffix == ".tum":
+            rows, lines = _trajectory(file, assumed.dock_radius)
+            drop = assumed.drop_incomplete
+            notes += poses.report_incomplete(file, lines, drop=drop, name=file.name)
+            table = poses.PoseTable(rows.assign(robot=int(numbers[0])), "", (), notes)
+        else:
+            table = poses.read_table(file, assumed, robot=int(numbers[0]))
+        tables.append(table._replace(rows=table.rows.assign(file=str(file))))
+    if not tables:
+        problem = "there are no files *.tum or *.csv; add one for each robot"
+        raise InputError(problem, path=path)
+    rows = pd.concat([table.rows for table in tables]).assign(run="")
+    if files[0].suffix != ".tum":
+        rows = (
+            rows if rows["robot"].duplicated().any() else rows.drop(columns="time", errors="ignore")
+        )
+        notes = [*dict.fromkeys(note for table in tables for note in table.notes)]
+    if len(units := {table.length_unit for table in tables}) > 1:
+        problem = f"files have different units, {' and '.join(sorted(units))}; convert them to one"
+        raise InputError(problem, path=path)
+    return tables[0]._replace(rows=rows, notes=notes)
 
 
 def _trajectory(path: Path, dock_radius: float) -> tuple[pd.DataFrame, list[int]]:
@@ -178,34 +195,7 @@ _VICON_OTHERS = ("Trajectories", "Model Outputs", "Joints", "Devices", "Unlabele
 _LONGEST_HEAD = 100
 """Lines after which a head without an end is none; events of Qualisys have a line each."""
 
-_Line = tuple[int, list[str]]
-
-
-class _Tracked(NamedTuple):
-    """Columns of one rigid body."""
-
-    name: str
-    place: tuple[int, ...]
-    """Columns of x, y and z."""
-
-    turn: tuple[int, ...]
-    """Columns from which its orientation follows."""
-
-
-class _Layout(NamedTuple):
-    """What the head of a file says."""
-
-    bodies: list[_Tracked]
-    to_wxyz: Callable[[Reals], Reals]
-    """From the numbers of all turns, shape (n, k), to quaternions, shape (n, 4)."""
-
-    time: int
-    """Column of the time or frame."""
-
-    unit: str
-    notes: list[str]
-    has_blocks: bool = False
-    """Whether a blank line ends the poses."""
+_Lines = list[list[str]]
 
 
 def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
@@ -215,205 +205,103 @@ def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None
         InputError: a line is malformed, or the export lacks orientations or has them in angles
             whose order it does not state.
     """
-    lines = _lines(path)
-    number, first = next(lines, (1, [""]))
-    start = first[0].strip()
-    if start == "Format Version":
-        layout = _motive(path, first, lines)
-    elif start in {"FILE_VERSION", "NO_OF_FRAMES"}:
-        layout = _qualisys(path, lines)
-    elif start in {*_VICON, *_VICON_OTHERS}:
-        layout = _vicon(path, number, start, lines)
-    else:
+    _, first = next(numbered_lines(path, LONGEST_TEXT), (1, ""))
+    start = _cells(first, path, 1)[0]
+    heads = {"Format Version": _motive, "FILE_VERSION": _qualisys, "NO_OF_FRAMES": _qualisys}
+    head = _vicon if start in {*_VICON, *_VICON_OTHERS} else heads.get(start)
+    if head is None:
         return None
-    if not layout.bodies:
-        problem = "there are no rigid bodies; export them, with orientations"
-        raise InputError(problem, path=path, line=number)
-    return _table(path, lines, layout, assumed.dock_radius)
-
-
-def _lines(path: Path) -> Iterator[_Line]:
-    """Yield the cells of each line."""
-    for number, text in numbered_lines(path, LONGEST_TEXT):
-        separator = "\t" if "\t" in text else ";" if text.count(";") > text.count(",") else ","
-        try:
-            cells = next(csv.reader([text], delimiter=separator), [])
-        except csv.Error as error:
-            problem = f"not a table: {error}; export the file again"
-            raise InputError(problem, path=path, line=number) from error
-        yield number, [cell.strip() for cell in cells] or [""]
-
-
-def _head(lines: Iterator[_Line], is_last: Callable[[list[str]], bool]) -> list[list[str]]:
-    """Read lines up to one that ends the head of a file, or up to the most that a head has."""
-    head: list[list[str]] = []
-    for _, cells in islice(lines, _LONGEST_HEAD):
-        head.append(cells)
-        if is_last(cells):
-            break
-    return head
-
-
-def _motive(path: Path, first: Sequence[str], lines: Iterator[_Line]) -> _Layout:
-    """Read the head of an export of Motive."""
-    facts = dict(zip(first[::2], first[1::2], strict=False))
-    wanted = {"Rotation Type": "Quaternion", "Coordinate Space": "Global"}
-    for name, value in wanted.items():
-        if facts.get(name, value) != value:
-            problem = f"{name} is {facts[name][:40]}; export again with {value}"
-            raise InputError(problem, path=path, line=1)
-    head = _head(lines, lambda cells: cells[0] == "Frame")
-    rows = {cells[1]: cells for cells in head if len(cells) > 1}
-    if len(head) < 2 or not {"Type", "Name"} <= {*rows} or head[-1][0] != "Frame":  # noqa: PLR2004
-        problem = "the head of Motive's export lacks rows Type, Name and Frame; export it with them"
-        raise InputError(problem, path=path, line=1)
-    columns: dict[str, dict[str, int]] = {}
-    heads = zip(rows["Type"], rows["Name"], head[-2], head[-1], strict=False)
-    for place, (kind, name, what, axis) in enumerate(heads):
-        if kind == "Rigid Body" and what in {"Rotation", "Position"}:
-            columns.setdefault(name, {})[f"{what} {axis}"] = place
-    bodies = _bodies(columns, [f"Position {a}" for a in "XYZ"], [f"Rotation {a}" for a in "WXYZ"])
-    note = "Motive has y up unless an export maps its axes: --up y"
-    timed = [*head[-1], "Time (Seconds)"].index("Time (Seconds)")
-    unit = facts.get("Length Units", "Meters").lower()
-    time = timed if timed < len(head[-1]) else 0
-    return _Layout(bodies, lambda wxyz: wxyz, time, unit, [note])
-
-
-def _qualisys(path: Path, lines: Iterator[_Line]) -> _Layout:
-    """Read the head of an export of Qualisys Track Manager."""
-    columns: dict[str, dict[str, int]] = {}
-    head = _head(lines, lambda cells: cells[0] == "Frame")
-    header = head[-1] if head else [""]
-    names = next((cells[1:] for cells in head if cells[0] == "BODY_NAMES"), [])
-    name = ""
-    for place, cell in enumerate(header):
-        if found := re.fullmatch(r"(?:(.*) )?X", cell):
-            name = found[1] or (names[len(columns)] if len(columns) < len(names) else "")
-        if name:
-            columns.setdefault(name, {})[cell.removeprefix(f"{name} ")] = place
-    if not names or header[0] != "Frame":
-        problem = "Qualisys' export lacks BODY_NAMES and a column Frame; export 6D data with "
-        raise InputError(f"{problem}both headers", path=path, line=1)
-    matrix = [f"Rot[{k}]" for k in range(9)]
-    angles = ["Roll", "Pitch", "Yaw"]
-    has_matrix = all({*matrix} <= {*of_body} for of_body in columns.values())
-    bodies = _bodies(columns, [*"XYZ"], matrix if has_matrix else angles)
-    notes = ["Roll, Pitch and Yaw are read as Qualisys' standard: about x, then y, then z"]
-    time = header.index("Time" if "Time" in header else "Frame")
-    to_wxyz = _from_matrix if has_matrix else _from_angles
-    return _Layout(bodies, to_wxyz, time, "mm", [] if has_matrix else notes)
-
-
-def _vicon(path: Path, number: int, kind: str, lines: Iterator[_Line]) -> _Layout:
-    """Read the head of the first block of rigid bodies in an export of Vicon's programs."""
-    while kind not in _VICON:
-        number, cells = next(lines, (0, [""]))
-        if number == 0:
-            problem = "Vicon's export has no block Objects or Segments, so no orientations; "
-            raise InputError(f"{problem}export rigid bodies, with quaternions", path=path, line=1)
-        kind = cells[0] if cells[0] in _VICON else kind
-    head = [cells for _, cells in islice(lines, 4)]
-    columns: dict[str, dict[str, int]] = {}
-    names, axes, units = (head + [[]] * 4)[1:4]
-    name = ""
-    for place, axis in enumerate(axes):
-        if place < len(names) and names[place]:
-            name = names[place].removeprefix("Global Angle ").partition(":")[0]
-        if name and re.fullmatch("[RT][XYZW]", axis):
-            columns.setdefault(name, {})[axis] = place
-    bodies = _bodies(columns, ["TX", "TY", "TZ"], ["RW", "RX", "RY", "RZ"])
-    if columns and not bodies:
-        problem = "Vicon's rotations are RX, RY, RZ: angles in an order that the file does not "
-        raise InputError(f"{problem}state; export quaternions", path=path, line=number + 3)
-    unit = units[bodies[0].place[0]] if bodies and bodies[0].place[0] < len(units) else "mm"
-    return _Layout(bodies, lambda wxyz: wxyz, 0, unit or "mm", [], has_blocks=True)
-
-
-def _bodies(
-    columns: dict[str, dict[str, int]], place: Sequence[str], turn: Sequence[str]
-) -> list[_Tracked]:
-    """Choose the bodies that have all columns of a pose."""
-    return [
-        _Tracked(name, tuple(of_body[p] for p in place), tuple(of_body[t] for t in turn))
-        for name, of_body in columns.items()
-        if {*place, *turn} <= {*of_body}
-    ]
-
-
-def _from_matrix(numbers: Reals) -> Reals:
-    """Convert matrices that are listed column by column."""
-    matrix = numbers.reshape(-1, 3, 3).swapaxes(1, 2)
-    wxyz: Reals = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
-    return wxyz
-
-
-def _from_angles(numbers: Reals) -> Reals:
-    """Convert turns about x, y and z of the body, one after the other [deg]."""
-    wxyz: Reals = Rotation.from_euler("XYZ", numbers, degrees=True).as_quat(scalar_first=True)
-    return wxyz
-
-
-def _table(
-    path: Path, lines: Iterator[_Line], layout: _Layout, dock_radius: float
-) -> poses.PoseTable:
-    """Read the lines with poses, and give each body a number."""
-    robots, renamed = _numbers([body.name for body in layout.bodies])
-    rows: list[tuple[float, ...]] = []
-    turns: list[list[float]] = []
-    lost = 0
-    for number, cells in lines:
-        if not any(cells):
-            if layout.has_blocks:
-                break
-            continue
-        for robot, body in zip(robots, layout.bodies, strict=True):
-            place = _pose(path, number, cells, body)
-            if place is None:
-                lost += 1
-            else:
-                time = _number(path, number, cells, layout.time)
-                rows.append((robot, number, time, *place[:3]))
-                turns.append(place[3:])
-    if not rows:
+    lines = [text.rstrip() for _, text in numbered_lines(path, LONGEST_TEXT)]
+    cells = [_cells(text, path, number) for number, text in enumerate(lines[:_LONGEST_HEAD], 1)]
+    names, last, sheet = head(path, cells, lines)
+    separator = "\t" if "\t" in lines[last] else ";" if ";" in lines[last] else ","
+    rows = [line if line.strip(f"{separator} ") else "#" for line in lines[last + 1 :]]
+    if head is _vicon and "#" in rows:  # a blank line ends a block
+        rows = rows[: rows.index("#")]
+    for k, row in enumerate(rows):
+        lacks = len(names) - row.count(separator) - 1
+        rows[k] = row if row == "#" else row + separator * lacks
+    if not any(row != "#" for row in rows):
         raise InputError("there are no poses; export frames with bodies", path=path, line=1)
-    table = pd.DataFrame(rows, columns=["robot", "line", "time", *"xyz"])
-    table[poses.QUATERNION] = layout.to_wxyz(np.array(turns))
-    table = table.astype({"robot": int, "line": int}).assign(run="")
-    poses.refuse_far(table, path, dock_radius)
-    gone = f"{counted(lost, 'pose')} of bodies that the cameras lost left out"
-    return poses.PoseTable(table, layout.unit, (), [*layout.notes, *renamed, *[gone] * (lost > 0)])
+    text = [*"#" * last, poses.header_line(names, separator), *rows]
+    return poses.read_table(path, assumed, sheet._replace(text="\n".join(text)))
 
 
-def _pose(path: Path, line: int, cells: Sequence[str], body: _Tracked) -> list[float] | None:
-    """Read position and turn of a body; None if the cameras lost it."""
-    columns = (*body.place, *body.turn)
-    if max(columns) >= len(cells) or not all(cells[column] for column in columns):
-        return None
-    numbers = [_number(path, line, cells, column) for column in columns]
-    return numbers if any(numbers) else None
-
-
-def _number(path: Path, line: int, cells: Sequence[str], column: int) -> float:
-    text = cells[column] if column < len(cells) else ""
+def _cells(text: str, path: Path, number: int) -> list[str]:
+    """Split a line of a head."""
+    separator = "\t" if "\t" in text else ";" if text.count(";") > text.count(",") else ","
     try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not abs(number) <= LARGEST:
-        problem = f"{text[:40]!r} in column {column + 1} is no number; export the file again"
-        raise InputError(problem, path=path, line=line)
-    return number
+        cells = next(csv.reader([text], delimiter=separator), [])
+    except csv.Error as error:
+        problem = f"not a table: {error}; export the file again"
+        raise InputError(problem, path=path, line=number) from error
+    return [cell.strip() for cell in cells] or [""]
 
 
-def _numbers(names: Sequence[str]) -> tuple[list[int], list[str]]:
-    """Take the numbers of robots from their names, or count them and say so."""
-    found = [re.findall(r"\d+", name) for name in names]
-    numbers = [
-        int(each[0]) for each in found if [len(n) <= poses.LONGEST_NUMBER for n in each] == [True]
+def _end(head: _Lines, path: Path, program: str, remedy: str) -> int:
+    """Find the last line of a head, which starts with Frame."""
+    end = next((k for k, cells in enumerate(head) if cells[0] == "Frame"), 0)
+    if end == 0:
+        raise InputError(f"{program} lacks {remedy}", path=path, line=1)
+    return end
+
+
+def _motive(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, poses.Sheet]:
+    """Name the columns of an export of Motive."""
+    facts = dict(zip(head[0][::2], head[0][1::2], strict=False))
+    if (space := facts.get("Coordinate Space", "Global")) != "Global":
+        problem = f"Coordinate Space is {space[:40]}; export again with Global"
+        raise InputError(problem, path=path, line=1)
+    remedy = "rows Type, Name and Frame; export it with them"
+    end = _end(head, path, "the head of Motive's export", remedy)
+    rows = {cells[1]: cells for cells in head[:end] if len(cells) > 1}
+    if not {"Type", "Name"} <= {*rows}:
+        problem = f"the head of Motive's export lacks {remedy}"
+        raise InputError(problem, path=path, line=1)
+    columns = zip(rows["Type"], rows["Name"], head[end - 1], head[end], strict=False)
+    names = [
+        f"{name}/{what} {axis}" if kind == "Rigid Body" and axis else ""
+        for kind, name, what, axis in columns
     ]
-    if len({*numbers}) == len(names):
-        return numbers, []
-    listed = ", ".join(f"{name} is {number}" for number, name in enumerate(names[:3]))
-    more = ", ..." * (len(names) > 3)  # noqa: PLR2004
-    return [*range(len(names))], [f"bodies are numbered as listed: {listed}{more}"]
+    names[:2] = head[end][:2]
+    turn = facts.get("Rotation Type", "Quaternion")
+    return names, end, poses.Sheet(
+        "", "Motive", facts.get("Length Units", "Meters").lower(), degrees=True,
+        euler="" if turn == "Quaternion" else turn,
+        notes=["Motive has y up unless an export maps its axes: --up y"],
+    )  # fmt: skip
+
+
+def _qualisys(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, poses.Sheet]:
+    """Name the columns of an export of Qualisys Track Manager."""
+    remedy = "BODY_NAMES and a column Frame; export 6D data with both headers"
+    end = _end(head, path, "Qualisys' export", remedy)
+    bodies = next((cells[1:] for cells in head if cells[0] == "BODY_NAMES"), [])
+    if not bodies:
+        raise InputError(f"Qualisys' export lacks {remedy}", path=path, line=1)
+    names, count, body = [], 0, ""
+    for cell in head[end]:
+        if found := re.fullmatch(r"(?:(.*) )?X", cell):
+            body = found[1] or (bodies[count] if count < len(bodies) else "")
+            count += 1
+        names.append(f"{body}/{cell.removeprefix(f'{body} ')}" if body else cell)
+    if "Time" in names:  # which is not counted in frames
+        names[names.index("Frame")] = ""
+    return names, end, poses.Sheet("", "Qualisys", "mm", degrees=True, euler="XYZ")
+
+
+def _vicon(path: Path, _: _Lines, lines: list[str]) -> tuple[list[str], int, poses.Sheet]:
+    """Name the columns of the first block of rigid bodies in an export of Vicon's programs."""
+    start = next((k for k, text in enumerate(lines) if text.split(",")[0] in _VICON), -1)
+    if start < 0 or len(lines) < start + 5:
+        problem = "Vicon's export has no block Objects or Segments, so no orientations; "
+        raise InputError(f"{problem}export rigid bodies, with quaternions", path=path, line=1)
+    bodies, axes, units = (_cells(lines[start + k], path, start + k + 1) for k in (2, 3, 4))
+    names, body = [], ""
+    for place, axis in enumerate(axes):
+        if place < len(bodies) and bodies[place]:
+            body = bodies[place].removeprefix("Global Angle ").partition(":")[0]
+        unit = units[place] if place < len(units) else ""
+        named = f"{body}/{axis} [{unit}]" if unit else f"{body}/{axis}"
+        names.append(named if body and re.fullmatch("[RT][XYZW]'*", axis) else axis)
+    return names, start + 4, poses.Sheet("", "Vicon", "mm", degrees=False)
