@@ -12,6 +12,7 @@ import pytest
 
 from tests.runs import REPOSITORY, call, python
 from tests.test_tour import stops
+from tiswarm.base import parts
 
 PARTS = sorted(
     f"tiswarm.parts.{path.stem}"
@@ -45,6 +46,7 @@ ASKED = {
     "tiswarm.parts.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
     "tiswarm.parts.forecast": "run tower --plan",
+    "tiswarm.parts.cluster": "run tower --scheduler tcp://127.0.0.1:1",
     "tiswarm.parts.growth": "run tower --plugin rule.py --set structure.rule=stay --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
     "tiswarm.parts.suites": "run tower --set sensing.suite=zooids --plan",
@@ -184,7 +186,8 @@ def test_the_files_of_the_tour_load_settings_of_parts_only():
 
     loaded = _call(REPOSITORY, code).stdout.splitlines()
 
-    of_parts = {name for name in loaded if name.startswith("tiswarm.parts.")}
-    settings = {name for name in of_parts if name.endswith(".settings")}
+    methods = {place.partition(":")[0] for place in parts.PARTS["method"].values()}
     assert {*names} <= {*loaded}
-    assert of_parts == settings | {name.removesuffix(".settings") for name in settings}
+    assert {name for name in loaded if name.startswith("tiswarm.parts.")} == {
+        name for name in methods if name.startswith("tiswarm.parts.")
+    }

@@ -40,7 +40,7 @@ from tiswarm.app.results import (
 )
 from tiswarm.base.errors import InputError, warn
 from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
-from tiswarm.base.parts import find, load_plugins
+from tiswarm.base.parts import find, has, load_plugins
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import write_estimate
@@ -152,7 +152,8 @@ def run(
         overwrite: Whether to use a folder of that name that no run made, and replace files there.
         arch: Compute device, as for `localize`.
         threads: CPU threads; all that this process may use if None.
-        workers: Number of worker processes; none if None.
+        workers: Number of worker processes; none if None. One process computes what takes less than
+            20 s of processor time.
         plugins: Python files that register methods, sensors, structures, measures or figures.
         pictures: Whether to draw figures, renders and report.html.
         pdf: Whether to draw figures as vector PDF, too.
@@ -170,9 +171,11 @@ def run(
 
     load_plugins(plugins)
     where = study.Execution(workers=workers, **_fields(execution))
-    progress = ConsoleProgress(quiet=quiet)
+    settings, progress = _load(scenario, overrides), ConsoleProgress(quiet=quiet)
+    if has("command", "run --workers"):
+        where = find("command", "run --workers")(settings, where, progress)
     result = study.run(
-        _load(scenario, overrides), as_path(out, "out"),
+        settings, as_path(out, "out"),
         progress=progress, arch=arch, threads=threads, execution=where, overwrite=overwrite,
     )  # fmt: skip
     if not result.missing:

@@ -26,6 +26,8 @@ STUDY = (
 )
 """Settings of eight cases of two methods."""
 CASES = 8
+PROCESSES = ("--workers", "2", "--case-limit", "600")
+"""So little work would be done by one process, but for the limit."""
 NOBODY_S = 20.0
 """Wall time in which processes end whose parent was killed [s]; they look once a second."""
 
@@ -96,7 +98,7 @@ def test_killed_studies_lose_and_double_nothing(trial, undisturbed, study, end, 
         if not study.out.exists():  # a new study
             pictures = random.choice(["--no-pictures", "--no-pictures", "--pictures"])
         whole, takes = undisturbed[1][pictures]
-        process = study.start(pictures, *random.choice([[], ["--workers", "2"]]))
+        process = study.start(pictures, *random.choice([[], PROCESSES]))
         with suppress(subprocess.TimeoutExpired):
             # Late moments are more likely: a study spends half of its time on imports.
             process.wait(END_S if killed == number else takes * random.random() ** 0.5)
@@ -126,7 +128,7 @@ def test_studies_outlive_children_that_are_killed(trial, undisturbed, study):
     while killed < number:
         pictures = random.choice(["--no-pictures", "--pictures"])
         whole, takes = undisturbed[1][pictures]
-        process = study.start(pictures, "--workers", "2")
+        process = study.start(pictures, *PROCESSES)
         at = time.monotonic() + random.uniform(0.0, takes)
         while process.poll() is None and killed < number:
             time.sleep(0.02)

@@ -159,7 +159,7 @@ def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
 def test_a_missing_scheduler_is_an_error(tmp_path, monkeypatch):
     """The run ends with an error instead of waiting."""
     pytest.importorskip("distributed")
-    monkeypatch.setattr("tiswarm.study.executors.CONNECT_S", 0.1)
+    monkeypatch.setattr("tiswarm.parts.cluster.CONNECT_S", 0.1)
 
     with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers"):
         run_tower(tmp_path, SMALL, scheduler="tcp://127.0.0.1:1")
@@ -376,7 +376,7 @@ def test_a_server_that_is_no_scheduler_is_an_error(tmp_path, monkeypatch):
     """It accepts a connection, and then says nothing."""
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client was made"))
-    monkeypatch.setattr("tiswarm.study.executors.CONNECT_S", 0.2)
+    monkeypatch.setattr("tiswarm.parts.cluster.CONNECT_S", 0.2)
 
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"

@@ -7,10 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.recorder import Recorder
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.base.progress import Progress
 from tiswarm.parts.curve_figures import SCALING_PANELS, draw_scaling
+from tiswarm.parts.forecast import fewer
 from tiswarm.parts.forecast import forecast as forecast_of
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
@@ -170,6 +172,20 @@ def test_a_forecast_counts_the_start_of_each_process():
 
     assert apart.start_s == 3 * alone.start_s
     assert apart[3:] == alone[3:]
+
+
+def test_little_work_is_done_by_one_process():
+    """Two would take longer to start; a limit of time, long work and plug-ins keep them."""
+    small = load_scenario(REPOSITORY / "tests" / "tower.yaml")
+    large = load_scenario(REPOSITORY / "scenarios" / "paper.yaml")
+    two = study.Execution(workers=2)
+    limited = study.Execution(workers=2, case_limit_s=60.0)
+    said = Recorder()
+
+    assert fewer(small, two, said).workers is None
+    assert fewer(large, two, said) == two
+    assert fewer(small, limited, said) == limited
+    assert [line.partition(":")[0] for line in said.lines] == ["one process instead of 2"]
 
 
 def test_a_forecast_counts_what_robots_estimate_while_they_build():

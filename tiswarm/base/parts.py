@@ -135,6 +135,8 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "navigate": "tiswarm.parts.navigation:believe_by",
         "render": "tiswarm.parts.pictures.pictures",
         "run --plan": "tiswarm.parts.forecast:forecast",
+        "run --workers": "tiswarm.parts.forecast:fewer",
+        "run --scheduler": "tiswarm.parts.cluster:connected",
         "renderer": "tiswarm.parts.pictures.raycast",
         "rule": "tiswarm.parts.growth:climb",
         "sense": "tiswarm.parts.suites.senses",

@@ -47,7 +47,9 @@ def run(
     movie: options.Movie = None,
     arch: options.OneArch = "cpu",
     threads: options.Threads = None,
-    workers: Annotated[int | None, _computing(min=1, help="Number of worker processes.")] = None,
+    workers: Annotated[
+        int | None, _computing(min=1, help="Number of worker processes; 1 for little work.")
+    ] = None,
     scheduler: Annotated[
         str | None, _computing(metavar="ADDRESS", help="Dask scheduler to compute on.")
     ] = None,

@@ -4,8 +4,11 @@ Times are processor time on one core of a server of 2023, measured on structures
 robots.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
+from tiswarm.base.parts import registered
+from tiswarm.base.progress import Progress
 from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import structure_kind, variants
 from tiswarm.scenario.model import Scenario
@@ -36,9 +39,14 @@ class Forecast(NamedTuple):
     rest_s: float
     memory_mb: float
 
+    @property
+    def work_s(self) -> float:
+        """All but the start [s]."""
+        return self.grow_s + self.localize_s + self.rest_s
+
     def __str__(self) -> str:
         """Write the estimate in one line."""
-        total = self.start_s + self.grow_s + self.localize_s + self.rest_s
+        total = self.start_s + self.work_s
         return (
             f"{counted(self.cases, 'case')}, {counted(self.robots, 'robot')} in all; estimate: "
             f"{_time(total)} of processor time (start {_time(self.start_s)}, growth "
@@ -65,6 +73,26 @@ def forecast(scenario: Scenario, execution: Execution = _HERE) -> Forecast:
         rest_s=_REST_S * robots,
         memory_mb=_BASE_MB + _ROBOT_MB * at_once,
     )
+
+
+_SHORT_S = 20.0
+"""Work below which more than one process takes longer than one [s]: each has kernels to load."""
+
+
+def fewer(scenario: Scenario, execution: Execution, progress: Progress) -> Execution:
+    """Compute little work in this process instead of several, and say so.
+
+    Several processes stay where a case has a limit of time, or where the code of a plug-in may take
+    any time.
+    """
+    own = any(map(registered, ("method", "sensor", "structure", "rule")))
+    if own or execution.workers in {None, 1} or execution.case_limit_s is not None:
+        return execution
+    work_s = forecast(scenario).work_s
+    if work_s >= _SHORT_S:
+        return execution
+    progress.info(f"one process instead of {execution.workers}: {_time(work_s)} of work is short")
+    return replace(execution, workers=None)
 
 
 def _grow_s(settings: Scenario) -> float:

@@ -5,7 +5,6 @@ started by `subprocess`: those of `multiprocessing` are forbidden within workers
 need a guard in the scripts of users.
 """
 
-import logging
 import math
 import os
 import signal
@@ -14,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
@@ -22,13 +21,13 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
-from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
+from tiswarm.base.errors import InputError, TiswarmError
+from tiswarm.base.parts import find
 from tiswarm.base.process import child_command
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend, kernel_cache
 from tiswarm.study.runner import Job, Outcome, run_job
 
-CONNECT_S = 3  # time that a scheduler has to accept a connection, and again to answer
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job
 END_S = 10.0  # time that an idle process has to store its kernels and end
 _LONGEST_POLL_S = 1e6  # the system counts milliseconds in 32 bits
@@ -99,12 +98,13 @@ def open_executor(
     limit = execution.case_limit_s
     _ending.clear()
     if execution.scheduler is not None:
-        with _connected(execution.scheduler) as client:
-            remote = client.get_executor(pure=False)
-            width = max(1, sum(client.nthreads().values()))
-            yield Executor(
-                lambda job: remote.submit(_run_in_process, job, limit), width, threads or 1
-            )
+        with find("command", "run --scheduler")(execution.scheduler) as (remote, width):
+            try:
+                yield Executor(
+                    lambda job: remote.submit(_run_in_process, job, limit), width, threads or 1
+                )
+            finally:
+                _end_all()  # processes of a cluster within this process
     elif execution.processes:
         width = execution.processes
         with ThreadPoolExecutor(width) as waiting:
@@ -116,54 +116,6 @@ def open_executor(
                 _end_all()
     else:
         yield Executor(lambda job: _run_here(job, progress), 1, threads)
-
-
-@contextmanager
-def _connected(address: str) -> Iterator[Any]:
-    try:
-        from distributed import Client  # noqa: PLC0415 - an extra, and slow to import
-    except ImportError as error:
-        msg = "--scheduler needs Dask; pip install 'tiswarm[cluster]'"
-        raise EnvironmentTroubleError(msg) from error
-    try:
-        _greet(address)
-        client: Any = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        msg = f"no Dask scheduler answers at {address}; start one, or correct --scheduler"
-        raise EnvironmentTroubleError(msg) from error
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost scheduler: below
-    with client:
-        try:
-            yield client
-        except CancelledError as error:
-            msg = f"the Dask scheduler at {address} was lost; start it, then run again to continue"
-            raise EnvironmentTroubleError(msg) from error
-        finally:
-            _end_all()  # processes of a cluster within this process
-
-
-def _greet(address: str) -> None:
-    """Exchange a message with the scheduler at an address of Dask.
-
-    A `Client` of another address tries for long, and complains when this process ends.
-
-    Raises:
-        OSError: nothing answers as a scheduler does.
-        ValueError: this is no address.
-    """
-    import asyncio  # noqa: PLC0415 - with an extra
-
-    from distributed.core import rpc  # noqa: PLC0415 - an extra
-
-    async def ask() -> None:
-        untyped: Any = rpc
-        async with untyped(address, timeout=CONNECT_S) as scheduler:
-            await scheduler.identity()
-
-    try:
-        asyncio.run(asyncio.wait_for(ask(), CONNECT_S))
-    except Exception as error:
-        raise OSError(str(error)) from error
 
 
 def _run_here(job: Job, progress: Progress) -> "Future[Outcome]":
