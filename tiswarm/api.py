@@ -340,7 +340,8 @@ def import_poses(
 
     Args:
         poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in motion with a column
-            `time`; a GSD file; a folder of TUM trajectories; or an export of motion capture.
+            `time`; a GSD file; a folder of trajectories; an export of motion capture; or, with
+            `beacons`, a table of ranges.
         docks: Table `dock,x,y,z` of the docks in the body frame, in place of `dock_offset_body`.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
         plugins: Python files that register formats, see `tiswarm.import_format`.

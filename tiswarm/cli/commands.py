@@ -230,7 +230,17 @@ def import_(
         ),
     ],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
-    dock_radius: Annotated[float, Option(min=1e-9, max=1e9, help="Radius of a dock sphere.")] = 1.0,
+    dock_radius: Annotated[
+        float | None, Option(min=1e-9, max=1e9, help="Radius of a dock sphere (default: 1).")
+    ] = None,
+    beacons: Annotated[
+        Path | None,
+        Option(metavar="CSV", help="Import ranges tag,beacon,range instead: beacon,x,y,z."),
+    ] = None,
+    range_sd: Annotated[float | None, Option(min=0.0, help="Noise of a range, 1 sd.")] = None,
+    report: Annotated[
+        Path | None, Option(metavar="PAGE", help="Also localize by joint, and write a page.")
+    ] = None,
     dock_offset: Annotated[
         float | None,
         Option(min=0.0, max=1e12, help="Center to dock (default: where most docks touch)."),
@@ -316,11 +326,14 @@ def import_(
             left_handed=left_handed, conjugate=conjugate, ground_z=ground_z, heights=heights,
             drop_disconnected=drop_disconnected, drop_incomplete=drop_incomplete,
             glitch_frames=glitch_frames, tilt_deg=tilt_deg, yaw_deg=yaw_deg,
-            length_unit=length_unit,
+            length_unit=length_unit, beacons=beacons, range_sd=range_sd,
         )  # fmt: skip
     if not quiet:
         for run, imported in found.items():
             typer.echo("\n".join(imported.notes) + f" -> {out / run}")
+    if report is not None:
+        localize(out / "sensing.jsonl", out=out / "estimate.csv", report=report,
+                 overwrite=overwrite, debug=debug, quiet=quiet)  # fmt: skip
 
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")

@@ -44,6 +44,7 @@ from tiswarm.parts.formats.poses import (
     some,
     turns_by,
 )
+from tiswarm.parts.formats.ranges import read_ranges
 from tiswarm.records import outputs, sensing_log
 from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
@@ -62,7 +63,7 @@ class Imported(NamedTuple):
     """What became of a table of poses."""
 
     log: sensing_log.SensingLog  # what the robots would have sensed at rest
-    position: Reals  # true centers in join order, shape (N, 3)
+    position: Reals  # true centers in join order, (N, 3); NaN where they are unknown
     notes: list[str]  # contacts, gaps and what was assumed, in lines
     warnings: list[str]  # why contacts or final poses are probably wrong, in lines
 
@@ -91,10 +92,15 @@ def convert(
     for name in assumed:
         choose(name, [field.name for field in fields(Assumptions)], "assumed")
     body = {} if docks is None else {"dock_offset_body": read_dock_offsets(docks)}
-    stated = Assumptions(**{**assumed, **body})
-    found = import_poses(path, stated)
+    given = {name: value for name, value in assumed.items() if value is not None}
+    stated = Assumptions(**{**given, **body})
+    if stated.beacons is None:
+        found = import_poses(path, stated)
+    else:
+        found = {"": _import_ranges(path, stated, given.get("dock_radius"))}
     if out is not None:
         inputs = [*(path.iterdir() if path.is_dir() else [path]), stated.contacts, docks]
+        inputs += [stated.beacons]
         write_imports(found, out, inputs, overwrite=overwrite)
     return found
 
@@ -119,6 +125,17 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
     return found
 
 
+def _import_ranges(path: Path, assumed: Assumptions, radius: float | None) -> Imported:
+    """Turn tables of ranges and beacons into a log; places of tags are unknown."""
+    log, notes, warnings = read_ranges(
+        path, Path(str(assumed.beacons)), sd=assumed.range_sd, radius=radius,
+        drop_incomplete=assumed.drop_incomplete,
+    )  # fmt: skip
+    with at_line(path, 1):
+        check_header(log)
+    return Imported(log, np.full((log.robot_count, 3), np.nan), notes, warnings)
+
+
 def _read(path: Path, assumed: Assumptions) -> PoseTable:
     """Read poses in the first format that their file or folder has."""
     for name, own in registered("import_format").items():
@@ -139,6 +156,8 @@ def write_imports(
 ) -> None:
     """Write `sensing.jsonl` and `truth.csv` of each structure to a folder of its name in `out`.
 
+    There is no truth of tags with ranges.
+
     Args:
         found: What became of each structure, by its name.
         out: Folder, which is made if need be.
@@ -149,16 +168,23 @@ def write_imports(
         InputError: an output would replace another file; then nothing is written.
         EnvironmentTroubleError: `out` cannot be made or written to.
     """
-    files = [out / run / name for run in found for name in ("sensing.jsonl", "truth.csv")]
+    files = [out / run / "sensing.jsonl" for run in found]
+    files += [out / run / "truth.csv" for run in found if _is_known(found[run])]
     outputs.check({"out": files}, inputs, overwrite=overwrite)
     opened = partial(outputs.opened, overwrite=overwrite)
     for run, (log, position, *_) in found.items():
         make_folder(out / run)
         write_sensing_log(log, out / run / "sensing.jsonl", opened=opened)
-        write_positions(
-            out / run / "truth.csv", log.robot_id, position, length_unit=log.length_unit,
-            opened=opened,
-        )  # fmt: skip
+        if _is_known(found[run]):
+            write_positions(
+                out / run / "truth.csv", log.robot_id, position, length_unit=log.length_unit,
+                opened=opened,
+            )  # fmt: skip
+
+
+def _is_known(imported: Imported) -> bool:
+    """Whether all true positions are known; those of tags with ranges are not."""
+    return not np.isnan(imported.position).any()
 
 
 def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:

@@ -76,6 +76,12 @@ class Assumptions:
     """Columns of the table by what they mean, such as `{"x": "center_x"}`, where names do not say
     so."""
 
+    beacons: Path | None = None
+    """Table of beacons, where the file has ranges instead of poses."""
+
+    range_sd: float | None = None
+    """Standard deviation of a range, where the file states none."""
+
     drop_disconnected: bool = False
     """Whether to drop the robots that contacts do not connect to an anchor."""
 
@@ -133,7 +139,7 @@ _NAMES = {
 }
 """Names of a column, the first that a table has is read; others have their meaning as name."""
 
-_LENGTHS = (
+LENGTHS = (
     *("m", "cm", "mm", "dm", "um", "µm", "nm", "km", "in", "ft", "yd", "R"),
     *("meters", "centimeters", "millimeters", "inches", "feet"),
 )
@@ -322,7 +328,7 @@ def plain_sheet(path: Path) -> Sheet:
     sep = max("\t,;", key=lines[head].count)
     after = next((k for k in bare if k > head), head)
     units = _cells(lines[after])
-    is_unit = {unit.lower() for unit in (*_LENGTHS, *_TIMES, *_ANGLES, "")}
+    is_unit = {unit.lower() for unit in (*LENGTHS, *_TIMES, *_ANGLES, "")}
     if after > head and any(units) and {unit.strip("[]() ").lower() for unit in units} <= is_unit:
         names = [
             f"{name} [{unit.strip('[]() ')}]" if unit else name
@@ -413,7 +419,7 @@ def _bodies(
 ) -> list[_PoseColumns]:
     """Find the columns of each robot, or those of all robots if a column names them."""
     forced = {column: meaning for meaning, column in assumed.columns.items()}
-    units = {unit.lower() for unit in ("", *_LENGTHS, _NO_UNIT, assumed.length_unit)}
+    units = {unit.lower() for unit in ("", *LENGTHS, _NO_UNIT, assumed.length_unit)}
     columns = []
     for name in header:
         read = _meaning(name, units, is_export=bool(sheet.program))
@@ -468,7 +474,7 @@ def _refuse_lacking(
     for column in header if not {*_AXES} & has else ():
         if stray := re.fullmatch(r"[xyz][_ ]*[\[(]?([a-z]+)[\])]?", column, re.IGNORECASE):
             problem = f"{stray[1][:40]!r} is no known unit of length; rename it to one of "
-            problem += f"{', '.join(_LENGTHS)}, or give --length-unit {stray[1][:40]}"
+            problem += f"{', '.join(LENGTHS)}, or give --length-unit {stray[1][:40]}"
             raise InputError(problem, path=path, line=1, key=column)
     problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z but "
     problem += f"{','.join(header)[:200] or 'none'}; rename or add {','.join(lacking)}"
@@ -477,7 +483,7 @@ def _refuse_lacking(
 
 def _meaning(name: str, units: Collection[str], *, is_export: bool) -> _Column | None:
     """Read the name of a column; None if it has no part in a pose."""
-    bare, unit = _split(name, units)
+    bare, unit = split_unit(name, units)
     for pattern, begin in _QUANTITIES.items():
         found = re.fullmatch(pattern, bare.lower())
         if found is None or (re.search(r"[a-z]$", found["body"]) and not is_export):
@@ -541,7 +547,7 @@ def _positions(columns: Sequence[_Column], path: Path) -> tuple[dict[str, str], 
     return {axis: column.name for axis, column in first.items()}, unit
 
 
-def _split(column: str, units: Collection[str]) -> tuple[str, str]:
+def split_unit(column: str, units: Collection[str]) -> tuple[str, str]:
     """Split a column's name into what it names and its unit, of lengths or angles."""
     found = _UNIT.fullmatch(column)
     if found is None:
@@ -556,7 +562,7 @@ def _find(header: Sequence[str], meaning: str) -> str:
     for name in _NAMES.get(meaning, (meaning,)):
         for column in header:
             bare = re.sub(r"^(?:field|data|msg)[./]", "", column.lower())
-            if bare == name or (meaning == "time" and _split(bare, _TIMES)[0] == name):
+            if bare == name or (meaning == "time" and split_unit(bare, _TIMES)[0] == name):
                 return column
     return ""
 
@@ -666,7 +672,7 @@ def _add_quaternions(
             raise InputError(problem, path=table.path, line=line, key=body.columns[turn[0]])
         rows[QUATERNION] = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
         return []
-    units = {_split(body.columns[name], ())[1].lower() for name in turn} & {*_ANGLES}
+    units = {split_unit(body.columns[name], ())[1].lower() for name in turn} & {*_ANGLES}
     degrees = _ANGLES[units.pop()] if units else sheet.degrees
     angles = numbers[:, :1] if turn[0] == "angle" else numbers
     guessed = degrees is None
