@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import null_space
 
 from tests import foreign
 from tests.strategies import unit_vectors
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize, settings_of
 from tiswarm.localization.settings import JointParams
+from tiswarm.measurements import turns
 from tiswarm.measurements.turns import Turn, Turns
 from tiswarm.measurements.verdicts import cautions, headline
 from tiswarm.parts.advice.further import tabulate
@@ -328,3 +330,34 @@ def test_words_and_advice_name_the_line_and_what_excludes_the_turn():
     assert {row["further measurement"] for row in again} == {
         row["further measurement"] for row in table
     }
+
+
+@pytest.mark.parametrize("most", [1, 20_000])
+def test_likelihoods_of_angles_are_those_of_dense_steps(monkeypatch, most):
+    """A step to the nearest minimum, but not on by the turn, is least squares on what is left."""
+    monkeypatch.setattr(turns, "_MOST_UNKNOWNS", most)
+    tags = around(6, 3)
+    pairs = [*each_to_all(LINE, tags), *((4 + k, 3 + k) for k in range(1, 6))]
+    log, place = ranged(LINE + 0.02 * np.eye(4, 3), tags, pairs)
+    rows, at = pose_problem(log, JointParams()).rows, place / log.dock_radius
+
+    (turn,) = Turns.of(rows, at)
+
+    rows = rows.averaged()
+    sd, squares = np.sqrt(rows.variance()), []
+    angles = np.arange(len(turn.chance), dtype=np.float64) + 0.5
+    axis = np.tile(turn.pivot(at)[1][0], (len(angles), 1))
+    matrices = turns._motions(axis, angles)  # noqa: SLF001 - what the method tries
+    for there in turn.turned(np.tile(at, (len(angles), 1, 1)), matrices):
+        center, axes = turn.pivot(there)
+        along = np.cross(axes, (there - center)[turn.moves]).ravel()
+        free = null_space(along[None])
+        of_all = rows.jacobian(there).toarray()[:, : there.size].reshape(len(rows), -1, 3)
+        slope = of_all[:, turn.moves].reshape(len(rows), -1) @ free / sd[:, None]
+        wrong = rows.residual(there) / sd
+        step = np.linalg.lstsq(slope, wrong, rcond=None)[0]
+        squares.append(((wrong - slope @ step) ** 2).sum())
+    expected = np.exp(0.5 * (min(squares) - np.array(squares)))
+    assert expected.std() > 0.01
+    # The dense steps lack the small stiffness that keeps solutions finite.
+    np.testing.assert_allclose(turn.chance / turn.chance.max(), expected, atol=1e-3)

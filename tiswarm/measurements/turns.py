@@ -12,7 +12,9 @@ from itertools import chain, combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
@@ -37,6 +39,9 @@ _STRAIGHT = 0.25
 _MOST_CUT, _MOST_ROBOTS = 16, 1000
 """Robots of unknown place up to which each two of them are tried as an axis, and robots up to which
 sets that turn are looked for at all: both take time."""
+
+_MOST_UNKNOWNS = 20_000
+"""Unknowns of configurations that are solved at once; more take memory."""
 
 _AXES = 3
 
@@ -256,7 +261,9 @@ def _turn_about(rows: Measurements, position: Reals, moves: Bools, about: Ints) 
     place = np.arange(2 * _ANGLES, dtype=np.float64) + 0.5
     every: Reals = np.tile(position, (len(place), 1, 1))
     every = turn.turned(every, _motions(np.tile(axes[0], (len(place), 1)), place))
-    square = _least_squares(rows, np.concatenate([every, position[None]]), turn)
+    every, few = np.concatenate([every, position[None]]), max(1, _MOST_UNKNOWNS // (3 * len(arm)))
+    pieces = (every[k : k + few] for k in range(0, len(every), few))
+    square = np.concatenate([_least_squares(rows, piece, turn) for piece in pieces])
     chance = np.exp(0.5 * (square.min() - square[:-1]))
     # Images of a single robot are turns, too: they make no arc wider.
     if chance.reshape(2, -1).sum(axis=1).max() < _BROAD * _ANGLES:
@@ -270,25 +277,34 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
 
     Robots may move to it, to first order, but not on by the turn.
     """
-    members, pairs = np.flatnonzero(turn.moves), len(rows.other)
-    column = np.cumsum(turn.moves) * turn.moves - 1  # the last one is of robots that stay
-    sd, every = np.sqrt(rows.variance()), np.arange(len(rows))
+    members = np.flatnonzero(turn.moves)
+    column = np.cumsum(turn.moves) * turn.moves - 1  # -1 of robots that stay
+    sd, (count, size) = np.sqrt(rows.variance()), (len(position), _AXES * len(members))
     residual, way = rows.linearized(position)
     residual, way = residual / sd, way / sd[:, None]
-    of_robot = np.zeros((len(position), len(rows), len(members) + 1, _AXES))
-    of_robot[:, every, column[rows.robot]] += way
-    of_robot[:, every[:pairs], column[rows.other]] -= way[:, :pairs]
-    slope: Reals = of_robot[:, :, :-1].reshape(len(position), len(rows), -1)
     center, axes = turn.pivot(position)
-    along = np.cross(axes, (position - center[:, None])[:, members]).reshape(len(position), -1)
+    along = np.cross(axes, (position - center[:, None])[:, members]).reshape(count, size)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    slope -= (slope @ along[:, :, None]) * along[:, None]
-    information = slope.swapaxes(1, 2) @ slope
-    most = np.trace(information, axis1=1, axis2=2)[:, None, None]
-    stiff = along[:, :, None] * along[:, None] + _UNRESISTED * np.eye(along.shape[1])
-    pull = slope.swapaxes(1, 2) @ residual[:, :, None]
-    gain = (pull * np.linalg.solve(information + most * stiff, pull)).sum(axis=(1, 2))
-    least: Reals = (residual**2).sum(axis=1) - gain
+    entries, each = [], np.arange(count)[:, None, None]
+    for robot, slope in ((rows.robot, way), (rows.other, -way[:, : len(rows.other)])):
+        row = np.flatnonzero(turn.moves[robot])
+        place = (_AXES * column[robot[row], None] + np.arange(_AXES)) + size * each
+        line = row[:, None] + len(rows) * each
+        entries.append([slope[:, row], np.broadcast_to(line, place.shape), place])
+    value, line, place = (
+        np.concatenate([a.ravel() for a in parts]) for parts in zip(*entries, strict=True)
+    )
+    jacobian = csr_matrix((value, (line, place)), shape=(count * len(rows), count * size))
+    information = (jacobian.T @ jacobian).tocsc()  # a block for each configuration
+    pull = (jacobian.T @ residual.ravel()).reshape(count, size)
+    pull -= (pull * along).sum(axis=1, keepdims=True) * along
+    most = information.diagonal().reshape(count, size).sum(axis=1)
+    most -= (along * (information @ along.ravel()).reshape(count, size)).sum(axis=1)
+    stiff = diags(np.repeat(_UNRESISTED * most, size), format="csc")
+    factor = splu(information + stiff, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    step, held = (factor.solve(side.ravel()).reshape(count, size) for side in (pull, along))
+    step -= held * ((along * step).sum(axis=1) / (along * held).sum(axis=1))[:, None]
+    least: Reals = (residual**2).sum(axis=1) - (pull * step).sum(axis=1)
     return least
 
 
