@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.parts.formats.test_stances import bring_in, rows_of, sampled
-from tiswarm.parts.formats.motion import _step_of_noise
+from tiswarm.parts.formats.motion import step_of_noise
 from tiswarm.records.sensing_file import log_entries
 
 
@@ -73,14 +73,16 @@ def test_a_long_absence_from_the_track_is_no_error(tracks, tmp_path):
 
 
 def test_poses_that_are_noisier_than_the_limits_are_no_errors(tracks, tmp_path):
-    """Half of them would be left out; the note says what to do instead."""
+    """Half of them would be left out; beyond what can be measured, the note says what to do."""
     random = np.random.default_rng(0)
-    noisy = [jumped(row, random.normal(0.0, 0.03, 3), Rotation.identity()) for row in tracks]
+    for sd in (0.03, 0.08):
+        noisy = [jumped(row, random.normal(0.0, sd, 3), Rotation.identity()) for row in tracks]
 
-    notes = bring_in(tmp_path, noisy).notes
+        notes = bring_in(tmp_path, noisy).notes
 
-    assert not any("pose left out" in note or "poses left out" in note for note in notes)
-    assert any("noisier than the limits of contacts; give a larger --gap" in note for note in notes)
+        assert not any("pose left out" in note or "poses left out" in note for note in notes)
+        advice = "noisier than the limits of contacts; give a larger --gap"
+        assert any(advice in note for note in notes) == (sd == 0.08)
 
 
 def test_a_table_of_stances_has_no_errors_of_tracking(tracks, towers, tmp_path):
@@ -125,7 +127,7 @@ def test_noise_is_what_a_quarter_of_the_samples_show(rests, is_found):
     step[: rests + 1] = (-1.0) ** np.arange(-rests, 1)  # turns as often as the robot rests
     docks = np.cumsum([0.0, *step])[:, None, None] * np.ones((1, 1, 3)) / np.sqrt(3.0)
 
-    noise = _step_of_noise(docks, np.zeros(102, int), most=2.0)
+    noise = step_of_noise(docks, np.zeros(102, int), most=2.0)
 
     assert (noise > 0.0) == is_found
 

@@ -261,3 +261,30 @@ def test_times_of_robots_with_one_row_each_mean_nothing(towers, tmp_path):
     assert timed.notes == plain.notes
     assert timed.log.stances is None
     np.testing.assert_array_equal(timed.log.contacts, plain.log.contacts)
+
+
+@pytest.mark.parametrize("sd", [0.005, 0.01, 0.02])
+def test_tolerances_are_those_of_robots_at_rest(towers, tmp_path, sd):
+    """No contact is lost to noise, and the log states how orientations vary."""
+    history = replace(towers[0], walks=towers[0].walks[:8], loads=towers[0].loads[:8])
+    rng = np.random.default_rng(0)
+    rows = []
+    for robot, *pose, frame in sampled(history, steps=8, dwell=6, waiting=False):
+        turn = Rotation.from_rotvec(rng.normal(0.0, 0.5 * sd, 3)) * Rotation.from_quat(
+            pose[3:], scalar_first=True
+        )
+        place = np.array(pose[:3]) + rng.normal(0.0, sd, 3)
+        rows.append([robot, *place, *turn.as_quat(scalar_first=True), frame])
+
+    found = bring_in(tmp_path, rows)
+
+    def named(log):
+        name = log.robot_id.tolist()
+        return {frozenset([(name[i], a), (name[j], b)]) for i, a, j, b in log.contacts.tolist()}
+
+    assert named(observe(history, SensingParams())) <= named(found.log)
+    # 1,000 steps at rest state an sd to 4 %; flips among them add some.
+    angle = np.degrees(0.5 * sd)
+    assert found.log.noise.tilt_deg == pytest.approx(angle, rel=0.2)
+    assert found.log.noise.yaw_deg == pytest.approx(angle, rel=0.2)
+    assert any(note.startswith("orientations of robots at rest vary by") for note in found.notes)

@@ -27,7 +27,16 @@ from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
-from tiswarm.parts.formats.motion import Rests, find_rests, stances_of, without_glitches
+from tiswarm.parts.formats.motion import (
+    LOUDEST,
+    Rests,
+    find_rests,
+    stances_of,
+    step_of_noise,
+    turning_noise,
+    with_final_rests,
+    without_glitches,
+)
 from tiswarm.parts.formats.poses import (
     EULER,
     TOLERANCE,
@@ -200,14 +209,22 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     poses, order_of_numbers = in_likely_order(poses, assumed)
     poses, guessed = with_docks(poses, assumed, path)
     poses, glitches = without_glitches(poses, with_limits(poses, assumed)[0])
-    assumed, widened = with_limits(poses, assumed)
+    moving, _ = with_limits(poses, assumed)
+    poses, left = with_final_rests(poses, moving)
+    assumed, widened = with_limits(poses, assumed, left)
+    if (seen := turning_noise(poses)) and assumed.tilt_deg is None and assumed.yaw_deg is None:
+        assumed = replace(assumed, tilt_deg=seen[0], yaw_deg=seen[1])
+        stated = (
+            "orientations of robots at rest vary by {:g} deg of tilt and {:g} deg of yaw (1 sd)"
+        )
+        widened.append(f"{stated.format(*seen)}, which the log states; --tilt-deg, --yaw-deg")
     contacts, gaps, overlaps = find_contacts(poses, assumed)
-    rests = find_rests(poses, assumed)
+    rests = find_rests(poses, moving)
     anchors = _anchors(poses, rests, assumed.anchors, path)
     order, joined = _join_order(
         poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected
     )
-    stances, early = (None, 0) if rests is None else stances_of(rests, poses, order, assumed)
+    stances, early = (None, 0) if rests is None else stances_of(rests, poses, order, moving)
     log = _log(poses, contacts, anchors, order, stances, assumed)
     with at_line(path, 1):
         check_header(log)
@@ -402,6 +419,10 @@ _STANDS_OUT = 2.0
 _WIDEST = 0.25
 """Largest limit of gaps and overlaps that is found [dock radii]."""
 
+_STEPS_OF_NOISE = 2.0
+"""Largest error of a gap, in the median step of the dock that moves most: about 3.5 standard
+deviations of a gap."""
+
 _STEP = 1.1
 """Ratio of limits that are tried."""
 
@@ -553,19 +574,34 @@ def with_docks(
     return poses._replace(dock_offset_body=docks_in_plane(offset)), [note]
 
 
-def with_limits(poses: Poses, assumed: Assumptions) -> tuple[Assumptions, list[str]]:
-    """Set limits of gap and overlap that are not given, and say so where errors widen them."""
+def with_limits(
+    poses: Poses, assumed: Assumptions, left: float = 1.0
+) -> tuple[Assumptions, list[str]]:
+    """Set limits of gap and overlap that are not given, and say so where errors widen them.
+
+    Args:
+        poses: Robots, whose docks are known.
+        assumed: Limits that are given.
+        left: Part of the noise of samples that final poses have [1].
+    """
     if assumed.gap is not None and assumed.overlap is not None:
         return assumed, []
-    radius, least = assumed.dock_radius, TOLERANCE * assumed.dock_radius
+    radius, least, samples = assumed.dock_radius, TOLERANCE * assumed.dock_radius, poses.samples
+    why = "about as far, docks overlap by errors of the poses"
+    if samples is not None:
+        docks = samples.docks(poses.dock_offset_body)
+        step = left * step_of_noise(docks, samples.robot, LOUDEST * radius)
+        if _STEPS_OF_NOISE * step > least:
+            least = float(f"{_STEPS_OF_NOISE * step:.2g}")
+            why = f"docks at rest vary by about {0.5 * step:.2g}"
     pair = dock_pairs(poses.docks, (2.0 + FARTHEST_SHOWN) * radius)
-    limit = contact_limit(surface_gaps(poses.docks, pair, radius), radius, least)
-    if limit is None or limit == least:
+    limit = contact_limit(surface_gaps(poses.docks, pair, radius), radius, least) or least
+    if limit == TOLERANCE * radius:
         return assumed, []
     gap, overlap = (limit if given is None else given for given in (assumed.gap, assumed.overlap))
     found = replace(assumed, gap=gap, overlap=overlap)
     text = f"contacts have gaps up to {gap:g} and overlaps up to {overlap:g} {poses.length_unit}"
-    return found, [f"{text}: about as far, docks overlap by errors of the poses"]
+    return found, [f"{text}: {why}"]
 
 
 def in_likely_order(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[str]]:

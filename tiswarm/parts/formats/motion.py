@@ -195,6 +195,12 @@ _OFTEN = 0.25
 _ROUNDING = 1e-6
 """Least motion of a pivot that counts [dock radii]."""
 
+LOUDEST = 0.12
+"""Largest step that counts as noise [dock radii]; flips move docks by more than one."""
+
+_MAD = 1.4826
+"""Standard deviation of a normal distribution in median deviations."""
+
 _NOISE_MARGIN = 3.0
 """Largest motion of a robot at rest, per median of a step that noise alone makes."""
 
@@ -271,8 +277,38 @@ def motion_limits(samples: Samples, docks: Reals, assumed: Assumptions) -> Limit
     """
     limits = assumed.largest_gap, assumed.largest_overlap
     put = max(sum(limits), _ROUNDING * assumed.dock_radius)
-    noise = _NOISE_MARGIN * _step_of_noise(docks, samples.robot, most=put)
+    noise = _NOISE_MARGIN * step_of_noise(docks, samples.robot, LOUDEST * assumed.dock_radius)
     return Limits(max(0.5 * max(*limits, 0.5 * put), noise), max(put, noise))
+
+
+def with_final_rests(poses: Poses, assumed: Assumptions) -> tuple[Poses, float]:
+    """Average the last poses of each robot, as long as only noise moves it.
+
+    Args:
+        poses: Robots, whose docks are known.
+        assumed: Limits of contacts.
+
+    Returns:
+        The poses, and the part of noise that is left [1], which is 1 where none is seen.
+    """
+    samples = poses.samples
+    if samples is None:
+        return poses, 1.0
+    docks = samples.docks(poses.dock_offset_body)
+    if not step_of_noise(docks, samples.robot, LOUDEST * assumed.dock_radius):
+        return poses, 1.0
+    still = motion_limits(samples, docks, assumed).still
+    position, wxyz = poses.position.copy(), poses.orientation_wxyz.copy()
+    start = np.searchsorted(samples.robot, np.arange(len(position) + 1))
+    least = len(docks)
+    for robot, (first, after) in enumerate(pairwise(start.tolist())):
+        moved = np.linalg.norm(docks[first:after] - docks[after - 1], axis=2).max(axis=1) > still
+        begin = first + int(np.flatnonzero(moved)[-1]) + 1 if moved.any() else first
+        position[robot] = samples.position[begin:after].mean(axis=0)
+        turn = Rotation.from_quat(samples.orientation_wxyz[begin:after], scalar_first=True)
+        wxyz[robot] = turn.mean().as_quat(scalar_first=True)
+        least = min(least, after - begin)
+    return poses._replace(position=position, orientation_wxyz=wxyz), float(least**-0.5)
 
 
 def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
@@ -325,20 +361,42 @@ def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
     )
 
 
-def _step_of_noise(docks: Reals, robot: Ints, most: float) -> float:
+def step_of_noise(docks: Reals, robot: Ints, most: float) -> float:
     """Estimate how far noise moves docks from a sample to the next, (S, D, 3); 0 if it is unknown.
 
     Noise moves docks back and forth, while motions go on. In tables of stances docks move back and
     forth by more than noise, `most`, does.
     """
+    step = np.linalg.norm(docks[1:] - docks[:-1], axis=2).max(axis=1)[1:]
+    at_rest = _moves_of_noise(docks, robot)
+    found = float(np.median(step[at_rest])) if at_rest.any() else 0.0
+    return found if found <= most else 0.0
+
+
+def _moves_of_noise(docks: Reals, robot: Ints) -> Bools:
+    """Whether docks moved back and forth up to each sample from the third, (S - 2,), if often."""
     one = np.linalg.norm(docks[1:] - docks[:-1], axis=2).max(axis=1)
     two = np.linalg.norm(docks[2:] - docks[:-2], axis=2).max(axis=1)
     same = robot[2:] == robot[:-2]
-    at_rest = same & (two < _BACK_AND_FORTH * (one[1:] + one[:-1]))
-    if at_rest.sum() < _OFTEN * max(1, same.sum()):
-        return 0.0
-    step = float(np.median(one[1:][at_rest]))
-    return step if step <= most else 0.0
+    at_rest: Bools = same & (two < _BACK_AND_FORTH * (one[1:] + one[:-1]))
+    return at_rest if at_rest.sum() >= _OFTEN * max(1, same.sum()) else np.zeros_like(at_rest)
+
+
+def turning_noise(poses: Poses) -> tuple[float, float] | None:
+    """Measure orientations of robots at rest: sd about a horizontal axis and the vertical [deg].
+
+    None if robots have one pose each, or no noise is seen.
+    """
+    samples = poses.samples
+    if samples is None:
+        return None
+    at_rest = _moves_of_noise(samples.docks(poses.dock_offset_body), samples.robot)
+    turn = Rotation.from_quat(samples.orientation_wxyz, scalar_first=True)
+    step = np.degrees((turn[2:] * turn[1:-1].inv()).as_rotvec())[at_rest] / np.sqrt(2.0)
+    if not step.any():
+        return None
+    size = _MAD * np.median(np.abs(step), axis=0)  # a flip among them changes no median
+    return float(f"{np.hypot(*size[:2]) / np.sqrt(2.0):.2g}"), float(f"{size[2]:.2g}")
 
 
 def _runs_at_rest(docks: Reals, still: float) -> Ints:
