@@ -39,8 +39,8 @@ class Limits(NamedTuple):
 KERNELS = {  # registers rounded up to eights, in which a card grants them
     "turn_docks": Limits(2, 40, 32, 0),
     "place_docks": Limits(2, 32, 32, 0),
-    "sort_docks": Limits(11, 32, 32, 2),
-    "fill_rows": Limits(2, 80, 72, 1),
+    "sort_docks": Limits(11, 40, 32, 2),
+    "fill_rows": Limits(2, 72, 72, 1),
     "start_interval": Limits(3, 16, 16, 0),
     "step_robots": Limits(33, 80, 56, 16),  # 16 steps; numbers of a step come from a table
     "step_robots, guided": Limits(33, 80, 56, 16),

@@ -42,10 +42,16 @@ def test_neighbors_along_the_curve_are_neighbors_in_space():
 
 
 @pytest.mark.parametrize("on_card", [False, True], ids=["processor", "card"])
-def test_rows_list_connected_docks_and_every_near_one_once(monkeypatch, on_card):
-    """24,000 robots: so many buckets that the totals of their blocks are summed in blocks too."""
+@pytest.mark.parametrize("place", ["spread", "crowded", "far"])
+def test_rows_list_connected_docks_and_every_near_one_once(monkeypatch, on_card, place):
+    """24,000 robots: so many buckets that the totals of their blocks are summed in blocks too.
+
+    In a crowd, runs of cells hold more docks than are compared at a time. Far away, steps of the
+    fine grid round.
+    """
     monkeypatch.setattr(Backend, "on_card", on_card)
     position, orientation, contacts = swarm(24_000)
+    position = position * (0.5 if place == "crowded" else 1.0) + (1e9 if place == "far" else 0.0)
     dock = (position[:, None] + arms(orientation)).reshape(-1, 3)
     memory = Allocator(backend.current(), on_host=False)
     lists = NeighborList(memory, position, contacts, docks=3, reach=2.0, cutoff=2.5)

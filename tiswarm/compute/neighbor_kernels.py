@@ -64,7 +64,7 @@ def cube_of(point, inverse_edge):
 
 
 @ti.func
-def _bucket_of(cube, buckets):
+def _bucket_of_cube(cube, buckets):
     """Hash a cube to its bucket; `buckets` is a power of two."""
     key = cube[0] + _STRIDE_Y * cube[1] + _STRIDE_Z * cube[2]
     return ti.cast(key & ti.cast(buckets - 1, ti.i64), ti.i32)
@@ -77,13 +77,13 @@ def first_item(cells: Ref, structure, cube, which):
     `which` runs from 0 to 26.
     """
     neighbor = cube + ti.Vector([which % 3 - 1, which // 3 % 3 - 1, which // 9 - 1])
-    return cells.head[structure, _bucket_of(neighbor, cells.head.shape[1])]
+    return cells.head[structure, _bucket_of_cube(neighbor, cells.head.shape[1])]
 
 
 @ti.func
 def link(cells: Ref, structure, item, cube):
     """Put an item in front of its bucket's chain."""
-    bucket = _bucket_of(cube, cells.head.shape[1])
+    bucket = _bucket_of_cube(cube, cells.head.shape[1])
     cells.following[structure, item] = cells.head[structure, bucket]
     cells.head[structure, bucket] = item
 
@@ -91,8 +91,8 @@ def link(cells: Ref, structure, item, cube):
 @ti.func
 def relink(cells: Ref, structure, item, old, new):
     """Move an item from the chain of one cube to the front of another's."""
-    bucket = _bucket_of(old, cells.head.shape[1])
-    if bucket != _bucket_of(new, cells.head.shape[1]):
+    bucket = _bucket_of_cube(old, cells.head.shape[1])
+    if bucket != _bucket_of_cube(new, cells.head.shape[1]):
         after = cells.following[structure, item]
         if cells.head[structure, bucket] == item:
             cells.head[structure, bucket] = after
@@ -109,12 +109,25 @@ CELL_LENGTH = 0.25
 """Edge of a cell along x, in cutoffs: short, since runs of cells along x are cheap."""
 CELL_WIDTH = 2.0
 """Edge along y and z, in cutoffs: the ball around a dock reaches at most one cell more."""
-BLOCK = 16
+LONGEST_RUN = 10
+"""Most cells along x that the ball around a dock reaches."""
+BLOCK = 32
 """Sorted docks that are compared at a time."""
 _FEW = 256
 """Docks up to which each is compared with all later ones: sorting them into cells takes longer."""
+AHEAD = 6_144
+"""Docks from one at work to one that is read ahead; what lies between fits into a core's cache."""
 SCAN_BLOCK = 256
 """Numbers that one thread sums up: buckets, then totals of these, then totals of those."""
+_FINE = 6
+"""Docks are also placed on a grid of cutoff / 2^_FINE; edges of cells are whole steps of it."""
+_LENGTH_BITS, _WIDTH_BITS = _FINE - 2, _FINE + 1
+_HALF = (1 << _FINE) + 1
+"""Steps from a dock to the sides of a box that holds all near ones; one more, by rounding."""
+_FIELD = 9
+"""Bits of steps along an axis. A place packs three such fields, each with a guard bit above it."""
+_EACH = 1 | 1 << _FIELD + 1 | 1 << 2 * (_FIELD + 1)
+_STEPS, _GUARDS = ((1 << _FIELD) - 1) * _EACH, (1 << _FIELD) * _EACH
 
 
 class Cells(NamedTuple):
@@ -126,9 +139,8 @@ class Cells(NamedTuple):
     dock: Ints1
     """Dock in each slot; docks of a bucket in ascending order, shape (M,)."""
 
-    place: Reals1
-    """x of the docks slot by slot, then all y, all z, all structures, each followed by room for
-    BLOCK more, shape (4 (M + BLOCK),)."""
+    place: Ints1
+    """Place of the dock in each slot, packed, then room for BLOCK more, shape (M + BLOCK,)."""
 
 
 @ti.func
@@ -139,65 +151,70 @@ def dock_at(dock: Ref, base, m):
 
 
 @ti.func
-def cell(value, per_length):
-    """Find the index of a cell along one axis."""
-    return ti.cast(ti.floor(value * per_length), ti.i64)
+def read_ahead(base, m, number, dock: Ref):
+    """Read docks past `m` by AHEAD, since caches fetch in time only what is read in order.
+
+    Returns a number up to 0.
+    """
+    at = ti.min(base + 4 * (m + AHEAD), dock.shape[0] - 4 * number) + 3
+    return -ti.cast(dock[at] + dock[at + 4 * (number - 1)], ti.i32)
 
 
 @ti.func
-def bucket_of_cell(grid: Ref, x, y, z, structure):
-    """Hash a cell to its bucket, linearly: cells along x have buckets in succession."""
-    key = x + grid.stride_y * y + grid.stride_z * z
+def _steps_of(grid: Ref, at):
+    """Find the place of a dock on the fine grid."""
+    per_step = (1 << _FINE) / grid.cutoff
+    return ti.Vector([ti.cast(ti.floor(at[c] * per_step), ti.i64) for c in range(3)])
+
+
+@ti.func
+def _packed(step):
+    """Pack a place on the fine grid, modulo the length of a field, into one number."""
+    number = 0
+    for c in ti.static(range(3)):
+        number |= ti.cast(step[c] & ((1 << _FIELD) - 1), ti.i32) << c * (_FIELD + 1)
+    return number
+
+
+@ti.func
+def _bucket_of(grid: Ref, step, structure):
+    """Hash the cell of a place to its bucket, linearly: those along x are in succession."""
+    key = (step[0] >> _LENGTH_BITS) + grid.stride_y * (step[1] >> _WIDTH_BITS)
+    key += grid.stride_z * (step[2] >> _WIDTH_BITS)
     key += _STRIDE_STRUCTURE * ti.cast(structure, ti.i64)
     return ti.cast(key & ti.cast(grid.buckets - 1, ti.i64), ti.i32)
 
 
 @ti.func
-def _own_bucket(grid: Ref, at):
-    """Find the bucket of the cell that holds a dock."""
-    per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
-    per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
-    return bucket_of_cell(
-        grid, cell(at[0], per_length), cell(at[1], per_width), cell(at[2], per_width), at[3]
-    )
-
-
-@ti.func
 def count_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
     """Count a dock in its bucket; offset by two, so that scan and scatter yield starts in place."""
-    ti.atomic_add(cells.begin[grid.table + _own_bucket(grid, dock_at(dock, base, m)) + 2], 1)
+    at = dock_at(dock, base, m)
+    ti.atomic_add(cells.begin[grid.table + _bucket_of(grid, _steps_of(grid, at), at[3]) + 2], 1)
 
 
 @ti.func
 def scatter_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
     """Put a dock into the next free slot of its bucket."""
-    bucket = _own_bucket(grid, dock_at(dock, base, m))
+    at = dock_at(dock, base, m)
+    step = _steps_of(grid, at)
+    bucket = _bucket_of(grid, step, at[3])
     slot = grid.slot + ti.atomic_add(cells.begin[grid.table + bucket + 1], 1)
     cells.dock[slot] = m
+    cells.place[slot] = _packed(step)
 
 
 @ti.func
-def sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
+def sort_bucket(grid: Ref, bucket, cells: Ref):
     """Order the docks of a bucket by number, since threads have scattered them in any order."""
     first = grid.slot + cells.begin[grid.table + bucket]
     last = grid.slot + cells.begin[grid.table + bucket + 1]
     for slot in range(first + 1, last):
-        m = cells.dock[slot]
+        m, place = cells.dock[slot], cells.place[slot]
         to = slot
         while to > first and cells.dock[ti.max(to - 1, 0)] > m:
-            cells.dock[to] = cells.dock[to - 1]
+            cells.dock[to], cells.place[to] = cells.dock[to - 1], cells.place[to - 1]
             to -= 1
-        cells.dock[to] = m
-    for slot in range(first, last):
-        _note_place(slot, base, dock, cells)
-
-
-@ti.func
-def _note_place(slot, base, dock: Ref, cells: Ref):
-    """Write the place of the dock in a slot."""
-    at = dock_at(dock, base, cells.dock[slot])
-    for c in ti.static(range(4)):
-        cells.place[slot + c * (cells.place.shape[0] // 4)] = at[c]
+        cells.dock[to], cells.place[to] = m, place
 
 
 @ti.func
@@ -214,7 +231,7 @@ def _sum_up(value: Ref, first, past):
 def sort_docks(
     docks: I32, cutoff: Float, stride_y: I32, stride_z: I32, base: I32, dock: Reals1,
     block_total_out: Ints1, group_total_out: Ints1,
-    begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Reals1,  # Cells
+    begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Ints1,  # Cells
 ):  # fmt: skip
     """Counting sort of all docks by the bucket of their cell; within a bucket, by number.
 
@@ -253,7 +270,7 @@ def sort_docks(
     for m in range(sorted_dock_out.shape[0]):
         scatter_dock(grid, base, m, dock, cells)
     for bucket in range(buckets):
-        sort_bucket(grid, base, bucket, dock, cells)
+        sort_bucket(grid, bucket, cells)
 
 
 class StructureTable(Columns):
@@ -281,12 +298,6 @@ class StructureTable(Columns):
     """How often its rows were made; written."""
 
 
-LONGEST_RUN = 10
-"""Most cells along x that the ball around a dock reaches."""
-_REACH_MARGIN = 1e-3
-"""Lengthening of a reach, so that rounding cannot shorten it [cutoff]."""
-
-
 class ConnectedDocks(NamedTuple):
     """Connected docks, as entries of the rows of both."""
 
@@ -311,107 +322,109 @@ class Rows(NamedTuple):
 
 
 @ti.func
-def _nearer_side(value, index, per_width):
-    """Find the cell beside its own that a place is nearer to (-1 or 1), and how near [cutoff]."""
-    within = value * per_width - index
-    side = ti.select(within < 1.0 - within, -1, 1)
-    return side, CELL_WIDTH * ti.min(within, 1.0 - within)
+def _is_in_box(place, corner):
+    """Whether a place is up to 2 _HALF steps beyond another along each axis, three at once."""
+    beyond = ((place | _GUARDS) - corner) & _STEPS
+    return ((2 * _HALF * _EACH | _GUARDS) - beyond) & _GUARDS == _GUARDS
 
 
 @ti.func
-def _square_distance(here, slot, cells: Ref):
-    """Square the distance of a sorted dock from a place."""
-    docks = cells.place.shape[0] // 4
-    to_x = ti.cast(cells.place[slot] - here[0], float)
-    to_y = ti.cast(cells.place[slot + docks] - here[1], float)
-    to_z = ti.cast(cells.place[slot + 2 * docks] - here[2], float)
-    return to_x * to_x + to_y * to_y + to_z * to_z
+def _find_in_box(grid: Ref, corner, at, past, cells: Ref):
+    """Look at the next docks of a run: slot of the first, their number, bits of those in a box.
 
-
-@ti.func
-def _near_slots(here, square_cutoff, first, cells: Ref):
-    """Set a bit for each of the BLOCK sorted docks from `first` on that is near.
-
-    The loop writes nothing and leaves none out, so that compilers compare many docks at a time.
+    They are up to BLOCK docks from `at` on; a run goes round the end of the table. The loop writes
+    nothing and leaves none out, so that compilers compare many docks at a time.
     """
-    near = 0
+    end = cells.begin[grid.table + grid.buckets]
+    first = grid.slot + ti.select(at < end, at, at - end)
+    number = ti.min(BLOCK, past - at, ti.select(at < end, end - at, BLOCK))
+    found = 0
     for k in range(BLOCK):
-        near |= ti.cast(_square_distance(here, first + k, cells) < square_cutoff, ti.i32) << k
-    return near
+        found |= ti.cast(_is_in_box(cells.place[first + k], corner), ti.i32) << k
+    return first, number, found & ti.cast((ti.i64(1) << number) - 1, ti.i32)
 
 
 @ti.func
-def _add_slot(grid: Ref, here, own, robot_first, slot, cells: Ref, rows: Ref, space, count):
-    """Add a sorted dock to a row if it is another robot's of the same structure."""
-    other = cells.dock[slot]
-    # Always write, and count neighbors only: a branch could not be predicted.
-    entry = space[0] + ti.min(count, space[1]) * grid.entry_stride
-    rows.entry[entry] = (other << (grid.own_bits + 1)) | own
-    foreign = (other < grid.earlier * robot_first) | (other >= robot_first + grid.docks)
-    fellow = cells.place[slot + cells.place.shape[0] // 4 * 3] == here[3]
-    return count + (ti.cast(foreign, ti.i32) & ti.cast(fellow, ti.i32))
+def _is_near(grid: Ref, own: Ref, other, dock: Ref):
+    """Whether a dock is near, another robot's, and of the same structure."""
+    there = dock_at(dock, own.base, other)
+    apart = ti.Vector([ti.cast(there[c] - own.here[c], float) for c in range(3)])
+    near = apart.norm_sqr() < grid.cutoff * grid.cutoff
+    foreign = (other < grid.earlier * own.robot) | (other >= own.robot + grid.docks)
+    fellow = there[3] == own.here[3]
+    return ti.cast(near, ti.i32) & ti.cast(foreign, ti.i32) & ti.cast(fellow, ti.i32)
 
 
 @ti.func
-def _add_run(
-    on_card: Static, grid: Ref, here, own, robot_first, slots, cells: Ref, rows: Ref, space,
-    count,
-):  # fmt: skip
-    """Add to a row those of the sorted docks in a range of slots that are near an own dock."""
-    square_cutoff = grid.cutoff * grid.cutoff
-    if ti.static(on_card):
-        for slot in range(slots[0], slots[1]):
-            if _square_distance(here, slot, cells) < square_cutoff:
-                count = _add_slot(grid, here, own, robot_first, slot, cells, rows, space, count)
-    else:
-        at = slots[0]
-        while at < slots[1]:
-            wanted = (1 << ti.min(slots[1] - at, BLOCK)) - 1
-            near = wanted & _near_slots(here, square_cutoff, at, cells)
-            while near != 0:
-                slot = at + ti.math.popcnt((near & -near) - 1)
-                near &= near - 1
-                count = _add_slot(grid, here, own, robot_first, slot, cells, rows, space, count)
-            at += BLOCK
+def _add_found(grid: Ref, own: Ref, first, found, dock: Ref, cells: Ref, rows: Ref, count):
+    """Add to a row those of the docks whose bits are set that are near."""
+    # If the place of an entry depended on a distance, later reads would wait for both.
+    near = 0
+    while found != 0:
+        bit = ti.math.popcnt((found & -found) - 1)
+        found &= found - 1
+        near |= _is_near(grid, own, cells.dock[first + bit], dock) << bit
+    while near != 0:
+        other = cells.dock[first + ti.math.popcnt((near & -near) - 1)]
+        near &= near - 1
+        entry = own.row + ti.min(count, own.free) * grid.entry_stride
+        rows.entry[entry] = (other << (grid.own_bits + 1)) | own.number
+        count += 1
     return count
 
 
 @ti.func
-def _add_dock(
-    on_card: Static, grid: Ref, here, own, robot_first, cells: Ref, rows: Ref, space, count
-):
+def _add_run(grid: Ref, own: Ref, at, past, dock: Ref, cells: Ref, rows: Ref, count):
+    """Add to a row those of the sorted docks from `at` to `past` that are near."""
+    while at < past:
+        first, number, found = _find_in_box(grid, own.corner, at, past, cells)
+        count = _add_found(grid, own, first, found, dock, cells, rows, count)
+        at += number
+    return count
+
+
+@ti.func
+def _run_of(grid: Ref, bucket, length, cells: Ref):
+    """Find the sorted docks of a run of cells: the first, and the one after the last."""
+    first = cells.begin[grid.table + bucket]
+    past = cells.begin[grid.table + ti.min(bucket + length, grid.buckets)]
+    if bucket + length > grid.buckets:
+        past += cells.begin[grid.table + bucket + length - grid.buckets]
+    return first, past
+
+
+@ti.func
+def _add_near(on_card: Static, grid: Ref, own: Ref, dock: Ref, cells: Ref, rows: Ref, count):
     """Add the docks near an own dock to a row; return how many entries it has then."""
-    per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
-    per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
-    y = cell(here[1], per_width)
-    z = cell(here[2], per_width)
-    side_y, gap_y = _nearer_side(here[1], y, per_width)
-    side_z, gap_z = _nearer_side(here[2], z, per_width)
-    end = cells.begin[grid.table + grid.buckets]
-    for column in range(4):
-        # In a column of cells, visit only the run that the ball around the dock can reach.
-        one_y = column & 1
-        one_z = column >> 1
-        square = 1.0 - one_y * gap_y * gap_y - one_z * gap_z * gap_z
-        if square > -_REACH_MARGIN:
-            reach = (ti.sqrt(ti.max(square, 0.0)) + _REACH_MARGIN) * grid.cutoff
-            left = cell(here[0] - reach, per_length)
-            length = ti.min(cell(here[0] + reach, per_length) - left + 1, LONGEST_RUN)
-            bucket = bucket_of_cell(grid, left, y + one_y * side_y, z + one_z * side_z, here[3])
-            past = bucket + ti.cast(length, ti.i32)
-            first = cells.begin[grid.table + bucket]
-            last = cells.begin[grid.table + ti.min(past, grid.buckets)]
-            if past > grid.buckets:  # the run goes round the end of the table
-                last += cells.begin[grid.table + past - grid.buckets]
-            slots = grid.slot + ti.Vector([first, ti.min(last, end)])
-            count = _add_run(
-                on_card, grid, here, own, robot_first, slots, cells, rows, space, count
-            )
-            if last > end:
-                slots = grid.slot + ti.Vector([0, last - end])
-                count = _add_run(
-                    on_card, grid, here, own, robot_first, slots, cells, rows, space, count
-                )
+    step = _steps_of(grid, own.here)
+    # Cells along y and z beside the own one: those on the nearer side.
+    side_y = ti.select(step[1] & (1 << _FINE) == 0, -grid.stride_y, grid.stride_y)
+    side_z = ti.select(step[2] & (1 << _FINE) == 0, -grid.stride_z, grid.stride_z)
+    left, right = (step[0] - _HALF) >> _LENGTH_BITS, (step[0] + _HALF) >> _LENGTH_BITS
+    length = ti.cast(right - left, ti.i32) + 1
+    step[0] -= _HALF
+    own_bucket = _bucket_of(grid, step, own.here[3])
+    if ti.static(on_card):
+        end = cells.begin[grid.table + grid.buckets]
+        for column in range(4):
+            bucket = own_bucket + (column & 1) * side_y + (column >> 1) * side_z
+            at, past = _run_of(grid, bucket & (grid.buckets - 1), length, cells)
+            while at < past:
+                slot = grid.slot + ti.select(at < end, at, at - end)
+                if _is_in_box(cells.place[slot], own.corner):
+                    count = _add_found(grid, own, slot, 1, dock, cells, rows, count)
+                at += 1
+    else:
+        none = ti.Vector([0, 0, 0, 0])
+        at, past, first, number, found = none, none, none, none, none
+        # A core reads all four runs before it branches, since it cannot predict how many are near.
+        for c in ti.static(range(4)):
+            bucket = own_bucket + (c & 1) * side_y + (c >> 1) * side_z
+            at[c], past[c] = _run_of(grid, bucket & (grid.buckets - 1), length, cells)
+            first[c], number[c], found[c] = _find_in_box(grid, own.corner, at[c], past[c], cells)
+        for c in range(4):
+            count = _add_found(grid, own, first[c], found[c], dock, cells, rows, count)
+            count = _add_run(grid, own, at[c] + number[c], past[c], dock, cells, rows, count)
     return count
 
 
@@ -453,17 +466,20 @@ def _fill_rows_of(
             entry = connections.entry[connections.start[row] + c]
             rows.entry[at + c * grid.entry_stride] = entry
         count = connected
-        robot_first = row - row % grid.docks if ti.static(on_card) else row * grid.docks
-        for own in range(row_docks):
-            here = dock_at(dock, base, row * row_docks + own)
-            room = ti.Vector([at, free])
+        if ti.static(not on_card):
+            count = ti.max(count, read_ahead(base, row * grid.docks, grid.docks, dock))
+        robot = row - row % grid.docks if ti.static(on_card) else row * grid.docks
+        for number in range(row_docks):
+            here = dock_at(dock, base, row * row_docks + number)
+            own = ti.Struct(
+                here=here, corner=_packed(_steps_of(grid, here) - _HALF), number=number, base=base,
+                robot=robot, row=at, free=free,
+            )  # fmt: skip
             if is_sorted:
-                count = _add_dock(on_card, grid, here, own, robot_first, cells, rows, room, count)
+                count = _add_near(on_card, grid, own, dock, cells, rows, count)
             else:
-                later = grid.slot + (ti.Vector([row + 1, span[1]]) - span[0]) * grid.docks
-                count = _add_run(
-                    on_card, grid, here, own, robot_first, later, cells, rows, room, count
-                )
+                later = (ti.Vector([row + 1, span[1]]) - span[0]) * grid.docks
+                count = _add_run(grid, own, later[0], later[1], dock, cells, rows, count)
         if count <= free:
             count = _without_connected(grid, connected, rows, at, count)
         rows.first[row] = at
@@ -486,45 +502,33 @@ def fits(s, structure: Ref):
 
 
 @ti.func
-def _sort_structure(grid: Ref, base, first, last, dock: Ref, cells: Ref):
-    """Sort the docks `first` to `last` of one structure into cells, on one thread."""
-    for k in range(grid.buckets + 2):
-        cells.begin[grid.table + k] = 0
-    for m in range(first, last):
-        count_dock(grid, base, m, dock, cells)
-    _sum_up(cells.begin, grid.table + 2, grid.table + grid.buckets + 2)
-    for m in range(first, last):
-        scatter_dock(grid, base, m, dock, cells)
-    for bucket in range(grid.buckets):
-        sort_bucket(grid, base, bucket, dock, cells)
-
-
-@ti.func
 def list_structure(
     grid: Ref, s, base, dock: Ref, cells: Ref, connections: Ref, rows: Ref, structure: Ref
 ):
     """Write the rows of one small structure, on one thread; see above."""
-    first, last = structure[s, StructureTable.FIRST], structure[s, StructureTable.END]
-    is_sorted = grid.earlier == 1 or (last - first) * grid.docks > _FEW
+    span = ti.Vector([structure[s, StructureTable.FIRST], structure[s, StructureTable.END]])
+    docks = span * grid.docks
+    is_sorted = grid.earlier == 1 or docks[1] - docks[0] > _FEW
     if is_sorted:
-        _sort_structure(grid, base, first * grid.docks, last * grid.docks, dock, cells)
+        for k in range(grid.buckets + 2):
+            cells.begin[grid.table + k] = 0
+        for m in range(docks[0], docks[1]):
+            count_dock(grid, base, m, dock, cells)
+        _sum_up(cells.begin, grid.table + 2, grid.table + grid.buckets + 2)
+        for m in range(docks[0], docks[1]):
+            scatter_dock(grid, base, m, dock, cells)
+        for bucket in range(grid.buckets):
+            sort_bucket(grid, bucket, cells)
     else:
-        for m in range((last - first) * grid.docks):
-            cells.dock[grid.slot + m] = first * grid.docks + m
-            _note_place(grid.slot + m, base, dock, cells)
+        for k in range(docks[1] - docks[0]):
+            cells.dock[grid.slot + k] = docks[0] + k
+            at = dock_at(dock, base, docks[0] + k)
+            cells.place[grid.slot + k] = _packed(_steps_of(grid, at))
+        cells.begin[grid.table + grid.buckets] = docks[1] - docks[0]
     space = ti.Vector([structure[s, StructureTable.ROW], structure[s, StructureTable.ROOM]])
     used = _fill_rows_of(
-        False,
-        grid,
-        base,
-        ti.Vector([first, last]),
-        is_sorted,
-        dock,
-        cells,
-        connections,
-        rows,
-        space,
-    )
+        False, grid, base, span, is_sorted, dock, cells, connections, rows, space
+    )  # fmt: skip
     structure[s, StructureTable.LONGEST] = ti.max(structure[s, StructureTable.LONGEST], used)
     structure[s, StructureTable.BUILDS] += 1
 
@@ -534,7 +538,7 @@ def fill_rows(
     on_card: Static, docks: I32, own_bits: I32, cutoff: Float, stride_y: I32, stride_z: I32,
     entry_stride: I32, run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1,
     longest_out: Ints1,
-    begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells
+    begin: Ints1, sorted_dock: Ints1, sorted_place: Ints1,  # Cells
     start: Ints1, connection: Ints1,  # ConnectedDocks
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
 ):  # fmt: skip

@@ -126,11 +126,10 @@ class NeighborList:
         self._share_room()
         first, entry = self._pack(contacts)
         self.connections = ConnectedDocks(start=seldom.upload(first), entry=seldom.upload(entry))
-        places = seldom.reals if unit is None else seldom.ints
         self.cells = kernels.Cells(
             begin=seldom.ints(self.table_size),
             dock=seldom.ints(robots * docks),
-            place=places(4 * (robots * docks + kernels.BLOCK)),
+            place=seldom.ints(robots * docks + kernels.BLOCK),
         )
         blocks = -(-self.table_size // kernels.SCAN_BLOCK)
         self.totals = seldom.ints(blocks), seldom.ints(-(-blocks // kernels.SCAN_BLOCK))

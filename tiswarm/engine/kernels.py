@@ -34,6 +34,7 @@ from tiswarm.compute.neighbor_kernels import (
     begin_structure,
     fits,
     list_structure,
+    read_ahead,
 )  # fmt: skip
 
 _TINY = 1e-20
@@ -398,6 +399,10 @@ def step_robots(
         for robot in range(position_out.shape[0]):
             if control_out[Control.STALE] == 0:
                 base = (first_t + k) % 2 * half
+                if ti.static(not on_card):
+                    ti.atomic_max(
+                        strayed, ti.cast(read_ahead(base, robot * docks, docks, dock_out), float)
+                    )
                 moved_by, way = step_robot(
                     on_card, dynamics, grid, numbers, first_t + k, base, half - base, robot, rows,
                     robots,
@@ -472,7 +477,7 @@ def start_interval(position: Reals2, reference_out: Reals2, control_out: Ints1):
 def relax_structures(
     dynamics: Static, own_bits: I32, cutoff: Float, stray_limit: Float, unit: Float,
     numbers: Reals2, structure_out: Ints2,
-    begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Reals1,  # Cells
+    begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Ints1,  # Cells
     connection_start: Ints1, connection: Ints1,  # ConnectedDocks
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
     position_out: Reals2, reference_out: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,

@@ -444,8 +444,8 @@ class Stepper:
 def _bytes_of_robot(dtype: type[np.floating[Any]], docks: int, *, guided: bool) -> int:
     """Count the memory of a robot in arrays of numbers and of integers [B]."""
     numbers, integers = (
-        (5 if guided else 3) * 3 + docks * (3 + 2 * 4 + 4),
-        docks * (1 + 16 + 16) + 12,
+        (5 if guided else 3) * 3 + docks * (3 + 2 * 4),
+        docks * (2 + 16 + 16) + 12,
     )
     return numbers * np.dtype(dtype).itemsize + 4 * integers
 

@@ -305,7 +305,7 @@ def take_steps(
     plane: Reals2,
     subtree: Ints2, subtree_motion_out: Reals2,  # Subtrees
     structure_out: Ints2,
-    begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Reals1,  # Cells
+    begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Ints1,  # Cells
     none: Ints1,
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
     arm_out: Reals3, position_out: Reals2, motion_out: Reals2, heading_out: Reals2,
