@@ -3,6 +3,7 @@
 for kind in tower cantilever bridge chain; do tiswarm run scenarios/$kind.yaml --set seeds=1; done
 python -m benchmarks.images reports/tower-* reports/cantilever-* reports/bridge-* reports/chain-*
 
+`python -m benchmarks.images --large` grows a tower of 10,000 robots, and draws picture and film.
 `python -m benchmarks.images --repair repair.py` draws only the film of robots that leave, with the
 rule of docs/guides/repair.md in that file.
 """
@@ -11,6 +12,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +54,14 @@ _BELOW = 64  # rows for its title [pixels]
 _QUALITY = 70
 _ROBOTS, _LEFT_SEED = 100, 0
 """Size and seed of the structure that loses robots."""
+_LARGE = 10_000
+_LARGE_TOWER = {
+    "kind": "tower", "goal_height": 302.0, "movers": 100, "solve_every": 200,
+    "mechanics": {"model": "rigid"},
+}  # fmt: skip
+"""Size and settings of the large structure, those of scenarios/scaling.yaml."""
+_LARGE_FRAME = (2000, 1040)
+_LARGE_FRAMES = 100
 
 
 def draw_methods(run: RunData, renderer: str) -> Image.Image:
@@ -93,6 +103,33 @@ def draw_growing(run: RunData, renderer: str) -> bytes:
     return encode_webp(frames, durations, _QUALITY)
 
 
+def draw_large(renderer: str) -> tuple[Image.Image, bytes]:
+    """Draw a large structure, and animate its growth as WebP."""
+    [grown] = tiswarm.grow(_LARGE_TOWER, robots=_LARGE)
+    robots = _drawn(grown, colors_along(np.linspace(0.0, 1.0, _LARGE), JOIN_COLORS))
+    joined = np.linspace(1, _LARGE, _LARGE_FRAMES).round().astype(int).tolist()
+    drawn, _, _ = draw_joins(robots, Terrain(), joined, _LARGE_FRAME, renderer)
+    frames = []
+    for count, picture in zip(joined, drawn, strict=True):
+        half = (picture.shape[1] // 2, picture.shape[0] // 2)
+        small = Image.fromarray(picture).resize(half, Image.Resampling.LANCZOS)
+        legend = Scale(JOIN_COLORS, "join index  0", f"{_LARGE - 1:,}    {count:,} robots")
+        frames.append(add_legend(small, legend))
+    durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
+    return frames[-1], encode_webp(frames, durations, _QUALITY)
+
+
+def _drawn(structure: Any, color: Reals) -> DrawnRobots:  # noqa: ANN401 - one of `Swarms`
+    """Make the solids of a structure's robots, in these colors."""
+    turned = dock_offsets(structure.orientation_wxyz, RobotGeometry().dock_offset_body)
+    return DrawnRobots(
+        center=structure.position,
+        dock=structure.position[:, None] + turned,
+        color=color,
+        look=TRUE_SIZE,
+    )
+
+
 def draw_departures(rule: Path, renderer: str) -> bytes:
     """Animate a tower that loses robots by ReactiveBuild and by the rule `repair`, as WebP."""
     structure = {"kind": "tower", "departures": {"rate": 0.1}}
@@ -100,18 +137,8 @@ def draw_departures(rule: Path, renderer: str) -> bytes:
     grown["repair"] = tiswarm.grow(
         structure, robots=_ROBOTS, seeds=[_LEFT_SEED], rule="repair", plugins=[rule]
     )[0]
-    body, color = RobotGeometry().dock_offset_body, colors_along(
-        np.linspace(0.0, 1.0, _ROBOTS), JOIN_COLORS
-    )  # fmt: skip
-    robots = [
-        DrawnRobots(
-            center=each.position,
-            dock=each.position[:, None] + dock_offsets(each.orientation_wxyz, body),
-            color=color,
-            look=TRUE_SIZE,
-        )
-        for each in grown.values()
-    ]
+    color = colors_along(np.linspace(0.0, 1.0, _ROBOTS), JOIN_COLORS)
+    robots = [_drawn(each, color) for each in grown.values()]
     around = np.concatenate([each.dock.reshape(-1, 3) for each in robots])
     legend = Scale(JOIN_COLORS, "join index  0", f"{_ROBOTS - 1}")
     drawn, counts = [], range(2, _ROBOTS + 1, 2)
@@ -199,10 +226,16 @@ def main() -> None:
     """Draw all pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("runs", type=Path, nargs="*", help="run folders; the first is the tower")
+    parser.add_argument("--large", action="store_true", help="draw a large structure alone")
     parser.add_argument("--repair", type=Path, help="file of the rule `repair`")
     parser.add_argument("--renderer", default="open3d", choices=["open3d", "taichi"])
     arguments = parser.parse_args()
     backend.start("cpu")
+    if arguments.large:
+        picture, film = draw_large(arguments.renderer)
+        picture.save(_IMAGES / "large.png", optimize=True)
+        (_IMAGES / "large.webp").write_bytes(film)
+        return
     if arguments.repair:
         film = draw_departures(arguments.repair, arguments.renderer)
         (_IMAGES / "repair.webp").write_bytes(film)
