@@ -69,22 +69,6 @@ def test_rows_of_tables_have_the_cells_of_their_header(page):
     assert ragged == []
 
 
-def test_tests_that_pages_name_exist():
-    """Somebody who asks how a promise is tested finds it, and renames it on the page, too."""
-    named = {
-        match for page in PAGES for match in re.findall(r"`([\w/]+\.py)::(\w+)`", page.read_text())
-    }
-
-    missing = [
-        f"{file}::{name}"
-        for file, name in sorted(named)
-        if f"\ndef {name}(" not in (REPOSITORY / file).read_text()
-    ]
-
-    assert len(named) > 20
-    assert missing == []
-
-
 def test_the_example_log_can_be_localized(tmp_path):
     """A reader can copy it as a start for a log of their own."""
     text = (REPOSITORY / "docs" / "files.md").read_text()

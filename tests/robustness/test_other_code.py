@@ -53,7 +53,7 @@ def test_a_call_beside_other_code_is_right_or_refused(situation, log, expected):
 @pytest.mark.slow
 def test_the_example_of_the_page_runs():
     """Processes that share the work, each with one thread."""
-    page = (REPOSITORY / "docs" / "beside-other-code.md").read_text()
+    page = (REPOSITORY / "docs" / "promises.md").read_text()
     code = page.partition("```python\n")[2].partition("```")[0]
 
     said = run_child(code + "\n    print(len(estimates), estimates[0].position.shape[1])")

@@ -370,7 +370,7 @@ class JointParams(ChiSquareParams):
     """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape. If null
     1,000, and 2 for each robot, up to 3,000, and again in 3,000 if these do not converge; or 2,000
     for more than 3,000 robots. Chosen on training structures of 100 and 1,000 robots, see
-    `docs/notes/joint-tuning.md`."""
+    `docs/accuracy.md`."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 900
     """Steps at the end temperature, over which positions are averaged."""

@@ -9,7 +9,7 @@ too. Measured coordinates tie a part without the anchor to it: each such part is
 Constants of chains are here, each with its unit and its reason. A class says where its values are
 from, a field where its own is from elsewhere. "Chosen" values gave the least error among a few
 tried, "fitted" ones minimize a misfit; both were found on training structures, of seeds that no
-result is reported on; see `docs/notes/`.
+result is reported on.
 """
 
 from collections.abc import Callable
@@ -50,7 +50,7 @@ class AnnealSchedule:
 
     ranged: float = 2.0
     """Least square root of the start temperature where ranges alone tie robots to each other [R]:
-    they leave more minima to escape from. See `docs/notes/answered-before.md`."""
+    they leave more minima to escape from."""
 
     growing: float = 0.1
     """Share of the steps in which docks grow to their full size [1], so that robots pass through
