@@ -244,6 +244,26 @@ def test_other_sets_of_the_paper_have_the_file_s_ratios(name):
 
 
 @pytest.mark.parametrize(
+    ("start", "force", "anchor"),
+    [
+        ("F = 3.5", 3.5, 6.5), ("F = 5", 5.0, 6.5), ("F = 10, the chosen set", None, 6.5),
+        ("F = 17", 17.0, 6.5), ("F = 25", 25.0, 6.5), ("F = 10, anchor at 2 R", None, 2.0),
+        ("F = 10, anchor at 3.5 R", None, 3.5), ("F = 10, anchor at 5 R", None, 5.0),
+    ],
+)  # fmt: skip
+def test_the_note_on_the_gap_has_the_file_s_errors(start, force, anchor):
+    """Mean RMSE with all cues."""
+    cells = _cells(_page("docs", "notes", "anchor-gap.md"), start)
+    called = "" if force is None else f"force_threshold: {force}, "
+    point = f"{{kind: cantilever, {called}recruit_base: 1.5, anchor: {anchor}, founders: 2}}"
+    assert _is_rounded(cells[2], _of_gap(point)["value"][KIND])
+
+
+def _of_gap(point):
+    return _stored("all-cues", point, scenario="anchor-gap")
+
+
+@pytest.mark.parametrize(
     ("start", "condition"),
     [("`online` | 0 to 7", "online"), ("Algorithm 1 | 0 to 15", "algorithm-1")],
 )
