@@ -212,8 +212,4 @@ class Columns:
         return np.column_stack(parts)
 
 
-__all__ = [
-    "F64", "GRAIN", "I32", "LIBRARY", "Columns", "DeviceArray", "Float", "Ints1", "Ints2", "Ints3",
-    "Ints4", "Longs2", "Reals1", "Reals2", "Reals3", "Ref", "Static", "Vec3", "Vec4",
-    "holds_integers", "kernel_struct", "ti",
-]  # fmt: skip
+__all__ = ["kernel_struct"]  # the one name that is imported; all others may be, too

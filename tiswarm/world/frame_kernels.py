@@ -7,15 +7,24 @@ block, and a and b neighbors of k,
 
     Z_a = C^-1 K_ka,    y = C^-1 f_k,    K_ab -= Z_a' Z_b,    f_a -= Z_a' y,
 
-which joins all neighbors of k to each other. Then, in reverse, u_k = C^-T (y - sum_a Z_a u_a).
+which joins all neighbors of k to each other. Nodes that have the same neighbors left go together.
+Then, in reverse, u_k = C^-T (y - sum_a Z_a u_a).
 A matrix that is not positive definite gives NaN (George and Liu, Computer Solution of Large Sparse
 Positive Definite Systems, 1981).
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tiswarm.compute.lang import F64, GRAIN, I32, Columns, Ints1, Ints3, Reals2, Reals3, Ref, ti
+from tiswarm.compute.lang import F64, GRAIN, Columns, Ints1, Ints3, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import vector_in
+
+if TYPE_CHECKING:
+    Sixes = Any
+    Blocks = Any
+else:
+    # Elements are the last axis, or two: compilers see that their numbers lie side by side.
+    Sixes = ti.types.ndarray(dtype=ti.types.vector(6, ti.f64), ndim=2)
+    Blocks = ti.types.ndarray(dtype=ti.types.matrix(6, 6, ti.f64), ndim=2)
 
 
 class Node(Columns):
@@ -24,15 +33,15 @@ class Node(Columns):
     FIRST = 1
     """First half-edge of the node."""
     DEGREE = 1
-    """Its neighbors that are left."""
+    """Its neighbors that are left, or ELIMINATED."""
     LEFT = 1
-    """Node before it in the list of those of its degree, or -1."""
     RIGHT = 1
-    """Node after it in that list, or -1."""
+    """Nodes before and after it in the list of those of its degree, or -1."""
     MARKED_BY = 1
-    """Node that marked it as a neighbor last, or -1."""
     MARK = 1
-    """Half-edge by which that node did."""
+    """Node that marked it as a neighbor last, or -1, and the half-edge by which that did."""
+    PLACE = 1
+    """Its place in the panel of the group that is its neighbor."""
 
 
 class NodeList(Columns):
@@ -43,7 +52,7 @@ class NodeList(Columns):
     PIVOT = 1
     """Node that was eliminated in the step that the row says."""
     NEAR = 1
-    """Half-edges to the neighbors of the pivot, one a row."""
+    """Neighbors of the last pivot, one a row."""
 
 
 class HalfEdge(Columns):
@@ -55,11 +64,16 @@ class HalfEdge(Columns):
     """Node at the other end."""
 
 
+ELIMINATED = -1
+GROUP = 16
+"""Most nodes that are eliminated together."""
+
+
 class EliminationArrays(NamedTuple):
     """S systems with room for M nodes and L blocks: those of the nodes, then those of edges."""
 
     node: Ints3
-    """Columns of `Node`, shape (S, M, 6)."""
+    """Columns of `Node`, shape (S, M, 7)."""
 
     order: Ints3
     """Columns of `NodeList`, whose rows are no nodes, shape (S, M + 1, 3)."""
@@ -70,10 +84,13 @@ class EliminationArrays(NamedTuple):
     block_count: Ints1
     """Blocks that the elimination needed so far; it stops where they exceed L, shape (S,)."""
 
-    block: Reals3
-    """Row by row: K_aa, then C; K_ab, a < b, then Z, shape (S, L, 36)."""
+    block: Blocks
+    """K_aa, then C; K_ab, a < b, then Z, shape (S, L, 6, 6)."""
 
-    motion: Reals3
+    panel: Blocks
+    """Scratch: Z of each node of a group for each neighbor, side by side, shape (S, M, 6, 6)."""
+
+    motion: Sixes
     """f of each node; then u, shape (S, M, 6)."""
 
 
@@ -85,8 +102,7 @@ def clear(work: Ref, s, nodes):
         work.node[s, a, Node.FIRST] = -1
         work.node[s, a, Node.DEGREE] = 0
         work.node[s, a, Node.MARKED_BY] = -1
-        for c in range(36):
-            work.block[s, a, c] = 0.0
+        work.block[s, a] = ti.Matrix.zero(F64, 6, 6)
 
 
 @ti.func
@@ -95,30 +111,27 @@ def edge_between(work: Ref, s, a, b):
     half = work.node[s, a, Node.FIRST]
     while half >= 0 and work.half[s, half, HalfEdge.OTHER] != b:
         half = work.half[s, half, HalfEdge.NEXT]
+    edge = half // 2
     if half < 0:
-        half = _add_edge(work, s, a, b)
-    return half // 2 if half >= 0 else -1
+        edge = _add_edge(work, s, a, b)
+    return edge
 
 
 @ti.func
 def _add_edge(work: Ref, s, a, b):
-    """Join two nodes; return the half-edge of `a`, or -1 without room."""
-    edge = work.block_count[s]
+    """Join two nodes; return the block of the edge, or -1 without room."""
+    edge, half = work.block_count[s], 2 * work.block_count[s]
     work.block_count[s] += 1
-    half = -1
-    if edge < work.block.shape[1]:
-        half = 2 * edge
-        for c in range(36):
-            work.block[s, edge, c] = 0.0
-        work.half[s, half, HalfEdge.OTHER] = b
-        work.half[s, half, HalfEdge.NEXT] = work.node[s, a, Node.FIRST]
-        work.node[s, a, Node.FIRST] = half
-        work.half[s, half + 1, HalfEdge.OTHER] = a
-        work.half[s, half + 1, HalfEdge.NEXT] = work.node[s, b, Node.FIRST]
-        work.node[s, b, Node.FIRST] = half + 1
-        work.node[s, a, Node.DEGREE] += 1
-        work.node[s, b, Node.DEGREE] += 1
-    return half
+    if edge >= work.block.shape[1]:
+        edge = -1
+    else:
+        work.block[s, edge] = ti.Matrix.zero(F64, 6, 6)
+        for end, other, at in ti.static(((a, b, 0), (b, a, 1))):
+            work.half[s, half + at, HalfEdge.OTHER] = other
+            work.half[s, half + at, HalfEdge.NEXT] = work.node[s, end, Node.FIRST]
+            work.node[s, end, Node.FIRST] = half + at
+            work.node[s, end, Node.DEGREE] += 1
+    return edge
 
 
 @ti.func
@@ -135,146 +148,176 @@ def _enter(work: Ref, s, a):
 
 
 @ti.func
-def _leave(work: Ref, s, a, degree):
-    """Take a node out from those of a degree."""
+def _leave(work: Ref, s, a):
+    """Take a node out from those of its degree."""
     node = ti.static(work.node)
     left, right = node[s, a, Node.LEFT], node[s, a, Node.RIGHT]
     if left >= 0:
         node[s, left, Node.RIGHT] = right
     else:
-        work.order[s, degree, NodeList.LEAST] = right
+        work.order[s, node[s, a, Node.DEGREE], NodeList.LEAST] = right
     if right >= 0:
         node[s, right, Node.LEFT] = left
 
 
 @ti.func
-def _eliminate(work: Ref, s, k):
-    """Eliminate node `k`: C replaces its block, y its load in `motion`, and Z_a those of edges.
+def _mark_neighbors(work: Ref, s, a):
+    """Mark the neighbors of `a`, and drop those that were eliminated."""
+    before = -1
+    half = work.node[s, a, Node.FIRST]
+    while half >= 0:
+        other, following = work.half[s, half, HalfEdge.OTHER], work.half[s, half, HalfEdge.NEXT]
+        if work.node[s, other, Node.DEGREE] != ELIMINATED:
+            work.node[s, other, Node.MARKED_BY] = a
+            work.node[s, other, Node.MARK] = half
+            before = half
+        elif before < 0:
+            work.node[s, a, Node.FIRST] = following
+        else:
+            work.half[s, before, HalfEdge.NEXT] = following
+        half = following
 
-    Returns:
-        Its neighbors; `order` lists the half-edges to them.
-    """
-    # C C' = K_kk: C_ij = (K_ij - sum_c C_ic C_jc) / C_jj, or the square root of that for i = j
-    for j in range(6):
-        for i in range(j, 6):
-            value = work.block[s, k, 6 * i + j]
-            for c in range(j):
-                value -= work.block[s, k, 6 * i + c] * work.block[s, k, 6 * j + c]
-            if i > j:
-                value /= work.block[s, k, 7 * j]
-            else:
-                # NaN also where rounding makes a pivot 0.
-                value = ti.sqrt(value) if value > 0.0 else ti.math.nan
-            work.block[s, k, 6 * i + j] = value
-    # y = C^-1 f_k, row by row
-    for i in range(6):
-        value = work.motion[s, k, i]
-        for c in range(i):
-            value -= work.block[s, k, 6 * i + c] * work.motion[s, k, c]
-        work.motion[s, k, i] = value / work.block[s, k, 7 * i]
+
+@ti.func
+def _join_neighbors(work: Ref, s, k):
+    """Take `k` out, and join its neighbors to each other; return how many these are."""
+    _leave(work, s, k)
+    work.node[s, k, Node.DEGREE] = ELIMINATED
     near = 0
     half = work.node[s, k, Node.FIRST]
     while half >= 0:
-        work.order[s, near, NodeList.NEAR] = half
-        near += 1
-        a, edge = work.half[s, half, HalfEdge.OTHER], half // 2
-        _leave(work, s, a, work.node[s, a, Node.DEGREE])
+        a = work.half[s, half, HalfEdge.OTHER]
+        _leave(work, s, a)
         work.node[s, a, Node.DEGREE] -= 1
-        _forward(work, s, k, a, edge)
+        work.node[s, a, Node.PLACE] = near
+        work.order[s, near, NodeList.NEAR] = a
+        near += 1
         half = work.half[s, half, HalfEdge.NEXT]
+    for n in range(near):
+        a = work.order[s, n, NodeList.NEAR]
+        _mark_neighbors(work, s, a)
+        for m in range(near):
+            b = work.order[s, m, NodeList.NEAR]
+            if a < b and work.node[s, b, Node.MARKED_BY] != a:
+                _add_edge(work, s, a, b)
     return near
 
 
 @ti.func
-def _forward(work: Ref, s, k, a, edge):
-    """Replace K_ka by Z_a, and subtract Z_a' y."""
-    # The block is that of the lower number, K_ak = K_ka' where that is a.
-    if a < k:
-        for i in range(6):
-            for j in range(i):
-                upper, lower = work.block[s, edge, 6 * j + i], work.block[s, edge, 6 * i + j]
-                work.block[s, edge, 6 * i + j] = upper
-                work.block[s, edge, 6 * j + i] = lower
-    # Z_a = C^-1 K_ka, row by row, and f_a -= Z_a' y
-    for i in range(6):
-        row = ti.Vector([work.block[s, edge, 6 * i + j] for j in range(6)])
-        for c in range(i):
-            row -= work.block[s, k, 6 * i + c] * ti.Vector(
-                [work.block[s, edge, 6 * c + j] for j in range(6)]
-            )
-        row /= work.block[s, k, 7 * i]
-        for j in ti.static(range(6)):
-            work.block[s, edge, 6 * i + j] = row[j]
-            work.motion[s, a, j] -= row[j] * work.motion[s, k, i]
-
-
-@ti.func
-def _subtract(block: Ref, s, target, one, other):
-    """Subtract Z_one' Z_other from a block."""
-    for i in range(6):
-        row = ti.Vector([block[s, target, 6 * i + j] for j in range(6)])
+def _subtract(rest: Ref, one, other):
+    """Subtract Z_one' Z_other from a block, always in the same order."""
+    for i in ti.static(range(6)):
         for c in ti.static(range(6)):
-            factor = block[s, one, 6 * c + i]
-            row -= factor * ti.Vector([block[s, other, 6 * c + j] for j in range(6)])
-        for j in ti.static(range(6)):
-            block[s, target, 6 * i + j] = row[j]
+            for j in ti.static(range(6)):
+                rest[i, j] -= one[c, i] * other[c, j]
 
 
 @ti.func
-def _join_neighbors(work: Ref, s, k, near):
-    """Subtract Z_a' Z_b for all pairs of neighbors of `k`, each with itself too."""
-    for n in range(near):
-        from_k = work.order[s, n, NodeList.NEAR]
-        a = work.half[s, from_k, HalfEdge.OTHER]
-        # Mark the neighbors of `a`, and drop `k` from them.
-        before = -1
-        half = work.node[s, a, Node.FIRST]
+def _eliminate(work: Ref, s, k, before, width):
+    """Eliminate node `k`: C replaces its block, y its load in `motion`, and Z_a those of edges.
+
+    `before` nodes of its group went before it, and the panel has `width` blocks a neighbor.
+    """
+    block, panel, motion = ti.static(work.block, work.panel, work.motion)
+    own = width * work.node[s, k, Node.PLACE]
+    near, y = block[s, k], motion[s, k]
+    for g in range(before):
+        _subtract(near, panel[s, own + g], panel[s, own + g])
+    # C C' = K_kk: C_ij = (K_ij - sum_c C_ic C_jc) / C_jj, or the square root of that for i = j
+    for i in ti.static(range(6)):
+        for j in ti.static(range(i + 1)):
+            for c in ti.static(range(j)):
+                near[i, j] -= near[i, c] * near[j, c]
+            if ti.static(i > j):
+                near[i, j] /= near[j, j]
+        # NaN also where rounding makes a pivot 0.
+        near[i, i] = ti.sqrt(near[i, i]) if near[i, i] > 0.0 else ti.math.nan
+        # y = C^-1 f_k, row by row
+        for c in ti.static(range(i)):
+            y[i] -= near[i, c] * y[c]
+        y[i] /= near[i, i]
+    block[s, k], motion[s, k] = near, y
+    half = work.node[s, k, Node.FIRST]
+    while half >= 0:
+        a, edge = work.half[s, half, HalfEdge.OTHER], half // 2
+        place = width * work.node[s, a, Node.PLACE]
+        z, pull = block[s, edge], motion[s, a]
+        if a < k:  # the block is that of the lower number, K_ak = K_ka'
+            z = z.transpose()
+        for g in range(before):
+            _subtract(z, panel[s, own + g], panel[s, place + g])
+        # Z_a = C^-1 K_ka, row by row, and f_a -= Z_a' y
+        for i in ti.static(range(6)):
+            for j in ti.static(range(6)):
+                for c in ti.static(range(i)):
+                    z[i, j] -= near[i, c] * z[c, j]
+                z[i, j] /= near[i, i]
+                pull[j] -= z[i, j] * y[i]
+        block[s, edge], panel[s, place + before], motion[s, a] = z, z, pull
+        half = work.half[s, half, HalfEdge.NEXT]
+
+
+@ti.func
+def _eliminate_group(work: Ref, s, k, step, near):
+    """Eliminate `k`, then those of its neighbors that have no others; return how many these were.
+
+    All have the same neighbors left, so that what they take from a block is subtracted at once.
+    """
+    width = ti.min(GROUP, work.panel.shape[1] // ti.max(near, 1))
+    count, left = 0, 0
+    while k >= 0:
+        work.order[s, step + count, NodeList.PIVOT] = k
+        work.node[s, k, Node.DEGREE] = ELIMINATED
+        _mark_neighbors(work, s, k)
+        _eliminate(work, s, k, count, width)
+        count += 1
+        left, half, k = 0, work.node[s, k, Node.FIRST], -1
         while half >= 0:
-            other, following = work.half[s, half, HalfEdge.OTHER], work.half[s, half, HalfEdge.NEXT]
-            if other != k:
-                work.node[s, other, Node.MARKED_BY] = a
-                work.node[s, other, Node.MARK] = half
-                before = half
-            elif before < 0:
-                work.node[s, a, Node.FIRST] = following
-            else:
-                work.half[s, before, HalfEdge.NEXT] = following
-            half = following
-        for m in range(near):
-            to_b = work.order[s, m, NodeList.NEAR]
-            b = work.half[s, to_b, HalfEdge.OTHER]
+            a = work.half[s, half, HalfEdge.OTHER]
+            work.order[s, left, NodeList.NEAR] = a
+            left += 1
+            if count < width and work.node[s, a, Node.DEGREE] == near - 1:
+                k = a
+            half = work.half[s, half, HalfEdge.NEXT]
+    for n in range(left):
+        a = work.order[s, n, NodeList.NEAR]
+        _mark_neighbors(work, s, a)
+        one = width * work.node[s, a, Node.PLACE]
+        # K_ab -= sum over the group of Z_a' Z_b
+        for m in range(left):
+            b = work.order[s, m, NodeList.NEAR]
             if a <= b:
-                half = work.node[s, b, Node.MARK]
-                if a == b:
-                    half = 2 * a
-                elif work.node[s, b, Node.MARKED_BY] != a:
-                    half = _add_edge(work, s, a, b)
-                # K_ab -= Z_a' Z_b
-                if half >= 0:
-                    _subtract(work.block, s, half // 2, from_k // 2, to_b // 2)
+                target = a if a == b else work.node[s, b, Node.MARK] // 2
+                other = width * work.node[s, b, Node.PLACE]
+                rest = work.block[s, target]
+                for g in range(count):
+                    _subtract(rest, work.panel[s, one + g], work.panel[s, other + g])
+                work.block[s, target] = rest
+        work.node[s, a, Node.DEGREE] -= count - 1
+        _enter(work, s, a)
+    return count
 
 
 @ti.func
 def _back(work: Ref, s, k):
     """Find the motion of `k` from those that were eliminated later."""
     # y - sum_a Z_a u_a
-    rest = ti.Vector([work.motion[s, k, i] for i in range(6)])
+    rest = work.motion[s, k]
     half = work.node[s, k, Node.FIRST]
     while half >= 0:
         a, edge = work.half[s, half, HalfEdge.OTHER], half // 2
-        for j in range(6):
-            moved = work.motion[s, a, j]
-            rest -= moved * ti.Vector([work.block[s, edge, 6 * i + j] for i in range(6)])
+        moved = work.motion[s, a]
+        for i in ti.static(range(6)):
+            for j in ti.static(range(6)):
+                rest[i] -= moved[j] * work.block[s, edge][i, j]
         half = work.half[s, half, HalfEdge.NEXT]
-    for c in ti.static(range(6)):
-        work.motion[s, k, c] = rest[c]
     # u_k = C^-T of that, from the last row to the first
-    for back in range(6):
-        i = 5 - back
-        value = work.motion[s, k, i]
-        for c in range(i + 1, 6):
-            value -= work.block[s, k, 6 * c + i] * work.motion[s, k, c]
-        work.motion[s, k, i] = value / work.block[s, k, 7 * i]
+    for back in ti.static(range(6)):
+        i = ti.static(5 - back)
+        for c in ti.static(range(i + 1, 6)):
+            rest[i] -= work.block[s, k][c, i] * rest[c]
+        rest[i] /= work.block[s, k][i, i]
+    work.motion[s, k] = rest
 
 
 @ti.func
@@ -284,24 +327,22 @@ def solve(work: Ref, s, nodes):
         work.order[s, degree, NodeList.LEAST] = -1
     for a in range(nodes):
         _enter(work, s, a)
-    least = 0
-    for step in range(nodes):
-        if work.block_count[s] <= work.block.shape[1]:
-            while work.order[s, least, NodeList.LEAST] < 0:
-                least += 1
-            k = work.order[s, least, NodeList.LEAST]
-            work.order[s, step, NodeList.PIVOT] = k
-            _leave(work, s, k, least)
-            near = _eliminate(work, s, k)
-            _join_neighbors(work, s, k, near)
-            for n in range(near):
-                _enter(work, s, work.half[s, work.order[s, n, NodeList.NEAR], HalfEdge.OTHER])
-            # Neighbors lose no more than the pivot, so that the least degree falls by one at most.
-            least = ti.max(least - 1, 0)
+    least, step = 0, 0
+    while step < nodes:
+        while work.order[s, least, NodeList.LEAST] < 0:
+            least += 1
+        k = work.order[s, least, NodeList.LEAST]
+        near = _join_neighbors(work, s, k)
+        if work.block_count[s] > work.block.shape[1]:
+            break
+        count = _eliminate_group(work, s, k, step, near)
+        step += count
+        # Neighbors lose no more than the group, so that the least degree falls by no more.
+        least = ti.max(least - count, 0)
     has_room = work.block_count[s] <= work.block.shape[1]
     if has_room:
-        for step in range(nodes):
-            _back(work, s, work.order[s, nodes - 1 - step, NodeList.PIVOT])
+        for back in range(nodes):
+            _back(work, s, work.order[s, nodes - 1 - back, NodeList.PIVOT])
     return has_room
 
 
@@ -319,7 +360,6 @@ class BeamEnds(Columns):
 
 
 GROUND, NO_DOCK = -1, -2
-_Z = 2
 
 
 class FrameArrays(NamedTuple):
@@ -334,8 +374,8 @@ class FrameArrays(NamedTuple):
     ends: Ints3
     """What each beam joins, columns of `BeamEnds`, shape (S, B, 4)."""
 
-    stiffness: Reals3
-    """Of each beam between its nodes, a 12 x 12 matrix row by row, shape (S, B, 144)."""
+    stiffness: Blocks
+    """Of each beam between its nodes: K_aa, K_ab, K_ba, K_bb, shape (S, 4 B, 6, 6)."""
 
     span: Reals3
     """First to second end of each beam [R], shape (S, B, 3)."""
@@ -343,14 +383,14 @@ class FrameArrays(NamedTuple):
     arm: Reals3
     """Center to dock [R], shape (S, n N, 3)."""
 
-    weight: Reals3
+    weight: Sixes
     """Force and moment of the weight on each node, shape (S, M, 6)."""
 
 
 class LoadArrays(NamedTuple):
     """Loads that follow; sizes as in `FrameArrays`."""
 
-    acting: Reals3
+    acting: Sixes
     """Force and moment of contacts and weight on each dock, shape (S, n N, 6)."""
 
     support: Reals3
@@ -367,21 +407,17 @@ class LoadArrays(NamedTuple):
 def _assemble(frame: Ref, work: Ref, s):
     """Add up the beams' stiffnesses."""
     clear(work, s, frame.node_count[s])
-    for a, c in ti.ndrange(frame.node_count[s], 6):
-        work.motion[s, a, c] = frame.weight[s, a, c]
+    for a in range(frame.node_count[s]):
+        work.motion[s, a] = frame.weight[s, a]
     for beam in range(frame.beam_count[s]):
         a, b = frame.ends[s, beam, BeamEnds.NODE_A], frame.ends[s, beam, BeamEnds.NODE_B]
-        for i, j in ti.ndrange(6, 6):
-            work.block[s, a, 6 * i + j] += frame.stiffness[s, beam, 12 * i + j]
+        work.block[s, a] += frame.stiffness[s, 4 * beam]
         if b >= 0:
             edge = edge_between(work, s, a, b)
-            # The block has the rows of the lower node.
-            start = 6 if a < b else 72
-            for i, j in ti.ndrange(6, 6):
-                place, value = 6 * i + j, 12 * i + j
-                work.block[s, b, place] += frame.stiffness[s, beam, 78 + value]
-                if edge >= 0:
-                    work.block[s, edge, place] += frame.stiffness[s, beam, start + value]
+            work.block[s, b] += frame.stiffness[s, 4 * beam + 3]
+            if edge >= 0:
+                # The block has the rows of the lower node.
+                work.block[s, edge] += frame.stiffness[s, 4 * beam + (1 if a < b else 2)]
 
 
 @ti.func
@@ -401,13 +437,12 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
     """
     a, b = frame.ends[s, beam, BeamEnds.NODE_A], frame.ends[s, beam, BeamEnds.NODE_B]
     both = ti.Vector.zero(F64, 12)
-    for j in range(6):
-        moved = motion[s, a, j]
-        both += moved * ti.Vector([frame.stiffness[s, beam, 12 * i + j] for i in range(12)])
-    if b >= 0:
-        for j in range(6):
-            moved = motion[s, b, j]
-            both += moved * ti.Vector([frame.stiffness[s, beam, 12 * i + 6 + j] for i in range(12)])
+    for end in ti.static(range(2)):
+        if end == 0 or b >= 0:
+            moved, place = motion[s, b if end else a], 4 * beam + end
+            for i in ti.static(range(12)):
+                for j in ti.static(range(6)):
+                    both[i] += moved[j] * frame.stiffness[s, place + 2 * (i // 6)][i % 6, j]
     span = vector_in(frame.span, s, beam)
     for end in ti.static(range(2)):
         dock = frame.ends[s, beam, BeamEnds.DOCK_A + end]
@@ -417,8 +452,8 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
             if is_rigid:
                 moment -= vector_in(frame.arm, s, dock).cross(force)
             for c in ti.static(range(3)):
-                loads.acting[s, dock, c] -= force[c]
-                loads.acting[s, dock, 3 + c] -= moment[c]
+                loads.acting[s, dock][c] -= force[c]
+                loads.acting[s, dock][3 + c] -= moment[c]
             if ti.static(end == 0):
                 section = span if b < 0 else 0.5 * span
                 axis = span.normalized()
@@ -439,48 +474,46 @@ def _sense(frame: Ref, loads: Ref, s, robot, docks):
     total = 0.0
     for dock in range(docks * robot, docks * (robot + 1)):
         link = vector_in(frame.arm, s, dock).normalized()
-        force = vector_in(loads.acting, s, dock)
-        moment = ti.Vector([loads.acting[s, dock, 3 + c] for c in range(3)])
-        axial, _ = _split(force, link)
-        _, bending = _split(moment, link)
+        acting = loads.acting[s, dock]
+        axial, _ = _split(ti.Vector([acting[c] for c in range(3)]), link)
+        _, bending = _split(ti.Vector([acting[3 + c] for c in range(3)]), link)
         total += axial + bending
     loads.sensed[s, robot] = total / docks
 
 
 @ti.kernel
 def find_loads(
-    is_rigid: I32, radius: F64, robots: Ints1, due: Ints1,
+    radius: F64, robots: Ints1, due: Ints1,
     # FrameArrays
-    node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Reals3, span: Reals3,
-    arm: Reals3, weight: Reals3,
+    node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Blocks, span: Reals3,
+    arm: Reals3, weight: Sixes,
     # EliminationArrays
-    node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Reals3,
-    motion_out: Reals3,
+    node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
+    panel_out: Blocks, motion_out: Sixes,
     # LoadArrays
-    acting_out: Reals3, support_out: Reals3, stress_out: Reals2, sensed_out: Reals2,
+    acting_out: Sixes, support_out: Reals3, stress_out: Reals2, sensed_out: Reals2,
 ):  # fmt: skip
     """Find how structures move under their weight, and the loads in them.
 
     Args:
-        is_rigid: Whether nodes are robots; else a robot's nodes are its center and its docks.
         radius: Of the beams [R].
         robots: Robots of each structure, shape (S,).
         due: Structures to solve, shape (n,).
     """
     frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight))
-    work = ti.static(
-        EliminationArrays(node_out, order_out, half_out, block_count_out, block_out, motion_out)
-    )
+    work = ti.static(EliminationArrays(
+        node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
+    ))  # fmt: skip
     loads = ti.static(LoadArrays(acting_out, support_out, stress_out, sensed_out))
     for n, idle in ti.ndrange(due.shape[0], GRAIN):
         if idle == 0:
             s = due[n]
             docks = arm.shape[1] // sensed_out.shape[1]
+            is_rigid = weight.shape[1] == sensed_out.shape[1]  # a robot is one node
             _assemble(frame, work, s)
             if solve(work, s, node_count[s]):
                 for dock in range(docks * robots[s]):
-                    for c in ti.static(range(6)):
-                        acting_out[s, dock, c] = -1.0 if ti.static(c == _Z) else 0.0
+                    acting_out[s, dock] = ti.Vector([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], F64)
                 for beam in range(beam_count[s]):
                     if ends[s, beam, BeamEnds.DOCK_A] >= 0:
                         _contact_loads(frame, loads, motion_out, s, beam, is_rigid, radius)

@@ -4,11 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
-from tiswarm.world.mechanics import LoadSummary, held
+from tiswarm.world.mechanics import LoadSummary
 
 LEFT, FELL, DIED = range(3)
 """What happened to a robot: it left, it fell as others left, or it died where it stands."""
@@ -126,7 +128,13 @@ class History:
     def is_held(self) -> Bools:
         """Whether contacts among those that are left tie each robot to the ground, shape (N,)."""
         standing = np.concatenate([self.ground_docks, self.edge_docks])[:, 0]
-        return held(self.robot_count, self.contacts[:, ::2], standing)
+        count = self.robot_count
+        on_ground = np.column_stack([standing, np.full(len(standing), count)])
+        ends = np.concatenate([self.contacts[:, ::2], on_ground]).T
+        graph = coo_array((np.ones(len(ends.T)), ends), shape=(count + 1, count + 1))
+        _, part = connected_components(graph, directed=False)
+        is_held: Bools = part[:count] == part[count]
+        return is_held
 
     @property
     def position(self) -> Reals:

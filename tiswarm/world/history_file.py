@@ -15,7 +15,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.io import replacing
 from tiswarm.world.history import History, Walk
-from tiswarm.world.mechanics import LoadSummary
+from tiswarm.world.mechanics import MAX_UNBORNE, LoadSummary
 from tiswarm.world.params import StructureParams
 
 _SINGLE = ("recruited", "round")
@@ -24,12 +24,8 @@ _SINGLE = ("recruited", "round")
 _TABLES = tuple(field.name for field in fields(Walk) if field.name not in _SINGLE)
 _FACTS = ("seed", "spawns", "crossed", "ended")
 
-
 _MAX_OVERLAP = 1e-9
 """Deepest overlap that rounding may leave [R]."""
-
-_MAX_IMBALANCE = 1e-6
-"""Greatest share of the weight that the ground may fail to bear in the numbers [1]."""
 
 DAMAGED = (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile)
 """Errors of reading a damaged file of structures."""
@@ -136,15 +132,10 @@ def _faults(history: History, contact_gap: float) -> Iterator[str]:
     for k in np.flatnonzero(distance > robot.spacing + contact_gap):
         yield f"robots {i[k]} and {j[k]} are in contact {distance[k]:.3g} R apart"
 
-    joined = ~stays
-    joined[contacts[:, 2]] = True
-    joined[history.ground_docks[:, 0]] = True
-    joined[history.edge_docks[:, 0]] = True
-    if len(history.departures):  # a robot may hang on later ones, once those before it have left
-        joined = history.is_held | ~stays
+    joined = history.is_held | ~stays
     if not joined.all():
         yield f"robot {np.argmin(joined)} touches neither an earlier robot nor the ground"
 
     imbalance = max((load.imbalance for load in history.loads), default=0.0)
-    if imbalance > _MAX_IMBALANCE:
+    if imbalance > MAX_UNBORNE:
         yield f"weight and ground forces differ by {imbalance:.3g} of the weight"

@@ -23,33 +23,21 @@ with P = 1 - e e' and S t = t x e (Przemieniecki, Theory of Matrix Structural An
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
-from tiswarm.base.aliases import AnyInts, Bools, Reals
+from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.params import STRICT
 from tiswarm.compute import backend
 from tiswarm.world import frame_kernels
 
-_MAX_UNBORNE = 1e-6
+MAX_UNBORNE = 1e-6
 """Largest share of the weight that ground forces of a standing structure may miss [1]."""
 _SIDE = 6
 """Unknowns of a node."""
-
-
-class _Waiting(NamedTuple):
-    """A robot that has joined since the last solve; see `Frames.join`."""
-
-    structure: int
-    center: Reals
-    docks: Reals
-    contacts: AnyInts
-    standing: AnyInts
-    foot: Reals
 
 
 class StructureFailure(Exception):  # noqa: N818 - the structure fails, not the program
@@ -130,18 +118,18 @@ class Frames:
     ) -> None:
         """Reserve memory for so many structures of so many robots of so many docks."""
         self.params = params
-        self.rigid = params.model == "rigid"
+        self.rigid, self.shape = params.model == "rigid", (params.beam_radius, params.poisson)
         self.robots = np.zeros(structures, np.int32)
         self.gone = np.zeros((structures, robots), np.bool_)
         self.dock = np.zeros((structures, robots, docks, 3))
-        self.waiting: list[_Waiting] = []
+        self.waiting: list[tuple[Any, ...]] = []  # those that `join` has added since the last solve
         nodes = robots if self.rigid else (docks + 1) * robots
         beams = 3 * robots if self.rigid else (docks + 3) * robots
         self.frame = frame_kernels.FrameArrays(
             node_count=np.zeros(structures, np.int32),
             beam_count=np.zeros(structures, np.int32),
             ends=np.empty((structures, beams, frame_kernels.BeamEnds.TOTAL), np.int32),
-            stiffness=np.empty((structures, beams, 144)),
+            stiffness=np.empty((structures, 4 * beams, _SIDE, _SIDE)),
             span=np.empty((structures, beams, 3)),
             arm=np.zeros((structures, docks * robots, 3)),  # read, and not used, for the ground
             weight=np.zeros((structures, nodes, _SIDE)),
@@ -151,7 +139,8 @@ class Frames:
             order=np.empty((structures, nodes + 1, frame_kernels.NodeList.TOTAL), np.int32),
             half=np.empty((structures, 10 * nodes, frame_kernels.HalfEdge.TOTAL), np.int32),
             block_count=np.zeros(structures, np.int32),
-            block=np.empty((structures, 5 * nodes, _SIDE**2)),
+            block=np.empty((structures, 5 * nodes, _SIDE, _SIDE)),
+            panel=np.empty((structures, nodes, _SIDE, _SIDE)),
             motion=np.empty((structures, nodes, _SIDE)),
         )
         self.found = frame_kernels.LoadArrays(
@@ -180,7 +169,7 @@ class Frames:
             standing: Own docks that stand on the ground, shape (g,).
             foot: Where each of them touches it [R], shape (g, 3).
         """
-        self.waiting.append(_Waiting(structure, center, docks, contacts, standing, foot))
+        self.waiting.append((structure, center, docks, contacts, standing, foot))
 
     def remove(self, structure: int, robots: AnyInts) -> None:
         """Take robots that have joined out of a structure, with all their beams."""
@@ -191,8 +180,9 @@ class Frames:
         one, other = frame.ends[structure, :beams, : frame_kernels.BeamEnds.DOCK_A].T // nodes
         stays = ~(gone[one] | (gone[other] & (other >= 0)))
         frame.beam_count[structure] = left = np.count_nonzero(stays)
-        for of_beams in (frame.ends, frame.stiffness, frame.span):
-            of_beams[structure, :left] = of_beams[structure, :beams][stays]
+        for of_beams, each in ((frame.ends, 1), (frame.stiffness, 4), (frame.span, 1)):
+            rows = of_beams[structure, : each * beams][np.repeat(stays, each)]
+            of_beams[structure, : each * left] = rows
         # Nothing joins their nodes now: what is found for these means nothing.
         frame.weight[structure].reshape(len(gone), -1)[gone] = 0.0
 
@@ -250,17 +240,17 @@ class Frames:
         self.frame.weight[of, dock, 2] = -1.0
         unused = np.full(len(of), frame_kernels.NO_DOCK)
         ends, span = np.column_stack([center, dock, unused, unused]), arm.reshape(-1, 3)
-        self._add_beams(of, ends, span, self._stiffness(span, self.params.link_axial))
+        self._add_beams(of, ends, span, stiffness(span, self.params.link_axial, *self.shape))
 
     def _add_contacts(self, of: AnyInts, a: AnyInts, b: AnyInts, target: Reals) -> None:
         """Add a beam from each dock `a` to the dock `b`, or the ground, at `target` [R]."""
         span = target - self.dock.reshape(len(self.dock), -1, 3)[of, a]
-        stiff = self._stiffness(span, self.params.contact_axial)
+        stiff = stiffness(span, self.params.contact_axial, *self.shape)
         if self.rigid:
             # Ends of the contact move with the bodies' nodes: K becomes T^T K T.
-            follow = np.zeros((len(of), 12, 12))
-            follow[:, :6, :6] = _rigid_link(self.frame.arm[of, a])
-            follow[:, 6:, 6:] = _rigid_link(self.frame.arm[of, b])
+            follow = np.tile(np.eye(12), (len(of), 1, 1))
+            follow[:, :3, 3:6] = -_cross_matrix(self.frame.arm[of, a])
+            follow[:, 6:9, 9:] = -_cross_matrix(self.frame.arm[of, b])
             stiff = follow.swapaxes(1, 2) @ stiff @ follow
         other = np.where(b < 0, frame_kernels.GROUND, self._node(b))
         ends = np.column_stack([self._node(a), other, a, b])
@@ -271,29 +261,22 @@ class Frames:
         robot = dock // self.dock.shape[2]
         return robot if self.rigid else dock + robot + 1
 
-    def _stiffness(self, span: Reals, axial: float) -> Reals:
-        return stiffness(span, axial, self.params.beam_radius, self.params.poisson)
-
     def _add_beams(self, of: AnyInts, ends: AnyInts, span: Reals, stiff: Reals) -> None:
         """Add beams to the structures given, shape (n,)."""
         order = np.argsort(of, kind="stable")
         of = of[order]
-        frame, count = self.frame, self.frame.beam_count
+        count = self.frame.beam_count
         # Several beams may go to one structure: each gets the next place behind those before it.
         place = count[of] + np.arange(len(of)) - np.searchsorted(of, of)
-        if place.max(initial=-1) >= frame.ends.shape[1]:
-            room = 2 * int(place.max())
-            self.frame = frame = frame._replace(
-                ends=_enlarged(frame.ends, room),
-                stiffness=_enlarged(frame.stiffness, room),
-                span=_enlarged(frame.span, room),
-            )
-            self.found = self.found._replace(
-                support=np.empty((len(count), room, 3)), stress=np.empty((len(count), room))
-            )
+        while place.max(initial=-1) >= self.frame.ends.shape[1]:
+            self.frame = _doubled(self.frame, "ends", "stiffness", "span")
+            self.found = _doubled(self.found, "support", "stress")
+        frame = self.frame
         frame.ends[of, place] = ends[order]
         frame.span[of, place] = span[order]
-        frame.stiffness[of, place] = stiff[order].reshape(-1, 144)
+        parts = stiff[order].reshape(-1, 2, _SIDE, 2, _SIDE).swapaxes(2, 3)
+        row = 4 * place[:, None] + np.arange(4)
+        frame.stiffness[of[:, None], row] = parts.reshape(-1, 4, _SIDE, _SIDE)
         np.add.at(count, of, 1)
 
     @backend.exclusive()
@@ -303,20 +286,13 @@ class Frames:
         backend.processor()
         due = np.array(structures, np.int32)
         while len(due):
-            work = self.work
             frame_kernels.find_loads(
-                int(self.rigid), self.params.beam_radius, self.robots, due,
-                *self.frame, *work, *self.found,
-            )  # fmt: skip
-            # The kernel counted the blocks that fill-in needs: solve again what had too little
-            # room.
-            due = due[work.block_count[due] > work.block.shape[1]]
+                self.params.beam_radius, self.robots, due, *self.frame, *self.work, *self.found
+            )
+            # The kernel counted the blocks that fill-in needs: what had too little room is due.
+            due = due[self.work.block_count[due] > self.work.block.shape[1]]
             if len(due):
-                room = 2 * work.block.shape[1]
-                self.work = work._replace(
-                    half=np.empty((len(work.half), 2 * room, work.half.shape[2]), np.int32),
-                    block=np.empty((len(work.block), room, _SIDE**2)),
-                )
+                self.work = _doubled(self.work, "half", "block")
 
     def loads(self, structure: int) -> Loads:
         """Return what the last solve of a structure found.
@@ -334,7 +310,7 @@ class Frames:
         surplus = ground_force.sum(axis=0) - [0.0, 0.0, weight]
         imbalance = float(np.abs(surplus).max() / weight)
         # Rounding hides that a matrix is singular, but not that nothing bears the weight.
-        if not imbalance <= _MAX_UNBORNE:
+        if not imbalance <= MAX_UNBORNE:
             raise StructureFailure("a part of the structure is held by nothing")
         return Loads(
             sensed=np.where(gone, np.nan, found.sensed[structure, :robots]),
@@ -345,36 +321,15 @@ class Frames:
         )
 
 
-def held(robots: int, touching: AnyInts, standing: AnyInts) -> Bools:
-    """Find the robots that contacts tie to the ground, shape (N,).
-
-    Args:
-        robots: N.
-        touching: Robots that touch each other, rows of (robot, robot), shape (C, 2).
-        standing: Robots that stand on the ground, shape (G,).
-    """
-    found = np.zeros(robots, np.bool_)
-    one, other = np.concatenate([touching, touching[:, ::-1]]).T
-    while len(standing):
-        found[standing] = True
-        standing = other[found[one] & ~found[other]]
-    return found
-
-
-def _enlarged(array: NDArray[Any], room: int) -> NDArray[Any]:
-    """Copy an array with more room along its second axis."""
-    larger = np.empty((len(array), room, *array.shape[2:]), array.dtype)
-    larger[:, : array.shape[1]] = array
-    return larger
+def _doubled(arrays: Any, *names: str) -> Any:  # noqa: ANN401 - a bundle
+    """Double the room of some arrays of a bundle along their second axis."""
+    found = {name: getattr(arrays, name) for name in names}
+    return arrays._replace(**{name: np.concatenate([a, a], axis=1) for name, a in found.items()})
 
 
 def _cross_matrix(vector: Reals) -> Reals:
     """Build the matrices of v x, shape (n, 3, 3), for vectors v, shape (n, 3)."""
-    matrix = np.zeros((len(vector), 3, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        matrix[:, i, j] = -vector[:, k]
-        matrix[:, j, i] = vector[:, k]
-    return matrix
+    return np.asarray(np.cross(vector[:, None], np.eye(3)).swapaxes(1, 2), np.float64)
 
 
 def stiffness(span: Reals, axial: float, radius: float, poisson: float) -> Reals:
@@ -400,24 +355,10 @@ def stiffness(span: Reals, axial: float, radius: float, poisson: float) -> Reals
     near = torsion / length * along + 4.0 * bending / length * across
     far = 2.0 * bending / length * across - torsion / length * along
     turned = couple.swapaxes(1, 2)
-    matrix = np.empty((len(span), 12, 12))
-    rows = (
-        (push, couple, -push, couple),
-        (turned, near, -turned, far),
-        (-push, -couple, push, -couple),
-        (turned, far, -turned, near),
-    )
-    for i, row in enumerate(rows):
-        for j, part in enumerate(row):
-            matrix[:, 3 * i : 3 * i + 3, 3 * j : 3 * j + 3] = part
-    return matrix
-
-
-def _rigid_link(arm: Reals) -> Reals:
-    """Build the matrix from the motion of a rigid body's node to that of a point, (n, 6, 6).
-
-    `arm` is from the node to the point [R], shape (n, 3).
-    """
-    link = np.tile(np.eye(6), (len(arm), 1, 1))
-    link[:, :3, 3:] = -_cross_matrix(arm)
-    return link
+    parts = [
+        [push, couple, -push, couple],
+        [turned, near, -turned, far],
+        [-push, -couple, push, -couple],
+        [turned, far, -turned, near],
+    ]
+    return np.block(parts)
