@@ -8,10 +8,13 @@ from hypothesis import strategies as st
 from tests import oracle
 from tests.strategies import unit_vectors, vectors
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.compute.lang import Reals2, ti
-from tiswarm.world.climb_kernels import crossing_angles
+from tiswarm.compute.lang import F64, Reals2, Reals3, ti
+from tiswarm.compute.math_kernels import vector_at
+from tiswarm.records.terrain import Terrain
+from tiswarm.world.climb_kernels import ClimbLimits, contact_angles, crossing_angles
 from tiswarm.world.growth import grow
 from tiswarm.world.params import ClimbParams, TowerParams
+from tiswarm.world.walks import climb_limits
 
 FULL_TURN = 2.0 * np.pi
 
@@ -53,6 +56,55 @@ def test_contact_angle_is_where_a_fine_sweep_first_overlaps(arm, axis, obstacle)
             end = oracle.turned(arm, axis, sign * angle)
             assert swept == pytest.approx(angle, abs=2.5 * FULL_TURN / oracle.FINE)
             assert np.linalg.norm(end - obstacle) == pytest.approx(2.0, abs=1e-9)
+
+
+@ti.kernel
+def _contact_angles(
+    limits: ClimbLimits, vectors: Reals2, gains: Reals2, least: F64, near: Reals3, angles: Reals2
+):
+    for way in range(1):
+        first = ti.Vector([limits.full_turn, limits.full_turn])
+        aim = ti.Vector([gains[0, 0], gains[0, 1], least, limits.min_flip])
+        arm, axis, pivot = vector_at(vectors, 0), vector_at(vectors, 1), vector_at(vectors, 2)
+        first = contact_angles(limits, first, aim, arm, axis, pivot, near, way, near.shape[1])
+        angles[0, 0], angles[0, 1] = first[0], first[1]
+
+
+@settings(max_examples=300)
+@given(
+    seed=st.integers(0, 2**32),
+    count=st.integers(1, 20),
+    least=st.floats(-1.0, 1.0) | st.just(-np.inf),
+    grazes=st.booleans(),
+)
+def test_angles_of_flips_that_gain_enough_are_those_of_all_obstacles(seed, count, least, grazes):
+    """To compute few of the angles changes no bit of those that count, also where docks graze."""
+    rng = np.random.default_rng(seed)
+    arm = np.array([2.6, 0.0, 0.0])
+    axis = np.array([0.0, *rng.normal(size=2)])
+    axis /= np.linalg.norm(axis)
+    place = rng.normal(size=(40, 3))
+    place *= rng.uniform(2.0, 4.6, (40, 1)) / np.linalg.norm(place, axis=1)[:, None]
+    if grazes:  # as near to the dock's circle as touches it, within rounding
+        turn, lean = rng.uniform(0.0, 2.0 * np.pi, (2, 40))
+        out = np.cos(turn)[:, None] * arm / 2.6 + np.sin(turn)[:, None] * np.cross(axis, arm) / 2.6
+        place[::3] = (
+            2.6 * out + 2.0 * (np.cos(lean)[:, None] * out + np.sin(lean)[:, None] * axis)
+        )[::3]
+    place = place[np.linalg.norm(place - arm, axis=1) > 2.0][:count]
+    gains, angles = rng.normal(size=(1, 2)), np.zeros((1, 2))
+    limits = climb_limits(ClimbParams(), RobotGeometry(), Terrain(), by_belief=False)
+    pivot = np.array([0.0, 0.0, 100.0])
+
+    _contact_angles(limits, np.array([arm, axis, pivot]), gains, least, place[None], angles)
+
+    met = np.array([FULL_TURN, FULL_TURN])
+    for each in place:
+        met = np.minimum(met, _meeting(arm, axis, each))
+    gain = np.cos(met) * gains[0, 0] + np.array([1.0, -1.0]) * np.sin(met) * gains[0, 1]
+    counts = (met >= limits.min_flip) & (gain >= least)
+    np.testing.assert_array_equal(angles[0][counts], met[counts])
+    assert np.all((angles[0][~counts] == 0.0) | (angles[0][~counts] == met[~counts]))
 
 
 @given(axis=unit_vectors, towards=st.booleans())

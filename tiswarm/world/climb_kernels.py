@@ -154,6 +154,8 @@ _MET = 1e-13
 """Largest step that counts as arrival at the edge [rad]."""
 _NUDGE = 1e-3
 """Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
+_TIE = 1e-6
+"""Difference of `_turn_order` below which rounding may decide which angle is less."""
 _MAX_STEPS = 500
 """Most steps along an edge; 10 to 40 are usual."""
 
@@ -270,20 +272,52 @@ def slab_angles(middle, across, onward, edge, side, limits):
 
 
 @ti.func
-def contact_angles(limits: Ref, arm, axis, pivot, near: Ref, mover, near_count):
-    """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped."""
+def _turn_order(cosine, sine):
+    """Map an angle from 0 to a full turn to a number from 0 to 4 that grows with it."""
+    return ti.select(sine >= 0.0, 1.0 - cosine, 3.0 + cosine)
+
+
+@ti.func
+def contact_angles(limits: Ref, first, aim, arm, axis, pivot, near: Ref, mover, near_count):
+    """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped.
+
+    Others are stopped at `first`. After the angle t, cos t aim_0 + sin t aim_1 is what a robot
+    gains, and 0 stands for ways that gain less than aim_2 wherever they end, or end before aim_3.
+    """
     along = arm.dot(axis)
     across = arm - along * axis
     onward = axis.cross(arm)
     middle = pivot + along * axis
-    first = slab_angles(middle, across, onward, limits.left_edge, 1.0, limits)
+    first = ti.min(first, slab_angles(middle, across, onward, limits.left_edge, 1.0, limits))
     first = ti.min(first, slab_angles(middle, across, onward, limits.right_edge, -1.0, limits))
-    for k in range(near_count):
+    sign, least = ti.Vector([1.0, -1.0]), ti.Vector([4.0, 4.0])
+    most = ti.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
+    best = _turn_order(aim[0] / most, sign * aim[1] / most)
+    k = 0
+    while k < near_count and first.max() > 0.0:
         to_other = vector_in(near, mover, k)
         level = 0.5 * (arm.norm_sqr() + to_other.norm_sqr() - limits.spacing * limits.spacing)
         level -= along * to_other.dot(axis)
-        met = crossing_angles(to_other.dot(across), to_other.dot(onward), level, limits.full_turn)
-        first = ti.min(first, met)
+        a, b = to_other.dot(across), to_other.dot(onward)
+        swing = a * a + b * b
+        room = swing - level * level
+        # Angles cost much more than what says which is the least: few are computed.
+        is_due = room < _TIE * swing and (level < 0.0 or room > -_TIE * swing)
+        if room >= _TIE * swing:
+            side = ti.sqrt(room)
+            cosine = (a * level + sign * b * side) / swing
+            sine = (sign * b * level - a * side) / swing
+            order = _turn_order(cosine, sine)
+            is_next = (first > 0.0) & ((order < least + _TIE) | (order > 4.0 - _TIE))
+            gain = ti.max(aim[0], cosine * aim[0] + sign * sine * aim[1])
+            is_lost = is_next & (ti.select(order > best - _TIE, most, gain) < aim[2])
+            least = ti.select(is_next, ti.min(least, order), least)
+            first = ti.select(is_lost, 0.0, first)
+            is_due = (is_next > is_lost).any()
+        if is_due:
+            first = ti.min(first, crossing_angles(a, b, level, limits.full_turn))
+            first = ti.select(first < aim[3], 0.0, first)
+        k += 1
     return first
 
 
@@ -387,12 +421,12 @@ def misplaced(limits: Ref, structures: Ref, believed: Ref, s, walks: Ref, mover,
 
 
 @ti.func
-def first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count):
-    """Find the angles, forward and backward, at which a turn about dock `k` meets something."""
+def first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count, aim):
+    """Find the angles at which a turn about dock `k` meets something; see `contact_angles`."""
     first = ti.Vector([limits.full_turn, limits.full_turn])
     for step in range(1, body.shape[0]):
         arm = rotate(q, vector_at(body, (k + step) % body.shape[0]) - vector_at(body, k))
-        first = ti.min(first, contact_angles(limits, arm, axis, pivot, near, mover, count))
+        first = contact_angles(limits, first, aim, arm, axis, pivot, near, mover, count)
     return first
 
 
@@ -443,7 +477,7 @@ def flipped(axis, way, angle, q):
 @ti.func
 def nearest_flip(
     limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k, least,
-    score: Ref,
+    best, score: Ref,
 ):  # fmt: skip
     """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
 
@@ -460,12 +494,20 @@ def nearest_flip(
         overflow=hinge.overflow, failed=0,
     )  # fmt: skip
     pivot, by, body_in = hinge.pivot, hinge.by, hinge.body_in
+    to_goal, reach, ahead = goal - pivot, body_in.norm(), hinge.side.cross(hinge.normal)
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
-        first = first_met(limits, body, q, k, axis, pivot + by, near, mover, hinge.count)
+        onward = axis.cross(ahead)
+        aim = ti.Vector([to_goal.dot(ahead), to_goal.dot(onward), -ti.math.inf, limits.min_flip])
+        if ti.static(score == goal_distance) and not limits.by_belief:
+            # |g - r e|^2 < d^2 for the unit vector e to the center
+            room = to_goal.norm_sqr() + reach**2 - ti.min(best, chosen.distance) ** 2
+            aim[2] = 0.5 * room / reach - _TIE
+        first = first_met(limits, body, q, k, axis, pivot + by, near, mover, hinge.count, aim)
         truly = first
         if limits.by_belief:
-            truly = first_met(limits, body, q, k, axis, pivot, obstacle, mover, hinge.obstacles)
+            among = hinge.obstacles
+            truly = first_met(limits, body, q, k, axis, pivot, obstacle, mover, among, aim)
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
@@ -538,9 +580,10 @@ def sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k
     limit = limits.spacing + limits.contact_gap
     for slot in range(MAX_TOUCHING):
         walks.touching[mover, stance, k, slot] = -1
-    cube = cube_of(point, limits.inverse_edge)
-    for which in range(27):
-        item = first_item(structures.cells, s, cube, which)
+    low = cube_of(point - limit, limits.inverse_edge)
+    size = cube_of(point + limit, limits.inverse_edge) - low + 1
+    for z, y, x in ti.ndrange(size[2], size[1], size[0]):
+        item = first_item(structures.cells, s, low + ti.Vector([x, y, z]), 13)  # the cube itself
         while item >= 0:
             if (vector_in(structures.dock, s, item) - point).norm_sqr() < limit * limit:
                 walks.touching[mover, stance, k, count] = item
@@ -595,10 +638,11 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
         axis = across.normalized()
         count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
         met = ti.Vector([limits.full_turn, limits.full_turn])
+        anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
         for k in range(docks):
             if k != one and k != other:
                 arm = rotate(q, vector_at(body, k) - body_in)
-                met = ti.min(met, contact_angles(limits, arm, axis, pivot, near, m, count))
+                met = contact_angles(limits, met, anywhere, arm, axis, pivot, near, m, count)
         angle = ti.min(met[0], met[1])
         if angle <= limits.max_flip:
             flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
@@ -637,7 +681,6 @@ def climb(
     flip meets, are as the robot believes; what it touches and where a flip ends are as they are.
 
     Args:
-        limits: Terrain, distances and limits.
         movers: Slots of the robots that move, shape (M,).
         state_out: How each walk ended, shape (slots,).
         planned_out: Item of the dock that the flip from each stance was planned to end at, or
@@ -697,7 +740,7 @@ def climb(
                             if is_attached(walks, m, stance, k):
                                 other = nearest_flip(
                                     limits, structures, believed, climbers, walks, m, stance, k,
-                                    least, score,
+                                    least, flip.distance, score,
                                 )  # fmt: skip
                                 if other.overflow:
                                     state_out[m] = SCRATCH_FULL
@@ -774,7 +817,6 @@ def join_undisturbed(
     to go on from the first stance that is disturbed.
 
     Args:
-        limits: Terrain, distances and limits.
         first_mover: First entry of `movers` of each structure, shape (S + 1,).
         movers: Slots of the movers, structure by structure, shape (M,).
         wants: Whether each slot's walk ends where it can stay, shape (slots,).
@@ -833,9 +875,6 @@ def list_docks(
         chosen: Structures to list, shape (C,).
         dock_count: Docks of every structure, shape (S,).
         present: Whether each robot has not left, shape (S, N).
-        head_out: First item of each bucket; see `CellList`.
-        following_out: Next item of each chain.
-        dock: Dock centers [R], shape (S, n N, 3).
     """
     cells = ti.static(CellList(head_out, following_out))
     for c, idle in ti.ndrange(chosen.shape[0], GRAIN):

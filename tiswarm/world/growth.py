@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
@@ -100,9 +100,7 @@ class _GrowthBatch:
         )
         self.believed = BelievedDocks(self.arrays.cells, self.arrays.dock)
         if believe:
-            self.believed = BelievedDocks(
-                CellList.allocate(count, docks), np.zeros((count, docks, 3))
-            )
+            self.believed = BelievedDocks(CellList.allocate(count, docks), 0.0 * self.arrays.dock)
         self.structure_of = np.repeat(np.arange(count, dtype=np.int32), min(params.movers, robots))
         limits = climb_limits(params.climb, robot, params.terrain, by_belief=believe is not None)
         self.walks = Walks(self.structure_of, limits, params, robot, seeds)
@@ -117,7 +115,7 @@ class _GrowthBatch:
         """Fill the free slots of unfinished structures; return whether any robot moves."""
         climbing = np.bincount(self.structure_of[self.moving], minlength=len(self.structures))
         for slot in np.flatnonzero(~self.moving):
-            structure = self._climbed_by(slot)
+            structure = self.structures[self.structure_of[slot]]
             others = climbing[structure.number]
             is_complete = len(structure.walks) + others >= self.robots
             # Founders come one by one, since they found what the others climb.
@@ -135,22 +133,23 @@ class _GrowthBatch:
         walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
         walks.climb(self.arrays, self.believed, movers, self.sensed, self.present)
         wants = np.zeros(len(self.structure_of), np.int32)
-        for slot in movers:
-            wants[slot] = walks.touches(slot) or self._climbed_by(slot).founding
+        founding = np.array([structure.founding for structure in self.structures])
+        touching = walks.stances.touching[movers, walks.stances.stay[movers], :, 0].max(axis=1) >= 0
+        wants[movers] = touching | founding[self.structure_of[movers]]
         walks.join(self.arrays, movers, wants)
-        for slot in movers:
-            structure = self._climbed_by(slot)
-            # A walk that an earlier join disturbed goes on from its first stance that changed.
-            self.moving[slot] = walks.joined[slot] < 0 < walks.disturbed[slot]
+        # A walk that an earlier join disturbed goes on from its first stance that changed.
+        joined = walks.joined[movers] >= 0
+        goes_on = ~joined & (walks.disturbed[movers] > 0)
+        self.moving[movers] = goes_on
+        walks.climbers.first_stance[movers[goes_on]] = walks.disturbed[movers[goes_on]]
+        for slot in movers[~goes_on]:
+            structure = self.structures[self.structure_of[slot]]
             if walks.joined[slot] >= 0:
                 walk = replace(walks.walk(slot), round=self.rounds)
                 structure.join(walk, self.arrays.dock[structure.number])
-            elif self.moving[slot]:
-                walks.climbers.first_stance[slot] = walks.disturbed[slot]
             elif not wants[slot]:
                 structure.turn_away()
         self.rounds += 1
-        joined = walks.joined[movers] >= 0
         grown = [self.structures[s] for s in np.unique(self.structure_of[movers[joined]])]
         if self.departs:
             self._lose(grown)
@@ -165,8 +164,7 @@ class _GrowthBatch:
         mute = self.mute.ravel() if self.departs else None
         relayed = walks.pass_on(self.call.ravel(), self.frames.joints, mute)
         self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
-        for slot in movers:
-            self.moving[slot] &= not self._climbed_by(slot).ended
+        self.moving &= ~np.array([bool(each.ended) for each in self.structures])[self.structure_of]
         if self.believe and grown:
             self._update_beliefs(grown, self.believe)
         return int(joined.sum())
@@ -175,9 +173,9 @@ class _GrowthBatch:
         """Let robots of structures that grew leave or die."""
         lost = [structure for structure in grown if structure.lose()]
         for structure in lost:
-            number, present = structure.number, structure.present
-            self.present[number, : len(present)] = present
-            self.mute[number, : len(present)] = ~structure.alive
+            number, present = structure.number, ~self.frames.gone[structure.number]
+            self.present[number] = present
+            self.mute[number] = ~structure.alive
             for slot in np.flatnonzero(self.moving & (self.structure_of == number)):
                 self.moving[slot] = present[self.walks.touched(slot)].all()
         self._list(lost, *self.arrays.cells, self.arrays.dock)
@@ -197,9 +195,6 @@ class _GrowthBatch:
         ):
             dock[structure.number, : len(believed)] = believed
         self._list(grown, *cells, dock)
-
-    def _climbed_by(self, slot: int) -> "GrowingStructure":
-        return self.structures[int(self.structure_of[slot])]
 
 
 class GrowingStructure:
@@ -222,8 +217,7 @@ class GrowingStructure:
         self.sides: list[int] = []
         self.sensed: Reals = np.empty(0)
         self.call: NDArray[np.int32] = np.empty(0, np.int32)
-        self.present: Bools = np.empty(0, np.bool_)
-        self.alive: Bools = np.empty(0, np.bool_)
+        self.alive = np.ones(frames.gone.shape[1], np.bool_)  # those to come are, too
         self.departures: list[tuple[int, int, int]] = []
         self.drawn = self.unsolved = self.spawned = self.rejected = 0
         self.crossed = False
@@ -285,7 +279,8 @@ class GrowingStructure:
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""
         surveyed = self.surveyed // self.docks
-        is_new = np.repeat(self.present[surveyed:], self.docks)
+        is_gone = self.frames.gone[self.number, surveyed : len(self.walks)]
+        is_new = np.repeat(~is_gone, self.docks)
         new = docks[self.surveyed : self.docks * len(self.walks)][is_new]
         if not len(new):
             return
@@ -325,8 +320,8 @@ class GrowingStructure:
         self.rejected += 1
         if self.rejected >= self.params.climb.max_spawns:
             rule = self.params.rule
-            is_own = not isinstance(rule, ReactiveBuild)
-            fix = f"correct the rule {rule.name}" if is_own else "move the goal"
+            is_ours = isinstance(rule, ReactiveBuild)
+            fix = "move the goal" if is_ours else f"correct the rule {rule.name}"
             what = f"{self.rejected} robots in a row reached no other robot"
             self.ended = f"{what}; raise structure.climb.max_spawns or {fix}"
 
@@ -348,7 +343,6 @@ class GrowingStructure:
             self.terrain.foot(docks[standing]),
         )
         self.unsolved += 1
-        self.present, self.alive = np.append(self.present, True), np.append(self.alive, True)
         self.loads.append(LoadSummary())
         if self.params.sides > 1:
             touched = {self.sides[i] for i in other}
@@ -366,7 +360,7 @@ class GrowingStructure:
         if params is None or self.ended:
             return False
         for joiner in range(drawn, joined):
-            able = np.flatnonzero(self.alive)
+            able = np.flatnonzero(self.alive[:joined])
             robot = params.drawn(self.seed, joiner, able[able >= self.params.founder_count])
             if robot is not None:
                 self.alive[robot] = False
@@ -374,11 +368,10 @@ class GrowingStructure:
         if len(self.departures) == before:
             return False
         if params.kind == "leave":
-            fallen = np.flatnonzero(self.alive & ~self.history().is_held)
+            fallen = np.flatnonzero(self.alive[:joined] & ~self.history().is_held)
             self.departures += [(robot, joined, FELL) for robot in fallen.tolist()]
             self.alive[fallen] = False
-            self.frames.remove(self.number, np.flatnonzero(self.present & ~self.alive))
-            self.present = self.alive.copy()
+            self.frames.remove(self.number, np.flatnonzero(~self.alive))
             self._forget()
         self.unsolved += self.params.solve_every  # the mechanics are due
         return True
@@ -396,9 +389,10 @@ class GrowingStructure:
             self.ended = str(failure)
             return
         self.unsolved = 0
-        self.sensed = np.where(self.alive, loads.sensed, np.nan)
+        alive = self.alive[: len(loads.sensed)]
+        self.sensed = np.where(alive, loads.sensed, np.nan)
         call = getattr(self.params.rule, "call", recruit)
-        self.call = call(np.where(self.alive, loads.sensed, 0.0), self.params)
+        self.call = call(np.where(alive, loads.sensed, 0.0), self.params)
         self.loads[-1] = LoadSummary(
             peak=loads.peak,
             sensed_max=float(np.nanmax(self.sensed)),

@@ -219,10 +219,6 @@ class Walks:
         spread: NDArray[np.int32] = self.rule.spread(call, contacts)
         return spread if mute is None else np.where(np.repeat(mute, self.docks), 0, spread)
 
-    def touches(self, slot: int) -> bool:
-        """Whether the robot touches another one where it stays."""
-        return bool((self.stances.touching[slot, self.stances.stay[slot]] >= 0).any())
-
     def touched(self, slot: int) -> AnyInts:
         """List the robots that a walk that is to go on has touched so far, with repeats."""
         items = self.stances.touching[slot, : self.climbers.first_stance[slot] + 1]
@@ -282,10 +278,8 @@ def relay(
     Returns:
         Shape (docks N,).
     """
-    one = np.concatenate([contacts[:, 0], contacts[:, 1]])
-    other = np.concatenate([contacts[:, 1], contacts[:, 0]])
-    own = np.repeat(call, docks)
-    out = own
+    one, other = np.concatenate([contacts, contacts[:, ::-1]]).T
+    out = own = np.repeat(call, docks)
     while True:
         incoming = np.zeros_like(out)
         np.maximum.at(incoming, one, out[other])

@@ -128,9 +128,10 @@ def _flips_about(
     stance = walks.last[m]
     q = quaternion_at(walks.orientation, m, stance)
     hinge = hinge_at(limits, structures, believed, climbers, walks, m, stance, k)
+    anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
-        first = first_met(limits, body, q, k, axis, hinge.pivot, near, m, hinge.count)
+        first = first_met(limits, body, q, k, axis, hinge.pivot, near, m, hinge.count, anywhere)
         for way in ti.static(range(2)):
             if first[way] >= limits.min_flip and first[way] <= limits.max_flip:
                 column = 2 * (limits.twists * k + twist) + way
