@@ -102,10 +102,11 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "wbt": "tiswarm.parts.formats.physics:encode_wbt",
     },
     "import_format": {
+        "bag": "tiswarm.parts.formats.trajectories:read_bag",
         "tum": "tiswarm.parts.formats.trajectories:read_tum",
         "gsd": "tiswarm.parts.formats.trajectories:read_gsd",
         "mocap": "tiswarm.parts.formats.trajectories:read_mocap",
-        "table": "tiswarm.parts.formats.poses:read_table",
+        "table": "tiswarm.parts.formats.columns:read_table",
     },
     "question": {
         "least-error": "tiswarm.report.answers:mean_errors",

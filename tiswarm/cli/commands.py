@@ -226,7 +226,7 @@ def import_(
         Path,
         Argument(
             help="Table of poses, a robot or all robots a row; a folder with a table for each "
-            "robot; .tum; .gsd; an export of Motive, Qualisys or Vicon."
+            "robot; .tum; .gsd; .bag; an export of Motive, Qualisys or Vicon."
         ),
     ],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],

@@ -27,6 +27,7 @@ from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
+from tiswarm.parts.formats.columns import EULER, Sheet, read_table, turns_by
 from tiswarm.parts.formats.motion import (
     LOUDEST,
     Rests,
@@ -38,20 +39,16 @@ from tiswarm.parts.formats.motion import (
     without_glitches,
 )
 from tiswarm.parts.formats.poses import (
-    EULER,
     TOLERANCE,
     UPWARD,
     Assumptions,
     Poses,
     PoseTable,
-    Sheet,
     horizontal_mirror,
     poses_by_run,
     read_contacts,
     read_dock_offsets,
-    read_table,
     some,
-    turns_by,
 )
 from tiswarm.parts.formats.ranges import read_ranges
 from tiswarm.records import outputs, sensing_log

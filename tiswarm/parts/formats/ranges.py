@@ -17,14 +17,14 @@ import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.parts.formats.poses import (
+from tiswarm.parts.formats.columns import (
     LENGTHS,
     plain_sheet,
     report_incomplete,
     robot_numbers,
-    some,
     split_unit,
 )
+from tiswarm.parts.formats.poses import some
 from tiswarm.records.io import CsvFile
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog, SensingNoise

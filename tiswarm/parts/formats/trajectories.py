@@ -1,6 +1,7 @@
 """Reads poses over time of other programs: GSD, TUM RGB-D, exports of motion capture, folders.
 
     GSD        particles of all frames; a frame's step is its time
+    ROS        bags: messages of all types that have poses or transforms
     TUM        time x y z qx qy qz qw, separated by spaces
     Motive     CSV, rows Type, Name, ID, then Rotation and Position; quaternions or angles
     Qualisys   TSV, columns X, Y, Z, Roll, Pitch, Yaw, Residual and maybe Rot[0] to Rot[8]; mm
@@ -14,14 +15,16 @@ is the join index. Bodies that the cameras lost have empty cells, or zeros in Qu
 
 import csv
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from tiswarm.base.aliases import Reals
-from tiswarm.base.errors import InputError
-from tiswarm.parts.formats import poses
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.parts.formats import columns, poses
 from tiswarm.parts.formats.exports import gsd_library
 from tiswarm.records.io import LARGEST, numbered_lines, unreadable
 from tiswarm.records.messages import counted
@@ -79,9 +82,71 @@ def read_gsd(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
     if not sum(map(len, tables)):
         raise InputError("there are no particles; name a file with robots", path=path)
     rows = pd.concat(tables).assign(run="")
-    poses.refuse_far(rows, path, assumed.dock_radius)
+    columns.refuse_far(rows, path, assumed.dock_radius)
     notes = [f"{counted(left_out, 'constituent')} of rigid bodies left out"] if left_out else []
     return poses.PoseTable(rows, "", (), notes, docks)
+
+
+def read_bag(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
+    """Read all poses of a bag of ROS; None if the path is no `.bag` and no folder of ROS 2.
+
+    These are messages of any type that have a position and an orientation, a transform, or a list
+    of either, with names beside it or not. A robot has the number in the name of its topic, of its
+    model or of its frame; the time is that of recording [s].
+
+    Raises:
+        InputError: the bag is damaged, or has no poses.
+        EnvironmentTroubleError: the library rosbags is not installed.
+    """
+    if path.suffix != ".bag" and not (path / "metadata.yaml").is_file():
+        return None
+    try:
+        from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError as error:
+        problem = "bags need the library rosbags; pip install 'tiswarm[ros]'"
+        raise EnvironmentTroubleError(problem) from error
+    found: list[tuple[str, float, list[float]]] = []
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+            for connection, stamp, raw in bag.messages():
+                message = bag.deserialize(raw, connection.msgtype)
+                found += (
+                    (name, stamp, pose) for name, pose in _poses_in(message, connection.topic)
+                )
+    except Exception as error:  # the library has many kinds, and bags are anybody's
+        problem = f"not a whole bag ({type(error).__name__}: {str(error)[:80]}); record it again"
+        raise InputError(problem, path=path) from error
+    if not found:
+        raise InputError("the bag has no poses; record odometry, poses or tf", path=path)
+    names = [*dict.fromkeys(name for name, *_ in found)]
+    numbers, notes = columns.robot_numbers(names)
+    robot = dict(zip(names, numbers, strict=True))
+    rows = pd.DataFrame([pose for *_, pose in found], columns=[*"xyz", *poses.QUATERNION])
+    rows["robot"] = [robot[name] for name, *_ in found]
+    rows["time"] = np.array([stamp - found[0][1] for _, stamp, _ in found]) * 1e-9
+    rows = rows.assign(line=1, run="").drop_duplicates(["robot", "time"])
+    rows = rows if rows["robot"].duplicated().any() else rows.drop(columns="time")
+    columns.refuse_far(rows, path, assumed.dock_radius)
+    return poses.PoseTable(rows, "m", poses.QUATERNION, notes)
+
+
+def _poses_in(message: Any, name: str) -> Iterator[tuple[str, list[float]]]:  # noqa: ANN401 - of ROS
+    """Yield the poses in a message: a name, then x, y, z, qw, qx, qy, qz."""
+    name = getattr(message, "child_frame_id", "") if hasattr(message, "transform") else name
+    for place, turn in (("position", "orientation"), ("translation", "rotation")):
+        if hasattr(message, place) and hasattr(message, turn):
+            p, q = getattr(message, place), getattr(message, turn)
+            yield name, [float(number) for number in (p.x, p.y, p.z, q.w, q.x, q.y, q.z)]
+            return
+    for key in ("pose", "poses", "transform", "transforms"):
+        inner = getattr(message, key, None)
+        if isinstance(inner, list):
+            names = getattr(message, "name", None) or [f"{name}_{k}" for k in range(len(inner))]
+            for each, named in zip(inner, names, strict=False):
+                yield from _poses_in(each, named)
+        elif inner is not None:
+            yield from _poses_in(inner, name)
 
 
 def _docks(particles: object, path: Path, dock_radius: float) -> Reals | None:
@@ -110,7 +175,7 @@ def read_tum(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
     if path.is_dir():
         return _read_folder(path, assumed)
     rows, lines = _trajectory(path, assumed.dock_radius)
-    notes += poses.report_incomplete(path, lines, drop=drop)
+    notes += columns.report_incomplete(path, lines, drop=drop)
     rank = rows["time"].argsort(kind="stable").argsort().to_numpy()
     note = "a robot a line, numbered by time; for poses over time, name a folder with a file each"
     return poses.PoseTable(
@@ -126,7 +191,7 @@ def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
     )
     for file in files:
         numbers = re.findall(r"\d+", file.stem)
-        if len(numbers) != 1 or len(numbers[0]) > poses.LONGEST_NUMBER:
+        if len(numbers) != 1 or len(numbers[0]) > columns.LONGEST_NUMBER:
             problem = "the name has no number, or several; name the file as robot_7.tum"
             raise InputError(problem, path=file)
         if (other := named.setdefault(int(numbers[0]), file.name)) != file.name:
@@ -135,10 +200,10 @@ def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
         if file.suffix == ".tum":
             rows, lines = _trajectory(file, assumed.dock_radius)
             drop = assumed.drop_incomplete
-            notes += poses.report_incomplete(file, lines, drop=drop, name=file.name)
+            notes += columns.report_incomplete(file, lines, drop=drop, name=file.name)
             table = poses.PoseTable(rows.assign(robot=int(numbers[0])), "", (), notes)
         else:
-            table = poses.read_table(file, assumed, robot=int(numbers[0]))
+            table = columns.read_table(file, assumed, robot=int(numbers[0]))
         tables.append(table._replace(rows=table.rows.assign(file=str(file))))
     if not tables:
         problem = "there are no files *.tum or *.csv; add one for each robot"
@@ -185,7 +250,7 @@ def _trajectory(path: Path, dock_radius: float) -> tuple[pd.DataFrame, list[int]
     if not rows:
         raise InputError("no line is complete; add a pose", path=path, line=incomplete[0])
     table = pd.DataFrame(rows, columns=_TUM).assign(line=lines)
-    poses.refuse_far(table, path, dock_radius)
+    columns.refuse_far(table, path, dock_radius)
     return table, incomplete
 
 
@@ -223,8 +288,8 @@ def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None
         rows[k] = row if row == "#" else row + separator * lacks
     if not any(row != "#" for row in rows):
         raise InputError("there are no poses; export frames with bodies", path=path, line=1)
-    text = [*"#" * last, poses.header_line(names, separator), *rows]
-    return poses.read_table(path, assumed, sheet._replace(text="\n".join(text)))
+    text = [*"#" * last, columns.header_line(names, separator), *rows]
+    return columns.read_table(path, assumed, sheet._replace(text="\n".join(text)))
 
 
 def _cells(text: str, path: Path, number: int) -> list[str]:
@@ -246,7 +311,7 @@ def _end(head: _Lines, path: Path, program: str, remedy: str) -> int:
     return end
 
 
-def _motive(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, poses.Sheet]:
+def _motive(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, columns.Sheet]:
     """Name the columns of an export of Motive."""
     facts = dict(zip(head[0][::2], head[0][1::2], strict=False))
     if (space := facts.get("Coordinate Space", "Global")) != "Global":
@@ -258,21 +323,21 @@ def _motive(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, pos
     if not {"Type", "Name"} <= {*rows}:
         problem = f"the head of Motive's export lacks {remedy}"
         raise InputError(problem, path=path, line=1)
-    columns = zip(rows["Type"], rows["Name"], head[end - 1], head[end], strict=False)
+    heads = zip(rows["Type"], rows["Name"], head[end - 1], head[end], strict=False)
     names = [
         f"{name}/{what} {axis}" if kind == "Rigid Body" and axis else ""
-        for kind, name, what, axis in columns
+        for kind, name, what, axis in heads
     ]
     names[:2] = head[end][:2]
     turn = facts.get("Rotation Type", "Quaternion")
-    return names, end, poses.Sheet(
+    return names, end, columns.Sheet(
         "", "Motive", facts.get("Length Units", "Meters").lower(), degrees=True,
         euler="" if turn == "Quaternion" else turn,
         notes=["Motive has y up unless an export maps its axes: --up y"],
     )  # fmt: skip
 
 
-def _qualisys(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, poses.Sheet]:
+def _qualisys(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, columns.Sheet]:
     """Name the columns of an export of Qualisys Track Manager."""
     remedy = "BODY_NAMES and a column Frame; export 6D data with both headers"
     end = _end(head, path, "Qualisys' export", remedy)
@@ -287,10 +352,10 @@ def _qualisys(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, p
         names.append(f"{body}/{cell.removeprefix(f'{body} ')}" if body else cell)
     if "Time" in names:  # which is not counted in frames
         names[names.index("Frame")] = ""
-    return names, end, poses.Sheet("", "Qualisys", "mm", degrees=True, euler="XYZ")
+    return names, end, columns.Sheet("", "Qualisys", "mm", degrees=True, euler="XYZ")
 
 
-def _vicon(path: Path, _: _Lines, lines: list[str]) -> tuple[list[str], int, poses.Sheet]:
+def _vicon(path: Path, _: _Lines, lines: list[str]) -> tuple[list[str], int, columns.Sheet]:
     """Name the columns of the first block of rigid bodies in an export of Vicon's programs."""
     start = next((k for k, text in enumerate(lines) if text.split(",")[0] in _VICON), -1)
     if start < 0 or len(lines) < start + 5:
@@ -304,4 +369,4 @@ def _vicon(path: Path, _: _Lines, lines: list[str]) -> tuple[list[str], int, pos
         unit = units[place] if place < len(units) else ""
         named = f"{body}/{axis} [{unit}]" if unit else f"{body}/{axis}"
         names.append(named if body and re.fullmatch("[RT][XYZW]'*", axis) else axis)
-    return names, start + 4, poses.Sheet("", "Vicon", "mm", degrees=False)
+    return names, start + 4, columns.Sheet("", "Vicon", "mm", degrees=False)
