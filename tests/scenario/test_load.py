@@ -387,7 +387,9 @@ def test_the_last_option_wins(scenario):
         ("seeds=[1, x]", '"x" should be a whole number'),
         ("sweep.robots=[1]", "1 should be greater than or equal to 2"),
         ("conditions.no-z.localization.iterations=0", "0 should be greater than or equal to 1"),
-        ("conditions={a: {robots: 3}}", "conditions change localization and sensing only;"),
+        ("conditions={a: {robots: 3}}", "a.robots: conditions change localization and sensing on"),
+        ("structure={kind: tower, departures: {x: 1}}", "departures.x: unknown key; the keys he"),
+        ("structure.mechanics={elements_per_link: 3}", "model: is missing; add it"),
     ],
 )
 def test_a_wrong_option_is_named_instead_of_a_line(scenario, option, problem):
@@ -480,7 +482,7 @@ def test_a_method_is_set_up_without_a_file():
         (
             "virtual-force",
             "back_propagation={evry: 5}",
-            "overrides: back_propagation={evry: 5}: unk",
+            "overrides: back_propagation={evry: 5}: evry: unk",
         ),
         (
             "virtual-force",

@@ -25,6 +25,7 @@ from tiswarm.scenario.validation import (
     Mistake,
     Plain,
     Setting,
+    blame,
     find_culprit,
     parse_setting,
     set_key,
@@ -176,8 +177,8 @@ def _mistakes(data: Plain) -> list[Mistake]:
 def _placed(
     mistake: Mistake, path: Path | None, source: YamlSource, settings: Sequence[Setting]
 ) -> InputError:
-    if culprit := find_culprit(mistake, settings):
-        return culprit.error(mistake.problem)
+    if error := blame(mistake, settings):
+        return error
     if path is None:
         return InputError(mistake.problem, key=dotted(mistake.path))
     place = source.place_of(mistake.path)

@@ -155,6 +155,16 @@ def find_culprit(mistake: Mistake, changes: Sequence[_AnyChange]) -> _AnyChange 
     return next(itertools.chain(whole, part), None)
 
 
+def blame(mistake: Mistake, settings: Sequence[Setting]) -> InputError | None:
+    """Return the error of the setting at fault, with the key within its value, if there is one."""
+    culprit = find_culprit(mistake, settings)
+    if culprit is None:
+        return None
+    within = dotted(mistake.path).removeprefix(dotted(culprit.path) + ".")
+    is_key = len(mistake.path) > len(culprit.path) and not within.startswith(dotted(culprit.path))
+    return culprit.error(f"{within}: {mistake.problem}" if is_key else mistake.problem)
+
+
 def localization_params(
     method: str,
     overrides: Sequence[str] = (),
@@ -185,9 +195,7 @@ def localization_params(
     if isinstance(outcome, _LocalizationSection):
         return outcome.localization
     first = outcome[0]
-    if culprit := find_culprit(first, settings):
-        raise culprit.error(first.problem)
-    raise InputError(first.problem, argument=dotted(first.path[1:]))
+    raise blame(first, settings) or InputError(first.problem, argument=dotted(first.path[1:]))
 
 
 def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:

@@ -329,7 +329,7 @@ def _cast_chunk(
     (scene, trace), *ghosts = layers
     eye, direction = scene.camera.eye.astype(np.float32), scene.camera.directions(pixels)
     depth, seen = trace(pixels, direction)
-    color = np.ones((len(colors), len(pixels), 3), np.float32)
+    color = np.full((len(colors), len(pixels), 3), scene.background, np.float32)
     hit = np.flatnonzero(seen >= 0)
     points = eye + depth[hit, None] * direction[hit]
     color[:, hit] = color_of_capsules(scene, seen[hit], points, colors)

@@ -244,7 +244,7 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """P capsules, a ground if any, and a camera, against white."""
+    """P capsules, a ground if any, and a camera, against a gray."""
 
     start: Array32  # one end of each segment [R], shape (P, 3)
     end: Array32  # other end of each segment [R], shape (P, 3)
@@ -254,6 +254,7 @@ class Scene:
     camera: Camera
     ground: Ground | None
     ghost: "Scene | None" = None  # translucent capsules before the same camera
+    background: float = 1.0  # brightness behind all, 0 to 1
 
     def within(self, width: int, height: int) -> "Scene":
         """Return the same scene before a camera that fills so many columns or rows [pixels]."""
