@@ -36,7 +36,7 @@ from tiswarm.parts.pictures.pictures import (
     draw_side_by_side,
     encode_webp,
 )
-from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
+from tiswarm.parts.pictures.scene import TRUE_SIZE, Scene, build_scene
 from tiswarm.records.messages import three_digits
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, JOIN_COLORS, colors_along
@@ -104,7 +104,7 @@ def draw_growing(run: RunData, renderer: str) -> bytes:
 
 
 def draw_large(renderer: str) -> tuple[Image.Image, bytes]:
-    """Draw a large structure, and animate its growth as WebP."""
+    """Draw a large structure, transparent around it, and animate its growth as WebP."""
     [grown] = tiswarm.grow(_LARGE_TOWER, robots=_LARGE)
     robots = _drawn(grown, colors_along(np.linspace(0.0, 1.0, _LARGE), JOIN_COLORS))
     joined = np.linspace(1, _LARGE, _LARGE_FRAMES).round().astype(int).tolist()
@@ -116,7 +116,18 @@ def draw_large(renderer: str) -> tuple[Image.Image, bytes]:
         legend = Scale(JOIN_COLORS, "join index  0", f"{_LARGE - 1:,}    {count:,} robots")
         frames.append(add_legend(small, legend))
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    return frames[-1], encode_webp(frames, durations, _QUALITY)
+    scene = build_scene(robots, None).within(*_LARGE_FRAME)
+    return _transparent(scene, renderer), encode_webp(frames, durations, _QUALITY)
+
+
+def _transparent(scene: Scene, renderer: str) -> Image.Image:
+    """Draw a scene before white and black, which differ where it is not opaque."""
+    both, _, _ = draw_scenes([scene, replace(scene, background=0.0)], renderer)
+    white, black = np.array(both, np.float32)
+    opacity = 255.0 - (white - black).mean(axis=-1, keepdims=True)
+    color = np.clip(255.0 * black / np.maximum(opacity, 1.0), 0.0, 255.0)
+    pixels = np.concatenate([color, opacity], axis=-1).round().astype(np.uint8)
+    return Image.fromarray(pixels, "RGBA")
 
 
 def _drawn(structure: Any, color: Reals) -> DrawnRobots:  # noqa: ANN401 - one of `Swarms`
@@ -233,7 +244,7 @@ def main() -> None:
     backend.start("cpu")
     if arguments.large:
         picture, film = draw_large(arguments.renderer)
-        picture.save(_IMAGES / "large.png", optimize=True)
+        save(picture, "large")
         (_IMAGES / "large.webp").write_bytes(film)
         return
     if arguments.repair:

@@ -43,7 +43,7 @@ def test_the_site_can_be_built(tmp_path):
     )
 
     assert done.returncode == 0, done.stderr
-    assert "localizes the robots from the contacts" in (tmp_path / "site/index.html").read_text()
+    assert "engine on" in (tmp_path / "site/index.html").read_text()
     front = (tmp_path / "site/index.html").read_text()
     assert front.index("growing.webp") < front.index('id="start"')
     assert 'id="view"' in (tmp_path / "site/example.html").read_text()
@@ -63,10 +63,13 @@ def test_every_call_is_on_its_page():
 
 @pytest.mark.parametrize("page", RUNNING, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_python_examples_run(page, tmp_path, monkeypatch):
-    """The cells of a page run from top to bottom in a copy of the repository's root."""
+    """The cells of a page run from top to bottom in a copy of the repository's root.
+
+    Of README's large swarm 60 robots do: 10,000 take minutes.
+    """
     (tmp_path / "scenarios").symlink_to(REPOSITORY / "scenarios")
     monkeypatch.chdir(tmp_path)
-    text = page.read_text()
+    text = page.read_text().replace("robots=10_000", "robots=60")
     cells = list(PYTHON.finditer(text))
 
     names: dict[str, object] = {}

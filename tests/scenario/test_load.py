@@ -388,8 +388,8 @@ def test_the_last_option_wins(scenario):
         ("sweep.robots=[1]", "1 should be greater than or equal to 2"),
         ("conditions.no-z.localization.iterations=0", "0 should be greater than or equal to 1"),
         ("conditions={a: {robots: 3}}", "a.robots: conditions change localization and sensing on"),
-        ("structure={kind: tower, departures: {x: 1}}", "departures.x: unknown key; the keys he"),
-        ("structure.mechanics={elements_per_link: 3}", "model: is missing; add it"),
+        ("structure.departures={kind: leave}", "rate: is missing; add it"),
+        ("localization={chains: 3}", "method: is missing; write it like"),
     ],
 )
 def test_a_wrong_option_is_named_instead_of_a_line(scenario, option, problem):
