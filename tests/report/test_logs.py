@@ -22,7 +22,7 @@ from tiswarm.parts.pictures import pictures
 from tiswarm.parts.pictures.pictures import build_pictures
 from tiswarm.records.estimate import MOST_WITHIN, Convergence, Estimate, Solution
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.report.swarm_view import view_log
+from tiswarm.report.swarm_view import view_data, view_log
 from tiswarm.sensing import SensingParams, observe
 
 PROBE = """
@@ -342,6 +342,24 @@ def test_pictures_show_what_is_known(log, estimate, true):
     assert [*known[1]] == ["structure", "truth-and-estimate", "error", "sd", "contact-graph"]
     assert known[1]["error"].legend.low == "error [mm]  0"
     assert known[1]["error"].legend.high == "5.00"
+
+
+def test_robots_that_left_are_not_shown(log, estimate, true, tmp_path):
+    """Pictures, exports and pages take their poses from one view; the others stay as they are."""
+    left = replace(log, gone=np.array([3]), left_after=np.array([9]))
+
+    view, every = view_log(left, estimate, true), view_log(log, estimate, true)
+    export_view(view, "csv", tmp_path, Progress())
+
+    stay = np.arange(log.robot_count) != 3
+    table = pd.read_csv(tmp_path / "estimate.csv").dropna(subset="x_mm")
+    assert table["robot"].tolist() == log.robot_id[stay].tolist()
+    assert view_data(view)["robot"] == log.robot_id[stay].tolist()
+    hubs = [
+        len(np.unique(build_pictures(v)["structure"].scene.start, axis=0)) for v in (view, every)
+    ]
+    assert hubs[0] < hubs[1]
+    assert np.array_equal(view.pose[stay], every.pose[stay])
 
 
 def test_pictures_of_map_coordinates_are_as_sharp(log, estimate, tmp_path, monkeypatch):

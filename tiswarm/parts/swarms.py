@@ -316,10 +316,11 @@ class Structure:
     def _shown(self) -> SwarmView:
         history, unknown = self.history, np.full((self.robot_count, 7), np.nan)
         unit = history.robot.dock_radius
+        pose = np.column_stack([self.position / unit, self.orientation_wxyz])
         return SwarmView(
             name=self.name,
             robot=np.arange(self.robot_count),
-            pose=np.column_stack([self.position / unit, self.orientation_wxyz]),
+            pose=np.where(self.is_gone[:, None], np.nan, pose),  # robots that left are not shown
             estimated_pose=unknown,
             error=unknown[:, 0],
             force=self.sensed_load,

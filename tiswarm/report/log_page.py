@@ -190,12 +190,8 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
         values = [("distance from the estimate", away), (SD, sd)]
         shown.append(view_data(moved, [Coloring(label, unit, value) for label, value in values]))
     notes = []
-    if len(view.log.gone):
-        notes.append("Where sd or error is the color, robots that have left are gray.")
     if estimate.sd is not None and estimate.disconnected.any():
-        notes.append(
-            "Where sd is the color, robots that are disconnected from the anchor are gray."
-        )
+        notes.append("Where sd is the color, robots disconnected from the anchor are gray.")
     if len(view.robot) > MOST_ROBOTS:
         notes.append(f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots.")
     if (left := len(solutions) - max(room, 0)) > 0:

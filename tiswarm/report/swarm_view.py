@@ -190,13 +190,12 @@ def view_log(
             with the orientation that they sensed, or that connections imply.
         name: Name of the estimate.
     """
-    turned = with_orientations(log).orientation_wxyz
+    gone = np.where(log.is_gone, np.nan, 0.0)  # robots that left are not shown
+    turned = with_orientations(log).orientation_wxyz + gone[:, None]
     unknown, unit = np.full((log.robot_count, 3), np.nan), log.dock_radius
     place, center = estimate.position / unit, unknown if true is None else true / unit
-    gone = np.where(log.is_gone, np.nan, 0.0)  # robots that left have neither error nor sd
     trace = thinned(estimate)
-    if trace is not None:
-        trace = trace._replace(center=trace.center / unit)
+    trace = trace and trace._replace(center=trace.center / unit)
     return SwarmView(
         name=name,
         robot=log.robot_id,

@@ -160,8 +160,8 @@ def blame(mistake: Mistake, settings: Sequence[Setting]) -> InputError | None:
     culprit = find_culprit(mistake, settings)
     if culprit is None:
         return None
-    within = dotted(mistake.path).removeprefix(dotted(culprit.path) + ".")
-    is_key = len(mistake.path) > len(culprit.path) and not within.startswith(dotted(culprit.path))
+    within = dotted(mistake.path).removeprefix(dotted(culprit.path)).lstrip(".")
+    is_key = within[:1] != "[" and len(mistake.path) > len(culprit.path)
     return culprit.error(f"{within}: {mistake.problem}" if is_key else mistake.problem)
 
 

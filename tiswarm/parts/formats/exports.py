@@ -86,8 +86,9 @@ def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
     """Tabulate poses in the format of `tiswarm import`, and contacts with their positions."""
     radius, unit = view.log.dock_radius, view.log.length_unit
     i, a, j, b = view.log.contacts.T
-    offsets = dock_offsets(view.best_pose[:, 3:], view.dock_offset_body)
-    dock = view.best_pose[:, None, :3] + offsets
+    pose, known = view.best_pose, np.isfinite(view.best_pose).all(axis=1)
+    dock = np.full((len(pose), len(view.dock_offset_body), 3), np.nan)  # of robots that left
+    dock[known] = pose[known, None, :3] + dock_offsets(pose[known, 3:], view.dock_offset_body)
     contacts = pd.DataFrame(
         {"robot": view.robot[j], "dock": b, "other_robot": view.robot[i], "other_dock": a}
     )
