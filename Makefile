@@ -6,7 +6,7 @@ SCENARIO = scenarios/tower.yaml
 # make test CONSTRAINTS=/dev/null takes the newest versions of all libraries.
 CONSTRAINTS = constraints.txt
 # What `make gpu` examines: cuda, vulkan or metal. A quick trial of the command itself:
-# make gpu ARCH=vulkan GPU_OPTIONS='--brief --sizes 1e3 --joint-sizes 20 40'
+# make gpu ARCH=vulkan GPU_OPTIONS='--brief --sizes 1e3 --joint-sizes 20 40 --study-sizes 12'
 ARCH = cuda
 GPU_OPTIONS =
 # Rooms whose tests `make check` runs: those without kernels and whole runs.

@@ -1,31 +1,34 @@
-"""Checks and measures a graphics card.
+"""Checks and measures a graphics card, in eight minutes.
 
     make gpu
     python -m benchmarks.gpu --arch cuda
-    python -m benchmarks.gpu --arch vulkan --brief --sizes 1e3 --joint-sizes 20 40
+    python -m benchmarks.gpu --arch vulkan --brief --sizes 1e3 --joint-sizes 20 40 --study-sizes 12
 
-It runs the doctor's trial and the tests of devices, times the swarm step beside Warp (where it is
-installed) and steps of `joint` beside the processor, and repeats a run to compare its bytes. The
-report is one file of JSON; its `faults` are empty if all is well, else the exit status is 1.
+It runs the doctor's trial, times the swarm step beside Warp (where it is installed), times steps of
+`joint` beside the processor, runs a study on processor and card, and runs the tests of devices. The
+report is one file of JSON, written anew after each row. Each part has a share of the time: rows
+that would begin later are `left_out`. Its `faults` are empty if all is well, else the exit status
+is 1.
 """
 
 import argparse
 import functools
-import hashlib
+import itertools
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from benchmarks.swarm_step import reference
-from benchmarks.swarm_step.__main__ import FEW_STEPS, FULL_SIZES, ROUNDINGS, STEPS
+from benchmarks.swarm_step.__main__ import FEW_STEPS, FULL_SIZES, ROUNDINGS, STEPS, STILL
 from benchmarks.swarm_step.engines.registry import ENGINES
 from benchmarks.swarm_step.machine import describe
 from benchmarks.swarm_step.process import EngineProcess
@@ -33,6 +36,7 @@ from benchmarks.swarm_step.scenes import Scene, StepParams, make
 from tiswarm.base.params import ARCHS
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, machine
+from tiswarm.compute.lang import ti
 from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.settings import JointParams
@@ -49,24 +53,23 @@ ROUNDS = 3
 FIRST_STEPS, TIMED_STEPS = 5, 20
 LARGEST_DEVIATION = 1e-3
 """Of robots after the first steps of `joint`, from the processor in f64 [R]."""
+UNTIL = {
+    "doctor": 0.06, "bandwidth": 0.08, "swarm_step": 0.5, "joint": 0.62, "study": 0.85, "tests": 1.0
+}  # fmt: skip
+"""Share of the time by which the last row of a part has to begin."""
+COPIED = 2**25
+"""Numbers of 4 B that are copied to measure the bandwidth."""
 
-_RUN = "{joint: {localization: {method: joint, %s}}}"
-_BRIEF = "chains: 2, steps: 20, hold_steps: 10"
+Job = tuple[str, Callable[[], dict[str, Any]]]
+"""Name of a row, and what measures it."""
 
 
 def main() -> None:
     """Measure everything, store the report, and say what is wrong."""
     options = _options()
-    arch, report = options.arch, {}
-    parts: dict[str, Callable[[], Any]] = {
-        "doctor": lambda: doctor.try_backend(arch),
-        "tests": lambda: run_tests(arch),
-        "swarm_step": lambda: _shown(row for n in options.sizes for row in time_swarm(arch, n)),
-        "joint": lambda: _shown(time_joint(arch, n) for n in options.joint_sizes),
-        "digests": lambda: compare_runs(arch, brief=options.brief),
-    }
+    arch, begin = options.arch, time.perf_counter()
     running, card = backend.start(arch), machine.find_card(arch)
-    report |= {
+    report: dict[str, Any] = {
         "arch": arch,
         "card": running.card,
         "driver": card.driver if card else "",
@@ -75,17 +78,47 @@ def main() -> None:
         "precision": running.precision,
         **describe(),
         "faults": [],
+        "left_out": [],
     }
-    for name in options.parts or parts:
-        begin = time.perf_counter()
-        report[name] = parts[name]()
-        report[f"{name}_s"] = round(time.perf_counter() - begin, 1)
-        report["faults"] = faults(report)
-        print(name, json.dumps(report[name], indent=1), flush=True)
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        options.out.write_text(json.dumps(report, indent=1) + "\n")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for part, jobs in _jobs(options, Path(folder)).items():
+            report[part] = []
+            for name, measure in jobs:
+                if time.perf_counter() - begin > UNTIL[part] * options.seconds:
+                    report["left_out"].append(f"{part}: {name}")
+                    continue
+                since = time.perf_counter()
+                report[part].append(row := measure())
+                row["took_s"] = round(time.perf_counter() - since, 1)
+                report["faults"] = faults(report)
+                print(part, json.dumps(row), flush=True)
+                options.out.write_text(json.dumps(report, indent=1) + "\n")
+    options.out.write_text(json.dumps(report, indent=1) + "\n")
     print(f"{options.out}: {'; '.join(report['faults']) or 'all is well'}")
+    for row in report["left_out"]:
+        print(f"left out: {row}")
     sys.exit(bool(report["faults"]))
+
+
+def _jobs(options: argparse.Namespace, folder: Path) -> dict[str, list[Job]]:
+    """List the rows of each part, small ones first."""
+    arch, rest = options.arch, functools.partial
+    peers = [name for name in ENGINES if f"-{arch}-" in name]
+    if arch == "cpu":
+        peers = ["tiswarm-f64", "tiswarm-f32", "warp-f64", "warp-f32"]
+    engines = itertools.product(sorted(options.sizes), peers)
+    jobs: dict[str, list[Job]] = {
+        "doctor": [(arch, lambda: {"line": str(doctor.try_backend(arch))})],
+        "bandwidth": [("copy", rest(measure_bandwidth, arch))],
+        "swarm_step": [(f"{e}, {n:,}", rest(time_swarm, e, n, folder)) for n, e in engines],
+        "joint": [(f"{n:,}", rest(time_joint, arch, n)) for n in sorted(options.joint_sizes)],
+        "study": [
+            (f"{n:,}", rest(study, arch, n, brief=options.brief)) for n in options.study_sizes
+        ],
+        "tests": [(arch, rest(run_tests, arch, 0.5 * options.seconds))],
+    }
+    return {part: jobs[part] for part in options.parts or jobs}
 
 
 def _options() -> argparse.Namespace:
@@ -95,29 +128,22 @@ def _options() -> argparse.Namespace:
     size = {"type": lambda text: int(float(text)), "nargs": "+", "metavar": "N"}
     parser.add_argument("--arch", choices=ARCHS, default="cuda")
     parser.add_argument(
-        "--sizes", **size, default=[10**4, 10**5, 10**6, 10**7], help="robots of the swarm step"
+        "--sizes", **size, default=[10**4, 10**5, 10**6], help="robots of the swarm step"
     )
     parser.add_argument("--joint-sizes", **size, default=[10**4, 10**5], help="robots of joint")
-    parser.add_argument("--parts", nargs="+", metavar="PART", help="only these parts")
-    parser.add_argument("--brief", action="store_true", help="repeat a short run only")
+    parser.add_argument(
+        "--study-sizes", **size, default=[100, 1000, 10**4], help="robots of the study"
+    )
+    parser.add_argument("--parts", nargs="+", choices=UNTIL, help="only these parts")
+    parser.add_argument("--brief", action="store_true", help="short runs of joint in the study")
+    parser.add_argument("--seconds", type=float, default=480.0, help="time for all (480)")
     parser.add_argument("--out", type=Path, default=Path("reports/gpu.json"))
     return parser.parse_args()
 
 
-def _shown(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Print rows as they are measured, which takes minutes."""
-    found = []
-    for row in rows:
-        print(json.dumps(row), flush=True)
-        found.append(row)
-    return found
-
-
-def faults(report: dict[str, Any]) -> list[str]:
+def faults(report: Mapping[str, Any]) -> list[str]:
     """List what a card may not do."""
-    found = []
-    if not report.get("tests", {"passed": True})["passed"]:
-        found.append("tests of devices fail")
+    found = ["tests of devices fail" for row in report.get("tests", ()) if not row["passed"]]
     found += [
         f"{row['engine']}, {row['robots']} robots: {row['note']}"
         for row in report.get("swarm_step", ())
@@ -128,52 +154,103 @@ def faults(report: dict[str, Any]) -> list[str]:
         for row in report.get("joint", ())
         if not row["deviation_R"] <= LARGEST_DEVIATION
     ]
-    if len(set(report.get("digests", ()))) > 1:
-        found.append("two runs differ")
+    for row in report.get("study", ()):
+        for what, text in (("repeats", "two runs differ"), ("equal_truth", "growth differs")):
+            if not row[what]:
+                found.append(f"study, {row['robots']} robots: {text}")
     return found
 
 
-def run_tests(arch: str) -> dict[str, Any]:
+def run_tests(arch: str, seconds: float) -> dict[str, Any]:
     """Run the tests of devices on this card."""
     # An empty -m takes tests at full size, too: those of devices are.
     options = ["-q", "-n", "0", "-m", "", "tests/compute/test_devices.py"]
-    done = subprocess.run(  # noqa: S603 - our own tests
-        [sys.executable, "-m", "pytest", *options],
-        env=os.environ | {"TISWARM_TEST_ARCH": arch},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
+    try:
+        done = subprocess.run(  # noqa: S603 - our own tests
+            [sys.executable, "-m", "pytest", *options],
+            env=os.environ | {"TISWARM_TEST_ARCH": arch},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+            timeout=seconds,
+        )
+    except subprocess.TimeoutExpired:
+        return {"passed": False, "output": [f"not done after {seconds:g} s"]}
     return {"passed": done.returncode == 0, "output": done.stdout.splitlines()[-12:]}
 
 
-def time_swarm(arch: str, robots: int) -> Iterator[dict[str, Any]]:
-    """Time the swarm step of every engine of a device, and check its initial forces."""
+def measure_bandwidth(arch: str) -> dict[str, Any]:
+    """Copy an array on the device: the bytes a second of a kernel that only reads and writes."""
+
+    @ti.kernel
+    def copy(source: ti.types.ndarray(dtype=ti.f32, ndim=1), to: ti.types.ndarray(ti.f32, ndim=1)):  # noqa: ANN202 - a kernel
+        for k in range(source.shape[0]):
+            to[k] = source[k]
+
+    backend.start(arch)
+    source, to = ti.ndarray(ti.f32, COPIED), ti.ndarray(ti.f32, COPIED)
+    taken = []
+    for _ in range(1 + ROUNDS):
+        begin = time.perf_counter()
+        for _ in range(8):
+            copy(source, to)
+        ti.sync()
+        taken.append((time.perf_counter() - begin) / 8)
+    return {"GB_per_s": 2 * 4e-9 * COPIED / min(taken)}
+
+
+@functools.cache
+def scene_file(robots: int, folder: Path) -> tuple[Path, float, float]:
+    """Write a scene with its initial forces; return file, largest coordinate, entries a robot."""
     params, base = StepParams(), make("block", min(robots, TILE), seed=0)
     copies = robots // len(base.position)
     scene = tiled(base, copies)
-    steps = FEW_STEPS if robots >= FULL_SIZES[-1] else STEPS
     force = np.tile(reference.force(base, params, base.position), (copies, 1))
-    farthest = float(np.abs(scene.position).max())
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "scene.npz"
-        np.savez(file, **vars(scene), force=force, steps=steps)
-        for engine in (name for name in ENGINES if f"-{arch}-" in name):
-            process = EngineProcess(engine, file)
-            row = {"engine": engine, "robots": robots, "note": process.missing}
-            if not process.missing:
-                process.ask(do="run", steps=steps, max_step=params.max_step)  # warms up
-                row |= process.ask(do="check")
-                allowed = ROUNDINGS * np.finfo(ENGINES[engine].precision).eps * (farthest + 1.0)
-                row["note"] = "" if row["force_error"] <= allowed else "WRONG"
-                taken = [
-                    process.ask(do="run", steps=steps, max_step=params.max_step)["wall_s"]
-                    for _ in range(ROUNDS)
-                ]
-                row["step_ns"] = 1e9 * float(np.median(taken)) / (len(scene.position) * steps)
-                process.stop()
-            yield row
+    file = folder / f"{robots}.npz"
+    np.savez(file, **vars(scene), force=force, steps=_steps(robots))
+    dock = (base.position[:, None] + base.dock_offset).reshape(-1, 3)
+    pairs = len(cKDTree(dock).query_pairs(params.spacing + params.skin, output_type="ndarray"))
+    return file, float(np.abs(scene.position).max()), 2.0 * pairs / len(base.position)
+
+
+def _steps(robots: int) -> int:
+    """Steps of a run."""
+    return FEW_STEPS if robots >= FULL_SIZES[-1] else STEPS
+
+
+def time_swarm(engine: str, robots: int, folder: Path) -> dict[str, Any]:
+    """Time the swarm step of an engine, and check its initial forces.
+
+    A run of one step is mostly work of the host, the intercept. The slope of longer runs without
+    stale lists is the step alone; the rest of a usual run is lists.
+    """
+    params, steps = StepParams(), _steps(robots)
+    file, farthest, entries = scene_file(robots, folder)
+    process = EngineProcess(engine, file)
+    row: dict[str, Any] = {"engine": engine, "robots": robots, "note": process.missing}
+    if process.missing:
+        return row
+    process.ask(do="run", steps=steps, max_step=params.max_step)  # warms up
+    row |= process.ask(do="check")
+    precision = np.finfo(ENGINES[engine].precision)
+    allowed = ROUNDINGS * precision.eps * (farthest + 1.0)
+    row["note"] = "" if row["force_error"] <= allowed else "WRONG"
+    runs = ((steps, params.max_step), (1, STILL), (1 + steps, STILL))
+    whole, one, long = np.median(
+        [
+            [process.ask(do="run", steps=count, max_step=move)["wall_s"] for count, move in runs]
+            for _ in range(ROUNDS)
+        ],
+        axis=0,
+    )
+    process.stop()
+    per = 1e9 / (robots * steps)
+    # Of a robot: entries and its two rows' numbers; centers and docks, read and written; arms.
+    moved = 4.0 * (entries + 6.0) + precision.bits / 8.0 * (6.0 + 3.0 + 9.0 + 24.0)
+    row |= {"step_ns": whole * per, "step_alone_ns": (long - one) * per, "call_of_one_s": one}
+    row["step_alone_GB_per_s"] = moved / row["step_alone_ns"]
+    return row
 
 
 def tiled(base: Scene, copies: int) -> Scene:
@@ -221,23 +298,48 @@ def time_joint(arch: str, robots: int) -> dict[str, Any]:
     return row | {"chains": annealer.chains, "deviation_R": deviation}
 
 
-def compare_runs(arch: str, *, brief: bool) -> list[str]:
-    """Run a scenario twice; return the digests of its estimates."""
-    digests = []
-    for _ in range(2):
+def study(arch: str, robots: int, *, brief: bool) -> dict[str, Any]:
+    """Run `together` and `joint` of a scenario on the processor and twice on a device.
+
+    Returns:
+        Time of localization [s] and RMSE [R] by device and method; whether structures are the same
+        on both, and whether the device gives the same bytes again.
+    """
+    joint = "chains: 2, steps: 20, hold_steps: 10" if brief else "chains: 4"
+    joint = f"localization: {{method: joint, {joint}}}"
+    settings = [
+        f"sweep={{robots: [{robots}]}}", f"structure.movers={max(robots // 100, 1)}",
+        f"structure.solve_every={max(robots // 50, 1)}", "seeds=1",
+        f"conditions={{together: {{localization.schedule: together}}, joint: {{{joint}}}}}",
+    ]  # fmt: skip
+    cases = []
+    for name in ("cpu", arch, arch):
         with tempfile.TemporaryDirectory() as out:
-            settings = [
-                f"robots={12 if brief else 100}", "seeds=1",
-                f"conditions={_RUN % (_BRIEF if brief else 'chains: 8')}",
-            ]  # fmt: skip
-            command = ["run", "scenarios/tower.yaml", "--no-pictures", "--quiet", "--arch", arch]
+            command = ["run", "scenarios/scaling.yaml", "--no-pictures", "--quiet", "--arch", name]
             command += ["--out", out, *(part for text in settings for part in ("--set", text))]
             subprocess.run(  # noqa: S603 - our own command
                 [sys.executable, "-m", "tiswarm", *command], check=True
             )
-            [estimate] = Path(out).glob("*/cases/*/estimate.csv")
-            digests.append(hashlib.sha256(estimate.read_bytes()).hexdigest())
-    return digests
+            folders = sorted(Path(out).glob("*/cases/*"))
+            cases.append({f.name.split(",")[1]: _case(f) for f in folders})
+    row: dict[str, Any] = {"robots": robots}
+    for key, place in (("equal_truth", 0), ("repeats", 1)):
+        file = ("truth.csv", "estimate.csv")[place]
+        pairs = zip(cases[place].values(), cases[place + 1].values(), strict=True)
+        row[key] = all(one["files"][file] == other["files"][file] for one, other in pairs)
+    for name, found in zip(("cpu", "card"), cases, strict=False):
+        for method, case in found.items():
+            row[f"{name}_{method}_s"] = case["localize_s"]
+            row[f"{name}_{method}_rmse_R"] = case["scores"]["rmse_R"]
+    return row
+
+
+def _case(folder: Path) -> dict[str, Any]:
+    """Read scores, digests and time of localization of a case."""
+    cost = json.loads((folder / "cost.json").read_text())
+    return json.loads((folder / "case.json").read_text()) | {
+        "localize_s": cost["localize"]["wall_s"]
+    }
 
 
 if __name__ == "__main__":

@@ -28,31 +28,52 @@ def test_faults_are_listed():
         {"engine": "warp-cuda-f32", "robots": 10, "note": "ImportError"},
         {"engine": "tiswarm-cuda-f32", "robots": 10, "note": "WRONG"},
     ]
+    study = {"robots": 10, "repeats": False, "equal_truth": False}
     report = {
-        "tests": {"passed": False},
+        "tests": [{"passed": False}],
         "swarm_step": swarm,
         "joint": [{"robots": 10, "deviation_R": np.nan}],
-        "digests": ["a", "b"],
+        "study": [study],
     }
 
     assert gpu.faults(report) == [
         "tests of devices fail",
         "tiswarm-cuda-f32, 10 robots: WRONG",
         "joint, 10 robots: off by nan R",
-        "two runs differ",
+        "study, 10 robots: two runs differ",
+        "study, 10 robots: growth differs",
     ]
     assert gpu.faults({}) == []
 
 
 @pytest.mark.trial
-def test_the_command_writes_one_report(tmp_path):
-    """On the processor, beside itself, since tests have no card."""
+@pytest.mark.parametrize("parts", [("doctor", "bandwidth", "swarm_step"), ("joint", "study")])
+def test_the_command_writes_one_report(tmp_path, parts):
+    """On the processor, beside itself, since tests have no card; all but the tests of devices."""
     out = tmp_path / "report.json"
 
-    done = call("gpu", "--arch", "cpu", "--parts", "joint", "--joint-sizes", 20, "--out", out)
+    sizes = ("--sizes", 300, "--joint-sizes", 20, "--study-sizes", 12)
+    done = call("gpu", "--arch", "cpu", "--brief", "--parts", *parts, *sizes, "--out", out)
 
     assert done.returncode == 0, done.stderr
     report = json.loads(out.read_text())
-    assert report["faults"] == []
+    assert report["faults"] == report["left_out"] == []
     assert report["library"].startswith(("taichi", "quadrants"))
-    assert report["joint"][0]["deviation_R"] == 0.0
+    assert all(report[part] for part in parts)
+    ours = [row for row in report.get("swarm_step", ()) if row["engine"].startswith("tiswarm")]
+    assert all(row["step_alone_GB_per_s"] > 0.0 and row["step_ns"] > 0.0 for row in ours)
+    assert [row["deviation_R"] for row in report.get("joint", ())] in ([], [0.0])
+    for row in report.get("study", ()):
+        for method in ("joint", "together"):
+            assert row[f"cpu_{method}_rmse_R"] == row[f"card_{method}_rmse_R"]
+
+
+@pytest.mark.trial
+def test_rows_beyond_the_time_are_left_out(tmp_path):
+    """And named, in a report that is written all the same."""
+    out = tmp_path / "report.json"
+
+    done = call("gpu", "--arch", "cpu", "--parts", "joint", "--seconds", 0, "--out", out)
+
+    assert done.returncode == 0, done.stderr
+    assert json.loads(out.read_text())["left_out"] == ["joint: 10,000", "joint: 100,000"]
