@@ -7,13 +7,14 @@ import pytest
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.records.run_folder import MAX_VARIANT_NAME
 from tiswarm.scenario import model
-from tiswarm.scenario.expansion import find_mistakes, variants
-from tiswarm.scenario.model import Scenario
+from tiswarm.scenario.expansion import find_mistakes, load_scenario, plan, variants
+from tiswarm.scenario.model import Scenario, dump_scenario
 from tiswarm.world.params import TowerParams
 
 
@@ -89,7 +90,9 @@ def test_keys_of_one_entry_change_together():
             "should be greater than or equal to 1",
         ),
         ("{robots: [10], 'structure.movers, robots': [[1, 20]]}", "robots is swept already"),
-        ("{'robots, seeds': [[10, 1]]}", "cannot be swept"),
+        ("{'robots, question': [[10, 1]]}", "cannot be swept"),
+        ("{'robots, threads': [[10, 0]]}", "should be greater than or equal to 1"),
+        ("{'robots, arch': [[10, auto]]}", "should be 'cpu', 'cuda', 'vulkan' or 'metal'"),
     ],
 )
 def test_rows_that_do_not_fit_are_reported_with_their_line(tmp_path, sweep, problem):
@@ -259,3 +262,28 @@ def test_a_mistake_of_two_together_names_the_case(two_methods):
 
     with pytest.raises(InputError, match=r"^conditions.a.localization.trace_every: unknown key"):
         variants(wrong)
+
+
+def test_points_have_their_own_seeds():
+    """Large structures may be fewer; cases of other points stay as they are."""
+    rows = {"robots, seeds": [[10, 3], [20, [7]]]}
+    tower = REPOSITORY / "tests" / "tower.yaml"
+    few = load_scenario(tower, [f"sweep={rows}", "conditions={a: {}}"])
+
+    assert [(case.settings.robots, case.seed) for case in plan(few).cases] == [
+        *((10, seed) for seed in range(3)),
+        (20, 7),
+    ]
+
+
+def test_threads_and_devices_make_cases_of_their_own():
+    """A device shares the structures of others; growth is timed at each number of threads."""
+    swept = {"threads": [1, 2], "arch": ["cpu", "cuda"]}
+    tower = REPOSITORY / "tests" / "tower.yaml"
+    four = plan(load_scenario(tower, [f"sweep={swept}", "seeds=1", "conditions={a: {}}"]))
+
+    assert [case.name for case in four.cases] == [
+        f"0-threads={n},arch={arch},a" for n in (1, 2) for arch in ("cpu", "cuda")
+    ]
+    assert [len(group) for group in four.structures] == [2, 2]
+    assert "threads" not in dump_scenario(load_scenario(tower))  # folders keep their names

@@ -244,7 +244,7 @@ REFUSED = [
         "\"[1]\" should be one of 'virtual-force'",
     ),
     (f"{SMALL}localization: {{method: 'a\n\n  b'}}", 3, "localization.method", '"a\\nb" should'),
-    (f"{SMALL}sweep:\n  seeds: [1]", 4, "sweep.seeds", "cannot be swept; sweep robots, "),
+    (f"{SMALL}sweep:\n  question: [cues]", 4, "sweep.question", "cannot be swept; sweep robots, "),
     (f"{SMALL}sweep:\n  robot.rh: [1]", 4, "sweep.robot.rh", "unknown key; did you mean rho?"),
     (
         f"{SMALL}sweep:\n  structure:\n    - {{kind: tower}}\n    - kind: tower\n      climb: 3",

@@ -137,6 +137,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "render": "tiswarm.parts.pictures.pictures",
         "run --plan": "tiswarm.parts.forecast:forecast",
         "run --workers": "tiswarm.parts.forecast:fewer",
+        "run: scaling": "tiswarm.parts.forecast:scaling",
         "run --scheduler": "tiswarm.parts.cluster:connected",
         "renderer": "tiswarm.parts.pictures.raycast",
         "rule": "tiswarm.parts.growth:climb",

@@ -185,6 +185,7 @@ def by_join(history: History) -> pd.DataFrame:
             "calling": [s.calling for s in loads],
             "recruited": np.cumsum([walk.recruited for walk in walks]),
             "flips": [walk.stance_count - 1 for walk in walks],
+            "round": [walk.round for walk in walks],
             "contacts": np.bincount(history.contacts_at_join[:, 2], minlength=len(walks)),
             "ground_docks": np.bincount(standing, minlength=len(walks)),
             "on_anchor": np.cumsum(np.isin(joined - 1, _on_anchor(history))),

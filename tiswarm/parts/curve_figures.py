@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from tiswarm.records.measures import MAIN, RMSE, STEPS
+from tiswarm.records.measures import BUILT_FOR, HEIGHT, MAIN, RMSE, STEPS
 from tiswarm.records.messages import three_digits
 from tiswarm.report import figure_style
-from tiswarm.report.run_data import RunData, with_points
+from tiswarm.report.run_data import RunData, stated_scenario, with_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,13 +31,47 @@ PROFILED = {
     "contacts": "Contacts of the robot",
     "hops_apart": "Hops between two robots",
 }
+_GROWN = {
+    HEIGHT.column: HEIGHT.axis,
+    "makespan_flips": "Time to build [flips]",
+    "sensed_max": "Largest load sensed [dock weights]",
+}
+_RATES = {
+    "robot_steps_per_cpu_s": "Localization [robot steps per CPU s]",
+    "peak_memory_MB": "Process, peak memory [MB]",
+}
 SCALING_PANELS = {
     **{measure.column: measure.axis for measure in MAIN},
+    **_GROWN,
     "grow_cpu_s": "Growth, CPU time [s]",
     "localize_cpu_s": "Localization, CPU time [s]",
-    "localize_wall_s": "Localization, wall time [s]",
-    "localize_peak_memory_MB": "Process, peak memory [MB]",
+    **_RATES,
 }
+"""Panels of `figures/scaling.png` by measure, against the number of robots."""
+
+_TIMES = {
+    "grow_wall_s": "Growth, wall time [s]",
+    "localize_wall_s": "Localization, wall time [s]",
+    "total_wall_s": "All stages, wall time [s]",
+    "structures_per_wall_s": "Structures per s",
+    "total_cpu_s": "All stages, CPU time [s]",
+    "peak_memory_MB": _RATES["peak_memory_MB"],
+}
+_AXES: Mapping[str, tuple[str, str, Mapping[str, str]]] = {
+    "robots": ("Robots N", "N", SCALING_PANELS),
+    "threads": ("CPU threads", "T", _TIMES),
+    "workers": ("Processes", "P", _TIMES),
+    "movers": (
+        "Robots that climb at once", "M",
+        {
+            **_GROWN, "growth_rounds": "Time to build [rounds]", "flips": "All flips",
+            "grow_cpu_s": SCALING_PANELS["grow_cpu_s"],
+        },
+    ),
+}  # fmt: skip
+"""By column of `scaling.csv`, its label, its symbol and the panels against it."""
+
+_MOST_SERIES = 8
 
 
 CAPTIONS = {
@@ -50,8 +84,10 @@ CAPTIONS = {
     "the best and the worst series cover the errors of 80 % of these robots. Numbers above count "
     "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
     "between two robots. Of many series, each has a small panel with RMSE by hops alone.",
-    "scaling": "Accuracy and cost against the number of robots N, on logarithmic axes. The legends "
-    "state the power of N that fits all sizes, and the last two.",
+    "scaling": "Accuracy, size, time to build and cost against the number of robots N (or of "
+    "threads, processes or climbing robots), on logarithmic axes. Numbers above state the power of "
+    "N that fits all sizes, and the last two. Bands of the best and the worst series cover all "
+    "structures. A round of growth takes as long as the longest of its walks.",
 }
 """What the figures show, by file name."""
 
@@ -253,52 +289,89 @@ def _count(axes: "Axes", places: "pd.Series[float]", counts: "pd.Series[float]")
 def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     """Draw means over structures against the number of robots N on logarithmic axes.
 
-    Panels state the power of N fitted to all sizes, and to the two largest. Where all series are
-    equal, one gray line stands for all.
+    Panels state the power of N fitted to all sizes, and to the two largest. Bands of the best and
+    the worst series cover all structures. Where all series are equal, one gray line stands for all.
+    Threads, workers or movers take the place of N in a study of these.
     """
-    numbers = ["robots", "mean", "exponent", "slope"]
-    table = run.table("scaling.csv", ["series", "measure"], numbers, after="measure")
-    panels = figure_style.Panels(4.4, len(SCALING_PANELS), 3, most=most)
-    sizes = sorted(set(table["robots"]))
-    labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k
-    names = list(dict.fromkeys(table["series"]))
-    legend = {}
-    for axes, (measure, label) in panels.each(SCALING_PANELS.items()):
-        rows = table[(table["measure"] == measure) & (table["mean"] > 0.0)]
-        parts = [rows[rows["series"] == name] for name in names]
-        means = {tuple(part["mean"]) for part in parts}
-        one_for_all = len(means) == 1 < len(parts)
-        for place, part in enumerate(parts[:1] if one_for_all else parts):
-            look = {
-                **figure_style.marker_style(place),
-                "linewidth": figure_style.line_style(place)["linewidth"],
-            }
-            if one_for_all:
-                look["color"] = "0.4"
-            (line,) = axes.plot(part["robots"], part["mean"], markersize=3.0, **look)
-            legend["all series" if one_for_all else names[place]] = line
-            axes.annotate(
-                _powers(part), (0.0, 1.0), (3.0, 3.0 + 8.0 * place), color=look["color"],
-                xycoords="axes fraction", textcoords="offset points", fontsize=6.0,
-            )  # fmt: skip
+    table = run.table("scaling.csv", ["series", "measure"], ["mean"], after="measure")
+    column = str(table.columns[2])
+    label, symbol, panels_of = _AXES[column]
+    numbers = sorted(set(table[column]))
+    ticks = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in numbers]  # noqa: PLR2004 - k
+    every = list(dict.fromkeys(table["series"]))
+    names, left_out = every[:_MOST_SERIES], len(every[_MOST_SERIES:])
+    table = table[table["series"].isin(names) & (table["mean"] > 0.0)]
+    shown = _built_for(
+        run, {m: text for m, text in panels_of.items() if m in set(table["measure"])}
+    )
+    panels = figure_style.Panels(2.2 * -(-len(shown) // 3), len(shown), 3, most=most)
+    legend: dict[str, Any] = {}
+    for axes, (measure, text) in panels.each(shown.items()):
+        rows = table[table["measure"] == measure]
+        _draw_powers(axes, rows, names, legend, (column, symbol))
         figure_style.set_log(axes, "x")
-        axes.set(xlabel="Robots N", ylabel=label)
-        axes.set_xticks(sizes, labels)
+        axes.set(xlabel=label, ylabel=text)
+        axes.set_xticks(numbers, ticks)
         axes.minorticks_off()
         if measure.endswith("_MB"):
             axes.set_ylim(0.0, 1.1 * rows["mean"].max())
         else:
             figure_style.fit_axis(axes, "y", rows["mean"].to_numpy(float))
-    shown = [name for name in (*names, "all series") if name in legend]
-    panels.legend(entries={name: legend[name] for name in shown}, loc="outside upper right")
-    powers = "powers of N are fitted to all sizes, then to the two largest"
+    entries = {name: legend[name] for name in (*names, "all series") if name in legend}
+    panels.legend(entries=entries, loc="outside upper right")
+    powers = f"powers of {symbol} are fitted to all points, then to the two largest"
     fitted = table["exponent"].notna().any()
-    return panels.finish(powers if fitted else "", run.note)
+    more = figure_style.left_out(left_out, "scaling.csv")
+    return panels.finish(powers if fitted else "", more, run.note)
 
 
-def _powers(part: "pd.DataFrame") -> str:
-    """Write the powers of N that fit a series."""
+def _built_for(run: RunData, panels: Mapping[str, str]) -> dict[str, str]:
+    """Show the reach of cantilevers and the depth of chains in place of the height of towers."""
+    structure = stated_scenario(run.folder).get("structure") or {}
+    aim = BUILT_FOR.get(str(structure.get("kind")), HEIGHT)
+    aims = {HEIGHT.column: (aim.column, aim.axis)}
+    return dict(aims.get(measure, (measure, text)) for measure, text in panels.items())
+
+
+def _draw_powers(
+    axes: "Axes",
+    rows: pd.DataFrame,
+    names: list[str],
+    legend: dict[str, Any],
+    against: tuple[str, str],
+) -> None:
+    """Draw the series of a measure with their powers, and add their lines to a legend."""
+    column, symbol = against
+    parts = {name: rows[rows["series"] == name] for name in names}
+    means = {tuple(part["mean"]) for part in parts.values()}
+    one_for_all = len(means) == 1 < len(parts)
+    drawn = {"all series": parts[names[0]]} if one_for_all else parts
+    ranked = sorted(
+        (n for n, p in drawn.items() if len(p)), key=lambda n: drawn[n]["mean"].iloc[-1]
+    )
+    for place, (name, part) in enumerate(drawn.items()):
+        if part.empty:  # a method that states no steps, for example
+            continue
+        look = {
+            **figure_style.marker_style(place),
+            "linewidth": figure_style.line_style(place)["linewidth"],
+        }
+        if one_for_all:
+            look["color"] = "0.4"
+        (legend[name],) = axes.plot(part[column], part["mean"], markersize=3.0, **look)
+        if name in {*ranked[:1], *ranked[-1:]} and "least" in part:
+            axes.fill_between(
+                part[column], part["least"], part["most"], color=look["color"], alpha=0.15, lw=0.0
+            )
+        axes.annotate(
+            _powers(part, symbol), (0.0, 1.0), (3.0, 3.0 + 8.0 * place), color=look["color"],
+            xycoords="axes fraction", textcoords="offset points", fontsize=6.0,
+        )  # fmt: skip
+
+
+def _powers(part: "pd.DataFrame", symbol: str) -> str:
+    """Write the powers of a number that fit a series."""
     if part.empty or pd.isna(part["exponent"].iloc[0]):
         return ""
     every, largest = part["exponent"].iloc[0], part["slope"].iloc[-1]
-    return f"N^{every:.2f}, last N^{largest:.2f}"
+    return f"{symbol}^{every:.2f}, last {symbol}^{largest:.2f}"

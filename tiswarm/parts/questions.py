@@ -199,7 +199,7 @@ def _paper_order(table: pd.DataFrame) -> str:
 def scaling(results: Results) -> str:
     """State errors and exponents of RMSE and CPU time against the number of robots N."""
     table = results.scaling
-    if table.empty:
+    if table.empty or "robots" not in table:  # threads, workers or movers
         return ""
     table = table[table["mean"].notna()]
     rmse, time = (table[table["measure"] == name] for name in (RMSE.column, "localize_cpu_s"))

@@ -405,8 +405,8 @@ def read_scaling(folder: Path, labels: run_data.Labels) -> pd.DataFrame:
     path = folder / "scaling.csv"
     if not path.exists():
         return pd.DataFrame()
-    numbers = ["mean", "exponent", "slope"]
-    read = read_frame(path, ["series", "measure"], ["robots"], gaps=numbers, empty=True)
+    words = ["series", "measure"]
+    read = read_frame(path, words, numbers_after="measure", empty=True)
     return labels.put(read)
 
 

@@ -366,8 +366,10 @@ class Plan:
 
 def plan(scenario: Scenario) -> Plan:
     """List every case of a scenario."""
-    points, seeds = variants(scenario), scenario.seed_list
-    cases = [Case(seed=seed, variant=point) for point in points for seed in seeds]
+    points = variants(scenario)
+    cases = [
+        Case(seed=seed, variant=point) for point in points for seed in point.settings.seed_list
+    ]
     kinds = {point.label: structure_kind(point.settings) for point in points}
 
     def key(case: Case) -> tuple[tuple[int, str], int]:
@@ -383,4 +385,6 @@ def structure_kind(settings: Scenario) -> tuple[int, str]:
     structure = settings.structure
     by_estimate = structure.navigate_by == "estimate"
     known = (settings.sensing, settings.localization) if by_estimate else ()
-    return settings.robots, repr((structure, settings.robot, *known))
+    at = settings.threads, settings.workers  # growth takes a time of its own with each
+    timed = () if at == (None, None) else at
+    return settings.robots, repr((structure, settings.robot, *known, *timed))

@@ -5,6 +5,7 @@ No other room holds the truth and an estimate together.
 
 from tiswarm.scenario.expansion import plan
 from tiswarm.study.executors import Execution
-from tiswarm.study.run import open_folder, run, tabulate
+from tiswarm.study.run import run
+from tiswarm.study.tables import open_folder, tabulate
 
 __all__ = ["Execution", "open_folder", "plan", "run", "tabulate"]

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -21,11 +21,12 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
-from tiswarm.base.errors import InputError, TiswarmError
+from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.base.parts import find
 from tiswarm.base.process import child_command
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend, kernel_cache
+from tiswarm.scenario.model import Scenario
 from tiswarm.study.runner import Job, Outcome, run_job
 
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job
@@ -65,6 +66,19 @@ class Execution:
         if self.scheduler is not None:
             return 0
         return self.workers or int((self.workers, self.case_limit_s) != (None, None))
+
+
+def require_cores(points: Collection[Scenario]) -> None:
+    """Refuse threads and workers of a scenario beyond the cores that this process may use.
+
+    Raises:
+        EnvironmentTroubleError: a point asks for more.
+    """
+    most = backend.available_threads()
+    for key in ("threads", "workers"):
+        if (many := max(getattr(settings, key) or 0 for settings in points)) > most:
+            problem = f"{key}: {many} are more than the {most} cores of this process"
+            raise EnvironmentTroubleError(f"{problem}; choose fewer")
 
 
 class _JobError(Exception):

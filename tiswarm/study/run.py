@@ -7,8 +7,8 @@ import shlex
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass
-from itertools import chain
+from dataclasses import dataclass, replace
+from itertools import chain, groupby
 from pathlib import Path
 
 from tiswarm.base import errors
@@ -16,11 +16,10 @@ from tiswarm.base.params import AnyArch, Arch
 from tiswarm.base.parts import PluginError
 from tiswarm.base.progress import Progress
 from tiswarm.localization import methods
-from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted
-from tiswarm.scenario.expansion import Group, Plan, load_scenario, plan
+from tiswarm.scenario.expansion import Group, Plan, plan
 from tiswarm.scenario.model import Scenario
-from tiswarm.study.executors import Execution, Executor, open_executor, reason
+from tiswarm.study.executors import Execution, Executor, open_executor, reason, require_cores
 from tiswarm.study.runner import Job, Outcome, batch, failure
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.study.tables import write_tables
@@ -85,12 +84,15 @@ def run(
         outcomes: list[Outcome] = []
         if missing:
             folder.reopen(progress, computes=execution.scheduler is None)
-            with open_executor(execution, threads, progress) as executor:
-                jobs = batch(
-                    missing, folder, arch=running, threads=executor.threads, width=executor.width,
-                    alone=execution.case_limit_s is not None,  # to find the one that hangs
-                )  # fmt: skip
-                outcomes = compute(jobs, executor, progress, fail_fast=execution.fail_fast)
+            for workers, alike in groupby(missing, lambda group: group[0].settings.workers):
+                here = replace(execution, workers=workers) if workers else execution
+                with open_executor(here, threads, progress) as executor:
+                    jobs = batch(
+                        [*alike], folder, arch=running, threads=executor.threads,
+                        width=executor.width,
+                        alone=here.case_limit_s is not None,  # to find the one that hangs
+                    )  # fmt: skip
+                    outcomes += compute(jobs, executor, progress, fail_fast=here.fail_fast)
         computed = {record.case: record for outcome in outcomes for record in outcome.records}
         records = stored | computed
         others = folder.read_cases([case for case in whole.cases if case.name not in records])
@@ -147,41 +149,19 @@ def _start_device(
         for settings in points:
             methods.require_use(used, arch, settings.precision)
         return arch
-    for precision in sorted({settings.precision for settings in points}):
-        running = methods.start_device(used, arch, threads=threads, precision=precision)
+    require_cores(points)
+    found = arch
+    for own, each, precision in sorted(
+        {(p.arch or "", p.threads or 0, p.precision) for p in points}
+    ):
+        alike = [p.localization for p in points if (p.arch or "") == own]
+        running = methods.start_device(
+            alike, own or arch, threads=each or threads, precision=precision
+        )
+        found = found if own else running.arch
     if arch != "cpu":
         progress.info(methods.where(used, running))
-    return running.arch
-
-
-def open_folder(path: Path) -> tuple[RunFolder, Plan]:
-    """Open the folder of a run, finished or not; returns it and the plan of its scenario.
-
-    Raises:
-        InputError: it is no folder of a run.
-    """
-    resolved = path / "scenario.yaml"
-    if not resolved.exists():
-        msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
-        raise errors.InputError(msg, path=path)
-    return RunFolder(path), plan(load_scenario(run_file(resolved)))
-
-
-def tabulate(path: Path, progress: Progress) -> None:
-    """Write the tables of a run folder again, from its stored cases.
-
-    Raises:
-        InputError: it is no folder of a run, or no case is intact.
-    """
-    folder, whole = open_folder(path)
-    stored = folder.read_cases(whole.cases)
-    if not stored:
-        problem = "no case of this run is intact; run the scenario again to restore them"
-        raise errors.InputError(problem, path=path)
-    if lost := len(whole.cases) - len(stored):
-        many = counted(lost, "case")
-        progress.info(f"without {many}, missing or damaged; run the scenario again to restore")
-    write_tables(path, whole, stored, folder.read_costs(whole.cases))
+    return running.arch if found == "auto" else found
 
 
 _BEAT_S = 1.0

@@ -91,7 +91,13 @@ def batch(
                 jobs.append(gathered)
                 gathered, robots = [], 0
         jobs += [gathered] if gathered else []
-    return [Job(structures=job, folder=folder, arch=arch, threads=threads) for job in jobs]
+    return [
+        Job(
+            structures=job, folder=folder, arch=arch,
+            threads=job[0][0].settings.threads or threads,
+        )
+        for job in jobs
+    ]  # fmt: skip
 
 
 KEPT_FROM_S = 10.0
@@ -144,7 +150,7 @@ class _CaseRunner:
         """
         with self.progress.task("prepare kernels", int(not _compiled)) as advance:
             self._warm_up_growth()
-            for _, alike in groupby(sorted(self.job.cases, key=_precision), key=_precision):
+            for _, alike in groupby(sorted(self.job.cases, key=_device), key=_device):
                 self._warm_up_methods(list(alike))
             advance(1)
 
@@ -174,7 +180,7 @@ class _CaseRunner:
             yield advance
 
     def _warm_up_growth(self) -> None:
-        self._choose_device("auto")
+        self._choose_device("", "auto")
         running = backend.processor()
         if self._sampled_on != running:
             settings = self.job.cases[0].settings
@@ -191,8 +197,8 @@ class _CaseRunner:
             self._sampled_on = running
 
     def _warm_up_methods(self, cases: Sequence[Case]) -> None:
-        """Choose the precision of these cases, and compile their methods."""
-        self._choose_device(_precision(cases[0]))
+        """Choose device and precision of these cases, and compile their methods."""
+        self._choose_device(*_device(cases[0]))
         for settings in [case.settings for case in cases]:
             # The code of plug-ins runs for cases alone, within their limits of time.
             if settings.localization.method in registered("method"):
@@ -207,8 +213,8 @@ class _CaseRunner:
                     localize_many([log], [_shortened(settings.localization)])
                 _compiled[method] = running
 
-    def _choose_device(self, precision: AnyPrecision) -> None:
-        backend.choose(self.job.arch, threads=self.job.threads, precision=precision)
+    def _choose_device(self, arch: Arch | Literal[""], precision: AnyPrecision) -> None:
+        backend.choose(arch or self.job.arch, threads=self.job.threads, precision=precision)
 
     def _grow(self) -> dict[int, History]:
         """Grow each structure once for all of its conditions; return them by seed."""
@@ -309,8 +315,9 @@ def _shortened(params: LocalizationParams) -> LocalizationParams:
     return replace(params, steps=4, hold_steps=2) if isinstance(params, JointParams) else params
 
 
-def _precision(case: Case) -> AnyPrecision:
-    return case.settings.precision
+def _device(case: Case) -> tuple[Arch | Literal[""], AnyPrecision]:
+    """Return device and precision of a case; the device of the job is empty."""
+    return case.settings.arch or "", case.settings.precision
 
 
 def _batches(cases: Sequence[Case], logs: Mapping[str, SensingLog]) -> Iterable[list[Case]]:
@@ -322,9 +329,9 @@ def _batches(cases: Sequence[Case], logs: Mapping[str, SensingLog]) -> Iterable[
     return batches.values()
 
 
-def _method(case: Case) -> tuple[str, AnyPrecision]:
-    """Return method, schedule and precision, which cases of a batch share."""
-    return case.settings.localization.title, case.settings.precision
+def _method(case: Case) -> tuple[str, ...]:
+    """Return method, schedule, device and precision, which cases of a batch share."""
+    return case.settings.localization.title, *_device(case)
 
 
 def _record(

@@ -6,7 +6,7 @@
 | `table.csv` | condition and point, with the paper's numbers |
 | `paired.csv` | measure and pair of conditions, on the same structures |
 | `profiles.csv` | condition and range of robots that are alike |
-| `scaling.csv` | condition, measure and number of robots |
+| `scaling.csv` | condition, measure and number of robots, threads, workers or movers |
 | `suites.csv` | condition and point, with the price of the sensors |
 """
 
@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tiswarm.base.parts import find, registered
+from tiswarm.base.errors import InputError
+from tiswarm.base.parts import find, has, registered
+from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics, paper
 from tiswarm.evaluation.tables import own_scores
@@ -28,14 +30,16 @@ from tiswarm.localization.methods import LocalizationParams
 from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records import measures
 from tiswarm.records.frames import read_frame, write_frame
+from tiswarm.records.io import run_file
+from tiswarm.records.messages import counted
 from tiswarm.records.positions import Truth, read_estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.terrain import NO_EDGE, Terrain
-from tiswarm.scenario.expansion import Group, Plan
+from tiswarm.scenario.expansion import Plan, load_scenario, plan
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.study.provenance import Cost
-from tiswarm.study.store import CaseRecord
+from tiswarm.study.store import CaseRecord, RunFolder
 
 _RECRUITMENT = ("force_threshold", "recruit_base", "recruit_limit")
 _ROUNDING_R = 1e-9
@@ -61,8 +65,8 @@ def write_tables(
         "paired": paired(records, settings),
         "profiles": profiles(records, run / "cases"),
     }
-    if len({setting.robots for setting in settings}) > 1:
-        written["scaling"] = scaling(whole.structures, stored, costs)
+    if has("command", "run: scaling"):
+        written |= find("command", "run: scaling")(run, whole.structures, stored, costs)
     if {setting.sensing.suite for setting in settings} != {SensingParams().suite}:
         written["suites"] = suites(records, settings, run / "cases")
     for name, content in written.items():
@@ -364,54 +368,31 @@ def _grouped(
     return list(groups.values())
 
 
-def scaling(
-    structures: Sequence[Group],
-    records: Mapping[str, CaseRecord],
-    costs: Mapping[str, Mapping[str, Cost]],
-) -> pd.DataFrame:
-    """Tabulate accuracy, times and memory of each stage against N, with exponents p of N^p.
+def open_folder(path: Path) -> tuple[RunFolder, Plan]:
+    """Open the folder of a run, finished or not; returns it and the plan of its scenario.
 
-    `exponent` is fitted to all sizes; `slope` is p between a size and the one before, where
-    constant costs matter less. The growth of a structure counts once for any number of its
-    conditions. Memory is that of the whole batch that a structure was computed in.
-
-    Args:
-        structures: Cases by the structure that they share, small ones first.
-        records: Records of stored cases by name.
-        costs: Costs of these cases by name and stage.
+    Raises:
+        InputError: it is no folder of a run.
     """
-    rows = []
-    for group in structures:
-        done = [case for case in group if case.name in records and records[case.name].is_done]
-        grown = _together([costs[case.name].get("grow", {}) for case in done])
-        for case in done:
-            record = records[case.name]
-            point = {key: value for key, value in record.point.items() if key != "robots"}
-            measured = {
-                name: record.scores[name] for name in (each.column for each in measures.MAIN)
-            }
-            for stage, cost in {**costs[case.name], "grow": grown}.items():
-                measured |= {f"{stage.replace(' ', '_')}_{unit}": n for unit, n in cost.items()}
-            row = {"series": replace(record, point=point).series, "robots": case.settings.robots}
-            rows += [row | {"measure": name, "mean": value} for name, value in measured.items()]
-    table = pd.DataFrame(rows, columns=["series", "measure", "robots", "mean"])
-    alike = table.groupby(["series", "measure", "robots"], sort=False, as_index=False)
-    points = alike.agg({"mean": "mean"}).sort_values("robots", kind="stable")
-    parts = [_with_powers(part) for _, part in points.groupby(["series", "measure"], sort=False)]
-    return pd.concat(parts) if parts else _with_powers(points)
+    resolved = path / "scenario.yaml"
+    if not resolved.exists():
+        msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
+        raise InputError(msg, path=path)
+    return RunFolder(path), plan(load_scenario(run_file(resolved)))
 
 
-def _together(costs: Sequence[Cost]) -> Cost:
-    """Return the cost that cases share."""
-    known = [cost for cost in costs if cost]
-    peak = max((cost["peak_memory_MB"] for cost in known), default=math.nan)
-    times = {unit: sum(cost[unit] for cost in known) for unit in ("wall_s", "cpu_s")}
-    return {**times, "peak_memory_MB": peak} if known else {}
+def tabulate(path: Path, progress: Progress) -> None:
+    """Write the tables of a run folder again, from its stored cases.
 
-
-def _with_powers(points: pd.DataFrame) -> pd.DataFrame:
-    """Add the columns `exponent` and `slope` to the means of one measure, by ascending N."""
-    robots, mean = points["robots"].to_numpy(float), points["mean"].to_numpy(float)
-    known = np.log(np.where(mean > 0.0, mean, math.nan))
-    slope = np.diff(known, prepend=math.nan) / np.diff(np.log(robots), prepend=math.nan)
-    return points.assign(exponent=metrics.power_law_exponent(robots, mean), slope=slope)
+    Raises:
+        InputError: it is no folder of a run, or no case is intact.
+    """
+    folder, whole = open_folder(path)
+    stored = folder.read_cases(whole.cases)
+    if not stored:
+        problem = "no case of this run is intact; run the scenario again to restore them"
+        raise InputError(problem, path=path)
+    if lost := len(whole.cases) - len(stored):
+        many = counted(lost, "case")
+        progress.info(f"without {many}, missing or damaged; run the scenario again to restore")
+    write_tables(path, whole, stored, folder.read_costs(whole.cases))
