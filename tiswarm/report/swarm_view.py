@@ -190,10 +190,10 @@ def view_log(
             with the orientation that they sensed, or that connections imply.
         name: Name of the estimate.
     """
-    gone = np.where(log.is_gone, np.nan, 0.0)  # robots that left are not shown
-    turned = with_orientations(log).orientation_wxyz + gone[:, None]
+    gone = np.where(log.is_gone, np.nan, 0.0)[:, None]  # robots that left are not shown
+    turned = with_orientations(log).orientation_wxyz + gone
     unknown, unit = np.full((log.robot_count, 3), np.nan), log.dock_radius
-    place, center = estimate.position / unit, unknown if true is None else true / unit
+    place, center = estimate.position / unit + gone, unknown if true is None else true / unit + gone
     trace = thinned(estimate)
     trace = trace and trace._replace(center=trace.center / unit)
     return SwarmView(
@@ -201,9 +201,9 @@ def view_log(
         robot=log.robot_id,
         pose=np.column_stack([center, turned]),
         estimated_pose=np.column_stack([place, turned]),
-        error=np.linalg.norm(place - center, axis=1) + gone,
+        error=np.linalg.norm(place - center, axis=1),
         force=unknown[:, 0],
-        sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit + gone,
+        sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit + gone[:, 0],
         dock_offset_body=log.dock_offset_body / unit,
         terrain=None if log.ground_z is None else Terrain(ground_z=log.ground_z / unit),
         read_log=lambda: log,
