@@ -260,11 +260,14 @@ function hopsOf({ robot, contacts }) {
   return hops;
 }
 
-// The colorings of a case: those of its data, hops, and the order of joining.
+// The colorings of a case: those of its data, hops, and the order of joining; the last two are counted when they are shown.
 function coloringsOf({ colors, robot, contacts }) {
   const given = colors.map((each) => ({ ...each, scale: "--errors", most: each.value.reduce((most, v) => Math.max(most, v), 0) || 1 }));
-  const counts = { "hops from the first robot": hopsOf({ robot, contacts }), "join index": robot.map((_, n) => n) };
-  return [...given, ...Object.entries(counts).map(([label, value]) => ({ label, unit: "", value, scale: "--joins", most: value.reduce((most, v) => Math.max(most, v), 1) }))];
+  const counted = (label, count) => {
+    let value;
+    return { label, unit: "", scale: "--joins", get value() { return value ||= count(); }, get most() { return this.value.reduce((most, v) => Math.max(most, v), 1); } };
+  };
+  return [...given, counted("hops from the first robot", () => hopsOf({ robot, contacts })), counted("join index", () => robot.map((_, n) => n))];
 }
 
 // Radii of a case's spheres [R], 0 where the standard deviation is unknown; undefined where no robot has one.

@@ -80,7 +80,7 @@ function manyRobots() {
   if (!program) return null;
   const uniform = (name) => gl.getUniformLocation(program, name);
   const buffers = {};
-  let shown, offsets, fine, reach, tinted; // reach: later robot of each contact; tinted: what the buffers of colors show
+  let shown, offsets, fine, reach, tinted, link; // reach: later robot of each contact; tinted: what the buffers of colors show; link: fills in contacts
   gl.useProgram(program);
   gl.enable(gl.DEPTH_TEST);
   gl.enable(gl.BLEND);
@@ -155,17 +155,30 @@ function manyRobots() {
     load(chosen, docks, middle, radii) {
       if (shown === chosen) return;
       [shown, offsets, tinted] = [chosen, docks, {}];
-      const flat = (points) => new Float32Array(points.flatMap((point) => minus(point, middle)));
-      const around = (poses, turns) => poses.map((center, n) => docksOf(center, turns[n], docks));
+      const flat = (points) => {
+        const places = new Float32Array(3 * points.length);
+        points.forEach((point, n) => SIDES.forEach((k) => { places[3 * n + k] = point[k] - middle[k]; }));
+        return places;
+      };
+      const around = (poses, turns) => {
+        const each = 3 * docks.length, places = new Float32Array(each * poses.length);
+        poses.forEach((center, n) => docksOf(minus(center, middle), turns[n], docks).forEach((dock, k) => places.set(dock, each * n + 3 * k)));
+        return places;
+      };
       const sensed = around(shown.estimate, shown.sensed);
-      const contacts = shown.contacts.slice().sort((one, two) => Math.max(one[0], one[2]) - Math.max(two[0], two[2]));
-      reach = contacts.map(([i, , j]) => Math.max(i, j));
+      link = () => { // sorting many contacts takes long: once they are wanted
+        const contacts = chosen.contacts.slice().sort((one, two) => Math.max(one[0], one[2]) - Math.max(two[0], two[2]));
+        const ends = new Float32Array(6 * contacts.length), at = (n, k) => 3 * (docks.length * n + k);
+        contacts.forEach(([i, a, j, b], n) => [at(i, a), at(j, b)].forEach((from, m) => ends.set(sensed.subarray(from, from + 3), 6 * n + 3 * m)));
+        keep("contacts", ends);
+        reach = contacts.map(([i, , j]) => Math.max(i, j));
+        link = null;
+      };
       keep("corner", new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]));
       keep("estimate", flat(shown.estimate));
-      keep("estimate docks", flat(sensed.flat()));
+      keep("estimate docks", sensed);
       keep("true", flat(shown.true));
-      keep("true docks", flat(around(shown.true, shown.turn).flat()));
-      keep("contacts", flat(contacts.flatMap(([i, a, j, b]) => [sensed[i][a], sensed[j][b]])));
+      keep("true docks", around(shown.true, shown.turn));
       if (radii) keep("spheres", new Float32Array(radii));
       keep("ground", flat(shown.ground.flat().flatMap(([a, b, c, d]) => [a, b, c, a, c, d])));
     },
@@ -191,6 +204,7 @@ function manyRobots() {
         robots("estimate", count, coloring, colorOf, tintOf("--arm"), 0);
       }
       if (wanted.contacts) {
+        link?.();
         const many = reach.findIndex((robot) => robot >= count);
         bars("contacts", "contacts", many < 0 ? reach.length : many, tintOf("--contact"), 2.5, -RAISED, { step: 24 });
       }
