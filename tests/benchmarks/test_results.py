@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import fisher_exact
 
 from benchmarks import results
 from tests.runs import REPOSITORY
@@ -263,22 +264,70 @@ def _of_gap(point):
     return _stored("all-cues", point, scenario="anchor-gap")
 
 
-@pytest.mark.parametrize(
-    ("start", "condition"),
-    [("`online` | 0 to 7", "online"), ("Algorithm 1 | 0 to 15", "algorithm-1")],
-)
-def test_the_page_of_closed_loops_has_the_file_s_flips(start, condition):
-    """Failed flips for each one taken, and the shares that went as planned."""
-    cells = _cells(_page("docs", "guides", "closed-loop.md"), start)
-    for place, structure in enumerate(("kind: tower", "kind: bridge, gap: 30.0")):
-        point = f"{{{structure}}}, structure.navigate_by=estimate"
-        failed, planned = (
-            _stored(condition, point, name, scenario="closed-loop")["value"][KIND]
-            for name in ("failed_flips", "flips_as_planned")
+BY = {"the truth": ("truth", "online"), "`online`": ("estimate", "online")}
+BY["Algorithm 1"] = ("estimate", "algorithm-1")
+
+
+def _tower(by, measure):
+    """Return the results of towers, by what their robots navigate by."""
+    navigate, condition = BY[by]
+    point = f"structure={{kind: tower}}, structure.navigate_by={navigate}"
+    found = results.read_results()
+    keys = {"scenario": "closed-loop", "condition": condition, "point": point, "measure": measure}
+    [row] = found[(found[list(keys)] == pd.Series(keys)).all(axis=1)].to_dict("records")
+    return row
+
+
+@pytest.mark.parametrize("by", BY)
+def test_the_page_of_closed_loops_has_the_file_s_towers(by):
+    """Heights, tries, failed flips and shares as planned."""
+    cells = _cells(_page("docs", "guides", "closed-loop.md"), by)
+    height, half = _numbers(cells[1])
+    found = _tower(by, "height_R")
+    assert (_is_rounded(height, found["value"]), found["structures"]) == (True, 64)
+    assert _is_rounded(half, (found["high"] - found["low"]) / 2)
+    measures = [("tries_per_robot", 1.0), ("failed_flips", 1.0), ("flips_as_planned", 100.0)]
+    for cell, (measure, unit) in zip(cells[2:], measures, strict=False):
+        if by != "the truth" or measure == "tries_per_robot":
+            assert _is_rounded(_numbers(cell)[0], unit * _tower(by, measure)["value"])
+
+
+@pytest.mark.parametrize("by", ["`online`", "Algorithm 1"])
+def test_the_page_of_closed_loops_has_the_file_s_errors(by):
+    """Errors of beliefs, and of the answer."""
+    table = _page("docs", "guides", "closed-loop.md").partition("| towers by |")[2]
+    measures = [f"belief_{name}_R" for name in ("building", "newest", "final", "per_contact")]
+    for cell, measure in zip(_cells(table, by)[1:], [*measures, "rmse_R"], strict=True):
+        assert _is_rounded(cell, _tower(by, measure)["value"])
+
+
+def _p_against(closed, others, count=64):
+    """Compute p of Fisher's exact test for two shares of as many bridges."""
+    numbers = [round(count * float(share)) for share in (closed, others)]
+    return fisher_exact([[number, count - number] for number in numbers]).pvalue
+
+
+def test_the_page_of_closed_loops_has_the_file_s_bridges_by_kind_of_error():
+    """RMSE, error between neighbors, bridges that closed, p and tries, of each kind and size."""
+    page = _page("docs", "guides", "closed-loop.md").partition("## Which errors cost bridges")[2]
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
+    rows = [row for row in rows if len(row) == 7 and row[1][0].isdigit()]
+    assert len(rows) == 12
+
+    def stored(settings, measure):
+        point = f"{{kind: bridge, gap: 30.0{settings}}}"
+        return _stored("baseline", point, measure, scenario="belief-errors")["value"][KIND]
+
+    truth = stored("", "crossed")
+    for kind, size, rmse, between, closed, p, tries in rows:
+        error = (
+            f", navigate_by: error, belief_error: {{kind: {kind}, size: {float(size.split()[0])}}}"
         )
-        assert _is_rounded(_numbers(cells[2])[place], failed)
-        assert _is_rounded(_numbers(cells[3])[place], 100.0 * planned)
-        assert abs(float(_numbers(cells[4])[place]) - 100.0 * planned / (1.0 + failed)) < 1.5
+        assert _is_rounded(rmse, stored(error, "belief_final_R"))
+        assert _is_rounded(between, stored(error, "belief_per_contact_R"))
+        assert int(_numbers(closed)[0]) == round(64 * stored(error, "crossed"))
+        assert float(p) == pytest.approx(_p_against(stored(error, "crossed"), truth), rel=0.06)
+        assert _is_rounded(tries, stored(error, "tries_per_robot"))
 
 
 @pytest.mark.parametrize(

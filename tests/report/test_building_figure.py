@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import require_alike
+from tiswarm.parts.curve_figures import painters
 from tiswarm.report.run_data import RunData
-from tiswarm.report.table_figures import painters
 
 
 @pytest.fixture
@@ -56,6 +56,18 @@ def test_rows_are_the_truth_and_each_condition(run):
     [bars] = drawn["Bridges closed [1]"].containers
     assert bars[0].get_xdata().tolist() == [0.5, 0.5, 0.5]
     assert "2 structures" in figure.legends[0].get_title().get_text()
+
+
+def test_errors_of_beliefs_have_a_row_each(run):
+    """Points that build the same kind differ in what their robots believe."""
+    errors = run.summary[run.summary["kind"] == "tower"].drop(columns="structure.navigate_by")
+    errors = errors[errors["condition"] == "online"].assign(flips_as_planned=0.9)
+    errors["point"] = errors["series"] = ["shift 1 R", "shift 1 R", "shift 3 R", "shift 3 R"]
+
+    figure = painters(RunData(run.folder, errors))["building"](RunData(run.folder, errors))
+
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert names == ["shift 1 R", "shift 3 R"]
 
 
 def test_runs_by_the_truth_have_no_such_figure(run):

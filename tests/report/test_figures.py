@@ -504,7 +504,7 @@ def test_grades_of_a_sensor_are_a_curve(run_folder):
         + "".join(f"  range-{g}: {{sensing.range_reach: 8, sensing.range: {g}}}\n" for g in grades)
     )
 
-    draw = table_figures.painters(load_run(run_folder))["grades"]
+    draw = curve_figures.painters(load_run(run_folder))["grades"]
     figure = draw(load_run(run_folder))
 
     first, second = (axes for axes in figure.axes if axes.axison)
@@ -530,7 +530,7 @@ def test_conditions_that_differ_in_two_numbers_are_no_grades(run_folder):
         + "".join(f"  m-{n}: {{localization: {{method: joint, chains: {n}}}}}\n" for n in (1, 2, 3))
     )
 
-    assert "grades" not in table_figures.painters(load_run(run_folder))
+    assert "grades" not in curve_figures.painters(load_run(run_folder))
 
 
 def test_conditions_that_differ_in_whole_settings_are_no_grades(run_folder):
@@ -542,7 +542,7 @@ def test_conditions_that_differ_in_whole_settings_are_no_grades(run_folder):
         + "".join(f"  method-{n}: {{localization: {{iterations: {n}}}}}\n" for n in (1, 2, 3))
     )
 
-    assert "grades" not in table_figures.painters(load_run(run_folder))
+    assert "grades" not in curve_figures.painters(load_run(run_folder))
 
 
 def test_shapes_are_compared_in_accuracy_and_structure(tmp_path):

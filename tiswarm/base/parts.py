@@ -133,7 +133,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "explain": "tiswarm.parts.advice.explanation",
         "grow": "tiswarm.parts.swarms",
         "import": "tiswarm.parts.formats.imports:convert",
-        "navigate": "tiswarm.parts.navigation:believe_by",
+        "navigate": "tiswarm.parts.navigation:navigate",
         "render": "tiswarm.parts.pictures.pictures",
         "run --plan": "tiswarm.parts.forecast:forecast",
         "run --workers": "tiswarm.parts.forecast:fewer",

@@ -25,7 +25,8 @@ from tiswarm.measurements.rigidity import weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.world.history import DIED, FELL, LEFT, History
+from tiswarm.world.climb_kernels import GROUND
+from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
 
 DOCK_DIAMETER = 2.0
 """The accuracy that the paper calls sufficient for attachment [R]."""
@@ -244,35 +245,52 @@ def totals(history: History) -> dict[str, float | int]:
         **({name: grown[name].iloc[-1] for name in ("left", "fell", "died") if name in grown}),
         "crossed": int(history.crossed),
         "beyond_edge": np.nan if terrain.is_plane else float(is_beyond.mean()),
-        "flips_as_planned": _flips_as_planned(history),
-        "failed_flips": _failed_flips(history),
+        **_flips(history),
+        **_beliefs(history),
         "first_on_anchor": first,
         "second_on_anchor": second,
         "third_on_anchor": third,
     }
 
 
-def _flips_as_planned(history: History) -> float:
-    """Return the share of flips planned to end at a robot that touched it then; NaN if none was."""
-    as_planned = planned = 0
-    for walk in history.walks:
-        flip = np.flatnonzero(walk.planned_robot >= 0)
-        planned += len(flip)
-        stance, _, touched, _ = walk.contacts.T
-        meant = np.column_stack([flip + 1, walk.planned_robot[flip]])
-        found = set(zip(stance.tolist(), touched.tolist(), strict=True))
-        as_planned += sum(tuple(row) in found for row in meant.tolist())
-    return as_planned / planned if planned else np.nan
+def _flips(history: History) -> dict[str, float]:
+    """Return the tries of a robot, the share that ended as planned, and those that failed.
 
-
-def _failed_flips(history: History) -> float:
-    """Return the number of flips that failed for each one taken; NaN where robots know the truth.
-
-    The way back counts in neither.
+    The way back counts in the first alone; the others are NaN where robots know the truth.
     """
-    taken = sum(len(walk.planned_robot) for walk in history.walks)
     failed = sum(int(walk.failed_flips.sum()) for walk in history.walks)
-    return failed / taken if taken else np.nan
+    taken = sum(len(walk.planned_robot) for walk in history.walks)
+    swings = sum(len(walk.pivot_dock) for walk in history.walks)
+    as_planned = sum(map(_as_planned, history.walks))
+    return {
+        "flips_as_planned": as_planned / (taken + failed) if taken else np.nan,
+        "failed_flips": failed / taken if taken else np.nan,
+        "tries_per_robot": (swings + failed) / history.robot_count,
+    }
+
+
+def _as_planned(walk: Walk) -> int:
+    """Count the flips that led a dock other than the pivot to the robot, or ground, as planned."""
+    feet = np.concatenate([walk.ground_docks, walk.edge_docks])
+    met = np.concatenate([walk.contacts[:, :3], np.insert(feet, 2, GROUND, axis=1)])
+    met = met[(met[:, 0] > 0) & (met[:, 0] <= len(walk.planned_robot))]
+    met = met[met[:, 1] != walk.pivot_dock[met[:, 0] - 1]]
+    planned = enumerate(walk.planned_robot.tolist(), start=1)
+    return len({*map(tuple, met[:, ::2].tolist())} & {*planned})
+
+
+def _beliefs(history: History) -> dict[str, float]:
+    """Return the errors of places that robots believed [R]; empty where they know the truth."""
+    found = np.array([w.belief_error for w in history.walks if len(w.belief_error)])
+    if not len(found):
+        return {}
+    building, newest, _ = np.sqrt((found**2).mean(axis=0))
+    return {
+        "belief_building_R": building,
+        "belief_newest_R": newest,
+        "belief_final_R": found[-1, 0],
+        "belief_per_contact_R": found[-1, 2],
+    }
 
 
 def _on_anchor(history: History) -> NDArray[np.int32]:

@@ -1,17 +1,31 @@
-"""Draws the figures of tables whose rows are points of a curve: rounds, profiles and scaling."""
+"""Draws the figures of rounds, grades, profiles and scaling, and of what robots build.
+
+Most have a curve for each condition or point; those of navigation have rows.
+"""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from os.path import commonprefix
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from tiswarm.records.measures import BUILT_FOR, HEIGHT, MAIN, RMSE, STEPS
-from tiswarm.records.messages import three_digits
+from tiswarm.records.measures import (
+    BUILT_FOR,
+    CROSSED,
+    FLIPS_AS_PLANNED,
+    HEIGHT,
+    MAIN,
+    REACH,
+    RMSE,
+    STEPS,
+)
+from tiswarm.records.messages import counted, three_digits
+from tiswarm.records.run_folder import LABEL
 from tiswarm.report import figure_style
-from tiswarm.report.run_data import RunData, stated_scenario, with_points
+from tiswarm.report.run_data import RunData, stated_conditions, stated_scenario, with_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,6 +93,12 @@ CAPTIONS = {
     "dot for each interval between two rounds, stated in joins, and a line for rounds that move "
     "equally many robots. Horizontal lines are conditions without rounds. Bars and bands are 95 % "
     "CI.",
+    "building": "What robots build that navigate by the truth, or by what each condition estimates "
+    "as they join. A flip is as planned if the robot then touches the one that it meant to reach. "
+    "Bars are 95 % CI.",
+    "grades": "RMSE by grade: conditions that differ in one number share a panel, and each point "
+    "of the sweep has a line. The dashed line is the first condition without a grade. Bars are "
+    "95 % CI.",
     "profiles": "RMSE of robots that are alike: by join index (order of joining), true height, "
     "hops (contacts on the shortest way to an anchor) and number of contacts. Bands of "
     "the best and the worst series cover the errors of 80 % of these robots. Numbers above count "
@@ -98,7 +118,13 @@ def painters(run: RunData) -> dict[str, figure_style.Painter]:
     rounds: dict[str, figure_style.Painter] = (
         {"back-propagation": draw_rounds} if compares_rounds(run) else {}
     )
-    return {**sizes, **rounds, **_profile_painters(run)}
+    return {
+        **sizes,
+        **rounds,
+        **_grade_painters(run),
+        **_profile_painters(run),
+        **_building_painters(run),
+    }
 
 
 def compares_rounds(run: RunData) -> bool:
@@ -375,3 +401,197 @@ def _powers(part: "pd.DataFrame", symbol: str) -> str:
         return ""
     every, largest = part["exponent"].iloc[0], part["slope"].iloc[-1]
     return f"{symbol}^{every:.2f}, last {symbol}^{largest:.2f}"
+
+
+_FEWEST_GRADES = 3
+_UNITS = {"_deg": "deg", "_noise": "R"}
+"""Units by the ends of keys."""
+
+
+def _grade_painters(run: RunData) -> dict[str, figure_style.Painter]:
+    """List the figure of graded conditions by file name, if a run has some.
+
+    Rounds of back-propagation have a figure of their own.
+    """
+    if not (run.folder / "table.csv").is_file():
+        return {}
+    table = run.table("table.csv", ["condition"], [], after="cases")
+    has_rounds = table.get("round_every", pd.Series(dtype=float)).notna().any()
+    return {} if has_rounds or not _families(run, table) else {"grades": draw_grades}
+
+
+def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
+    """Draw RMSE against the number in which conditions differ that else agree.
+
+    They share a panel, in which each point of the sweep has a line. A dashed line in its color is
+    the first condition that belongs to no panel.
+    """
+    table = run.table("table.csv", ["condition"], ["cases", RMSE.mean, RMSE.ci95], after="cases")
+    table = table[table[RMSE.mean].notna()]
+    families = _families(run, table)
+    table = with_points(table)
+    points = list(dict.fromkeys(table["point"]))
+    shown = points[: figure_style.MOST_SERIES]
+    graded = {name for family in families for name in family.names.values()}
+    plain = next((name for name in table["condition"] if name not in graded), "")
+    columns = figure_style.columns_of(len(families))
+    height = 0.6 + 2.1 * -(-len(families) // columns)
+    panels = figure_style.Panels(height, len(families), columns, share="y", most=most)
+    for axes, family in panels.each(families):
+        low, high = min(family.names), max(family.names)
+        if low > 0.0:
+            figure_style.set_log(axes, "x")
+            margin = (high / low) ** 0.05
+            axes.set_xlim(low / margin, high * margin)  # dashed lines would widen it to 1
+        for place, point in enumerate(shown):
+            rows = table[table["point"] == point].set_index("condition")
+            look = {
+                "label": point or "mean",
+                **figure_style.marker_style(place),
+            }
+            _draw_line(axes, rows, family.names, look)
+            if plain in rows.index:
+                axes.axhline(float(rows.loc[plain, RMSE.mean]), **_dashed(look))
+        figure_style.set_title(axes, family.title)
+        axes.set_xlabel(_meaning(family.keys))
+        axes.set_xticks([*family.names], [f"{grade:g}" for grade in family.names])
+        axes.minorticks_off()
+    means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
+    figure_style.fit_axis(panels.first, "y", means, nonpositive="clip")
+    panels.label_once(y=RMSE.axis)
+    level = f"; dashed: {plain}" if plain else ""
+    number = counted(int(table["cases"].max()), "structure")
+    panels.legend(f"{figure_style.mean_words(table['cases'])}, {number}{level}")
+    return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
+
+
+class _Family(NamedTuple):
+    """Conditions that differ in one number."""
+
+    title: str
+    keys: Sequence[str]  # settings that have the number
+    names: Mapping[float, str]  # of the conditions, by the number, ascending
+
+
+def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
+    """Gather conditions that set the same keys, and among these one number that differs."""
+    each = stated_conditions(run.folder).items()
+    stated = {str(entries.get(LABEL, name)): entries for name, entries in each}
+    alike: dict[tuple[str, ...], dict[str, dict[str, Any]]] = {}
+    for name in dict.fromkeys(table["condition"]):
+        if entries := stated.get(name):
+            alike.setdefault(tuple(sorted({*entries} - {LABEL})), {})[name] = entries
+    families = []
+    for keys, members in alike.items():
+        varied = [key for key in keys if len({repr(each[key]) for each in members.values()}) > 1]
+        grades: dict[float, str] = {}
+        for name, entries in members.items():
+            values = [entries[key] for key in varied]
+            if {*map(type, values)} <= {int, float} and len({*values}) == 1:
+                grades[values[0]] = name
+        if len(grades) == len(members) >= _FEWEST_GRADES:
+            title = commonprefix([*members]).rstrip("-_ .0123456789")  # noqa: RUF071 - no paths
+            families.append(_Family(title, varied, dict(sorted(grades.items()))))
+    return families
+
+
+def _meaning(keys: Sequence[str]) -> str:
+    """Name settings, with the unit that their names state."""
+    words = " = ".join(key.split(".")[-1].removesuffix("_deg").replace("_", " ") for key in keys)
+    units = [unit for end, unit in _UNITS.items() if any(key.endswith(end) for key in keys)]
+    return f"{words} [{units[0]}]" if units else words
+
+
+def _draw_line(
+    axes: "Axes", rows: pd.DataFrame, grades: Mapping[float, str], look: dict[str, Any]
+) -> None:
+    """Draw the means of graded conditions with their intervals."""
+    part = rows.reindex([*grades.values()])
+    half = part[RMSE.ci95].fillna(0.0)
+    axes.errorbar([*grades], part[RMSE.mean], yerr=half, markersize=3.0, elinewidth=0.6, **look)
+
+
+def _dashed(look: dict[str, Any]) -> dict[str, Any]:
+    return {"color": look["color"], "linestyle": "--", "linewidth": 0.8}
+
+
+_BY = "structure.navigate_by"
+_PANELS = {
+    HEIGHT: ("tower", "Tower height [R]"),
+    REACH: ("cantilever", "Cantilever reach [R]"),
+    CROSSED: ("bridge", "Bridges closed [1]"),
+    FLIPS_AS_PLANNED: ("", "Flips as planned [1]"),
+}
+"""By measure: the kind of structure that a panel shows, all if empty; its axis."""
+
+
+def _building_painters(run: RunData) -> dict[str, figure_style.Painter]:
+    """List the figure by file name, if some robots of a run navigate by estimates."""
+    planned = run.summary.get(FLIPS_AS_PLANNED.column)
+    return {"building": draw_building} if planned is not None and planned.notna().any() else {}
+
+
+def draw_building(run: RunData, most: float = np.inf) -> "Figure":
+    """Draw how high, far and often robots build, with a row for what they navigate by.
+
+    A marker is the mean of a kind of structure with its 95 % confidence interval.
+    """
+    done = run.summary[run.summary["status"] == "done"]
+    rows = done.assign(structure=_structures(done), by=_navigation(done))
+    rows = rows.drop_duplicates(["by", "structure", "seed"])  # conditions may share structures
+    names, kinds = list(dict.fromkeys(rows["by"])), list(dict.fromkeys(rows["structure"]))
+    shown = {
+        measure.column: panel
+        for measure, panel in _PANELS.items()
+        if _of_kind(rows, panel[0])[measure.column].any()
+    }
+    height = 0.9 + len(names) * (0.16 + 0.07 * len(kinds))
+    panels = figure_style.Panels(height, len(shown), len(shown), share="y", most=most)
+    for axes, (column, (kind, label)) in panels.each(shown.items()):
+        _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
+        axes.set_xlabel(label)
+        axes.set_xlim(left=0.0)
+    figure_style.label_rows(panels.first, names)
+    panels.first.invert_yaxis()
+    structures = int(rows.groupby(["by", "structure"]).size().max())
+    entries = panels.entries()
+    words = figure_style.mean_words(rows.groupby(["by", "structure"]).size())
+    panels.legend(words, entries, structures=structures, loc="outside upper right")
+    return panels.finish(run.note)
+
+
+def _navigation(done: pd.DataFrame) -> "pd.Series[str]":
+    """Name what the robots of each case go by: the truth, or the estimates of a condition.
+
+    Errors of beliefs are points of a sweep.
+    """
+    if _BY not in done and done["point"].nunique() > _structures(done).nunique():
+        return done["series"]
+    by = done.get(_BY, pd.Series("estimate", done.index))
+    return done["condition"].where(by != "truth", "the truth")
+
+
+def _structures(done: pd.DataFrame) -> "pd.Series[str]":
+    """Name the structure of each case: its kind, and of a bridge its span."""
+    span = done.get("right_edge_R", pd.Series(np.nan, done.index))
+    words = [f", {x:g} R" if np.isfinite(x) else "" for x in span]
+    return done["kind"] + pd.Series(words, done.index)
+
+
+def _of_kind(rows: pd.DataFrame, kind: str) -> pd.DataFrame:
+    return rows[rows["kind"] == kind] if kind else rows
+
+
+def _draw_panel(
+    axes: "Axes", rows: pd.DataFrame, column: str, names: list[str], kinds: list[str]
+) -> None:
+    """Draw the mean of a column for each name, a marker for each kind of structure."""
+    for index, kind in enumerate(kinds):
+        mine = rows[rows["structure"] == kind]
+        found = mine.groupby("by")[column].agg(["mean", figure_style.half_width]).reindex(names)
+        place = np.arange(len(names)) + 0.16 * (index - 0.5 * (len(kinds) - 1))
+        if found["mean"].notna().any():
+            half = found["half_width"]
+            axes.errorbar(
+                found["mean"], place, xerr=half, label=kind, **figure_style.dot_style(index)
+            )

@@ -1,16 +1,19 @@
 """Where robots believe they are while they build: what the method of the case estimates by then.
 
+A belief may also be the truth with an error of a given kind, which shows what such errors cost.
 Growth by itself is physics; this is the only way from an estimate to it. The first robot of each
 side of a gap stands alone and is the anchor of its side: robots of a side localize each other, and
-nobody knows where the other side is until both meet, unless `structure.anchors` states it.
+nobody knows where the other side is until both meet, unless `structure.anchors` states it. Robots
+that climb plan by the orientation that they sense.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.compute.math import dock_offsets
+from tiswarm.compute.math import dock_offsets, normal
 from tiswarm.localization import methods
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.sensing_file import SensingLogBuilder, lines_of
@@ -18,8 +21,13 @@ from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
-from tiswarm.world.growth import Believe
+from tiswarm.sensing.noise import of_shape, sensed_turn
 from tiswarm.world.history import History
+from tiswarm.world.params import BeliefErrorParams
+from tiswarm.world.walks import Believe, Turn
+
+_DRAWS = 3
+"""Numbers of the draw of a robot."""
 
 
 class _Part:
@@ -39,6 +47,88 @@ class _Part:
         for robot in robots.tolist():
             builder.add(lines[robot])
         self.log = builder.log()
+
+
+def navigate(settings: Scenario) -> dict[str, Any]:
+    """Return the arguments `believe` and `turn` of `tiswarm.world.growth.grow` for a case."""
+    error = settings.structure.belief_error
+    return {
+        "believe": believe_by(settings) if error is None else believe_with(error),
+        "turn": _turn_by(settings),
+    }
+
+
+def _turn_by(settings: Scenario) -> Turn:
+    """Return how orientations that climbing robots sense are turned, as their log has them.
+
+    A robot that climbs beside others counts as the last of them to join.
+    """
+    plane = settings.structure.plane
+    params = of_shape(settings.sensing, is_planar=plane)
+
+    def turn(seed: int, robot: int, stances: int) -> Reals:
+        stance = np.arange(stances)
+        turned = sensed_turn(seed, np.full(stances, robot), stance, params, is_planar=plane)
+        found: Reals = turned.as_quat(scalar_first=True)
+        return found
+
+    return turn
+
+
+def believe_with(error: BeliefErrorParams) -> Believe:
+    """Return beliefs that are the truth plus an error of a kind."""
+
+    def believe(grown: Sequence[History]) -> list[Reals]:
+        docks: list[Reals] = []
+        for history in grown:
+            offset = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)
+            center = history.position + error_of(history, error)
+            docks.append((center[:, None] + offset).reshape(-1, 3))
+        return docks
+
+    return believe
+
+
+def error_of(history: History, error: BeliefErrorParams) -> Reals:
+    """Draw the errors of the robots of a structure that has grown so far [R], shape (N, 3).
+
+    A robot keeps its draw as the structure grows. Draws of planar robots lead out of their plane,
+    too.
+    """
+    robot, size = np.arange(history.robot_count), error.size
+    first = _touched_first(history)
+    is_anchor = first == robot
+    draw = normal(history.seed, "belief error", robot[:, None], np.arange(_DRAWS))
+    draw = np.where(is_anchor[:, None], 0.0, draw * size / np.sqrt(3.0))
+    if error.kind == "shift":
+        way = normal(history.seed, "belief shift", 0, np.arange(_DRAWS))
+        draw[~is_anchor] = size * way / np.linalg.norm(way)
+    elif error.kind == "turn":
+        x, y, _ = (history.position - history.position[founders_of(history)]).T
+        sine, cosine = np.sin(size), np.cos(size) - 1.0
+        draw = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, 0.0 * x])
+    elif error.kind == "adding-up":
+        for j in np.flatnonzero(~is_anchor):
+            draw[j] += draw[first[j]]
+    return draw
+
+
+def _touched_first(history: History) -> Ints:
+    """Return the robot that each one touched first where it stayed; itself if there is none."""
+    at_rest = [walk.at_rest(walk.contacts)[:, 1].tolist() for walk in history.walks]
+    known = history.is_anchor
+    return np.array([j if known[j] else [*met, j][0] for j, met in enumerate(at_rest)])
+
+
+def founders_of(history: History) -> Ints:
+    """Return the founder to which the first contact of each robot leads, shape (N,).
+
+    Anchors are in one frame, so they count as one founder.
+    """
+    founder: list[int] = []
+    for j, i in enumerate(_touched_first(history).tolist()):
+        founder.append(founder[i] if i != j else 0 if j < history.anchors else j)
+    return np.array(founder)
 
 
 def believe_by(settings: Scenario) -> Believe:
@@ -81,15 +171,7 @@ def believe_by(settings: Scenario) -> Believe:
 
 
 def _parts(history: History, log: SensingLog) -> list[_Part]:
-    """Split a structure by the founder to which the first contact of each robot leads.
-
-    Anchors are in one frame, so they count as one founder.
-    """
-    founder: list[int] = []
-    for j, walk in enumerate(history.walks):
-        touched = walk.at_rest(walk.contacts)[:, 1]
-        alone = 0 if j < history.anchors else j
-        founder.append(founder[touched[0]] if len(touched) else alone)
-    founders, (header, lines) = np.array(founder), lines_of(log)
+    """Split a structure by the founder to which the first contact of each robot leads."""
+    founders, (header, lines) = founders_of(history), lines_of(log)
     every = [np.flatnonzero(founders == f) for f in np.unique(founders)]
     return [_Part(history, robots, header, lines) for robots in every]

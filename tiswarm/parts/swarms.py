@@ -653,7 +653,7 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
         InputError: the structures need what is not there without a run, or no robot joined one.
     """
     structure = scenario.structure
-    if structure.navigate_by == "estimate":
+    if structure.navigate_by != "truth":
         problem = "robots that build by estimates need sensing and a method; call tiswarm.run"
         raise InputError(problem, key="structure.navigate_by")
     backend.choose(threads=threads)

@@ -117,8 +117,8 @@ CROSSED = Measure(
 )
 FLIPS_AS_PLANNED = Measure(
     "flips_as_planned", "1", _WALKS,
-    "share of the flips planned to end at a robot after which the mover touched that robot; empty "
-    "where robots know the truth",
+    "share of all flips tried that ended at the robot, or on the ground, as planned; the way back "
+    "does not count; empty where robots know the truth",
     label="Flips as planned", better="larger",
 )  # fmt: skip
 FAILED_FLIPS = Measure(
@@ -127,6 +127,26 @@ FAILED_FLIPS = Measure(
     "know the truth",
     better="smaller",
 )  # fmt: skip
+TRIES = Measure(
+    "tries_per_robot", "1", _WALKS,
+    "flips of a robot in the mean, the way back to its best stance and failed ones included",
+    better="smaller",
+)  # fmt: skip
+BELIEF_BUILDING, BELIEF_NEWEST, BELIEF_FINAL, BELIEF_PER_CONTACT = (
+    Measure(
+        f"belief_{name}_R",
+        "R",
+        _WALKS,
+        f"{error}; empty where robots know the truth",
+        better="smaller",
+    )
+    for name, error in (
+        ("building", "RMSE of the places that robots believed after each join, over all joins"),
+        ("newest", "RMSE of the place of the newest robot, as believed once it had joined"),
+        ("final", "RMSE of the places that robots believed after the last join"),
+        ("per_contact", "the same, of the vector between two robots in contact"),
+    )
+)
 PEAK_STRESS = Measure(
     "peak_stress", "dock weights/R^2", _STRUCTURE, "largest stress in any contact"
 )

@@ -383,8 +383,12 @@ def structure_kind(settings: Scenario) -> tuple[int, str]:
     """Return all that determines a structure but its seed: size and settings."""
     # Small structures sort first: they finish early, and need no memory that large ones took.
     structure = settings.structure
-    by_estimate = structure.navigate_by == "estimate"
-    known = (settings.sensing, settings.localization) if by_estimate else ()
+    known: dict[str, tuple[object, ...]] = {
+        "truth": (),
+        "error": (settings.sensing,),
+        "estimate": (settings.sensing, settings.localization),
+    }
+    by = known[structure.navigate_by]
     at = settings.threads, settings.workers  # growth takes a time of its own with each
     timed = () if at == (None, None) else at
-    return settings.robots, repr((structure, settings.robot, *known, *timed))
+    return settings.robots, repr((structure, settings.robot, *by, *timed))

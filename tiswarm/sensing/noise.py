@@ -24,6 +24,11 @@ _PLANE_SD = 0.01
 """Standard deviation of the plane that a planar robot is in [R]."""
 
 
+def of_shape(params: SensingParams, *, is_planar: bool) -> SensingParams:
+    """Return the settings without yaw noise where robots are planar, which know their plane."""
+    return replace(params, yaw_noise_deg=0.0, yaw_bias_deg=0.0) if is_planar else params
+
+
 def sensed_orientation(history: History, length: Ints, params: SensingParams) -> Reals:
     """Return the orientation sensed at each stance of each robot, shape (all stances, 4)."""
     true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
@@ -31,15 +36,25 @@ def sensed_orientation(history: History, length: Ints, params: SensingParams) ->
         return true
     robot = np.repeat(np.arange(len(length)), length)
     stance = np.concatenate([np.arange(count) for count in length])
-    draw = 3 * stance[:, None] + np.arange(3)
-    sd = np.radians([params.tilt_noise_deg, params.tilt_noise_deg, params.yaw_noise_deg])
-    sd[0] *= not history.is_planar
-    turn = sd * normal(history.seed, "orientation", robot[:, None], draw)
-    bias = np.zeros_like(turn)
-    bias[:, 2] = np.radians(params.yaw_bias_deg) * normal(history.seed, "yaw bias", robot, 0)
-    turned = Rotation.from_rotvec(bias) * Rotation.from_rotvec(turn)
+    turned = sensed_turn(history.seed, robot, stance, params, is_planar=history.is_planar)
     sensed = turned * Rotation.from_quat(true, scalar_first=True)
     return sensed.as_quat(canonical=True, scalar_first=True)
+
+
+def sensed_turn(
+    seed: int, robot: Ints, stance: Ints, params: SensingParams, *, is_planar: bool
+) -> Rotation:
+    """Draw turns from true to sensed orientations, one for each (robot, stance), shape (n,) both.
+
+    Planar robots sense no tilt about the first axis; leave out their noise of yaw.
+    """
+    draw = 3 * stance[:, None] + np.arange(3)
+    sd = np.radians([params.tilt_noise_deg, params.tilt_noise_deg, params.yaw_noise_deg])
+    sd[0] *= not is_planar
+    turn = sd * normal(seed, "orientation", robot[:, None], draw)
+    bias = np.zeros_like(turn)
+    bias[:, 2] = np.radians(params.yaw_bias_deg) * normal(seed, "yaw bias", robot, 0)
+    return Rotation.from_rotvec(bias) * Rotation.from_rotvec(turn)
 
 
 def sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int32]:

@@ -1,6 +1,5 @@
 """Turns the true history of a structure into the noisy log that localizers read."""
 
-from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -35,8 +34,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     >>> log.robot_count, log.noise.tilt_deg
     (3, 1.0)
     """
-    if history.is_planar:
-        params = replace(params, yaw_noise_deg=0.0, yaw_bias_deg=0.0)
+    params = noise.of_shape(params, is_planar=history.is_planar)
     is_mute = noise.failing(history, params, "mute")
     history = noise.sensed_part(history, params)
     length = np.array([walk.stance_count for walk in history.walks])

@@ -226,13 +226,13 @@ class _CaseRunner:
         if not seeds:
             return histories
         self._warm_up_growth()
-        believe = None
-        if settings.structure.navigate_by == "estimate":
-            believe = find("command", "navigate")(settings)
+        by = {}
+        if settings.structure.navigate_by != "truth":
+            by = find("command", "navigate")(settings)
         with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
             grown = grow(
                 settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,
-                believe=believe, on_progress=advance,
+                on_progress=advance, **by,
             )  # fmt: skip
         self.used.add(Used("grow", backend.processor(), rounding=numerics.here()))
         for seed, history in zip(seeds, grown, strict=True):

@@ -399,11 +399,24 @@ def _across(arm):
 
 
 @ti.func
-def misplaced(limits: Ref, structures: Ref, believed: Ref, s, walks: Ref, mover, stance, k):
-    """Find the vector from where a robot's dock `k` is to where the robot believes it.
+def sensed_orientation(limits: Ref, turn: Ref, walks: Ref, mover, stance):
+    """Find the orientation that a robot senses at a stance, its own where it knows the truth."""
+    q = quaternion_at(walks.orientation, mover, stance)
+    if limits.by_belief:
+        q = quaternion_product(quaternion_at(turn, mover, stance), q)
+    return q
+
+
+@ti.func
+def misplaced(
+    limits: Ref, structures: Ref, believed: Ref, turn: Ref, body: Ref, s, walks: Ref, mover, stance,
+    k, place,
+):  # fmt: skip
+    """Find the vector from where a `place` of a robot's body is to where the robot believes it.
 
     A robot takes its place from a dock that it touches: with dock `k`, else with another, else at
-    the last stance where it touched one. Until then it knows its place.
+    the last stance where it touched one. Its sensed orientation leads from there to the place.
+    Until it touches a dock, it knows its place.
     """
     by = ti.Vector([0.0, 0.0, 0.0], F64)
     if limits.by_belief:
@@ -412,9 +425,13 @@ def misplaced(limits: Ref, structures: Ref, believed: Ref, s, walks: Ref, mover,
         at = stance
         while at >= 0 and not found:
             for step in range(docks):
-                item = walks.touching[mover, at, (k + step) % docks, 0]
+                own = (k + step) % docks
+                item = walks.touching[mover, at, own, 0]
                 if item >= 0 and not found:
                     by = vector_in(believed.dock, s, item) - vector_in(structures.dock, s, item)
+                    arm = place - vector_at(body, own)
+                    arm = rotate(quaternion_at(walks.orientation, mover, at), arm)
+                    by += rotate(quaternion_at(turn, mover, at), arm) - arm
                     found = True
             at -= 1
     return by
@@ -432,8 +449,9 @@ def first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count
 
 @ti.func
 def hinge_at(
-    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k
-):
+    limits: Ref, structures: Ref, believed: Ref, turn: Ref, climbers: Ref, walks: Ref, mover,
+    stance, k,
+):  # fmt: skip
     """Describe how a robot may turn about its dock `k`, and list the docks that it may meet."""
     s = climbers.structure[mover]
     body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
@@ -441,7 +459,7 @@ def hinge_at(
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
     pivot = vector_in(walks.center, mover, stance) - to_center
-    by = misplaced(limits, structures, believed, s, walks, mover, stance, k)
+    by = misplaced(limits, structures, believed, turn, body, s, walks, mover, stance, k, body_in)
     found = gather_near(limits, believed, s, pivot + by, near, mover)
     count = ti.min(found, near.shape[1])
     overflow = ti.cast(found > count, ti.i32)
@@ -476,19 +494,21 @@ def flipped(axis, way, angle, q):
 
 @ti.func
 def nearest_flip(
-    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k, least,
-    best, score: Ref,
+    limits: Ref, structures: Ref, believed: Ref, turn: Ref, climbers: Ref, walks: Ref, mover,
+    stance, k, least, best, score: Ref,
 ):  # fmt: skip
     """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
 
-    `score` takes the place of the distance, see `goal_distance`. A flip ends where it truly meets
-    something. One that meets nothing, or what the robot has been at before, fails, and the robot
-    tries its next best. Flips are counted that fail and were to score less than `least`.
+    `score` takes the place of the distance, see `goal_distance`. A robot plans by the orientation
+    that it senses. A flip ends where it truly meets something. One that meets nothing, or what the
+    robot has been at before, fails, and the robot tries its next best. Flips are counted that fail
+    and were to score less than `least`.
     """
     body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
     q = quaternion_at(walks.orientation, mover, stance)
     goal = vector_at(climbers.goal, mover)
-    hinge = hinge_at(limits, structures, believed, climbers, walks, mover, stance, k)
+    sensed = sensed_orientation(limits, turn, walks, mover, stance)
+    hinge = hinge_at(limits, structures, believed, turn, climbers, walks, mover, stance, k)
     chosen = Flip(
         distance=ti.math.inf, center=hinge.pivot, orientation=q, planned=q, pivot=-1,
         overflow=hinge.overflow, failed=0,
@@ -503,7 +523,12 @@ def nearest_flip(
             # |g - r e|^2 < d^2 for the unit vector e to the center
             room = to_goal.norm_sqr() + reach**2 - ti.min(best, chosen.distance) ** 2
             aim[2] = 0.5 * room / reach - _TIE
-        first = first_met(limits, body, q, k, axis, pivot + by, near, mover, hinge.count, aim)
+        sensed_axis = axis
+        if limits.by_belief:
+            sensed_axis = rotate(quaternion_at(turn, mover, stance), axis)
+        first = first_met(
+            limits, body, sensed, k, sensed_axis, pivot + by, near, mover, hinge.count, aim
+        )
         truly = first
         if limits.by_belief:
             among = hinge.obstacles
@@ -511,11 +536,13 @@ def nearest_flip(
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
-                planned = flipped(axis, way, angle, q)
-                end = pivot - rotate(planned, body_in)
-                distance = score(end + by, planned, goal)
+                turned = flipped(axis, way, angle, q)
+                planned = turned
+                if limits.by_belief:
+                    planned = flipped(sensed_axis, way, angle, sensed)
+                end = pivot - rotate(turned, body_in)
+                distance = score(pivot - rotate(planned, body_in) + by, planned, goal)
                 if distance < chosen.distance and not revisits(limits, walks, mover, stance, end):
-                    turned = planned
                     fails = False
                     if limits.by_belief:
                         angle = truly[way]
@@ -659,11 +686,11 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
 
 @ti.kernel
 def climb(
-    limits: ClimbLimits, movers: Ints1, state_out: Ints1, planned_out: Ints2, failed_out: Ints2,
+    limits: ClimbLimits, movers: Ints1, state_out: Ints1, flips_out: Ints3,
     # StructureArrays
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
     # BelievedDocks
-    believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3,
+    believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3, turn: Reals3,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3,
@@ -675,17 +702,20 @@ def climb(
     """Walk each mover up its structure, one flip at a time, toward its goal.
 
     Of all flips about all attached docks the one that ends nearest to the goal is taken,
-    unless the walk has been there before. A robot that is recruited stops where it is. Else
-    the walk ends after `patience` steps without a new best, or when no flip is left, and
-    the caller lets the robot walk back to its best stance. Distances to the goal, and what a
-    flip meets, are as the robot believes; what it touches and where a flip ends are as they are.
+    unless the walk has been there before. A flip that fails is a step, too: the robot swings, and
+    swings back. A robot that is recruited stops where it is. Else the walk ends after `patience`
+    steps without a new best, or when no flip is left, and the caller lets the robot walk back to
+    its best stance. Distances to the goal, and what a flip meets, are as the robot believes; what
+    it touches and where a flip ends are as they are.
 
     Args:
         movers: Slots of the robots that move, shape (M,).
         state_out: How each walk ended, shape (slots,).
-        planned_out: Item of the dock that the flip from each stance was planned to end at, or
-            GROUND, shape (slots, stances); written only where robots go by belief.
-        failed_out: Flips that failed at each stance, of the same shape; written as rarely.
+        flips_out: Item of the dock that the flip from each stance was planned to end at, or GROUND,
+            and flips that failed there, shape (slots, stances, 2); written only where robots go by
+            belief.
+        turn: From the orientation at each stance to that which the robot senses, where it goes by
+            belief, wxyz, shape (slots, stances, 4).
         score: Function of (center, orientation, goal) in place of the distance to the goal.
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
@@ -703,15 +733,22 @@ def climb(
             s = structure[m]
             target = vector_at(goal, m)
             stance = first_stance[m]
-            best_stance = 0
+            best_stance = steps = best_step = 0
             best_distance = ti.math.inf
+            middle = ti.Vector([0.0, 0.0, 0.0], F64)
             for earlier in range(stance):
-                by = misplaced(limits, structures, believed, s, walks, m, earlier, 0)
-                was = quaternion_at(orientation_out, m, earlier)
+                by = misplaced(
+                    limits, structures, believed, turn, dock_offset_body, s, walks, m, earlier, 0,
+                    middle,
+                )  # fmt: skip
+                was = sensed_orientation(limits, turn, walks, m, earlier)
                 distance = score(vector_in(center_out, m, earlier) + by, was, target)
                 if distance < best_distance:
                     best_distance = distance
-                    best_stance = earlier
+                    best_stance, best_step = earlier, steps
+                steps += 1
+                if limits.by_belief:
+                    steps += flips_out[m, earlier, 1]
             state_out[m] = WALKING
             while state_out[m] == WALKING:
                 here = vector_in(center_out, m, stance)
@@ -724,23 +761,28 @@ def climb(
                 for k in range(dock_offset_body.shape[0]):
                     point = here + rotate(q, vector_at(dock_offset_body, k))
                     called |= sense_contacts(limits, structures, s, walks, m, stance, k, point)
-                by = misplaced(limits, structures, believed, s, walks, m, stance, 0)
-                distance = score(here + by, q, target)
+                by = misplaced(
+                    limits, structures, believed, turn, dock_offset_body, s, walks, m, stance, 0,
+                    middle,
+                )  # fmt: skip
+                sensed = sensed_orientation(limits, turn, walks, m, stance)
+                distance = score(here + by, sensed, target)
                 if distance < best_distance:
                     best_distance = distance
-                    best_stance = stance
+                    best_stance, best_step = stance, steps
+                left = best_step + patience[m] - steps
                 if called:
                     state_out[m] = RECRUITED
                     best_stance = stance
-                elif stance - best_stance < patience[m]:
+                elif left > 0:
                     # Which flips the robot tries before is known once the one that it takes is.
                     least = -ti.math.inf
                     for _ in range(1 + limits.by_belief):
                         for k in range(dock_offset_body.shape[0]):
                             if is_attached(walks, m, stance, k):
                                 other = nearest_flip(
-                                    limits, structures, believed, climbers, walks, m, stance, k,
-                                    least, flip.distance, score,
+                                    limits, structures, believed, turn, climbers, walks, m,
+                                    stance, k, least, flip.distance, score,
                                 )  # fmt: skip
                                 if other.overflow:
                                     state_out[m] = SCRATCH_FULL
@@ -748,22 +790,26 @@ def climb(
                                     flip = other
                                 failed += other.failed
                         least = flip.distance
+                    if failed >= left:
+                        failed, flip.pivot = left, -1
+                steps += 1 + failed
                 if limits.by_belief:
-                    failed_out[m, stance] = failed
+                    flips_out[m, stance, 1] = failed
                 if state_out[m] == WALKING:
                     # One is kept for settling.
-                    if flip.pivot < 0 or stance + 2 >= center_out.shape[1]:
+                    if flip.pivot < 0 or steps + 1 >= center_out.shape[1]:
                         state_out[m] = ENDED
                     else:
                         pivot_dock_out[m, stance] = flip.pivot
                         if limits.by_belief:
-                            arm = rotate(q, vector_at(dock_offset_body, flip.pivot))
+                            arm = vector_at(dock_offset_body, flip.pivot)
                             by = misplaced(
-                                limits, structures, believed, s, walks, m, stance, flip.pivot
-                            )
-                            planned_out[m, stance] = planned_dock(
-                                limits, believed, dock_offset_body, s, here + arm + by,
-                                flip.planned, flip.pivot,
+                                limits, structures, believed, turn, dock_offset_body, s, walks, m,
+                                stance, flip.pivot, arm,
+                            )  # fmt: skip
+                            flips_out[m, stance, 0] = planned_dock(
+                                limits, believed, dock_offset_body, s,
+                                here + rotate(q, arm) + by, flip.planned, flip.pivot,
                             )  # fmt: skip
                         stance += 1
                         _move_to(walks, m, stance, flip.center, flip.orientation)

@@ -13,7 +13,7 @@ spawned again. Then the structure's mechanics are solved anew.
 Robots under great load call others to their aid (`walks.py`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,14 +30,10 @@ from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_doc
 from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
 from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
 from tiswarm.world.params import ReactiveBuild, StructureParams, anchor_places
-from tiswarm.world.walks import Spawn, Walks, climb_limits, recruit
+from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_errors, recruit
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
-
-Believe = Callable[[Sequence[History]], Sequence[Reals]]
-"""Returns where the robots of structures that have grown so far believe their docks [R], (n N, 3)
-each; dock k of robot i is in row n i + k."""
 
 
 @backend.exclusive()
@@ -48,6 +44,7 @@ def grow(
     seeds: Sequence[int],
     robot: RobotGeometry,
     believe: Believe | None = None,
+    turn: Turn | None = None,
     on_progress: Advance = ignore,
 ) -> list[History]:
     """Grow one structure for each seed.
@@ -59,6 +56,8 @@ def grow(
         robot: The robots' shape.
         believe: Where robots believe the docks of those that have joined; called after each round
             with the structures that grew. None where all know the truth.
+        turn: By how much orientations that robots sense as they climb are wrong, if they believe;
+            None for not at all.
         on_progress: Called after each round with the number of robots that joined in it.
 
     Returns:
@@ -66,7 +65,7 @@ def grow(
         what had grown is kept.
     """
     backend.processor()
-    batch = _GrowthBatch(params, robots, seeds, robot, believe)
+    batch = _GrowthBatch(params, robots, seeds, robot, believe, turn)
     while batch.spawn():
         on_progress(batch.round())
     return [structure.history() for structure in batch.structures]
@@ -82,8 +81,10 @@ class _GrowthBatch:
         seeds: Sequence[int],
         robot: RobotGeometry,
         believe: Believe | None,
+        turn: Turn | None,
     ) -> None:
         self.robots, self.believe, self.departs = robots, believe, params.departures is not None
+        self.turn = turn
         robot = params.robot(robot)
         count, docks = len(seeds), robot.dock_count * robots
         self.frames = Frames(
@@ -124,6 +125,9 @@ class _GrowthBatch:
                 spawn = structure.spawn(self.arrays.dock[structure.number])
                 if spawn is not None:
                     self.walks.start(slot, spawn)
+                    if self.turn:
+                        number, turns = len(structure.walks) + int(others), self.walks.turn[slot]
+                        turns[:] = self.turn(structure.seed, number, len(turns))
                     self.moving[slot] = True
                     climbing[structure.number] += 1
         return bool(self.moving.any())
@@ -194,6 +198,9 @@ class _GrowthBatch:
             grown, believe([structure.history() for structure in grown]), strict=True
         ):
             dock[structure.number, : len(believed)] = believed
+            true = self.arrays.dock[structure.number, : len(believed)]
+            error = (believed - true).reshape(-1, self.walks.docks, 3).mean(axis=1)
+            note_errors(structure.walks, structure.history().contacts, error)
         self._list(grown, *cells, dock)
 
 

@@ -181,6 +181,19 @@ class DepartureParams:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class BeliefErrorParams:
+    """Error of the places that robots believe, in place of that of an estimate."""
+
+    kind: Literal["independent", "shift", "turn", "adding-up"]
+    """independent: a draw for each robot. shift: one draw of direction for all but the anchors.
+    turn: each side of a gap is turned about the vertical through its anchor. adding-up: the error
+    of the robot that it touched first, and a draw of its own. Anchors have none."""
+
+    size: Annotated[float, Field(ge=0.0, le=1e4)]
+    """Root mean square of a draw, or length of the shift, in R; angle of the turn, in rad."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class GrowthParams(RecruitParams):
     """What all kinds of structures have in common.
 
@@ -226,12 +239,21 @@ class GrowthParams(RecruitParams):
         ),
     ] = None
 
+    belief_error: Annotated[
+        BeliefErrorParams | None,
+        Field(
+            # Runs without the key keep their hashes, which name folders.
+            exclude_if=lambda error: error is None,
+            description="Error of the places that robots believe, with `navigate_by: error`.",
+        ),
+    ] = None
+
     navigate_by: Annotated[
-        Literal["truth", "estimate"],
+        Literal["truth", "estimate", "error"],
         Field(
             description="By which places of themselves and of the docks near them robots choose "
-            "flips and stops: the true ones, or those that the localization method of the case "
-            "estimates from what robots have sensed so far."
+            "flips and stops: the true ones, those that the localization method of the case "
+            "estimates from what robots have sensed so far, or the true ones with `belief_error`."
         ),
     ] = "truth"
 
@@ -300,14 +322,16 @@ class GrowthParams(RecruitParams):
     @field_validator("navigate_by")
     @classmethod
     def _keep_the_mapped(cls, by: str, info: ValidationInfo) -> str:
-        if by == "estimate" and info.data.get("departures") is not None:
+        if by != "truth" and info.data.get("departures") is not None:
             raise ValueError("robots that estimate must stay; leave out departures, or set truth")
+        if (by == "error") != (info.data.get("belief_error") is not None):
+            raise ValueError(f"{by} does not go with belief_error; set both error, or neither")
         return by
 
     @field_validator("rule")
     @classmethod
     def _choose_by_truth(cls, rule: _Rule, info: ValidationInfo) -> _Rule:
-        if info.data.get("navigate_by") == "estimate" and hasattr(rule, "choose"):
+        if info.data.get("navigate_by") != "truth" and hasattr(rule, "choose"):
             raise ValueError(
                 f"{rule.name} chooses by true places; leave out navigate_by, or give the rule a "
                 "score in place of choose"

@@ -8,7 +8,8 @@ ReactiveBuild, DARS 2021).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -33,11 +34,19 @@ from tiswarm.world.climb_kernels import (
     WalkArrays,
     join_undisturbed,
 )
-from tiswarm.world.history import Walk
+from tiswarm.world.history import History, Walk
 from tiswarm.world.params import ClimbParams, GrowthParams, RecruitParams
 
 _Slots = NDArray[np.int32]
 
+
+Believe = Callable[[Sequence[History]], Sequence[Reals]]
+"""Returns where the robots of structures that have grown so far believe their docks [R], (n N, 3)
+each; dock k of robot i is in row n i + k."""
+
+Turn = Callable[[int, int, int], Reals]
+"""Returns the turns from the orientations of a robot to those that it senses, at as many stances:
+from the seed, the robot's number and that of the stances; wxyz, shape (stances, 4)."""
 
 _BELIEVED_NEARER = 8
 """Docks overlap where robots believe them, so that so many times as many are listed at a pivot."""
@@ -146,9 +155,9 @@ class Walks:
             stay=stay,
         )
         self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
-        self.planned, self.failed = np.zeros(
-            (2, slots, stances if limits.by_belief else 0), np.int32
-        )
+        kept = stances if limits.by_belief else 0
+        self.flips = np.zeros((slots, kept, 2), np.int32)
+        self.turn = np.tile([1.0, 0.0, 0.0, 0.0], (slots, kept, 1))
 
     def start(self, slot: int, spawn: Spawn) -> None:
         """Put a new robot in a slot."""
@@ -189,8 +198,8 @@ class Walks:
         is_own = hasattr(self.rule, "score")
         score = _score_of(self.rule) if is_own else climb_kernels.goal_distance
         climb_kernels.climb(
-            self.limits, movers, self.state, self.planned, self.failed, *cells, *docks,
-            *believed_cells, believed_dock, *self.climbers, *self.stances,
+            self.limits, movers, self.state, self.flips, *cells, *docks,
+            *believed_cells, believed_dock, self.turn, *self.climbers, *self.stances,
             score,
         )  # fmt: skip
 
@@ -232,7 +241,7 @@ class Walks:
         order = np.concatenate([np.arange(last + 1), np.arange(last - 1, best - 1, -1)])
         # Out and back between two stances go about the same dock.
         pivot = stances.pivot_dock[slot, np.minimum(order[:-1], order[1:])]
-        planned = self.planned[slot, :last]
+        planned = self.flips[slot, :last, 0]
         if stances.stay[slot] > last:
             order = np.append(order, last + 1)
             pivot = np.append(pivot, stances.pivot_dock[slot, last + 1])
@@ -250,9 +259,19 @@ class Walks:
             ground_docks=np.argwhere(on_ground == FLAT).astype(np.int32),
             edge_docks=np.argwhere(on_ground == EDGE).astype(np.int32),
             planned_robot=planned // self.docks,  # and GROUND, -1, stays what it is
-            failed_flips=self.failed[slot, : last + 1].copy(),
+            failed_flips=self.flips[slot, : last + 1, 1].copy(),
             recruited=bool(self.state[slot] == climb_kernels.RECRUITED),
         )
+
+
+def note_errors(walks: list[Walk], contacts: AnyInts, error: Reals) -> None:
+    """Note by how much robots are wrong in the walks of the newest ones [R], shape (N, 3)."""
+    i, _, j, _ = contacts.T
+    own, between = np.linalg.norm(error, axis=1), np.linalg.norm(error[i] - error[j], axis=1)
+    rms = [np.sqrt((each**2).mean()) if len(each) else 0.0 for each in (own, between)]
+    for new, walk in enumerate(walks):
+        if not len(walk.belief_error):
+            walks[new] = replace(walk, belief_error=np.array([rms[0], own[new], rms[1]]))
 
 
 def recruit(sensed: Reals, params: RecruitParams) -> NDArray[np.int32]:

@@ -127,7 +127,7 @@ def _flips_about(
     body, near = ti.static(climbers.dock_offset_body, climbers.near)
     stance = walks.last[m]
     q = quaternion_at(walks.orientation, m, stance)
-    hinge = hinge_at(limits, structures, believed, climbers, walks, m, stance, k)
+    hinge = hinge_at(limits, structures, believed, walks.orientation, climbers, walks, m, stance, k)
     anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
