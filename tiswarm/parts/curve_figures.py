@@ -48,10 +48,10 @@ PROFILED = {
 _GROWN = {
     HEIGHT.column: HEIGHT.axis,
     "makespan_flips": "Time to build [flips]",
-    "sensed_max": "Largest load sensed [dock weights]",
+    "sensed_max": "Largest load [dock weights]",
 }
 _RATES = {
-    "robot_steps_per_cpu_s": "Localization [robot steps per CPU s]",
+    "robot_steps_per_cpu_s": "Robot steps per CPU s",
     "peak_memory_MB": "Process, peak memory [MB]",
 }
 SCALING_PANELS = {
@@ -342,7 +342,8 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
         if measure.endswith("_MB"):
             axes.set_ylim(0.0, 1.1 * rows["mean"].max())
         else:
-            figure_style.fit_axis(axes, "y", rows["mean"].to_numpy(float))
+            span = float(rows["mean"].max() / rows["mean"].min()) if len(rows) else 1.0
+            figure_style.set_log(axes, "y", 2.0 * span)
     entries = {name: legend[name] for name in (*names, "all series") if name in legend}
     panels.legend(entries=entries, loc="outside upper right")
     powers = f"powers of {symbol} are fitted to all points, then to the two largest"
