@@ -45,6 +45,7 @@ ASKED = {
     "tiswarm.parts.pictures": "render sensing.jsonl known.csv",
     "tiswarm.parts.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
+    "tiswarm.parts.flips": "localize sensing.jsonl --set flip_axes=6",
     "tiswarm.parts.forecast": "run tower --plan",
     "tiswarm.parts.cluster": "run tower --scheduler tcp://127.0.0.1:1",
     "tiswarm.parts.growth": "run tower --plugin rule.py --set structure.rule=stay --set robots=4 "

@@ -131,6 +131,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "compare": "tiswarm.parts.comparison",
         "doctor": "tiswarm.parts.doctor",
         "explain": "tiswarm.parts.advice.explanation",
+        "fit flips": "tiswarm.parts.flips:fit_orientations",
         "grow": "tiswarm.parts.swarms",
         "import": "tiswarm.parts.formats.imports:convert",
         "navigate": "tiswarm.parts.navigation:navigate",

@@ -219,8 +219,10 @@ def localize_many(
 
     logs = [with_orientations(log) for log in logs]
     batches: dict[Hashable, list[int]] = {}
-    for n, (log, p) in enumerate(zip(logs, params, strict=True)):
-        batches.setdefault(batch_key(log, p), []).append(n)
+    for n, p in enumerate(params):
+        if axes := getattr(p, "flip_axes", None):
+            logs[n] = door.find("command", "fit flips")(logs[n], axes)
+        batches.setdefault(batch_key(logs[n], p), []).append(n)
     estimates: dict[int, Estimate] = {}
     with backend.exclusive():
         for members in batches.values():

@@ -16,6 +16,9 @@ MOST_STEPS = 3000
 LARGE = 3000
 """Structures of more robots than this are annealed fewer times, quicker, and not refined."""
 
+_Axes = Annotated[int, Field(ge=1, le=64)]
+_Sd = Annotated[float, Field(gt=0.0)]
+
 SWITCHES = tuple(cue.name for cue in switched())
 """Cues that settings have a switch for."""
 
@@ -103,6 +106,10 @@ class CueParams(_Switches, MethodParams):  # type: ignore[misc]
     class.
     """
 
+    flip_axes: Annotated[
+        _Axes | None, Field(description="Axes of a dock to fit flips to; if null, none are fitted.")
+    ] = None
+
 
 DocksNamed: Any = make_dataclass(
     "DocksNamed",
@@ -129,42 +136,19 @@ class ChiSquareParams(CueParams):
     ] = True
 
     solve_yaw: Annotated[
-        bool,
-        Field(
-            description="Solve for each robot's bias of yaw if the log states its standard "
-            "deviation; false: measurements count less."
-        ),
+        bool, Field(description="Solve for each robot's bias of yaw if the log states its sd.")
     ] = True
 
-    seed: Annotated[
-        int, Field(ge=0, lt=2**31, description="Seed of the random numbers of all starts.")
-    ] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**31, description="Seed of all starts.")] = 0
 
-    contact_sd: Annotated[
-        float,
-        Field(
-            gt=0.0,
-            description="How far from D docks that feel each other may be, as a standard deviation "
-            "[R].",
-        ),
-    ] = 0.006
+    contact_sd: Annotated[_Sd, Field(description="Error of D of docks in contact [R].")] = 0.006
 
     height_sd: Annotated[
-        float,
-        Field(
-            gt=0.0,
-            description="The same of heights and grounds, beside the noise that the log states "
-            "[R].",
-        ),
+        _Sd, Field(description="Error of heights and grounds beside that of orientations [R].")
     ] = 0.01
 
     spawn_sd: Annotated[
-        float,
-        Field(
-            gt=0.0,
-            description="Standard deviation of each coordinate of a spawn position whose log "
-            "states none [R].",
-        ),
+        _Sd, Field(description="Error of coordinates of spawns, if the log states none [R].")
     ] = 0.2
 
     def refines(self, robots: int) -> bool:  # noqa: ARG002 - `joint` looks at it

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.parts import find
 from tiswarm.compute.math import dock_offsets, normal, uniform
 from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.sensing.params import Failure, SensingParams
@@ -86,6 +87,17 @@ def sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int32
     return rows
 
 
+def named_contacts(whole: History, history: History, params: SensingParams) -> NDArray[np.int32]:
+    """Return the contacts of the part that senses, with names by vibration if set, shape (K, 5)."""
+    found = sensed_contacts(history, params)
+    if params.vibration is None:
+        return found
+    named: NDArray[np.int32] = find("command", "sense").named_contacts(
+        whole, found, params.vibration
+    )
+    return named
+
+
 def spawn_position(history: History, params: SensingParams) -> Reals:
     """Return each robot's sensed spawn position [R], shape (N, 3); NaN without `spawn_noise`."""
     true = np.array([walk.center[0] for walk in history.walks])
@@ -146,8 +158,7 @@ def split_touches(contacts: NDArray[np.int32], params: SensingParams) -> dict[st
 def failing(history: History, params: SensingParams, name: Failure) -> Bools:
     """Choose the robots that fail in one way, shape (N,).
 
-    The draw of a robot depends on the seed and the robot alone: a larger share adds robots, and
-    those of a structure fail as its first robots did before more joined.
+    The draw of a robot depends on the seed and the robot alone: a larger share adds robots.
     """
     robot = np.arange(history.robot_count)
     fails: Bools = uniform(history.seed, name, robot, 0) < getattr(params, name)
@@ -162,27 +173,19 @@ def sensed_part(history: History, params: SensingParams) -> History:
     is_deaf, is_mute = (failing(history, params, name) for name in ("deaf", "mute"))
     if not (is_deaf | is_mute).any():
         return history
-    deaf = [_deaf(w) if d else w for w, d in zip(history.walks, is_deaf, strict=True)]
-    walks = [_mute(w) if m else w for w, m in zip(deaf, is_mute, strict=True)]
+    each = zip(history.walks, is_deaf, is_mute, strict=True)
+    heard = ((replace(w, contacts=w.contacts[:0]) if d else w, m) for w, d, m in each)
+    walks = [_mute(w) if m else w for w, m in heard]
     return replace(history, walks=tuple(walks))
 
 
 def failed_orientation(
     history: History, length: Ints, sensed: Reals, params: SensingParams
 ) -> Reals:
-    """Return orientations where some sensors drift or are stuck.
+    """Return orientations where some sensors drift or are stuck, shape (all stances, 4).
 
-    One that drifts turns by the same angle at each flip, about an axis of the robot's own: from the
-    second stance on it is off. One that is stuck repeats its first value.
-
-    Args:
-        history: True history of the structure.
-        length: Stances of each robot, shape (N,).
-        sensed: Orientations that working sensors report, shape (all stances, 4).
-        params: Settings.
-
-    Returns:
-        Orientations, shape (all stances, 4).
+    One that drifts turns by the same angle at each flip, about an axis of its own; a stuck one
+    repeats its first value. Others report `sensed`. `length` counts stances of robots, shape (N,).
     """
     drifts, is_stuck = (failing(history, params, name) for name in ("drift", "stuck"))
     first = np.cumsum(length) - length
@@ -207,10 +210,6 @@ def _drift_axis(history: History) -> Reals:
         axis[:, [0, 2]] = 0.0  # a planar robot turns about y alone
     unit: Reals = axis / np.linalg.norm(axis, axis=1, keepdims=True)
     return unit
-
-
-def _deaf(walk: Walk) -> Walk:
-    return replace(walk, contacts=walk.contacts[:0])
 
 
 def _mute(walk: Walk) -> Walk:

@@ -35,14 +35,14 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     (3, 1.0)
     """
     params = noise.of_shape(params, is_planar=history.is_planar)
-    is_mute = noise.failing(history, params, "mute")
+    is_mute, whole = noise.failing(history, params, "mute"), history
     history = noise.sensed_part(history, params)
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = noise.sensed_orientation(history, length, params)
     sensed = noise.failed_orientation(history, length, sensed, params)
     lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
-    lists["contacts"] = noise.sensed_contacts(history, params)
+    lists["contacts"] = noise.named_contacts(whole, history, params)
     lists["ground_docks"] = history.table("ground_docks")
     lists["fixes"] = np.unique(
         np.concatenate([noise.planes(history), noise.anchors(history)]), axis=0

@@ -40,6 +40,23 @@ _Bias = Annotated[float, Field(ge=0.0, le=1e6), AfterValidator(_not_tiny)]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class Vibration:
+    """How robots learn the names of others in contact: each vibrates in a time slot of its own."""
+
+    slots: Annotated[int, Field(ge=1)] = 64
+    """Time slots. The slot of a robot is the remainder of its number in join order."""
+
+    hearing: Annotated[int, Field(ge=1, le=64)] = 2
+    """Contacts that a vibration passes until it cannot be sensed; 1 is the neighbors alone."""
+
+    fading: Fraction = 0.5
+    """Strength of a vibration after a further contact, and so its chance among those in a slot."""
+
+    missed: Fraction = 0.0
+    """Fraction of vibrations of neighbors that a robot does not sense [1]."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class SensingParams:
     """What robots sense, and the noise of their senses; none by default, as in the paper.
 
@@ -99,6 +116,9 @@ class SensingParams:
     false_contacts: Fraction = 0.0
     """Sensed contacts that do not exist, with a random dock of a random earlier robot, per true
     contact [1]."""
+
+    vibration: Vibration | None = None
+    """Vibrations that name the robots in contact; if null, a robot knows whom it touches."""
 
     mute: Fraction = 0.0
     """Fraction of robots that sense and send nothing; what later robots sense of them stays.
@@ -222,6 +242,9 @@ class SensingParams:
         names = {field.name.replace("_noise", ""): field.name for field in fields(self)}
         stated = {field.name for field in fields(SensingNoise)} & set(names)
         noise = SensingNoise(**{key: getattr(self, names[key]) for key in stated})
+        if self.vibration:
+            missed = self.missed_contacts + (1.0 - self.missed_contacts) * self.vibration.missed
+            noise = replace(noise, missed_contacts=missed)
         if self.senses("compass"):
             return noise
         return replace(noise, tilt_deg=0.0, yaw_deg=0.0, yaw_bias_deg=None)

@@ -31,6 +31,9 @@ class OnlineParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     solve_yaw: Literal[False] = False
     """No bias of yaw is solved for."""
 
+    flip_axes: None = None
+    """Orientations stay as sensed: a tracker takes robots line by line."""
+
     anneal_growth: Annotated[float, Field(gt=0.0)] = 0.1
     """Growth of the structure after which it is annealed again, in its size at the last time
     [1]."""
