@@ -195,7 +195,7 @@ class Together:
 
     Connected docks nearer than D part as firmly as others approach. Robots have inertia, by which
     an error spreads over many robots. The defaults are for structures of the seeds 1000 to 1023
-    with 100 robots and 1000 to 1002 with 1,000; `docs/notes/together.md` compares others.
+    with 100 robots and 1000 to 1002 with 1,000; `docs/accuracy.md` has errors.
     """
 
     steps: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
