@@ -2,25 +2,31 @@
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from tiswarm.records.measures import BUILT_FOR, MAIN, MEASURES, PAGE, PAIRED
 
-PAGE_OF_FILES = Path(__file__).parents[2] / "docs" / "files.md"
-
-
-def measures_table() -> str:
-    """Write all measures as the table of Markdown on the page of files."""
-    lines = ["| column | unit | from | meaning | better |", "|---|---|---|---|---|"]
-    for each in MEASURES.values():
-        name = f"`{each.column}`" + ("" if each.averaged else " (no mean)")
-        lines.append(f"| {name} | {each.unit} | {each.source} | {each.meaning} | {each.better} |")
-    return "\n".join(lines) + "\n"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_page_of_files_has_the_table():
     """A reader finds each column with its unit and meaning."""
-    assert measures_table() in PAGE_OF_FILES.read_text()
+    listed = pd.read_csv(DOCS / "measures.csv", keep_default_na=False, dtype=str)
+    rows = [
+        (
+            each.column + ("" if each.averaged else " (no mean)"),
+            each.unit,
+            each.source,
+            each.meaning,
+            each.better,
+        )
+        for each in MEASURES.values()
+    ]
+
+    assert [*listed.columns] == ["column", "unit", "from", "meaning", "better"]
+    assert [*listed.itertuples(index=False, name=None)] == rows
+    assert ":file: measures.csv" in (DOCS / "files.md").read_text()
 
 
 @pytest.mark.parametrize("place", PAGE)
