@@ -62,7 +62,7 @@ class Assumptions:
     """Order of angles, as `turns_by` has it; empty where the file or its columns imply it."""
 
     columns: Mapping[str, str] = field(default_factory=dict)
-    """Columns of the table by what they mean, such as `{"x": "center_x"}`, where names do not say
+    """Columns of the table by what they mean, `x` or `robot` for example, where names do not say
     so."""
 
     beacons: Path | None = None
