@@ -2,8 +2,8 @@
 
 A measure is a score in `case.json`, a column of `summary.csv` and, averaged over structures, of
 `table.csv`. To add one, add it here, in the order of `table.csv`, and compute it in
-`tiswarm/evaluation/tables.py`. Tables, page, figures and `docs/measures.csv` follow. Plug-ins register
-a function, whose numbers stand in the tables alone:
+`tiswarm/evaluation/tables.py`. Tables, page and figures follow; `docs/measures.csv` has its row.
+Plug-ins register a function, whose numbers stand in the tables alone:
 
     @tiswarm.measure("worst_R", unit="R", meaning="largest position error of a robot")
     def worst(truth, estimate):
