@@ -107,7 +107,12 @@ class CueParams(_Switches, MethodParams):  # type: ignore[misc]
     """
 
     flip_axes: Annotated[
-        _Axes | None, Field(description="Axes of a dock to fit flips to; if null, none are fitted.")
+        _Axes | None,
+        Field(
+            # Runs without the key keep their hashes, which name folders.
+            exclude_if=lambda axes: axes is None,
+            description="Axes of a dock to fit flips to; if null, none are fitted.",
+        ),
     ] = None
 
 

@@ -117,7 +117,8 @@ class SensingParams:
     """Sensed contacts that do not exist, with a random dock of a random earlier robot, per true
     contact [1]."""
 
-    vibration: Vibration | None = None
+    # Runs without the key keep their hashes, which name folders.
+    vibration: Annotated[Vibration | None, Field(exclude_if=lambda value: value is None)] = None
     """Vibrations that name the robots in contact; if null, a robot knows whom it touches."""
 
     mute: Fraction = 0.0

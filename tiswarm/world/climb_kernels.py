@@ -88,6 +88,15 @@ class BelievedDocks(NamedTuple):
     """Dock centers [R], shape (S, n N, 3)."""
 
 
+class Beliefs(NamedTuple):
+    """What robots that climb believe: `BelievedDocks`, and how they stand."""
+
+    cells: CellList
+    dock: Reals3
+    turn: Reals3
+    """From the orientation at each stance to the sensed one, wxyz, shape (slots, stances, 4)."""
+
+
 class Climbers(NamedTuple):
     """Robots that climb at the same time, one slot each."""
 
@@ -399,17 +408,17 @@ def _across(arm):
 
 
 @ti.func
-def sensed_orientation(limits: Ref, turn: Ref, walks: Ref, mover, stance):
+def sensed_orientation(limits: Ref, believed: Ref, walks: Ref, mover, stance):
     """Find the orientation that a robot senses at a stance, its own where it knows the truth."""
     q = quaternion_at(walks.orientation, mover, stance)
     if limits.by_belief:
-        q = quaternion_product(quaternion_at(turn, mover, stance), q)
+        q = quaternion_product(quaternion_at(believed.turn, mover, stance), q)
     return q
 
 
 @ti.func
 def misplaced(
-    limits: Ref, structures: Ref, believed: Ref, turn: Ref, body: Ref, s, walks: Ref, mover, stance,
+    limits: Ref, structures: Ref, believed: Ref, body: Ref, s, walks: Ref, mover, stance,
     k, place,
 ):  # fmt: skip
     """Find the vector from where a `place` of a robot's body is to where the robot believes it.
@@ -431,7 +440,7 @@ def misplaced(
                     by = vector_in(believed.dock, s, item) - vector_in(structures.dock, s, item)
                     arm = place - vector_at(body, own)
                     arm = rotate(quaternion_at(walks.orientation, mover, at), arm)
-                    by += rotate(quaternion_at(turn, mover, at), arm) - arm
+                    by += rotate(quaternion_at(believed.turn, mover, at), arm) - arm
                     found = True
             at -= 1
     return by
@@ -449,7 +458,7 @@ def first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count
 
 @ti.func
 def hinge_at(
-    limits: Ref, structures: Ref, believed: Ref, turn: Ref, climbers: Ref, walks: Ref, mover,
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover,
     stance, k,
 ):  # fmt: skip
     """Describe how a robot may turn about its dock `k`, and list the docks that it may meet."""
@@ -459,7 +468,7 @@ def hinge_at(
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
     pivot = vector_in(walks.center, mover, stance) - to_center
-    by = misplaced(limits, structures, believed, turn, body, s, walks, mover, stance, k, body_in)
+    by = misplaced(limits, structures, believed, body, s, walks, mover, stance, k, body_in)
     found = gather_near(limits, believed, s, pivot + by, near, mover)
     count = ti.min(found, near.shape[1])
     overflow = ti.cast(found > count, ti.i32)
@@ -494,21 +503,21 @@ def flipped(axis, way, angle, q):
 
 @ti.func
 def nearest_flip(
-    limits: Ref, structures: Ref, believed: Ref, turn: Ref, climbers: Ref, walks: Ref, mover,
-    stance, k, least, best, score: Ref,
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover,
+    stance, k, within, score: Ref,
 ):  # fmt: skip
     """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
 
     `score` takes the place of the distance, see `goal_distance`. A robot plans by the orientation
     that it senses. A flip ends where it truly meets something. One that meets nothing, or what the
     robot has been at before, fails, and the robot tries its next best. Flips are counted that fail
-    and were to score less than `least`.
+    and were to score less than the first number of `within`; the second is that of the best one.
     """
     body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
     q = quaternion_at(walks.orientation, mover, stance)
     goal = vector_at(climbers.goal, mover)
-    sensed = sensed_orientation(limits, turn, walks, mover, stance)
-    hinge = hinge_at(limits, structures, believed, turn, climbers, walks, mover, stance, k)
+    sensed = sensed_orientation(limits, believed, walks, mover, stance)
+    hinge = hinge_at(limits, structures, believed, climbers, walks, mover, stance, k)
     chosen = Flip(
         distance=ti.math.inf, center=hinge.pivot, orientation=q, planned=q, pivot=-1,
         overflow=hinge.overflow, failed=0,
@@ -521,11 +530,11 @@ def nearest_flip(
         aim = ti.Vector([to_goal.dot(ahead), to_goal.dot(onward), -ti.math.inf, limits.min_flip])
         if ti.static(score == goal_distance) and not limits.by_belief:
             # |g - r e|^2 < d^2 for the unit vector e to the center
-            room = to_goal.norm_sqr() + reach**2 - ti.min(best, chosen.distance) ** 2
+            room = to_goal.norm_sqr() + reach**2 - ti.min(within[1], chosen.distance) ** 2
             aim[2] = 0.5 * room / reach - _TIE
         sensed_axis = axis
         if limits.by_belief:
-            sensed_axis = rotate(quaternion_at(turn, mover, stance), axis)
+            sensed_axis = rotate(quaternion_at(believed.turn, mover, stance), axis)
         first = first_met(
             limits, body, sensed, k, sensed_axis, pivot + by, near, mover, hinge.count, aim
         )
@@ -551,7 +560,7 @@ def nearest_flip(
                         fails = angle < limits.min_flip or angle > limits.max_flip
                         fails = fails or revisits(limits, walks, mover, stance, end)
                     if fails:
-                        chosen.failed += ti.cast(distance < least, ti.i32)
+                        chosen.failed += ti.cast(distance < within[0], ti.i32)
                     else:
                         chosen.distance = distance
                         chosen.center = end
@@ -689,7 +698,7 @@ def climb(
     limits: ClimbLimits, movers: Ints1, state_out: Ints1, flips_out: Ints3,
     # StructureArrays
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
-    # BelievedDocks
+    # Beliefs
     believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3, turn: Reals3,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
@@ -714,12 +723,10 @@ def climb(
         flips_out: Item of the dock that the flip from each stance was planned to end at, or GROUND,
             and flips that failed there, shape (slots, stances, 2); written only where robots go by
             belief.
-        turn: From the orientation at each stance to that which the robot senses, where it goes by
-            belief, wxyz, shape (slots, stances, 4).
-        score: Function of (center, orientation, goal) in place of the distance to the goal.
+    score: Function of (center, orientation, goal) in place of the distance to the goal.
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
-    believed = ti.static(BelievedDocks(CellList(believed_head, believed_following), believed_dock))
+    believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
     climbers = ti.static(Climbers(
         structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
     ))  # fmt: skip
@@ -738,10 +745,10 @@ def climb(
             middle = ti.Vector([0.0, 0.0, 0.0], F64)
             for earlier in range(stance):
                 by = misplaced(
-                    limits, structures, believed, turn, dock_offset_body, s, walks, m, earlier, 0,
+                    limits, structures, believed, dock_offset_body, s, walks, m, earlier, 0,
                     middle,
                 )  # fmt: skip
-                was = sensed_orientation(limits, turn, walks, m, earlier)
+                was = sensed_orientation(limits, believed, walks, m, earlier)
                 distance = score(vector_in(center_out, m, earlier) + by, was, target)
                 if distance < best_distance:
                     best_distance = distance
@@ -762,10 +769,10 @@ def climb(
                     point = here + rotate(q, vector_at(dock_offset_body, k))
                     called |= sense_contacts(limits, structures, s, walks, m, stance, k, point)
                 by = misplaced(
-                    limits, structures, believed, turn, dock_offset_body, s, walks, m, stance, 0,
+                    limits, structures, believed, dock_offset_body, s, walks, m, stance, 0,
                     middle,
                 )  # fmt: skip
-                sensed = sensed_orientation(limits, turn, walks, m, stance)
+                sensed = sensed_orientation(limits, believed, walks, m, stance)
                 distance = score(here + by, sensed, target)
                 if distance < best_distance:
                     best_distance = distance
@@ -781,8 +788,8 @@ def climb(
                         for k in range(dock_offset_body.shape[0]):
                             if is_attached(walks, m, stance, k):
                                 other = nearest_flip(
-                                    limits, structures, believed, turn, climbers, walks, m,
-                                    stance, k, least, flip.distance, score,
+                                    limits, structures, believed, climbers, walks, m,
+                                    stance, k, ti.Vector([least, flip.distance]), score,
                                 )  # fmt: skip
                                 if other.overflow:
                                     state_out[m] = SCRATCH_FULL
@@ -804,7 +811,7 @@ def climb(
                         if limits.by_belief:
                             arm = vector_at(dock_offset_body, flip.pivot)
                             by = misplaced(
-                                limits, structures, believed, turn, dock_offset_body, s, walks, m,
+                                limits, structures, believed, dock_offset_body, s, walks, m,
                                 stance, flip.pivot, arm,
                             )  # fmt: skip
                             flips_out[m, stance, 0] = planned_dock(

@@ -20,7 +20,7 @@ from tiswarm.compute.math_kernels import rotate, vector_at, vector_in
 from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.world.climb_kernels import (
     SCRATCH_FULL,
-    BelievedDocks,
+    Beliefs,
     Climbers,
     ClimbLimits,
     StructureArrays,
@@ -89,7 +89,7 @@ def list_flips(
         state_out: SCRATCH_FULL where more docks are near than fit, shape (slots,).
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
-    believed = ti.static(BelievedDocks(CellList(head, following), dock))
+    believed = ti.static(Beliefs(CellList(head, following), dock, orientation))
     climbers = ti.static(Climbers(
         structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
     ))  # fmt: skip
@@ -127,7 +127,7 @@ def _flips_about(
     body, near = ti.static(climbers.dock_offset_body, climbers.near)
     stance = walks.last[m]
     q = quaternion_at(walks.orientation, m, stance)
-    hinge = hinge_at(limits, structures, believed, walks.orientation, climbers, walks, m, stance, k)
+    hinge = hinge_at(limits, structures, believed, climbers, walks, m, stance, k)
     anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
