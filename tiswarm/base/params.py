@@ -11,9 +11,13 @@ undergo the same checks. The JSON Schema quotes the docstrings of the fields.
 
 from typing import Literal, get_args
 
-from pydantic import ConfigDict
+from pydantic import ConfigDict, Field
 
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+
+UNLESS_SET = Field(exclude_if=lambda value: value is None)
+"""Of a key that is not written where it is null: runs without it keep their hashes, which name
+folders."""
 
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 """Compute device; defined here so that the command line need not load kernels."""

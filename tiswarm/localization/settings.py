@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from tiswarm.base.params import STRICT
+from tiswarm.base.params import STRICT, UNLESS_SET
 from tiswarm.localization.cost import EXTENSION
 from tiswarm.measurements.cues import cue_names, switched
 
@@ -108,11 +108,8 @@ class CueParams(_Switches, MethodParams):  # type: ignore[misc]
 
     flip_axes: Annotated[
         _Axes | None,
-        Field(
-            # Runs without the key keep their hashes, which name folders.
-            exclude_if=lambda axes: axes is None,
-            description="Axes of a dock to fit flips to; if null, none are fitted.",
-        ),
+        UNLESS_SET,
+        Field(description="Axes of a dock to fit flips to; if null, none are fitted."),
     ] = None
 
 

@@ -22,7 +22,7 @@ from pydantic import (
 )
 from pydantic.dataclasses import dataclass
 
-from tiswarm.base.params import STRICT, Arch
+from tiswarm.base.params import STRICT, UNLESS_SET, Arch
 from tiswarm.base.parts import names
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import LocalizationParams, all_params
@@ -56,7 +56,6 @@ _SWEEP_SECTIONS = (
     *("robots", "seeds", "precision", "arch", "threads", "workers"),
     *("robot", "structure", "sensing", "localization"),
 )
-_UNLESS_SET = Field(exclude_if=lambda value: value is None)
 _SLUG = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,98}[A-Za-z0-9_-])?")
 _LONGEST = 60
 _Values = TypeVar("_Values", bound=tuple[Any, ...])
@@ -151,13 +150,13 @@ class Scenario:
     else computes in f64. `auto` takes f64 on processors and on cards that compute it at half the
     rate of f32, else f32."""
 
-    arch: Annotated[Arch | None, _UNLESS_SET] = None
+    arch: Annotated[Arch | None, UNLESS_SET] = None
     """Device of methods that are parallel; that of the command if left out."""
 
-    threads: Annotated[int | None, Field(ge=1), _UNLESS_SET] = None
+    threads: Annotated[int | None, Field(ge=1), UNLESS_SET] = None
     """CPU threads of all stages; those of the command if left out. No result depends on them."""
 
-    workers: Annotated[int | None, Field(ge=1), _UNLESS_SET] = None
+    workers: Annotated[int | None, Field(ge=1), UNLESS_SET] = None
     """Processes that compute structures at the same time; as the command says if left out. No
     result depends on them."""
 

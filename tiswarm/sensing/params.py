@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, Strict, model_validator
 from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
-from tiswarm.base.params import STRICT
+from tiswarm.base.params import STRICT, UNLESS_SET
 from tiswarm.base.parts import Plugin, find, names, registered, watch
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
 
@@ -117,8 +117,7 @@ class SensingParams:
     """Sensed contacts that do not exist, with a random dock of a random earlier robot, per true
     contact [1]."""
 
-    # Runs without the key keep their hashes, which name folders.
-    vibration: Annotated[Vibration | None, Field(exclude_if=lambda value: value is None)] = None
+    vibration: Annotated[Vibration | None, UNLESS_SET] = None
     """Vibrations that name the robots in contact; if null, a robot knows whom it touches."""
 
     mute: Fraction = 0.0

@@ -23,7 +23,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from tiswarm.base import parts as door
 from tiswarm.base.aliases import AnyInts, Reals
-from tiswarm.base.params import STRICT
+from tiswarm.base.params import STRICT, UNLESS_SET
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.compute.math import uniform
 from tiswarm.records.messages import shown
@@ -231,9 +231,8 @@ class GrowthParams(RecruitParams):
 
     departures: Annotated[
         DepartureParams | None,
+        UNLESS_SET,
         Field(
-            # Runs without the key keep their hashes, which name folders.
-            exclude_if=lambda departures: departures is None,
             description="Robots that leave or die while the structure grows; null for none. Those "
             "that left count among `robots`, and their numbers are not used again.",
         ),
@@ -241,9 +240,8 @@ class GrowthParams(RecruitParams):
 
     belief_error: Annotated[
         BeliefErrorParams | None,
+        UNLESS_SET,
         Field(
-            # Runs without the key keep their hashes, which name folders.
-            exclude_if=lambda error: error is None,
             description="Error of the places that robots believe, with `navigate_by: error`.",
         ),
     ] = None
@@ -268,9 +266,8 @@ class GrowthParams(RecruitParams):
 
     anchors: Annotated[
         _Anchors,
+        UNLESS_SET,
         Field(
-            # Runs without the key keep their hashes, which name folders.
-            exclude_if=lambda anchors: anchors is None,
             description="Robots at known positions, which are put on the ground before all others "
             "and stay: a list of places [x, y] [R], or their number, 10 R apart around a tower's "
             "axis, or along the edge, as near as all docks are on flat ground, of a bridge along "

@@ -308,7 +308,7 @@ def named_contacts(
     if not len(contacts):
         return contacts
     robot, _, _, other, _ = contacts.T.astype(np.int64)
-    # A number for each contact, whatever else a robot senses.
+    # A number for each contact; other measurements do not change it.
     docks, robots = len(history.robot.dock_offset_body), history.robot_count
     shape = (int(contacts[:, 1].max(initial=0)) + 1, docks, robots, docks)
     number = np.ravel_multi_index(tuple(contacts[:, 1:].T), shape)
