@@ -96,8 +96,8 @@ def test_without_a_compass_only_the_anchor_knows_its_orientation(towers):
 
 
 def test_the_page_has_every_suite():
-    """`docs/suites.md` has a row for each, and sources of its numbers with the kind of each."""
-    page = (Path(__file__).parents[3] / "docs" / "suites.md").read_text().splitlines()
+    """The note has a row for each, and sources of its numbers with the kind of each."""
+    page = (Path(__file__).parents[3] / "docs" / "notes" / "sensors.md").read_text().splitlines()
     rows = [line.split(" | ") for line in page]
 
     assert SUITES.keys() == SENSED.keys()

@@ -2,7 +2,7 @@
 
 A suite is a set of settings for `sensing.*`. All suites sense the same structures, so a suite of
 another system stands for FireAntV3 robots that carry its sensors. Lengths in R; where a source
-gives millimeters, 33 mm are 1 R. `docs/suites.md` has the source of each number.
+gives millimeters, 33 mm are 1 R. `docs/notes/sensors.md` has the source of each number.
 
 A function that fills a list of the log becomes a sensor suite, too:
 
