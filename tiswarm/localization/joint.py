@@ -17,6 +17,9 @@ from tiswarm.localization.settings import MOST_STEPS, JointParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
+_ANNEALING = 0.8
+"""Share of the time of a batch that its first chains take."""
+
 
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     """Name what logs must share to be annealed together."""
@@ -33,7 +36,7 @@ def localize_batch(
     params: Sequence[JointParams],
     on_progress: Callable[[float], None] = ignore,
 ) -> list[Estimate]:
-    """Localize structures side by side, and report the share that is annealed.
+    """Localize structures side by side, and report the share that is done.
 
     Returns:
         One estimate a log: the mean of the solutions that the ends of its chains lead to, each with
@@ -42,9 +45,14 @@ def localize_batch(
         docks less D, or of the components of measured offsets.
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
-    annealed = anneal(logs, params, problems, on_progress=on_progress)
-    every = zip(logs, params, problems, annealed, strict=True)
-    return [_searched(Posed(log, p, problem), p, chains) for log, p, problem, chains in every]
+    annealed = anneal(
+        logs, params, problems, on_progress=lambda share: on_progress(_ANNEALING * share)
+    )
+    estimates = []
+    for log, p, problem, chains in zip(logs, params, problems, annealed, strict=True):
+        estimates.append(_searched(Posed(log, p, problem), p, chains))
+        on_progress(_ANNEALING + (1.0 - _ANNEALING) * len(estimates) / len(logs))
+    return estimates
 
 
 def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate:
