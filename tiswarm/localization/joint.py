@@ -17,9 +17,6 @@ from tiswarm.localization.settings import MOST_STEPS, JointParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
-_ANNEALING = 0.8
-"""Share of the time of a batch that its first chains take."""
-
 
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     """Name what logs must share to be annealed together."""
@@ -39,19 +36,15 @@ def localize_batch(
     """Localize structures side by side, and report the share that is done.
 
     Returns:
-        One estimate a log: the mean of the solutions that the ends of its chains lead to, each with
-        its weight. `sd` follows from the variance within and between chains, or from the refined
-        problem. The residual is the root mean square over the contacts of the distance of their
-        docks less D, or of the components of measured offsets.
+        One estimate a log: the mean of the solutions that its chains lead to, by their weights.
+        `sd` is of the variance within and between them, or of the refined problem.
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
-    annealed = anneal(
-        logs, params, problems, on_progress=lambda share: on_progress(_ANNEALING * share)
-    )
-    estimates = []
+    annealed = anneal(logs, params, problems, on_progress=lambda share: on_progress(0.8 * share))
+    estimates: list[Estimate] = []
     for log, p, problem, chains in zip(logs, params, problems, annealed, strict=True):
         estimates.append(_searched(Posed(log, p, problem), p, chains))
-        on_progress(_ANNEALING + (1.0 - _ANNEALING) * len(estimates) / len(logs))
+        on_progress(0.8 + 0.2 * len(estimates) / len(logs))
     return estimates
 
 
