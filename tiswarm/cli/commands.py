@@ -24,7 +24,7 @@ def localize(
         str,
         Option(
             help="joint (most accurate), virtual-force (the paper's), least-squares, hop-by-hop, "
-            "online, distributed (by messages; one robot solves for all), or that of a plug-in."
+            "online, distributed (by messages between robots), or that of a plug-in."
         ),
     ] = METHOD,
     cues: Annotated[

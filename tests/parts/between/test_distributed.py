@@ -106,12 +106,30 @@ def test_a_robot_reads_its_own_memory_only(log):
 def test_a_keeper_solves_until_it_is_out_of_reach(log):
     """The line of a robot goes on to who solved for the one that it touches, or stays there."""
     solvers = []
-    for reach in (0, 254):
-        swarm = grown(log, replace(QUICK, reach=reach), 16)
+    for settings in ({"reach": 0}, {"reach": 254}, {"solver": "joiner"}):
+        swarm = grown(log, replace(QUICK, **settings), 16)
         solvers.append({robot.number for robot in swarm.robots if robot.operations})
 
     assert len(solvers[0]) > 2
     assert solvers[1] == {0}
+    assert solvers[2] == {*range(1, len(swarm.robots))}
+
+
+def test_a_base_solves_however_far_it_is(log):
+    """A host sends a line to the anchor, though another robot that moved it is nearer."""
+    swarm = grown(log, replace(QUICK, solver="base"), 12)
+
+    assert {robot.number for robot in swarm.robots if robot.operations} == {0}
+    host, joiner = swarm.robots[10], swarm.robots[11]
+    host._keepers = {7: 1}  # noqa: SLF001 - one that is nearer
+    host.hear(Message("join", 11, b"", {10: joiner.known[11].line}))
+    assert [(each.kind, {*each.parts}) for each in host.outbox] == [("task", {0})]
+
+
+def test_a_reach_without_keepers_is_refused():
+    """It would have no effect."""
+    with pytest.raises(ValueError, match="reach is of solver keeper"):
+        DistributedParams(solver="base", reach=5)
 
 
 def test_a_robot_that_another_one_moved_is_asked_again(log):

@@ -37,8 +37,8 @@ _OF_SCHEME = {
 class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     """What robots send each other to find out where they are, and by which channel.
 
-    A robot computes from its own rows and from what it was sent. By default one robot, the anchor,
-    solves for all within `reach` of it, and so for all of a structure of 100.
+    A robot computes from its own rows and from what it was sent. By default several robots solve,
+    each for those that join within `reach` of it. With the solver `base` the anchor solves for all.
     """
 
     module: ClassVar = "tiswarm.parts.between.method"
@@ -88,13 +88,12 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     robots: Annotated[int, Field(ge=2)] = 100
     """Robots at most that are asked, and that a robot holds measurements of [1]."""
 
-    solver: Literal["joiner", "keeper"] = "keeper"
-    """Who solves: the robot that joined, or the nearest one that solved for the first robot that it
-    touches, which holds the measurements of those nearby."""
+    solver: Literal["base", "keeper", "joiner"] = "keeper"
+    """Who solves. base: the anchor, for all. keeper: the nearest robot that solved for the first
+    one that the new robot touches, and holds what those nearby sensed. joiner: the new robot."""
 
-    reach: Annotated[int, Field(ge=0, le=254)] = 12
-    """Contacts at most to such a robot [1]; without one, the robot touched solves. With 12 the
-    anchor solves for all of 100 robots; with 3 several robots do."""
+    reach: Annotated[int, Field(ge=0, le=254)] = 3
+    """Contacts at most to a keeper [1]; without one, the robot touched solves."""
 
     growth: Annotated[float, Field(gt=0.0)] = 0.1
     """Growth after which a robot that solves anneals all robots that it holds [1]."""
@@ -117,6 +116,8 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
                     raise ValueError(
                         f"{name} is of scheme {scheme}; remove it, or set scheme to {scheme}"
                     )
+        if self.solver != "keeper" and self.reach != usual["reach"]:
+            raise ValueError("reach is of solver keeper; remove it, or set solver to keeper")
 
     @property
     def published(self) -> VirtualForceParams:

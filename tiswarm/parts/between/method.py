@@ -1,6 +1,6 @@
 """The method `distributed`: robots localize by what they send each other.
 
-By default one robot solves for all that are within `reach` of it: the anchor, like a base.
+By default several robots solve, each for those that join within `reach` of it.
 
 The log is cut into lines, one for each robot; from then on a robot has its own line, and what it
 hears. Under `touch` robots in contact at the end, as the log has it, hear each other.

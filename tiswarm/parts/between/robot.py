@@ -4,7 +4,7 @@ A robot reads its own memory and the bytes that it hears. It has no other way to
 
 1. It joins, and lets the robots that it has rows about know that they share rows. It sends its line
    to the first that it touches. This one passes it on to its keeper: the nearest robot that moved
-   it before. Without one that is near it becomes a keeper itself.
+   it before. Without one that is near it becomes a keeper itself. A base keeps all.
 2. The keeper asks robots step by step of "shares a row", unless what it holds of them is current:
    whom they share rows with, where they are, and what they sensed if it does not hold that.
 3. It solves, and sends each robot that moved its new place. Who is moved lets all others that hold
@@ -343,7 +343,7 @@ class Peer:
         self.touching = sorted({other for _, other, _ in line.contacts})
         self.outbox: list[Message] = []
         self._hosts = [self.number]
-        if program.params.solver == "keeper":
+        if program.params.solver != "joiner":
             self._hosts = [*self.touching, self.number]
         # Robots that moved this one, and contacts to them.
         self._keepers: dict[int, int] = {}
@@ -474,13 +474,21 @@ class Peer:
         for partner in message.parts.keys() & self.known.keys():
             self.known[partner].sharing.add(message.sender)
         if line := message.parts.get(self.number):
-            contacts, keeper = min(
-                ((contacts, keeper) for keeper, contacts in self._keepers.items()), default=(0, 0)
-            )
-            if 0 < contacts <= self._program.params.reach:
-                self._say("task", b"", {keeper: line})
-            else:
+            keeper = self._keeper()
+            if keeper == self.number:
                 self._take(line)
+            else:
+                self._say("task", b"", {keeper: line})
+
+    def _keeper(self) -> int:
+        """Choose who solves for a robot that touches this one, perhaps this one itself."""
+        params = self._program.params
+        if params.solver == "base":
+            return 0
+        contacts, keeper = min(
+            ((contacts, keeper) for keeper, contacts in self._keepers.items()), default=(0, 0)
+        )
+        return keeper if 0 < contacts <= params.reach else self.number
 
     def _begin(self, joiner: int) -> None:
         """Begin to solve for a robot."""
