@@ -11,6 +11,7 @@ from tiswarm.localization.chains.annealer import anneal, annealer_of
 from tiswarm.localization.chains.arrays import BlockProgress, BodyMotion, Heading, SubtreeMotion
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING, find_subtrees, reinitialize_lost, weights
+from tiswarm.localization.joint import localize_batch
 from tiswarm.localization.settings import JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -317,3 +318,13 @@ def test_the_share_of_the_steps_that_is_done_grows_up_to_all_of_them(log):
 
     even = np.union1d(np.linspace(0.0, 1.0, ANNEALING.frames), [0.75])
     np.testing.assert_allclose(shares, even, atol=1.0 / 400)
+
+
+def test_progress_moves_with_each_structure_that_is_searched(towers):
+    """Annealings are half of the work; the other half is a search, structure by structure."""
+    shares = []
+
+    localize_batch([observe(each, NOISY) for each in towers], [SHORT] * 3, shares.append)
+
+    assert shares == sorted(shares)
+    np.testing.assert_allclose(shares[-4:], [1 / 2, 2 / 3, 5 / 6, 1])

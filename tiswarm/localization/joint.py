@@ -40,11 +40,11 @@ def localize_batch(
         `sd` is of the variance within and between them, or of the refined problem.
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
-    annealed = anneal(logs, params, problems, on_progress=lambda share: on_progress(0.8 * share))
+    annealed = anneal(logs, params, problems, on_progress=lambda share: on_progress(share / 2))
     estimates: list[Estimate] = []
     for log, p, problem, chains in zip(logs, params, problems, annealed, strict=True):
         estimates.append(_searched(Posed(log, p, problem), p, chains))
-        on_progress(0.8 + 0.2 * len(estimates) / len(logs))
+        on_progress(0.5 + len(estimates) / (2 * len(logs)))
     return estimates
 
 
