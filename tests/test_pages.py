@@ -1,7 +1,6 @@
 """Links and names on the pages of the project lead somewhere."""
 
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -82,22 +81,3 @@ def test_the_example_log_can_be_localized(tmp_path):
     distance = np.linalg.norm(estimate.position[1] - estimate.position[0])
     assert distance < 1.506 + 2.0 + 1.506 + 0.05  # 5 sd of a contact and of a height
     assert estimate.position[1, 2] == pytest.approx(1.0, abs=0.05)
-
-
-@pytest.mark.trial
-def test_commands_of_the_readme_run_one_after_the_other(tiswarm, tmp_path):
-    """Six of eight named files that a fresh clone lacks."""
-    text = (REPOSITORY / "README.md").read_text().partition("## Commands")[2]
-    commands = re.search(r"```sh\n(.*?)```", text, re.DOTALL)[1].splitlines()
-    (tmp_path / "scenarios").symlink_to(REPOSITORY / "scenarios")
-    made_before = ("--set", "robots=8", "--set", "seeds=1", "--no-pictures")
-    tiswarm("run", "scenarios/tower.yaml", *made_before, cwd=tmp_path)  # stands for `make run`
-
-    for command in commands:
-        words = shlex.split(command, comments=True)[1:]
-        given = [sorted(tmp_path.glob(word)) if "*" in word else [word] for word in words]
-        done = tiswarm(*(word for several in given for word in several), cwd=tmp_path)
-
-        assert done.returncode == 0, (command, done.stderr)
-
-    assert len(commands) > 5
