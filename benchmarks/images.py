@@ -31,9 +31,9 @@ from tiswarm.parts.pictures.pictures import (
     Tile,
     add_legend,
     build_pictures,
-    draw_joins,
     draw_scenes,
     draw_side_by_side,
+    draw_states,
     encode_webp,
 )
 from tiswarm.parts.pictures.scene import TRUE_SIZE, Scene, build_scene
@@ -90,7 +90,9 @@ def draw_growing(run: RunData, renderer: str) -> bytes:
     around = np.concatenate([robots.dock.reshape(-1, 3) for _, robots in columns])
     joined = np.linspace(1, len(views[0].pose), _FRAMES).round().astype(int).tolist()
     drawn = [
-        draw_joins(robots, views[0].terrain, joined, _FRAME, renderer, around=around)[0]
+        draw_states(
+            robots, views[0].terrain, [*map(np.arange, joined)], _FRAME, renderer, around=around
+        )[0]
         for _, robots in columns
     ]
     legend = Scale(ERROR_COLORS, "error [R]  0", f"{three_digits(greatest)}")
@@ -108,7 +110,7 @@ def draw_large(renderer: str) -> tuple[Image.Image, bytes]:
     [grown] = tiswarm.grow(_LARGE_TOWER, robots=_LARGE)
     robots = _drawn(grown, colors_along(np.linspace(0.0, 1.0, _LARGE), JOIN_COLORS))
     joined = np.linspace(1, _LARGE, _LARGE_FRAMES).round().astype(int).tolist()
-    drawn, _, _ = draw_joins(robots, Terrain(), joined, _LARGE_FRAME, renderer)
+    drawn, _, _ = draw_states(robots, Terrain(), [*map(np.arange, joined)], _LARGE_FRAME, renderer)
     frames = []
     for count, picture in zip(joined, drawn, strict=True):
         half = (picture.shape[1] // 2, picture.shape[0] // 2)

@@ -13,6 +13,7 @@ from tiswarm.app.logs import open_log
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.evaluation.tables import LOSSES
 from tiswarm.records.sensing_file import log_entries, read_sensing_log
 from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view, view_data, view_log
@@ -79,8 +80,16 @@ def test_robots_that_remain_are_scored(folder, history, condition):
     scores = json.loads((case / "case.json").read_text())["scores"]
     stays = ~history.is_gone
 
-    assert (robots["gone"] == 1).tolist() == (estimate["gone"] == "yes").tolist()
-    assert (robots["gone"] == 0).tolist() == stays.tolist()
+    lost = {robot: (LOSSES[k], after) for robot, after, k in history.departures.tolist()}
+    stated = robots["lost"].dropna()
+    assert (
+        dict(
+            zip(stated.index, zip(stated, robots["lost_after"].dropna(), strict=True), strict=True)
+        )
+        == lost
+    )
+    assert (estimate["gone"] == "no").tolist() == stays.tolist()
+    assert (robots["lost"].isna()).tolist() == stays.tolist()
     off = estimate[["x_R", "y_R", "z_R"]].to_numpy() - history.position
     error = np.linalg.norm(off, axis=1)
     assert scores["rmse_R"] == pytest.approx(np.sqrt((error[stays] ** 2).mean()), rel=1e-9)
@@ -121,6 +130,8 @@ def test_growth_counts_who_is_left(folder, history):
         assert table["height_R"][n - 1] == pytest.approx(top)
         assert table["left"][n - 1] + table["fell"][n - 1] == len(gone)
     assert (table["died"] == 0).all()
+    means = pd.read_csv(folder / "table.csv").iloc[0][["left_mean", "fell_mean", "died_mean"]]
+    assert means.tolist() == [sum(k == event for _, _, k in events) for event in range(3)]
 
 
 def test_a_view_shows_who_is_left(folder, history):

@@ -181,9 +181,8 @@ def render_log(
         EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
     """
     pictures_of = find("command", "render")
-    near = replace(
-        view, pose=view.from_origin(view.pose), estimated_pose=view.from_origin(view.estimated_pose)
-    )
+    pose, estimated, stood = map(view.from_origin, (view.pose, view.estimated_pose, view.stood))
+    near = replace(view, pose=pose, estimated_pose=estimated, stood=stood)
     if view.terrain is not None:
         terrain = replace(view.terrain, ground_z=view.terrain.ground_z - float(view.origin[2]))
         near = replace(near, terrain=terrain)

@@ -26,7 +26,10 @@ from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.climb_kernels import GROUND
-from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
+from tiswarm.world.history import History, Walk
+
+LOSSES = ("left", "fell", "died")
+"""Names of what happened to a robot, in the order of `history.departures`."""
 
 DOCK_DIAMETER = 2.0
 """The accuracy that the paper calls sufficient for attachment [R]."""
@@ -114,13 +117,8 @@ def _with_docks(contacts: Ints) -> Ints:
     return contacts[(contacts[:, [2, 4]] >= 0).all(axis=1)]
 
 
-def by_robot(
-    truth: Truth, log: SensingLog, estimate: Estimate, sensed_force: Reals
-) -> pd.DataFrame:
-    """Tabulate each robot in join order: true and estimated pose, errors, contacts and load.
-
-    `sensed_force` is what each robot senses in its links [weight of a dock], shape (N,).
-    """
+def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History) -> pd.DataFrame:
+    """Tabulate each robot in join order: true and estimated pose, errors, contacts and load."""
     true, estimated = truth.position, estimate.position
     table = pd.DataFrame({"robot": truth.robot_id})
     table[["x_R", "y_R", "z_R"]] = true
@@ -140,8 +138,10 @@ def by_robot(
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
         table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
-    if len(log.gone):
-        table["gone"] = log.is_gone.astype(int)
+    if len(history.departures):
+        robot, after, event = history.departures.T
+        table["lost"] = pd.Series(np.array(LOSSES)[event], robot)
+        table["lost_after"] = pd.Series(after, robot).astype("Int64")
     apart = pd.Series(hops_from_anchors(log))
     return table.assign(
         **error,
@@ -150,7 +150,7 @@ def by_robot(
         ground_docks=np.bincount(log.ground_docks[:, 0], minlength=log.robot_count),
         flip_height_R=log.flip_height,
         disconnected=estimate.disconnected,
-        sensed_force=sensed_force,
+        sensed_force=history.sensed,
     )
 
 
@@ -206,9 +206,8 @@ def _losses(history: History) -> dict[str, Ints]:
         return {}
     _, after, event = history.departures.T
     joined = np.arange(1, history.robot_count + 1)
-    counted = {"left": LEFT, "fell": FELL, "died": DIED}
     return {
-        name: np.searchsorted(after[event == k], joined, "right") for name, k in counted.items()
+        name: np.searchsorted(after[event == k], joined, "right") for k, name in enumerate(LOSSES)
     }
 
 
@@ -242,7 +241,7 @@ def totals(history: History) -> dict[str, float | int]:
     return {
         **{name: grown[name].tolist()[-1] for name in names},
         "spawns": history.spawns,
-        **({name: grown[name].iloc[-1] for name in ("left", "fell", "died") if name in grown}),
+        **({name: grown[name].iloc[-1] for name in LOSSES if name in grown}),
         "crossed": int(history.crossed),
         "beyond_edge": np.nan if terrain.is_plane else float(is_beyond.mean()),
         **_flips(history),
@@ -459,7 +458,7 @@ def evaluate(
         scores=scores,
         measurements=", ".join(measured.used(cues)),
         tables={
-            "robots": by_robot(truth, log, estimate, history.sensed),
+            "robots": by_robot(truth, log, estimate, history),
             "convergence": by_iteration(truth, log, estimate),
             "growth": by_join(history),
             "relative": by_hops_apart(truth, log, estimate),

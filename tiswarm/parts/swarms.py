@@ -325,6 +325,7 @@ class Structure:
             error=unknown[:, 0],
             force=self.sensed_load,
             sd=unknown[:, 0],
+            stood=pose,
             dock_offset_body=history.robot.dock_offset_body / unit,
             terrain=history.terrain,
             read_log=lambda: observe(history, SensingParams()),

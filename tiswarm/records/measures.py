@@ -91,6 +91,10 @@ _LOG, _WALKS, _TRAFFIC = "log, cues", "walks", "messages"
 
 
 JOINED = Measure("joined", "1", _STRUCTURE, "robots that joined")
+LEFT, FELL, DIED = (
+    Measure(name, "1", _STRUCTURE, f"robots that {event}; empty where all stayed")
+    for name, event in (("left", "left"), ("fell", "fell as others left"), ("died", "died"))
+)
 DISCONNECTED = Measure(
     "disconnected", "1", _ESTIMATE, "robots that no measurement ties to an anchor", better="smaller"
 )
@@ -377,6 +381,7 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     },
     "cases": {
         JOINED: "joined",
+        **{measure: measure.column for measure in (LEFT, FELL, DIED)},
         DISCONNECTED: "disconnected",
         RMSE: "RMSE [R]",
         RMSE_YAW_ALIGNED: "yaw aligned [R]",

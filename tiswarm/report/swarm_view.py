@@ -65,6 +65,7 @@ class SwarmView:
     sd: Reals  # standard deviation of the estimated position [R], shape (N,)
     dock_offset_body: Reals  # vectors from center to dock, body frame [R], shape (docks, 3)
     terrain: Terrain | None  # the ground; None where there is none
+    stood: Reals  # pose in which each robot last stood, also if it left, shape (N, 7)
     read_log: Callable[[], SensingLog]  # slow for many robots
     read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
 
@@ -128,6 +129,7 @@ def read_case_view(case: StoredCase) -> SwarmView:
     gaps = [*_ESTIMATED_POSE, "error_R", "sensed_force"]
     table = case.columns("robots.csv", [*POSE, *gaps, "robot"], gaps=gaps)
     sd, is_gone = _spread(case, len(table))
+    stood = table[:, :7].copy()
     table[is_gone, :-1] = np.nan  # robots that left are not shown
     pose, estimated, rest = np.split(table, [7, 14], axis=1)
     error, force, robot = rest.T
@@ -151,6 +153,7 @@ def read_case_view(case: StoredCase) -> SwarmView:
         error=error,
         force=force,
         sd=sd,
+        stood=stood,
         dock_offset_body=np.array(header.dock_offsets) / header.dock_radius,
         terrain=None
         if header.ground_z is None
@@ -191,8 +194,10 @@ def view_log(
         name: Name of the estimate.
     """
     gone = np.where(log.is_gone, np.nan, 0.0)[:, None]  # robots that left are not shown
-    turned = with_orientations(log).orientation_wxyz + gone
     unknown, unit = np.full((log.robot_count, 3), np.nan), log.dock_radius
+    turned = with_orientations(log).orientation_wxyz
+    stood = np.column_stack([(estimate.position if true is None else true) / unit, turned])
+    turned = turned + gone
     place, center = estimate.position / unit + gone, unknown if true is None else true / unit + gone
     trace = thinned(estimate)
     trace = trace and trace._replace(center=trace.center / unit)
@@ -204,6 +209,7 @@ def view_log(
         error=np.linalg.norm(place - center, axis=1),
         force=unknown[:, 0],
         sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit + gone[:, 0],
+        stood=stood,
         dock_offset_body=log.dock_offset_body / unit,
         terrain=None if log.ground_z is None else Terrain(ground_z=log.ground_z / unit),
         read_log=lambda: log,

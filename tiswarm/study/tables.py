@@ -290,7 +290,8 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         names = ["z_R", "error_R", "hops_from_anchor", "contacts"]
         robots = [read_frame(folder / "robots.csv", gaps=names) for folder in folders]
         robots = [table.assign(join=np.arange(len(table))) for table in robots]
-        robots = [table[table["gone"] == 0] if "gone" in table else table for table in robots]
+        gone = ["left", "fell"]
+        robots = [t[~t["lost"].isin(gone)] if "lost" in t else t for t in robots]
         names = ["hops_apart", "pairs", "mean_error_R", measures.RMSE.column]
         relative = [
             read_frame(folder / "relative.csv", numbers=names, empty=True) for folder in folders

@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import tiswarm
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.progress import Progress
-from tiswarm.parts.pictures.pictures import FRAME_MS, LAST_MS, animate_run, best_movie, draw_joins
+from tiswarm.parts.pictures import pictures
+from tiswarm.parts.pictures.pictures import (
+    FRAME_MS,
+    LAST_MS,
+    animate_run,
+    best_movie,
+    draw_states,
+)
 from tiswarm.parts.pictures.raycast import draw_scenes
 from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.report.figures import draw_figures
@@ -42,24 +50,46 @@ def test_robots_appear_one_after_the_other_and_stay(run_folder):
 
 
 def test_frames_look_as_if_each_were_drawn_alone(run_folder):
-    """Only what new robots change is drawn again, and nobody sees it."""
+    """Only what robots change that join or leave is drawn again, and nobody sees it."""
     view = read_case_view(load_run(run_folder).cases[0])
     robots = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
-    joined = [3, 7, 12]
+    states = [np.arange(3), np.arange(7), np.delete(np.arange(12), [2, 5, 11])]
 
-    frames, _, _ = draw_joins(robots, view.terrain, joined, (300, 300), "taichi")
+    frames, _, _ = draw_states(robots, view.terrain, states, (300, 300), "taichi")
 
     around = robots.dock.reshape(-1, 3)
     camera = build_scene(robots, view.terrain).within(300, 300).camera
-    for count, frame in zip(joined, frames, strict=True):
+    for shown, frame in zip(states, frames, strict=True):
         part = replace(
-            robots, center=robots.center[:count], dock=robots.dock[:count],
-            color=robots.color[:count],
+            robots, center=robots.center[shown], dock=robots.dock[shown],
+            color=robots.color[shown],
         )  # fmt: skip
         scene = build_scene(part, view.terrain, around=around).seen_by(camera)
         (alone,), _, _ = draw_scenes([scene], "taichi")
         off = np.abs(frame.astype(int) - alone)
         assert (off.max(axis=2) > 12).mean() < 0.01  # 5 % of the brightness, on edges of light
+
+
+def test_robots_that_leave_vanish(monkeypatch, tmp_path):
+    """The film shows a robot from its join until it leaves or falls, and counts those that left."""
+    tower = {"kind": "tower", "departures": {"rate": 0.3}}
+    [grown] = tiswarm.grow(tower, robots=15, seeds=[1], quiet=True)
+    events = grown.history.departures.tolist()
+    scenes = []
+
+    def draw(given, *_):
+        scenes.extend(given)
+        return [np.zeros((40, 600, 3), np.uint8)] * len(given), "", ""
+
+    monkeypatch.setattr(pictures, "draw_growth", draw)
+    monkeypatch.setattr(pictures, "render_view", lambda *_: ({}, "", ""))
+
+    grown.render(tmp_path, movie="gif", quiet=True)
+
+    assert (len(events) > 2, len(scenes)) == (True, 15)
+    for n, scene in enumerate(scenes, start=1):
+        gone = [robot for robot, after, _ in events if after <= n]
+        assert len({*map(tuple, scene.color)}) == 2 * (n - len(gone))  # of docks, and of arms
 
 
 def test_without_a_video_library_the_best_movie_is_a_webp(run_folder, monkeypatch):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageChops, ImageDraw, ImageFont
 
-from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Advance, Progress, ignore
@@ -397,33 +397,36 @@ def animate_view(
     """
     robots = len(view.pose)
     joined = np.linspace(1, robots, min(robots, _MOST_FRAMES)).round().astype(int).tolist()
-    whole = view.robots(view.best_pose, view.color_by_join, TRUE_SIZE)
+    index, left_after = np.flatnonzero(_known(view.stood)), np.full(robots, robots + 1)
+    left_after[view.log.gone] = view.log.left_after
+    standing = [np.flatnonzero((index < n) & (left_after[index] > n)) for n in joined]
+    whole = view.robots(view.stood, view.color_by_join, TRUE_SIZE)
     with progress.task("animate", len(joined)) as advance:
-        pictures, used, reason = draw_joins(
-            whole, view.terrain, joined, _SIZES[form], renderer, advance
+        pictures, used, reason = draw_states(
+            whole, view.terrain, standing, _SIZES[form], renderer, advance
         )
     frames = [
-        _with_legend(Image.fromarray(picture), count, robots)
-        for picture, count in zip(pictures, joined, strict=True)
+        _with_legend(Image.fromarray(picture), n, robots, np.count_nonzero(left_after <= n))
+        for picture, n in zip(pictures, joined, strict=True)
     ]
     return _ENCODERS[form](frames), used, reason
 
 
-def draw_joins(
+def draw_states(
     robots: DrawnRobots,
     terrain: Terrain | None,
-    joined: Sequence[int],
+    shown: Sequence[Ints],
     size: tuple[int, int],
     renderer: str | None = None,
     advance: Advance = ignore,
     around: Reals | None = None,
 ) -> tuple[list[NDArray[np.uint8]], str, str]:
-    """Draw a structure when so many of its robots have joined, before one camera.
+    """Draw a structure in several states, before one camera.
 
     Args:
-        robots: All robots, in join order.
+        robots: All robots.
         terrain: The ground; None for no ground.
-        joined: Number of robots of each picture, ascending.
+        shown: The robots of each picture; neighboring pictures share most.
         size: Most columns and rows of a picture [pixels].
         renderer: Name of the renderer; the first that works if None.
         advance: Called with the number of pictures drawn since.
@@ -434,19 +437,20 @@ def draw_joins(
     """
     docks = robots.dock.reshape(-1, 3) if around is None else around
     camera = build_scene(robots, terrain, around=docks).within(*size).camera
-    scenes, added = [], []
-    for before, n in zip([0, *joined], joined, strict=False):
+    scenes, changed = [], []
+    for before, now in zip([shown[0][:0], *shown], shown, strict=False):
         part = replace(
-            robots, center=robots.center[:n], dock=robots.dock[:n], color=robots.color[:n]
+            robots, center=robots.center[now], dock=robots.dock[now], color=robots.color[now]
         )
         scenes.append(build_scene(part, terrain, around=docks).seen_by(camera))
-        added.append(robots.center[before:n])
-    return draw_growth(scenes, added, renderer, advance)
+        changed.append(robots.center[np.setxor1d(before, now)])
+    return draw_growth(scenes, changed, renderer, advance)
 
 
-def _with_legend(picture: Image.Image, count: int, robots: int) -> Image.Image:
+def _with_legend(picture: Image.Image, count: int, robots: int, left: int) -> Image.Image:
     """Add a legend to a frame, and make its size even, as MP4 requires."""
-    legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}    {count} of {robots} robots")
+    state = f"{count} of {robots} robots" + f", {left} left" * (left > 0)
+    legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}    {state}")
     whole = add_legend(picture, legend, picture.width / _LEGEND_WIDTH)
     return whole.crop((0, 0, whole.width // 2 * 2, whole.height // 2 * 2))
 
