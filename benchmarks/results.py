@@ -43,6 +43,8 @@ MEASURES = {
     "belief_newest_R": "R",
     "belief_final_R": "R",
     "belief_per_contact_R": "R",
+    "belief_sent_B": "B",
+    "belief_worst_sent_B": "B",
     "sent_B": "B",
     "worst_sent_B": "B",
     "converged": "1",

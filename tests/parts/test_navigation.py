@@ -13,8 +13,10 @@ from tiswarm import study
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.evaluation.tables import by_join
 from tiswarm.localization.methods import joining, localize
 from tiswarm.parts import navigation
+from tiswarm.parts.between.method import PeerSwarm
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.sensing import observe
 from tiswarm.world.growth import grow
@@ -61,16 +63,20 @@ def test_conditions_that_built_different_structures_are_not_paired(built):
 
 
 def _believed(settings, *, robots):
-    """Structures of a growth, each with where its docks are believed [R]."""
+    """Structures of a growth, each with what its robots believe."""
     believe, found = navigation.believe_by(settings), []
 
     def spy(grown):
-        docks = believe(grown)
-        found.extend(zip(grown, docks, strict=True))
-        return docks
+        beliefs = believe(grown)
+        found.extend(zip(grown, beliefs, strict=True))
+        return beliefs
 
-    grow(settings.structure, robots=robots, seeds=[4], robot=settings.robot, believe=spy)
-    return found
+    [built] = grow(settings.structure, robots=robots, seeds=[4], robot=settings.robot, believe=spy)
+    return [*found[:-1], (built, found[-1][1])]
+
+
+def _centers(belief):
+    return belief.docks.reshape(-1, 3, 3).mean(axis=1)  # docks are symmetric about it
 
 
 def test_robots_go_by_what_the_log_of_those_before_them_localizes_to():
@@ -80,19 +86,54 @@ def test_robots_go_by_what_the_log_of_those_before_them_localizes_to():
     believed = _believed(settings, robots=9)
 
     assert [history.robot_count for history, _ in believed] == [*range(1, 10)]
-    for history, docks in believed:
+    for history, belief in believed:
         log = observe(history, settings.sensing)
-        center = docks.reshape(-1, 3, 3).mean(axis=1)  # docks are symmetric about it
+        center = _centers(belief)
         np.testing.assert_allclose(center, localize(log, settings.localization).position, atol=1e-9)
+
+
+MESSAGES = "conditions={messages: {localization: {method: distributed, chains: 1, steps: 20}}}"
+PUBLISHED = "conditions={published: {localization: {method: distributed, scheme: algorithm-1}}}"
+
+
+@pytest.mark.parametrize("by", [MESSAGES, PUBLISHED])
+def test_robots_that_build_send_what_those_of_a_whole_log_do(by):
+    """By messages, each join goes on from what robots know; places and bytes are those counted."""
+    settings = variants(_loaded(BY_ESTIMATE, by))[0].settings
+
+    believed = _believed(settings, robots=9)
+
+    for history, belief in believed[::4]:
+        found = localize(observe(history, settings.sensing), settings.localization)
+        np.testing.assert_allclose(_centers(belief), found.position, atol=1e-9)
+        np.testing.assert_array_equal(belief.sent, found.traffic["sent"])
+    by_then = by_join(believed[-1][0])["sent_B"]
+    assert by_then.tolist() == [belief.sent.mean() for _, belief in believed]
+
+
+def test_each_robot_joins_once_while_it_builds_by_messages(monkeypatch):
+    """Nothing is solved anew: a bridge's robots join the swarm of their side one by one."""
+    structure = "structure={kind: bridge, gap: 30, navigate_by: estimate}"
+    settings, joined = variants(_loaded(structure, MESSAGES))[0].settings, []
+    join = PeerSwarm.join
+    monkeypatch.setattr(
+        PeerSwarm, "join", lambda swarm, line: (joined.append(line.robot), join(swarm, line))
+    )
+
+    history = _believed(settings, robots=10)[-1][0]
+
+    sides = np.unique(navigation.founders_of(history), return_counts=True)[1]
+    assert sorted(joined) == sorted(number for size in sides for number in range(size))
+    assert len(joined) == 10
 
 
 def test_each_side_of_a_gap_has_an_anchor_and_does_not_know_the_other_side():
     """The first robot of each side is where it is; others are where their own side puts them."""
     structure = "structure={kind: bridge, gap: 30, navigate_by: estimate}"
 
-    history, docks = _believed(variants(_loaded(structure))[0].settings, robots=10)[-1]
+    history, belief = _believed(variants(_loaded(structure))[0].settings, robots=10)[-1]
 
-    error = np.linalg.norm(docks.reshape(-1, 3, 3).mean(axis=1) - history.position, axis=1)
+    error = np.linalg.norm(_centers(belief) - history.position, axis=1)
     side = history.position[:, 0] > 15.0
     assert 0 < side.sum() < 10
     assert error[np.flatnonzero(side)[0]] < 1e-9

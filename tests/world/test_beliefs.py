@@ -20,6 +20,7 @@ from tiswarm.world.params import (
     ClimbParams,
     TowerParams,
 )
+from tiswarm.world.walks import Belief
 
 FIREANT = RobotGeometry()
 KINDS = [
@@ -46,7 +47,8 @@ def misplaced(sd, common=(0.0, 0.0, 0.0)):
         for history in grown:
             rng = np.random.default_rng(history.seed)
             each = rng.normal(scale=sd, size=(1_000, 3))[: history.robot_count] + common
-            found.append(docks(history) + np.repeat(each, history.robot.dock_count, axis=0))
+            wrong = docks(history) + np.repeat(each, history.robot.dock_count, axis=0)
+            found.append(Belief(wrong))
         return found
 
     return believe
@@ -166,15 +168,15 @@ def test_robots_plan_by_the_orientation_that_they_sense():
     assert shares[2] < 0.9
 
 
-def test_errors_of_beliefs_are_kept_as_robots_join():
-    """A walk has the RMSE of all, its robot's own error, and the RMSE between neighbors."""
+def test_errors_and_bytes_of_beliefs_are_kept_as_robots_join():
+    """A walk has the RMSE of all, its robot's own error, the RMSE between neighbors, and bytes."""
     believe, errors = misplaced(1.0), []
 
     def spy(grown):
         found = believe(grown)
         [history] = grown
-        errors.append((found[0] - docks(history)).reshape(-1, 3, 3)[:, 0])
-        return found
+        errors.append((found[0].docks - docks(history)).reshape(-1, 3, 3)[:, 0])
+        return [found[0]._replace(sent=10 * np.arange(history.robot_count))]
 
     [history] = _built(TowerParams(), robots=8, seeds=[1], believe=spy)
 
@@ -182,11 +184,13 @@ def test_errors_of_beliefs_are_kept_as_robots_join():
         pairs = [(a, b) for a, _, b, _ in history.contacts if b <= j]
         between = [((error[a] - error[b]) ** 2).sum() for a, b in pairs] or [0.0]
         expected = [(error**2).sum(axis=1).mean(), (error[j] ** 2).sum(), np.mean(between)]
-        np.testing.assert_allclose(walk.belief_error, np.sqrt(expected), atol=1e-12)
+        np.testing.assert_allclose(walk.belief[:3], np.sqrt(expected), atol=1e-12)
+        assert walk.belief[3:].tolist() == [5.0 * j, 10.0 * j]
     found = totals(history)
-    assert found["belief_final_R"] == pytest.approx(history.walks[-1].belief_error[0])
+    assert found["belief_final_R"] == pytest.approx(history.walks[-1].belief[0])
+    assert (found["belief_sent_B"], found["belief_worst_sent_B"]) == (35.0, 70.0)
     assert found["belief_newest_R"] == pytest.approx(
-        np.sqrt(np.mean([walk.belief_error[1] ** 2 for walk in history.walks]))
+        np.sqrt(np.mean([walk.belief[1] ** 2 for walk in history.walks]))
     )
 
 

@@ -174,7 +174,7 @@ def by_join(history: History) -> pd.DataFrame:
     standing = np.concatenate([history.table("ground_docks"), history.table("edge_docks")])
     last = np.array([walk.stance_count - 1 for walk in walks])
     standing = standing[standing[:, 1] == last[standing[:, 0]], 0]
-    loss = _losses(history)
+    sent = [walk.belief[3] for walk in walks if len(walk.belief)]
     return pd.DataFrame(
         {
             "robots": joined,
@@ -195,7 +195,8 @@ def by_join(history: History) -> pd.DataFrame:
             "overhang_R": np.nan
             if terrain.is_plane
             else _standing(x, history, np.mean) - terrain.left_edge,
-            **loss,
+            **_losses(history),
+            **({"sent_B": sent} if np.isfinite(sent).any() else {}),
         }
     )
 
@@ -279,16 +280,18 @@ def _as_planned(walk: Walk) -> int:
 
 
 def _beliefs(history: History) -> dict[str, float]:
-    """Return the errors of places that robots believed [R]; empty where they know the truth."""
-    found = np.array([w.belief_error for w in history.walks if len(w.belief_error)])
+    """Return errors and bytes of places that robots believed; empty where they know the truth."""
+    found = np.array([walk.belief for walk in history.walks if len(walk.belief)])
     if not len(found):
         return {}
-    building, newest, _ = np.sqrt((found**2).mean(axis=0))
+    building, newest, *_ = np.sqrt((found**2).mean(axis=0))
     return {
         "belief_building_R": building,
         "belief_newest_R": newest,
         "belief_final_R": found[-1, 0],
         "belief_per_contact_R": found[-1, 2],
+        "belief_sent_B": found[-1, 3],
+        "belief_worst_sent_B": found[-1, 4],
     }
 
 

@@ -21,7 +21,7 @@ import pydantic
 from numpy.typing import NDArray
 
 from tiswarm.base import parts as door
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.progress import Advance, ignore
@@ -94,21 +94,17 @@ def modules(name: str) -> set[str]:
 
 
 class Joining(Protocol):
-    """What localizes robots as they join."""
+    """What localizes robots as they join.
+
+    If robots send messages, `sent` has the bytes that each has sent so far, shape (n,).
+    """
 
     def join(self, robot: Any, /) -> object:  # noqa: ANN401 - of `records.sensing_format`
         """Add the next robot by its line of a sensing file."""
 
     @property
-    def names(self) -> Ints:
-        """Names of the robots, in join order, shape (n,)."""
-
-    @property
     def positions(self) -> Reals:
         """Estimated centers in join order [log unit], shape (n, 3)."""
-
-    def estimate(self, *, final: bool = False) -> Estimate:
-        """Return the estimate of all robots so far; that of the whole log if it is final."""
 
 
 def joining(params: MethodParams) -> Callable[..., Joining] | None:

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.records.measures import (
+    BELIEF_SENT,
     BUILT_FOR,
     CROSSED,
     FLIPS_AS_PLANNED,
@@ -95,7 +96,7 @@ CAPTIONS = {
     "CI.",
     "building": "What robots build that navigate by the truth, or by what each condition estimates "
     "as they join. A flip is as planned if the robot then touches the one that it meant to reach. "
-    "Bars are 95 % CI.",
+    "Bytes are those that robots send for their estimates, if they do. Bars are 95 % CI.",
     "grades": "RMSE by grade: conditions that differ in one number share a panel, and each point "
     "of the sweep has a line. The dashed line is the first condition without a grade. Bars are "
     "95 % CI.",
@@ -522,6 +523,7 @@ _PANELS = {
     REACH: ("cantilever", "Cantilever reach [R]"),
     CROSSED: ("bridge", "Bridges closed [1]"),
     FLIPS_AS_PLANNED: ("", "Flips as planned [1]"),
+    BELIEF_SENT: ("", "Sent by a robot [kB]"),
 }
 """By measure: the kind of structure that a panel shows, all if empty; its axis."""
 
@@ -533,12 +535,13 @@ def _building_painters(run: RunData) -> dict[str, figure_style.Painter]:
 
 
 def draw_building(run: RunData, most: float = np.inf) -> "Figure":
-    """Draw how high, far and often robots build, with a row for what they navigate by.
+    """Draw what robots build, and what they send for it, with a row for what they navigate by.
 
     A marker is the mean of a kind of structure with its 95 % confidence interval.
     """
     done = run.summary[run.summary["status"] == "done"]
     rows = done.assign(structure=_structures(done), by=_navigation(done))
+    rows[BELIEF_SENT.column] = rows.get(BELIEF_SENT.column, np.nan) / 1e3
     rows = rows.drop_duplicates(["by", "structure", "seed"])  # conditions may share structures
     names, kinds = list(dict.fromkeys(rows["by"])), list(dict.fromkeys(rows["structure"]))
     shown = {
@@ -546,12 +549,13 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
         for measure, panel in _PANELS.items()
         if _of_kind(rows, panel[0])[measure.column].any()
     }
-    height = 0.9 + len(names) * (0.16 + 0.07 * len(kinds))
-    panels = figure_style.Panels(height, len(shown), len(shown), share="y", most=most)
+    columns = min(len(shown), 3)
+    height = (0.9 + len(names) * (0.16 + 0.07 * len(kinds))) * -(-len(shown) // columns)
+    panels = figure_style.Panels(height, len(shown), columns, share="y", most=most)
     for axes, (column, (kind, label)) in panels.each(shown.items()):
         _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
         axes.set_xlabel(label)
-        axes.set_xlim(left=0.0)
+        axes.set_xlim(left=-0.03 * axes.get_xlim()[1])  # markers at 0 are whole
     figure_style.label_rows(panels.first, names)
     panels.first.invert_yaxis()
     structures = int(rows.groupby(["by", "structure"]).size().max())
@@ -587,10 +591,11 @@ def _draw_panel(
     axes: "Axes", rows: pd.DataFrame, column: str, names: list[str], kinds: list[str]
 ) -> None:
     """Draw the mean of a column for each name, a marker for each kind of structure."""
-    for index, kind in enumerate(kinds):
-        mine = rows[rows["structure"] == kind]
+    here = [kind for kind in kinds if kind in {*rows["structure"]}]
+    for lane, kind in enumerate(here):
+        mine, index = rows[rows["structure"] == kind], kinds.index(kind)
         found = mine.groupby("by")[column].agg(["mean", figure_style.half_width]).reindex(names)
-        place = np.arange(len(names)) + 0.16 * (index - 0.5 * (len(kinds) - 1))
+        place = np.arange(len(names)) + 0.16 * (lane - 0.5 * (len(here) - 1))
         if found["mean"].notna().any():
             half = found["half_width"]
             axes.errorbar(

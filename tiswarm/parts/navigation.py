@@ -8,6 +8,7 @@ that climb plan by the orientation that they sense.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from tiswarm.sensing import observe
 from tiswarm.sensing.noise import of_shape, sensed_turn
 from tiswarm.world.history import History
 from tiswarm.world.params import BeliefErrorParams
-from tiswarm.world.walks import Believe, Turn
+from tiswarm.world.walks import Belief, Believe, Turn
 
 _DRAWS = 3
 """Numbers of the draw of a robot."""
@@ -46,7 +47,8 @@ class _Part:
         builder = SensingLogBuilder(self.header, of_some=True)
         for robot in robots.tolist():
             builder.add(lines[robot])
-        self.log = builder.log()
+        # Robots go by their numbers in join order, as they would in a log of their own.
+        self.log = replace(builder.log(), robot_id=np.arange(len(robots)))
 
 
 def navigate(settings: Scenario) -> dict[str, Any]:
@@ -78,13 +80,13 @@ def _turn_by(settings: Scenario) -> Turn:
 def believe_with(error: BeliefErrorParams) -> Believe:
     """Return beliefs that are the truth plus an error of a kind."""
 
-    def believe(grown: Sequence[History]) -> list[Reals]:
-        docks: list[Reals] = []
+    def believe(grown: Sequence[History]) -> list[Belief]:
+        found: list[Belief] = []
         for history in grown:
             offset = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)
             center = history.position + error_of(history, error)
-            docks.append((center[:, None] + offset).reshape(-1, 3))
-        return docks
+            found.append(Belief((center[:, None] + offset).reshape(-1, 3)))
+        return found
 
     return believe
 
@@ -141,33 +143,46 @@ def believe_by(settings: Scenario) -> Believe:
     params = settings.localization
     swarms: dict[tuple[int, int], methods.Joining] = {}
 
-    def believe(grown: Sequence[History]) -> list[Reals]:
+    def believe(grown: Sequence[History]) -> list[Belief]:
         logs = [observe(history, settings.sensing) for history in grown]
         parts = [_parts(history, log) for history, log in zip(grown, logs, strict=True)]
-        found = centers([part for each in parts for part in each])
-        docks: list[Reals] = []
+        found = places([part for each in parts for part in each])
+        beliefs: list[Belief] = []
         for log, each in zip(logs, parts, strict=True):
-            center = np.empty((log.robot_count, 3))
-            for part in each:
-                center[part.robots] = found[part.key]
+            order = np.argsort(np.concatenate([part.robots for part in each]))
+            center, sent = (np.concatenate([found[part.key][k] for part in each]) for k in (0, 1))
             offset = dock_offsets(with_orientations(log).orientation_wxyz, log.dock_offset_body)
-            docks.append((center[:, None] + offset).reshape(-1, 3))
-        return docks
+            docks = (center[order, None] + offset).reshape(-1, 3)
+            beliefs.append(Belief(docks, sent[order]))
+        return beliefs
 
-    def centers(parts: Sequence[_Part]) -> dict[tuple[int, int], Reals]:
+    def places(parts: Sequence[_Part]) -> dict[tuple[int, int], tuple[Reals, Reals]]:
+        """Find where robots believe they are [R], and what each has sent for that [B]."""
         if not (joins := methods.joining(params)):
             logs = [part.log for part in parts]
             estimates = methods.localize_many(logs, [params] * len(logs))
-            return {part.key: e.position for part, e in zip(parts, estimates, strict=True)}
+            return {
+                part.key: _priced(e.position, e.traffic["sent"] if e.traffic else None)
+                for part, e in zip(parts, estimates, strict=True)
+            }
         for part in parts:
             if part.key not in swarms:
                 swarms[part.key] = joins(part.header, params)
             swarm = swarms[part.key]
             for line in lines_of(part.log)[1][len(swarm.positions) :]:
                 swarm.join(line)
-        return {part.key: swarms[part.key].positions for part in parts}
+        mine = {part.key: swarms[part.key] for part in parts}
+        return {
+            key: _priced(swarm.positions, getattr(swarm, "sent", None))
+            for key, swarm in mine.items()
+        }
 
     return believe
+
+
+def _priced(center: Reals, sent: Reals | None) -> tuple[Reals, Reals]:
+    """Pair places with the bytes that robots sent for them, NaN without messages."""
+    return center, np.full(len(center), np.nan) if sent is None else 1.0 * sent
 
 
 def _parts(history: History, log: SensingLog) -> list[_Part]:

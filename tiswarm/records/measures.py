@@ -151,6 +151,14 @@ BELIEF_BUILDING, BELIEF_NEWEST, BELIEF_FINAL, BELIEF_PER_CONTACT = (
         ("per_contact", "the same, of the vector between two robots in contact"),
     )
 )
+BELIEF_SENT = Measure(
+    "belief_sent_B", "B", _WALKS,
+    "sent by a robot in the mean for the places that robots build by; empty where they send none",
+    label="Sent by a robot", better="smaller",
+)  # fmt: skip
+BELIEF_WORST_SENT = Measure(
+    "belief_worst_sent_B", "B", _WALKS, "most that a robot sent for these", better="smaller"
+)
 PEAK_STRESS = Measure(
     "peak_stress", "dock weights/R^2", _STRUCTURE, "largest stress in any contact"
 )

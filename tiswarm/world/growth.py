@@ -30,7 +30,7 @@ from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_doc
 from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
 from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
 from tiswarm.world.params import ReactiveBuild, StructureParams, anchor_places
-from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_errors, recruit
+from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_belief, recruit
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -194,13 +194,12 @@ class _GrowthBatch:
     def _update_beliefs(self, grown: "Sequence[GrowingStructure]", believe: Believe) -> None:
         """Put the docks of structures that grew where robots believe them from now on."""
         cells, dock = self.believed
-        for structure, believed in zip(
-            grown, believe([structure.history() for structure in grown]), strict=True
-        ):
-            dock[structure.number, : len(believed)] = believed
-            true = self.arrays.dock[structure.number, : len(believed)]
-            error = (believed - true).reshape(-1, self.walks.docks, 3).mean(axis=1)
-            note_errors(structure.walks, structure.history().contacts, error)
+        beliefs = believe([structure.history() for structure in grown])
+        for structure, (docks, sent) in zip(grown, beliefs, strict=True):
+            dock[structure.number, : len(docks)] = docks
+            true = self.arrays.dock[structure.number, : len(docks)]
+            error = (docks - true).reshape(-1, self.walks.docks, 3).mean(axis=1)
+            note_belief(structure.walks, structure.history().contacts, error, sent)
         self._list(grown, *cells, dock)
 
 

@@ -49,9 +49,10 @@ class Walk:
     """Flips that met nothing, or where the robot had been, at each stance before the way back, and
     so were undone; empty where robots know their places, shape (flips + 1,)."""
 
-    belief_error: Reals = field(default_factory=lambda: np.empty(0))
+    belief: Reals = field(default_factory=lambda: np.empty(0))
     """Errors of centers where robots believed them once this one had joined [R]: RMSE of all, error
-    of its own, RMSE of the vector between two in contact; empty where robots know, shape (3,)."""
+    of its own, RMSE of the vector between two in contact; then bytes that a robot had sent by then,
+    in the mean and at most, NaN where none sends any; empty where robots know, shape (5,)."""
 
     recruited: bool = False
     """Whether the robot stays because it was called for."""

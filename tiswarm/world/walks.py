@@ -40,9 +40,18 @@ from tiswarm.world.params import ClimbParams, GrowthParams, RecruitParams
 _Slots = NDArray[np.int32]
 
 
-Believe = Callable[[Sequence[History]], Sequence[Reals]]
-"""Returns where the robots of structures that have grown so far believe their docks [R], (n N, 3)
-each; dock k of robot i is in row n i + k."""
+class Belief(NamedTuple):
+    """What the N robots of a structure that has grown so far believe."""
+
+    docks: Reals
+    """Where their docks are [R]; dock k of n of robot i is in row n i + k, shape (n N, 3)."""
+
+    sent: Reals = np.array([np.nan])
+    """Bytes that each robot has sent for that, shape (N,); NaN where robots send none."""
+
+
+Believe = Callable[[Sequence[History]], Sequence[Belief]]
+"""Returns what robots of some structures believe."""
 
 Turn = Callable[[int, int, int], Reals]
 """Returns the turns from the orientations of a robot to those that it senses, at as many stances:
@@ -264,14 +273,15 @@ class Walks:
         )
 
 
-def note_errors(walks: list[Walk], contacts: AnyInts, error: Reals) -> None:
-    """Note by how much robots are wrong in the walks of the newest ones [R], shape (N, 3)."""
+def note_belief(walks: list[Walk], contacts: AnyInts, error: Reals, sent: Reals) -> None:
+    """Note in the walks of the newest how wrong all are [R], (N, 3), and what they sent, (N,)."""
     i, _, j, _ = contacts.T
     own, between = np.linalg.norm(error, axis=1), np.linalg.norm(error[i] - error[j], axis=1)
     rms = [np.sqrt((each**2).mean()) if len(each) else 0.0 for each in (own, between)]
+    cost = sent.mean(), sent.max()
     for new, walk in enumerate(walks):
-        if not len(walk.belief_error):
-            walks[new] = replace(walk, belief_error=np.array([rms[0], own[new], rms[1]]))
+        if not len(walk.belief):
+            walks[new] = replace(walk, belief=np.array([rms[0], own[new], rms[1], *cost]))
 
 
 def recruit(sensed: Reals, params: RecruitParams) -> NDArray[np.int32]:

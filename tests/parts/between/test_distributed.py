@@ -24,7 +24,6 @@ from tiswarm.parts.between.channel import (
     Message,
 )
 from tiswarm.parts.between.method import PeerSwarm
-from tiswarm.parts.between.robot import Program
 from tiswarm.parts.between.wire import (
     Reader,
     Writer,
@@ -54,7 +53,7 @@ def log(towers):
 def grown(log, params, robots=None):
     """Let robots of a log join."""
     header, *lines = lines_of(centered(replace(log, robot_id=np.arange(log.robot_count))))
-    swarm = PeerSwarm(Program(params, parse_header(header)), log.robot_count)
+    swarm = PeerSwarm(parse_header(header), params)
     for line in lines[:robots]:
         swarm.join(parse_robot(line))
     return swarm
@@ -320,7 +319,7 @@ def test_the_scheme_of_the_paper_uses_the_cues_of_algorithm_1(local):
 def test_branches_carry_the_parts_of_those_behind_them():
     """Three robots in a row: the first transmission has both parts, the second one is left."""
     heard = []
-    channel = Channel(DistributedParams(), 4, lambda n, m: (heard.append((n, dict(m.parts))), m)[1])
+    channel = Channel(DistributedParams(), lambda n, m: (heard.append((n, dict(m.parts))), m)[1])
     for touching in ({*()}, {0}, {1}, {*()}):
         channel.join(touching)
 
@@ -329,8 +328,8 @@ def test_branches_carry_the_parts_of_those_behind_them():
 
     assert heard == [(1, {1: b"ab", 2: b"cde"}), (2, {2: b"cde"})]
     both, last = HEADER + 2 * ADDRESS + 5, HEADER + ADDRESS + 3
-    assert channel.sent.tolist() == [both, last + ACKNOWLEDGMENT, ACKNOWLEDGMENT, 0]
-    assert channel.heard.tolist() == [ACKNOWLEDGMENT, both + ACKNOWLEDGMENT, last, 0]
+    assert channel.sent == [both, last + ACKNOWLEDGMENT, ACKNOWLEDGMENT, 0]
+    assert channel.heard == [ACKNOWLEDGMENT, both + ACKNOWLEDGMENT, last, 0]
 
 
 def test_a_log_that_robots_cannot_send_is_refused(log):

@@ -120,6 +120,14 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
             raise ValueError("reach is of solver keeper; remove it, or set solver to keeper")
 
     @property
+    def joining(self) -> str:
+        """Class whose robots localize themselves as they join; empty if they send afterwards."""
+        if self.scheme == "joiner":
+            return "PeerSwarm"
+        sends_later = self.undocked_repulsion and self.poses == "once"
+        return "" if sends_later or self.back_propagation else "PublishedSwarm"
+
+    @property
     def published(self) -> VirtualForceParams:
         """Settings of Algorithm 1, for the scheme `algorithm-1`."""
         return VirtualForceParams(

@@ -19,6 +19,7 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import uniform
 from tiswarm.parts.between import DistributedParams
+from tiswarm.parts.between.wire import MOST_ROBOTS
 
 HEADER = 4
 """Bytes before the parts of a message: its kind, sender, number and length."""
@@ -74,24 +75,23 @@ class _Hop:
 class Channel:
     """The swarm's channel, with what each robot sent and heard."""
 
-    def __init__(self, params: DistributedParams, robots: int, hear: Hear) -> None:
+    def __init__(self, params: DistributedParams, hear: Hear) -> None:
         """Begin without robots.
 
         Args:
             params: Settings.
-            robots: Robots that there will be.
             hear: Called with each robot that hears a message.
         """
         self._params, self._hear = params, hear
         self._links: list[set[int]] = []
         self._events: dict[int, list[tuple[int, Callable[[], None]]]] = {}
         self._round, self._serial, self._drawn = 0, 0, 0
-        self.sent: Ints = np.zeros(robots, np.int64)
-        """Bytes that each robot transmitted, shape (N,)."""
-        self.heard: Ints = np.zeros(robots, np.int64)
-        """Bytes that each robot heard, shape (N,)."""
-        self.messages: Ints = np.zeros(robots, np.int64)
-        """Transmissions of each robot, shape (N,)."""
+        self.sent: list[int] = []
+        """Bytes that each robot transmitted, by its number."""
+        self.heard: list[int] = []
+        """Bytes that each robot heard."""
+        self.messages: list[int] = []
+        """Transmissions of each robot."""
         self._had: set[tuple[int, int]] = set()
 
     def traffic(self, memory: Ints, operations: Reals) -> dict[str, Reals]:
@@ -115,6 +115,8 @@ class Channel:
         """Add the next robot, with those that it touches."""
         number = len(self._links)
         self._links.append(set(touching))
+        for count in (self.sent, self.heard, self.messages):
+            count.append(0)
         for other in touching:
             self._links[other].add(number)
 
@@ -167,12 +169,12 @@ class Channel:
 
     def _count_by_radio(self, senders: list[int], size: int, times: int) -> None:
         """Count transmissions of some robots, which all others hear."""
-        joined, got = len(self._links), 1.0 - self._params.loss
-        self.sent[senders] += times * size
-        self.messages[senders] += times
-        others = np.full(joined, len(senders))
-        others[senders] -= 1
-        self.heard[:joined] += np.round(times * got * size * others).astype(np.int64)
+        got = 1.0 - self._params.loss
+        for number in range(len(self._links)):
+            sends = number in senders
+            self.sent[number] += sends * times * size
+            self.messages[number] += sends * times
+            self.heard[number] += round(times * got * size * (len(senders) - sends))
 
     def _count_by_touch(self, sender: int, receivers: list[int], size: int, times: int) -> None:
         """Count transmissions of a robot to each of some others, with repetitions in the mean."""
@@ -283,5 +285,5 @@ class Channel:
         if not self._params.loss:
             return False
         draw = 2 * hop.attempt + answer
-        key = hop.serial * (len(self.sent) + 1) + robot
+        key = hop.serial * MOST_ROBOTS + robot
         return bool(uniform(self._params.seed, "loss", key, draw)[()] < self._params.loss)

@@ -15,6 +15,7 @@ of its steps. By touch, robots pass on what they hear.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from tiswarm.parts.between.wire import MOST_ROBOTS, pose_bytes
 from tiswarm.parts.online.layers import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import lines_of
-from tiswarm.records.sensing_format import RobotLine
+from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 
 _MOST_TURNS = 1000
@@ -126,7 +127,7 @@ def localize(
         refuse_line(line)
     if params.scheme == "algorithm-1":
         return algorithm_1(log, params)
-    swarm = PeerSwarm(Program(params, head), len(lines))
+    swarm = PeerSwarm(head, params)
     for line in lines:
         swarm.join(line)
         on_progress((line.robot + 1) / len(lines))
@@ -136,16 +137,20 @@ def localize(
 class PeerSwarm:
     """Robots that join one by one. Nothing here looks into one for the sake of another."""
 
-    def __init__(self, program: Program, robots: int) -> None:
-        """Begin without robots; so many will join, and all are programmed alike."""
-        self._program = program
-        self.channel = Channel(program.params, robots, self._hear)
+    def __init__(self, header: HeaderLine, params: DistributedParams) -> None:
+        """Begin without robots; all are programmed alike."""
+        self._program = Program(params, header)
+        self.channel = Channel(params, self._hear)
         self.robots: list[Peer] = []
-        self._memory = np.zeros(robots, np.int64)
-        self._at_join = np.zeros((robots, 3))
+        self._memory: list[int] = []
+        self._at_join: list[Reals] = []
 
     def join(self, line: RobotLine) -> None:
-        """Let the next robot join, and all go on until none waits for an answer."""
+        """Let the next robot join, and all go on until none waits for an answer.
+
+        Args:
+            line: What it sensed; robots go by their numbers in join order.
+        """
         robot = Peer(self._program, line)
         self.robots.append(robot)
         self.channel.join({*robot.touching})
@@ -161,10 +166,22 @@ class PeerSwarm:
                 each.expire()
                 self._send(each)
             self.channel.settle()
-        self._at_join[robot.number] = self._positions()[-1]
+        self._at_join.append(self._centers()[-1])
         # Memory counts at its fullest.
-        memory = [each.memory for each in self.robots]
-        self._memory[: len(memory)] = np.maximum(self._memory[: len(memory)], memory)
+        before = [*self._memory, 0]
+        self._memory = [max(m, each.memory) for m, each in zip(before, self.robots, strict=True)]
+
+    @property
+    def positions(self) -> Reals:
+        """Centers as each robot estimates its own, in join order [log unit], shape (n, 3)."""
+        head = self._program.header
+        found: Reals = self._centers() * head.dock_radius + head.anchor_position
+        return found
+
+    @property
+    def sent(self) -> Ints:
+        """Bytes that each robot has sent so far, shape (n,)."""
+        return np.array(self.channel.sent, np.int64)
 
     def _hear(self, number: int, message: Message) -> Message:
         """Give a robot a message, send what it answers, and return what it passes on."""
@@ -177,10 +194,11 @@ class PeerSwarm:
         while robot.outbox:
             self.channel.send(robot.outbox.pop(0))
 
-    def _positions(self) -> Reals:
+    def _centers(self) -> Reals:
         """List where the robots take themselves to be; at the anchor if they do not know."""
         places = [robot.place for robot in self.robots]
-        return np.array([np.zeros(3) if place is None else place.position for place in places])
+        centers = [np.zeros(3) if place is None else place.position for place in places]
+        return np.array(centers).reshape(-1, 3)
 
     def found(self) -> Found:
         """Gather what each robot knows of itself."""
@@ -190,15 +208,51 @@ class PeerSwarm:
             reason = "no robot annealed those near it, and any may be in a mirror image"
         operations = np.array([robot.operations for robot in robots])
         return Found(
-            position=self._positions(),
-            at_join=self._at_join,
+            position=self._centers(),
+            at_join=np.array(self._at_join),
             sd=np.array([0.0 if robot.place is None else robot.place.sd for robot in robots]),
             lost=np.array([robot.place is None for robot in robots], np.bool_),
             doubtful=np.array([robot.judge() for robot in robots], np.bool_),
-            traffic=self.channel.traffic(self._memory, operations),
+            traffic=self.channel.traffic(np.array(self._memory), operations),
             steps=len(robots),
             reason=reason,
         )
+
+
+class PublishedSwarm:
+    """Robots that Algorithm 1 places as they join, with the bytes that they send for that."""
+
+    def __init__(self, header: HeaderLine, params: DistributedParams) -> None:
+        """Begin without robots."""
+        places: Any = methods.joining(params.published)
+        self._placed = places(header, params.published)
+        self._params, self._channel = params, Channel(params, lambda _, message: message)
+
+    def join(self, line: RobotLine) -> None:
+        """Place the next robot, once it has heard the poses that it needs."""
+        self._placed.join(line)
+        self._channel.join({other for _, other, _ in line.contacts})
+        _send_poses(self._channel, self._params)
+
+    @property
+    def positions(self) -> Reals:
+        """Estimated centers in join order [log unit], shape (n, 3)."""
+        found: Reals = self._placed.positions
+        return found
+
+    @property
+    def sent(self) -> Ints:
+        """Bytes that each robot has sent so far, shape (n,)."""
+        return np.array(self._channel.sent, np.int64)
+
+
+def _send_poses(channel: Channel, params: DistributedParams) -> None:
+    """Count the poses that robots send as the last one joins: all, or to it those it touches."""
+    pose = HEADER + pose_bytes(params.bits, with_orientation=True)
+    if params.undocked_repulsion:
+        channel.broadcast(pose)
+    else:
+        channel.answer(len(channel.sent) - 1, pose)
 
 
 def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
@@ -211,7 +265,7 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
     settings = params.published
     [found] = methods.localize_batch([log], [settings])
     robots = log.robot_count
-    channel = Channel(params, robots, lambda _, message: message)
+    channel = Channel(params, lambda _, message: message)
     touching: list[set[int]] = [set() for _ in range(robots)]
     for i, _, j, _ in log.contacts.tolist():
         touching[max(i, j)].add(min(i, j))
@@ -220,10 +274,8 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
     rounds = params.back_propagation
     for number in range(robots):
         channel.join(touching[number])
-        if not params.undocked_repulsion:
-            channel.answer(number, pose)
-        elif params.poses == "every-join" or number == robots - 1:
-            channel.broadcast(pose)
+        if params.poses == "every-join" or not params.undocked_repulsion or number == robots - 1:
+            _send_poses(channel, params)
         if rounds is not None and _follows(rounds, number + 1, robots):
             channel.broadcast(moved, rounds.sweeps, by_all=params.undocked_repulsion)
     heard_of = np.full(robots, robots) if params.undocked_repulsion else 1 + channel.degree
