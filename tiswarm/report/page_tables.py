@@ -116,7 +116,7 @@ def headline_table(table: pd.DataFrame) -> PageTable:
         notes.append(f"In parentheses: least and greatest, of fewer than {FEWEST} structures.")
     if shared:
         notes.append(f"All conditions use {shared}.")
-    notes.append("R is the radius of a dock; disparity 0 means the right shape.")
+    notes.append("Conditions are ways to localize. R: a dock's radius. Disparity 0: right shape.")
     if "robots disconnected" in columns:
         notes.append("No method can place robots that are disconnected from the anchor.")
     words = _names(rows)
@@ -173,9 +173,9 @@ def result_tables(
             )
         if PAGE["calibration"][CONSISTENT] in calibration:
             note += (
-                " Consistent: noise as stated explains the measurements; where it does not, the "
-                "factor multiplies the standard deviations. Not testable: fewer measurements are "
-                "spare than a quarter of the unknown coordinates."
+                " Converged: several searches found one least cost. Consistent: noise as stated "
+                "explains it; where not, the factor multiplies standard deviations. Not testable: "
+                "fewer measurements are spare than a quarter of the unknown coordinates."
             )
         if "mirrored robots" in calibration:
             note += (
