@@ -64,6 +64,31 @@ def test_scaling_tells_means_by_size(scaled):
         assert mean["paper", "localize_cpu_s", size] != mean["together", "localize_cpu_s", size]
 
 
+def test_columns_that_the_page_of_files_lists_are_in_tables(scaled):
+    """Readers of a file look them up; those that need other settings are left out here."""
+    page = pd.read_csv(REPOSITORY / "docs" / "columns.csv", keep_default_na=False)
+    case = scaled / "cases" / "0-robots=14,paper"
+    names = {
+        "summary.csv": {*pd.read_csv(scaled / "summary.csv")},
+        "table.csv": {*pd.read_csv(scaled / "table.csv")},
+        "paired.csv": {*pd.read_csv(scaled / "paired.csv")},
+        "growth.csv": {*pd.read_csv(case / "growth.csv")} | {"sent_B"},
+        "scaling.csv": {*pd.read_csv(scaled / "scaling.csv")["measure"]},
+    }
+    names["summary.csv"] |= {"left_edge_R", "right_edge_R"}
+    names["table.csv"] |= {"round_every", "round_recent", "round_sweeps"}
+
+    listed = [
+        (file, column)
+        for files, columns in page[["file", "column"]].itertuples(index=False)
+        for file in files.split(", ")
+        for column in columns.split(", ")
+    ]
+
+    assert {file for file, _ in listed} == {*names, "robots.csv", "suites.csv"}
+    assert [each for each in listed if each[0] in names and each[1] not in names[each[0]]] == []
+
+
 def test_scaling_states_the_time_to_build_and_throughput(scaled):
     """Flips and rounds are those of growth.csv; rates are counts over the costs of stages."""
     table = pd.read_csv(scaled / "scaling.csv")

@@ -54,6 +54,10 @@ def test_the_joint_of_our_own_sensors_is_plain_joint(measured, tmp_path):
 def test_suites_stand_beside_their_prices(measured):
     """A row for each condition; located are robots that the method or its cues determine."""
     table = pd.read_csv(measured / "suites.csv").set_index("condition")
+    listed = pd.read_csv(REPOSITORY / "docs" / "columns.csv").query("file == 'suites.csv'")[
+        "column"
+    ]
+    assert {*", ".join(listed).split(", ")} <= {*table}
     summary = pd.read_csv(measured / "summary.csv").groupby("condition", sort=False)
 
     measures = ["located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes"]
