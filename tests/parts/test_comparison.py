@@ -9,7 +9,7 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.parts.comparison import compare, draw
+from tiswarm.parts.comparison import compare
 from tiswarm.report import figure_style
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import run
@@ -55,6 +55,27 @@ def test_every_row_of_every_run_is_kept(small_run, other_run, both):
     assert (both / "comparison.png").stat().st_size > 10_000
 
 
+def test_labels_stand_where_keys_would(small_run, other_run, tmp_path):
+    """The text and the figure call conditions and points as the pages of their runs do."""
+    named = load_scenario(
+        REPOSITORY / "tests" / "tower.yaml",
+        [
+            "robots=12",
+            "seeds=1",
+            "name=named",
+            "conditions={no-z: {label: without heights}}",
+            "sweep={structure: [{label: low, kind: tower}, {label: sharp, kind: tower, movers: 2}]}",
+        ],
+    )
+    folder = run(named, tmp_path, progress=Progress()).folder
+
+    found = compare([other_run, folder], tmp_path / "both")
+
+    rows = [line.split()[1:4] for line in str(found).splitlines()]
+    assert rows[-3:-1] == [["without", "heights", "low"], ["without", "heights", "sharp"]]
+    assert pd.read_csv(tmp_path / "both" / "comparison.csv")["condition"].iloc[-1] == "no-z"
+
+
 def test_comparing_needs_two_runs(small_run, tmp_path):
     """A run given twice and a folder without a run are refused; nothing is written."""
     for runs, message in (
@@ -83,12 +104,17 @@ def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
     """Only an unknown value of the sweep is left out; a condition may be called `nan`."""
     drawn = []
     monkeypatch.setattr(figure_style, "png", lambda figure: drawn.append(figure) or b"")
-    header = "run,condition,yaw,cases,rmse_R_mean,rmse_R_ci95"
-    header += ",procrustes_disparity_mean,procrustes_disparity_ci95"
-    rows = "a,nan,5,2,1,0.1,0.1,0.1\nb,none,,2,1,0.1,0.1,0.1\n"
-    (tmp_path / "comparison.csv").write_text(f"{header}\n{rows}")
+    measured = "cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,procrustes_disparity_ci95"
+    for name, first, row in (("a", "condition,yaw", "nan,5"), ("b", "condition", "none")):
+        (tmp_path / name).mkdir()
+        table = f"{first},{measured}\n{row},2,1,0.1,0.1,0.1\n"
+        (tmp_path / name / "table.csv").write_text(table)
 
-    draw(tmp_path)
+    found = compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
 
+    assert [line.split() for line in str(found).splitlines()[1:3]] == [
+        ["a", "nan", "yaw", "5", "2", "1.0", "0.1", "0.1"],
+        ["b", "none", "2", "1.0", "0.1", "0.1"],
+    ]
     labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
     assert labels == ["yaw 5, nan", "none"]

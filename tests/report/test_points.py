@@ -9,7 +9,7 @@ from tiswarm.parts.comparison import draw_rows
 from tiswarm.parts.curve_figures import PROFILED, SCALING_PANELS
 from tiswarm.records.frames import read_frame
 from tiswarm.report import error_figures, figures
-from tiswarm.report.run_data import load_run
+from tiswarm.report.run_data import load_run, with_points
 
 CONDITIONS = ("baseline", "no-z", "joint")
 MEASURES = (
@@ -111,7 +111,7 @@ def test_no_point_lies_outside_its_axes(tmp_path, kind, width):
     run = load_run(tmp_path)
 
     drawn = {name: draw(run) for name, draw in figures.painters_of(run).items()}
-    compared = draw_rows(read_frame(tmp_path / "comparison.csv", ["run"]))
+    compared = draw_rows(with_points(read_frame(tmp_path / "comparison.csv", ["run"])))
 
     errors = "error-against-height" if kind == "tower" else "error-along-growth"
     several = ["accuracy", "shape", "scaling", "back-propagation", "profiles", "price-and-error"]

@@ -1,7 +1,7 @@
 """Comparison of runs, on the structures that they share: two tables and a figure."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from tiswarm.records.messages import shown
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import figure_style, table_figures
 from tiswarm.report.figure_style import Panels, marker_style
-from tiswarm.report.run_data import Labels, with_points
+from tiswarm.report.run_data import read_labels, swept_columns, with_points
 from tiswarm.study import tables
 from tiswarm.study.store import CaseRecord, RunFolder
 
@@ -40,6 +40,8 @@ class Comparison:
     """Runs side by side: the folder with `comparison.csv`, `paired.csv` and a figure."""
 
     folder: Path
+    shown: pd.DataFrame
+    """Rows of all runs with the labels of their points and conditions."""
 
     @property
     def table(self) -> pd.DataFrame:
@@ -65,7 +67,8 @@ class Comparison:
         return self._short().to_html(index=False, na_rep="")
 
     def _short(self) -> pd.DataFrame:
-        return short_table(Labels().put(self.table, before="cases"))
+        swept = self.shown["point"].any()
+        return short_table(self.shown if swept else self.shown.drop(columns="point"))
 
     def _frame(self, name: str) -> pd.DataFrame:
         return read_frame(self.folder / f"{name}.csv", empty=True)
@@ -82,15 +85,20 @@ def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> Comp
             would replace a file that no tiswarm command wrote.
         EnvironmentTroubleError: `out` cannot be made.
     """
+    from matplotlib import style
+
     if len({run.resolve() for run in runs}) < max(2, len(runs)):
         raise InputError("give two or more different run folders", key="RUN")
     names = [run.resolve().name for run in runs]
     if len(set(names)) < len(names):
         names = [str(run) for run in runs]
-    read = [_read_table(run).assign(run=name) for run, name in zip(runs, names, strict=True)]
-    swept = [list(table.columns[1 : table.columns.get_loc("cases")]) for table in read]
-    first = ["run", "condition", *dict.fromkeys(itertools.chain.from_iterable(swept))]
-    both = pd.concat(read, ignore_index=True)
+    read = {name: _read_table(run) for run, name in zip(runs, names, strict=True)}
+    first = ["run", *dict.fromkeys(key for table in read.values() for key in swept_columns(table))]
+    both = _stacked(read)
+    labeled = {
+        name: with_points(read_labels(run).put(read[name].copy(), before="cases"))
+        for run, name in zip(runs, names, strict=True)
+    }
     series = {
         (name, label): accuracy
         for run, name in zip(runs, names, strict=True)
@@ -107,8 +115,15 @@ def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> Comp
     write_frame(both[columns], out / "comparison.csv", opened=opened)
     pairs = pd.DataFrame(rows, columns=None if rows else _COMPARED)
     write_frame(pairs, out / "paired.csv", opened=opened)
-    draw(out, overwrite=overwrite)
-    return Comparison(out)
+    found = Comparison(out, _stacked(labeled))
+    with style.context(["default", figure_style.STYLE]):
+        outputs.write(out / FILES[2], figure_style.png(draw_rows(found.shown)), overwrite=overwrite)
+    return found
+
+
+def _stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Put tables below each other, with the names of their runs in front."""
+    return pd.concat(tables, names=["run"]).reset_index("run").reset_index(drop=True)
 
 
 def _read_table(run: Path) -> pd.DataFrame:
@@ -140,22 +155,9 @@ def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
     return {name: tables.accuracy_by_key(records) for name, records in series.items()}
 
 
-def draw(folder: Path, *, overwrite: bool = False) -> None:
-    """Draw `comparison.png` beside the table that it shows: a row for each of its first rows."""
-    from matplotlib import style
-
-    table = read_frame(
-        folder / "comparison.csv", ["run", "condition"], gaps=["cases", *table_figures.DRAWN]
-    )
-    with style.context(["default", figure_style.STYLE]):
-        data = figure_style.png(draw_rows(table))
-    outputs.write(folder / "comparison.png", data, overwrite=overwrite)
-
-
 def draw_rows(table: pd.DataFrame) -> "Figure":
-    """Draw the mean of each row with its confidence interval, one color a run."""
-    shown = Labels().put(table.head(table_figures.MOST_ROWS).copy(), before="cases")
-    seen = with_points(shown)
+    """Draw the mean of each of the first rows with its confidence interval, one color a run."""
+    seen = table.head(table_figures.MOST_ROWS)
     named = seen[["point", "condition"]].to_numpy().tolist()
     labels = [", ".join(filter(None, row)) for row in named]
     height = 0.9 + 0.17 * len(seen)
