@@ -9,8 +9,8 @@
     estimate = log.localize("joint")                    where its robots are
     estimate.view(), tiswarm.advise(log, estimate)      a page, and what to measure next
 
-Runs, structures and estimates have `view`, `render` and `export` of their own, and what a call
-returns prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is
+Runs, structures and estimates have `view` and `export` of their own, and what a call returns
+prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is
 an `InputError`. Functions and classes of yours become methods, sensors, structures, rules,
 measures, figures and formats by `tiswarm.method` and the like. All names:
 """
@@ -26,14 +26,13 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.api import advise as advise
     from tiswarm.api import check as check
     from tiswarm.api import compare as compare
-    from tiswarm.api import explain as explain
     from tiswarm.api import export as export
     from tiswarm.api import grow as grow
     from tiswarm.api import import_poses as import_poses
     from tiswarm.api import localize as localize
     from tiswarm.api import open_swarms as open_swarms
     from tiswarm.api import read_log as read_log
-    from tiswarm.api import render as render
+    from tiswarm.api import redraw as redraw
     from tiswarm.api import run as run
     from tiswarm.api import score as score
     from tiswarm.api import track as track

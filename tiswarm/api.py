@@ -27,7 +27,6 @@ from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Inspection, inspect
 from tiswarm.app.logs import Localized, Log, Truth, method_params, open_log
 from tiswarm.app.results import (
-    Figures,
     File,
     Overrides,
     PageFile,
@@ -287,23 +286,33 @@ def forecast(
     return find("command", "run --plan")(_load(scenario, overrides), where)
 
 
-def report(
-    run: Run | File, *, plugins: Sequence[File] = (), pdf: bool = False, quiet: bool = False
+def redraw(
+    run: Run | File,
+    *,
+    plugins: Sequence[File] = (),
+    pdf: bool = False,
+    movie: AnyMovie | None = None,
+    renderer: str | None = None,
+    case: str | None = None,
+    quiet: bool = False,
 ) -> Run:
-    """Write tables, figures and page of a run again, from its stored cases.
+    """Write tables, figures, 3D pictures and page of a run again, from its stored cases.
 
     Args:
         run: Run, or its folder.
         plugins: Python files that register what the run used, or further measures and figures.
         pdf: Whether to draw figures as vector PDF, too.
+        movie: File format of an animation of the growth; none if None.
+        renderer: "open3d" or "taichi"; the first that works if None.
+        case: Case of the 3D pictures; the largest if None.
         quiet: Whether to hide progress.
 
     Raises:
-        InputError: it is not the folder of a run, or no case is intact.
+        InputError: it is not the folder of a run, no case is intact, or there is no such case.
     """
     load_plugins(plugins)
     found = run if isinstance(run, Run) else Run(as_path(run, "run"))
-    found.redraw(pdf=pdf, quiet=quiet)
+    found.redraw(pdf=pdf, movie=movie, renderer=renderer, case=case, quiet=quiet)
     return found
 
 
@@ -463,44 +472,6 @@ def advise(
     return open_log(log).with_estimate(estimate, quiet=quiet).findings.advise(budget, kinds)
 
 
-def explain(
-    log: SensingLog | File,
-    robot: int,
-    estimate: Estimate | File | None = None,
-    *,
-    out: File | None = None,
-    overwrite: bool = False,
-    quiet: bool = True,
-) -> Any:  # noqa: ANN401 - an `Explanation`
-    """Say how the measurements of one robot narrow the places it may have, one after the other.
-
-    Robots that joined earlier stay where they were estimated. The order is that of the paper: a
-    robot touches another, its orientation, the docks in contact, further contacts, its height; then
-    docks that must not overlap.
-
-    Args:
-        log: Sensing log, or its file.
-        robot: Name of the robot in the log.
-        estimate: Estimate, or its table; `joint` localizes the log if None.
-        out: Picture to write, .png or .pdf; none if None.
-        overwrite: Whether to replace files that no tiswarm command wrote.
-        quiet: Whether to hide progress.
-
-    Returns:
-        The places that remain after each measurement; `spread` has one number for each.
-
-    Raises:
-        InputError: there is no such robot, it is the anchor, or it touches none that joined
-            earlier, or the picture would replace another file.
-    """
-    picture = None if out is None else as_path(out, "out")
-    outputs.check({"out": picture}, [log, estimate], overwrite=overwrite)
-    found = open_log(log).with_estimate(estimate, quiet=quiet).explain(robot)
-    if picture is not None:
-        found.draw(picture, overwrite=overwrite)
-    return found
-
-
 def _fields(execution: Mapping[str, Any]) -> Mapping[str, Any]:
     """Check names of fields of `study.Execution`."""
     from tiswarm import study  # noqa: PLC0415 - slow to import
@@ -557,6 +528,7 @@ def view(
     estimate: Estimate | File | None = None,
     truth: Truth = None,
     *,
+    explain: Sequence[int] = (),
     out: File | None = None,
     overwrite: bool = False,
     quiet: bool = True,
@@ -567,6 +539,8 @@ def view(
         source: Sensing log or its file, or a run or its folder.
         estimate: Estimate of a log, or its table; `joint` localizes the log if None.
         truth: True positions of a log, or their table, if there are any.
+        explain: Names of robots of a log: the page shows how measurements place each; the one that
+            is least certain if none.
         out: Page to write for a log; `view.html` if None.
         overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide progress.
@@ -577,7 +551,7 @@ def view(
     Raises:
         InputError: a file is malformed, or a table has other robots than the log.
     """
-    of_log = {"estimate": estimate, "truth": truth, "out": out}
+    of_log = {"estimate": estimate, "truth": truth, "explain": explain or None, "out": out}
     shown = open_source(source, of_log=of_log)
     if isinstance(shown, Run):
         return shown.view(quiet=quiet)
@@ -585,45 +559,7 @@ def view(
     outputs.check({"out": page}, [shown.path, estimate, truth], overwrite=overwrite)
     shown.positions(truth)  # a mistake in it is found before the log is localized
     found = shown.with_estimate(estimate, quiet=quiet)
-    return found.view(truth, out=page, overwrite=overwrite)
-
-
-def render(
-    source: Source,
-    estimate: Estimate | File | None = None,
-    truth: Truth = None,
-    *,
-    renderer: str | None = None,
-    case: str | None = None,
-    movie: AnyMovie | None = None,
-    out: File | None = None,
-    overwrite: bool = False,
-    quiet: bool = False,
-) -> Figures:
-    """Draw 3D pictures of a run, which its report.html shows too, or of a log and its estimate.
-
-    Args:
-        source: Run or its folder, or a sensing log or its file.
-        estimate: Estimate of a log, or its table; `joint` localizes the log if None.
-        truth: True positions of a log, or their table, if there are any.
-        renderer: "open3d" or "taichi"; the first that works if None.
-        case: Case of a run; the largest if None.
-        movie: File format of an animation of a run's growth; none if None.
-        out: Folder for pictures of a log; `renders` if None.
-        overwrite: Whether to replace files that no tiswarm command wrote.
-        quiet: Whether to hide progress.
-
-    Returns:
-        Figures and renders of the run, or pictures of the log, by name.
-    """
-    of_log = {"estimate": estimate, "truth": truth, "out": out}
-    shown = open_source(source, of_log=of_log, of_run={"case": case, "movie": movie})
-    if isinstance(shown, Run):
-        return shown.render(renderer=renderer, case=case, movie=movie, quiet=quiet)
-    shown.positions(truth)
-    return shown.with_estimate(estimate, quiet=quiet).render(
-        truth, renderer=renderer, out=out or "renders", overwrite=overwrite, quiet=quiet
-    )
+    return found.view(truth, explain=explain, out=page, overwrite=overwrite)
 
 
 def export(
@@ -642,7 +578,7 @@ def export(
 
     Args:
         source: Run or its folder, or a sensing log or its file.
-        form: File format.
+        form: File format; "png" draws 3D pictures, "gif", "mp4" and "webp" the growth.
         estimate: Estimate of a log, or its table; `joint` localizes the log if None.
         truth: True positions of a log, or their table, if there are any.
         out: Folder to write to; `export`, in the run's folder if there is one, if None.

@@ -364,17 +364,16 @@ def test_pictures_and_exports_of_a_log_need_no_run(run, tmp_path):
     (tmp_path / "renders" / "older.png").touch()
 
     exported = library.export(log, "ply", estimate, case / "truth.csv", out=tmp_path, quiet=True)
-    drawn = library.render(
-        case / "sensing.jsonl", estimate, renderer="taichi", out=tmp_path / "renders", quiet=True
-    )
+    log_file, place = case / "sensing.jsonl", tmp_path / "renders"
+    drawn = library.export(log_file, "png", estimate, out=place, quiet=True)
 
     assert {"structure.ply", "estimate.ply"} <= {path.name for path in exported.iterdir()}
-    assert {*drawn} == {"estimate", "contact-graph"}  # of the folder, what this call wrote
-    assert drawn["estimate"]._repr_png_().startswith(b"\x89PNG")
+    assert {path.stem for path in drawn.glob("*.png")} == {"estimate", "contact-graph", "older"}
+    assert (drawn / "estimate.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="case: a log is no run; leave it out"):
         library.export(log, "ply", estimate, case="0-baseline")
     with pytest.raises(InputError, match="estimate: a run has its own; leave it out"):
-        library.render(run, estimate)
+        library.export(run, "png", estimate)
 
 
 def test_the_calls_are_listed():

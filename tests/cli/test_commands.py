@@ -20,7 +20,7 @@ from tiswarm.parts import doctor
 from tiswarm.records.sensing_file import write_sensing_log
 
 COMMANDS = (
-    "run", "localize", "view", "advise", "explain", "report", "render", "compare", "import",
+    "run", "localize", "view", "advise", "redraw", "compare", "import",
     "export", "score", "check", "schema", "doctor",
 )  # fmt: skip
 
@@ -90,8 +90,7 @@ def test_version_is_printed(tiswarm):
             ("localize", "log.jsonl", "--method", "least-squares", "--set", "starts=x"),
             '--set starts=x: "x" should be a whole number',
         ),
-        (("report", "scenarios"), "run folder"),
-        (("render", "scenarios"), "scenarios"),
+        (("redraw", "scenarios"), "run folder"),
     ],
 )
 def test_bad_commands_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, printed):
@@ -289,7 +288,7 @@ def test_help_begins_with_what_people_do_most(monkeypatch, capsys):
 
     listed = capsys.readouterr().out.partition("Commands:")[2].partition("Example:")[0]
     names = re.findall(r"^  (\w+)", listed, re.MULTILINE)
-    assert [names[0], names[1], names[8], names[-1]] == ["run", "localize", "report", "doctor"]
+    assert [names[0], names[1], names[7], names[-1]] == ["run", "localize", "redraw", "doctor"]
     assert "..." not in listed  # whole sentences
 
 

@@ -39,7 +39,6 @@ def given(small_run, tmp_path_factory):
         (["track", LOG, "--out", "poses.csv"], "poses.csv: --out: no tiswarm command wrote"),
         (["track", "header.jsonl", "--out", "a", "--estimate", "b"], "no robot has joined"),
         (["view", LOG, ESTIMATE, "--out", ESTIMATE], f"{ESTIMATE}: --out: this is an input"),
-        (["explain", LOG, "3", ESTIMATE, "--out", LOG], f"{LOG}: --out: this is an input"),
         (["score", TRUTH, ESTIMATE, "--out", TRUTH], f"{TRUTH}: --out: this is an input"),
         (EXPORT, f"{ESTIMATE}: --out: this is an input"),
         ([*EXPORT, "--overwrite"], f"{ESTIMATE}: --out: this is an input"),

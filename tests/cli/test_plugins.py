@@ -388,7 +388,7 @@ def test_no_file_loads_code_by_itself(tiswarm, files, log):
         ("check", "own.yaml"),
         ("run", "own.yaml"),
         ("localize", log, "--method", "origin"),
-        ("report", run),
+        ("redraw", run),
     ]
     found = [tiswarm(*command, cwd=files) for command in commands]
 
@@ -517,9 +517,9 @@ def test_a_figure_of_a_plugin_is_on_the_page(tiswarm, files, whole):
     (files / "wrong.py").write_text(DRAW.replace('"rmse_R"', '"smell"'))
 
     given = ("--plugin", "own.py", "--plugin")
-    done = tiswarm("report", run, *given, "figure.py", cwd=files)
+    done = tiswarm("redraw", run, *given, "figure.py", cwd=files)
     plugins.forget()
-    wrong = tiswarm("report", run, *given, "wrong.py", cwd=files)
+    wrong = tiswarm("redraw", run, *given, "wrong.py", cwd=files)
 
     assert done.returncode == 0, done.stderr
     assert (run / "figures" / "cases.png").is_file()
@@ -843,7 +843,7 @@ def test_a_measure_of_a_plugin_is_in_tables_and_on_the_page(tiswarm, files, whol
     (files / "worst.py").write_text(WORST)
     case = (run / "cases" / "0-hops" / "case.json").stat().st_ino
 
-    given = ("report", run, "--plugin", "own.py")
+    given = ("redraw", run, "--plugin", "own.py")
     done = tiswarm(*given, "--plugin", "worst.py", cwd=files)
     found = library.open_run(run)
     page = (run / "report.html").read_text()
@@ -880,7 +880,7 @@ def test_a_measure_that_fails_is_a_line(tiswarm, files, whole, returned, problem
     code = re.sub("return np.*", f"return {returned}", WORST)
     (files / "worst.py").write_text(code)
 
-    done = tiswarm("report", run, "--plugin", "own.py", "--plugin", "worst.py", cwd=files)
+    done = tiswarm("redraw", run, "--plugin", "own.py", "--plugin", "worst.py", cwd=files)
 
     assert done.returncode == 1
     assert re.search(problem, done.stderr), done.stderr

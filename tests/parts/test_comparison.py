@@ -64,7 +64,7 @@ def test_labels_stand_where_keys_would(small_run, other_run, tmp_path):
             "seeds=1",
             "name=named",
             "conditions={no-z: {label: without heights}}",
-            "sweep={structure: [{label: low, kind: tower}, {label: sharp, kind: tower, movers: 2}]}",
+            "sweep={structure: [{label: one, kind: tower}, {label: two, kind: tower, movers: 2}]}",
         ],
     )
     folder = run(named, tmp_path, progress=Progress()).folder
@@ -72,7 +72,7 @@ def test_labels_stand_where_keys_would(small_run, other_run, tmp_path):
     found = compare([other_run, folder], tmp_path / "both")
 
     rows = [line.split()[1:4] for line in str(found).splitlines()]
-    assert rows[-3:-1] == [["without", "heights", "low"], ["without", "heights", "sharp"]]
+    assert rows[-3:-1] == [["without", "heights", "one"], ["without", "heights", "two"]]
     assert pd.read_csv(tmp_path / "both" / "comparison.csv")["condition"].iloc[-1] == "no-z"
 
 

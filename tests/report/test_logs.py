@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from tests.browser import probe
-from tiswarm.app.drawing import draw_log, render_log
+from tiswarm.app.drawing import draw_log
 from tiswarm.app.formats import export_view
 from tiswarm.app.inspection import Findings
 from tiswarm.app.logs import Log
@@ -375,8 +375,8 @@ def test_pictures_of_map_coordinates_are_as_sharp(log, estimate, tmp_path, monke
     far = replace(log, ground_z=float(away[2]), anchor_position=log.anchor_position + away)
     moved = replace(estimate, position=estimate.position + away)
 
-    render_log(view_log(replace(log, ground_z=0.0), estimate), tmp_path, Progress())
-    render_log(view_log(far, moved), tmp_path, Progress())
+    export_view(view_log(replace(log, ground_z=0.0), estimate), "png", tmp_path, Progress())
+    export_view(view_log(far, moved), "png", tmp_path, Progress())
 
     np.testing.assert_allclose(drawn[0].start, drawn[1].start, atol=1e-5)
     assert drawn[0].ground is not None
@@ -403,15 +403,13 @@ def test_exports_have_the_unit_of_the_log(log, estimate, true, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ("render . --truth truth.csv", "--truth: a run has its own; leave it out"),
-        ("render . estimate.csv", "ESTIMATE: a run has its own; leave it out"),
+        ("export . estimate.csv", "ESTIMATE: a run has its own; leave it out"),
         ("export . --format csv --truth truth.csv", "--truth: a run has its own; leave it out"),
-        ("render . --out pictures", "--out: a run has its own; leave it out"),
-        ("render log.jsonl --animate", "--animate: a log is no run; leave it out"),
+        ("view --live . --explain 3", "--explain: --live shows a run; leave it out"),
         ("export log.jsonl --format csv --case 0-a", "--case: a log is no run; leave it out"),
         ("localize log.jsonl --open", "--open: needs a page; add --report PAGE"),
         ("export . --case 0-a", "is no run folder with results"),
-        ("render nowhere", "nowhere: there is no such file; check the path"),
+        ("export nowhere", "nowhere: there is no such file; check the path"),
     ],
 )
 def test_what_a_run_or_a_log_lacks_is_refused(arguments, problem, tmp_path, monkeypatch, capsys):

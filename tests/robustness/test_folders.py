@@ -21,8 +21,8 @@ SECRET = b"7.125e-3,outside-of-the-run\n"
 """Content of a file beside the run that no command may copy into it."""
 
 COMMANDS = [
-    ["report"],
-    ["render"],
+    ["redraw"],
+    ["export", "--format", "png"],
     ["export", "--format", "csv"],
     ["export", "--format", "gltf"],
     ["compare", "--out", "compared"],

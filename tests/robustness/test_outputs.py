@@ -30,7 +30,6 @@ COMMANDS = {
         ".html",
     ),
     "view": (["view", LOG, ESTIMATE, "--truth", TRUTH, "--out"], [LOG, ESTIMATE, TRUTH], ".html"),
-    "explain": (["explain", LOG, "3", ESTIMATE, "--out"], [LOG, ESTIMATE], ".png"),
     "score": (["score", TRUTH, ESTIMATE, "--out"], [TRUTH, ESTIMATE], ".png"),
     "track --out": (["track", LOG, *QUICK, "--out"], [LOG], ".jsonl"),
     "track --estimate": (["track", LOG, *QUICK, "--estimate"], [LOG], ".csv"),
@@ -42,7 +41,10 @@ FOLDERS = {
     "export csv": (["export", LOG, ESTIMATE, "--truth", TRUTH, "--format", "csv", "--out"], TABLES),
     "export ply": (["export", LOG, ESTIMATE, "--format", "ply", "--out"], {"case.ply"}),
     "export run": (["export", "run", "--format", "csv", "--out"], TABLES),
-    "render": (["render", LOG, ESTIMATE, "--out"], {"structure.png", "contacts.png"}),
+    "export png": (
+        ["export", LOG, ESTIMATE, "--format", "png", "--out"],
+        {"estimate.png", "contact-graph.png"},
+    ),
     "compare": (
         ["compare", "run", "other", "--out"],
         {"comparison.csv", "paired.csv", "comparison.png"},
@@ -63,7 +65,7 @@ def world(small_run, tmp_path_factory) -> Path:
         shutil.copytree(small_run, world / name)
     for name in ("figures/mine.pdf", "renders/mine.txt", "cases/0-baseline/plot.png", "notes.txt"):
         (world / "run" / name).write_bytes(b"mine")
-    mine = {f"mine{suffix}" for _, _, suffix in COMMANDS.values()} | {"view.html", "explain.png"}
+    mine = {f"mine{suffix}" for _, _, suffix in COMMANDS.values()} | {"view.html"}
     mine |= {f"folder/{name}" for _, names in FOLDERS.values() for name in names}
     mine |= {"folder/folder/mine.csv"}
     for name in mine:
@@ -191,8 +193,8 @@ def test_a_run_changes_its_own_files_alone(trial, world, made, tmp_path):
         random, here = trial.random(number), tmp_path / "here"
         shutil.copytree(world, here)
         mine = [path for path, content in _contents(here).items() if content == b"mine"]
-        kind = random.choice(["report", "render", "run", "foreign"])
-        command = [kind, "run"] if kind in {"report", "render"} else ["run", "tower", *RUN]
+        kind = random.choice(["redraw", "run", "foreign"])
+        command = [kind, "run"] if kind == "redraw" else ["run", "tower", *RUN]
         command += ["--out", "runs"] * (kind in {"run", "foreign"})
         if kind == "foreign":
             folder = here / "runs" / made.name

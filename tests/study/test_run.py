@@ -117,7 +117,7 @@ def test_robots_of_any_docks_are_grown_and_localized(tiswarm, tmp_path):
     logs = sorted(
         read_sensing_log(path).dock_offset_body.tolist() for path in run.glob("*/*/sensing.jsonl")
     )
-    drawn = tiswarm("report", run)
+    drawn = tiswarm("redraw", run)
 
     assert drawn.returncode == 0, drawn.stderr
     assert (pd.read_csv(run / "summary.csv")["status"] == "done").all()
@@ -260,7 +260,7 @@ def _replace_truth(folder):
         truth.to_csv(path, index=False)
 
 
-def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path, monkeypatch):
+def test_a_run_is_drawn_again_from_its_folder_alone(tiswarm, small_run, tmp_path, monkeypatch):
     """Tables, figures and renders come back from the stored cases, byte for byte.
 
     A run finds nothing to draw afterwards.
@@ -272,11 +272,9 @@ def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path, m
     for name in ("figures", "renders"):
         shutil.rmtree(run / name)
 
-    reported = tiswarm("report", run)
-    rendered = tiswarm("render", run)
+    done = tiswarm("redraw", run)
 
-    assert reported.returncode == 0, reported.stderr
-    assert rendered.returncode == 0, rendered.stderr
+    assert done.returncode == 0, done.stderr
     for path in [*small_run.glob("*.csv"), *small_run.glob("figures/*.png")]:
         assert (run / path.relative_to(small_run)).read_bytes() == path.read_bytes()
     assert {path.name for path in (run / "renders").iterdir()} == {
@@ -300,7 +298,7 @@ def test_failed_cases_are_reported(tiswarm, tmp_path):
     run = next(tmp_path.iterdir())
     summary = (run / "summary.csv").read_text()
     assert (pd.read_csv(run / "summary.csv")["status"] == "failed").all()
-    assert tiswarm("report", run).returncode == 0
+    assert tiswarm("redraw", run).returncode == 0
     assert (run / "summary.csv").read_text() == summary
 
 

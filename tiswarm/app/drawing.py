@@ -21,7 +21,7 @@ from tiswarm.report.figures import draw_figures
 from tiswarm.report.log_page import gather_log_page
 from tiswarm.report.page import write_page
 from tiswarm.report.run_data import RunData, load_run
-from tiswarm.report.swarm_view import SwarmView, view_log
+from tiswarm.report.swarm_view import view_log
 
 if TYPE_CHECKING:
     from tiswarm.study.run import RunResult
@@ -132,7 +132,7 @@ def draw_log(
         warnings: What makes the estimate doubtful.
         notes: What the log leaves open, and what the method found, in lines.
         advice: Further measurements that would help, as rows of cells by heading.
-        figures: Figures, as `explanation.show_one` returns them.
+        figures: Figures, as `explanation.show` returns them.
         overwrite: Whether to replace a file that no tiswarm command wrote.
 
     Raises:
@@ -150,47 +150,3 @@ def draw_log(
         figures=figures,
     )  # fmt: skip
     outputs.write(path, page.html().encode(), overwrite=overwrite)
-
-
-def render_log(
-    view: SwarmView,
-    out: Path,
-    progress: Progress,
-    *,
-    renderer: str | None = None,
-    movie: AnyMovie | None = None,
-    inputs: Sequence[object] = (),
-    overwrite: bool = False,
-) -> list[Path]:
-    """Write 3D pictures of a log and its estimate, or of a structure, into a folder.
-
-    Args:
-        view: What to draw.
-        out: Folder to write to.
-        progress: Receives progress reports.
-        renderer: Renderer; the first that works if None.
-        movie: File format of an animation of the growth; none if None.
-        inputs: Files that were read, which no picture replaces.
-        overwrite: Whether to replace files that no tiswarm command wrote.
-
-    Returns:
-        The files written.
-
-    Raises:
-        InputError: the renderer is unknown, or a picture would replace another file.
-        EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
-    """
-    pictures_of = find("command", "render")
-    pose, estimated, stood = map(view.from_origin, (view.pose, view.estimated_pose, view.stood))
-    near = replace(view, pose=pose, estimated_pose=estimated, stood=stood)
-    if view.terrain is not None:
-        terrain = replace(view.terrain, ground_z=view.terrain.ground_z - float(view.origin[2]))
-        near = replace(near, terrain=terrain)
-    pictures, _, _ = pictures_of.render_view(near, progress, renderer)
-    files = {f"{name}.png": data for name, data in pictures.items()}
-    if movie:
-        files[f"growth.{movie}"] = pictures_of.animate_view(near, movie, progress, renderer)[0]
-    written = outputs.write_folder(out, files, inputs, overwrite=overwrite)
-    for path in written:
-        progress.info(str(path))
-    return written

@@ -14,7 +14,7 @@ import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Findings
-from tiswarm.app.results import Figures, File, Overrides, PageFile, as_path, as_texts, plain
+from tiswarm.app.results import File, Overrides, PageFile, as_path, as_texts, plain
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
@@ -161,7 +161,12 @@ class Localized(Estimate):
         return path
 
     def view(
-        self, truth: Truth = None, *, out: File = "view.html", overwrite: bool = False
+        self,
+        truth: Truth = None,
+        *,
+        explain: Sequence[int] = (),
+        out: File = "view.html",
+        overwrite: bool = False,
     ) -> PageFile:
         """Write a page with a 3D view; `tiswarm.view` explains the arguments."""
         from tiswarm.app.drawing import draw_log  # noqa: PLC0415 - slow to import
@@ -170,31 +175,13 @@ class Localized(Estimate):
         outputs.check({"out": page}, self._inputs(truth), overwrite=overwrite)
         findings = self.findings
         can_explain, can_advise = has("command", "explain"), has("command", "advise")
-        figures = find("command", "explain").show_one(self.log, self) if can_explain else ()
+        figures = find("command", "explain").show(self.log, self, explain) if can_explain else ()
         draw_log(
             page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
             advice=findings.advice if can_advise else (), figures=figures, overwrite=overwrite,
         )  # fmt: skip
         return PageFile(page)
-
-    def render(
-        self,
-        truth: Truth = None,
-        *,
-        renderer: str | None = None,
-        out: File = "renders",
-        overwrite: bool = False,
-        quiet: bool = False,
-    ) -> Figures:
-        """Draw 3D pictures into a folder; `tiswarm.render` explains the arguments."""
-        from tiswarm.app.drawing import render_log  # noqa: PLC0415 - slow to import
-
-        written = render_log(
-            self._shown(truth), as_path(out, "out"), ConsoleProgress(quiet=quiet),
-            renderer=renderer, inputs=self._inputs(truth), overwrite=overwrite,
-        )  # fmt: skip
-        return Figures.of(written)
 
     def export(
         self,

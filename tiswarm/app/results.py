@@ -14,6 +14,7 @@ import numpy as np
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import AnyMovie
+from tiswarm.base.parts import has
 from tiswarm.records.measures import DISPARITY, MAIN, MEASURES, PAGE, RMSE
 from tiswarm.records.messages import counted
 
@@ -169,29 +170,27 @@ class Run:
             draw(self._data(), ConsoleProgress(quiet=quiet))
         return PageFile(page)
 
-    def redraw(self, *, pdf: bool = False, quiet: bool = False) -> None:
-        """Write tables, figures and page again from the stored cases; arguments as `api.report`."""
+    def redraw(
+        self,
+        *,
+        pdf: bool = False,
+        movie: AnyMovie | None = None,
+        renderer: str | None = None,
+        case: str | None = None,
+        quiet: bool = False,
+    ) -> None:
+        """Write tables, pictures and page again from the stored cases, as `tiswarm.redraw` does."""
         from tiswarm import study  # noqa: PLC0415 - slow to import
         from tiswarm.app.drawing import draw  # noqa: PLC0415 - slow to import
 
         progress = ConsoleProgress(quiet=quiet)
         study.tabulate(self.folder, progress)
-        draw(self._data(), progress, figures=True, pdf=pdf)
-
-    def render(
-        self,
-        *,
-        renderer: str | None = None,
-        case: str | None = None,
-        movie: AnyMovie | None = None,
-        quiet: bool = False,
-    ) -> Figures:
-        """Draw 3D pictures of a case, which the page shows too; arguments as `tiswarm.render`."""
-        from tiswarm.app.drawing import draw  # noqa: PLC0415 - slow to import
-
-        data, progress = self._data(), ConsoleProgress(quiet=quiet)
-        draw(data, progress, renders=True, movie=movie, renderer=renderer, case=case)
-        return self.figures
+        data = self._data()
+        renders = has("command", "render") and any(each.done for each in data.cases)
+        draw(
+            data, progress, figures=True, renders=renders, pdf=pdf, movie=movie, renderer=renderer,
+            case=case,
+        )  # fmt: skip
 
     def export(
         self,

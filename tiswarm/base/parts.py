@@ -91,14 +91,18 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "export_format": {
         "csv": "tiswarm.parts.formats.exports:encode_csv",
+        "gif": "tiswarm.parts.pictures.pictures:encode_growth_gif",
         "gltf": "tiswarm.parts.pictures.scene:encode_gltf",
         "gsd": "tiswarm.parts.formats.exports:encode_gsd",
         "mjcf": "tiswarm.parts.formats.physics:encode_mjcf",
         "mcap": "tiswarm.parts.formats.exports:encode_mcap",
+        "mp4": "tiswarm.parts.pictures.pictures:encode_growth_mp4",
         "parquet": "tiswarm.parts.formats.exports:encode_parquet",
         "ply": "tiswarm.parts.pictures.scene:encode_ply",
+        "png": "tiswarm.parts.pictures.pictures:encode_png",
         "pyfg": "tiswarm.parts.formats.exports:encode_pyfg",
         "tum": "tiswarm.parts.formats.exports:encode_tum",
+        "webp": "tiswarm.parts.pictures.pictures:encode_growth_webp",
         "wbt": "tiswarm.parts.formats.physics:encode_wbt",
     },
     "import_format": {

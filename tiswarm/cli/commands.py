@@ -133,6 +133,10 @@ def view(
     ],
     estimate: EstimateTable = None,
     truth: Truth = None,
+    explained: Annotated[
+        list[int],
+        Option("--explain", metavar="ROBOT", help="Show how measurements place it (repeatable)."),
+    ] = [],  # noqa: B006 - typer never changes it
     out: Annotated[
         Path | None, Option(help="Page to write (default: view.html).", show_default=False)
     ] = None,
@@ -154,7 +158,8 @@ def view(
     if live:
         from tiswarm.base.parts import find, load_plugins
 
-        options.refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
+        of_log = {"ESTIMATE": estimate, "--truth": truth, "--explain": explained, "--out": out}
+        options.refuse(of_log, "--live shows a run")
         load_plugins(plugins)
         serve = find("command", "view --live")
         serve(log, port or 0, lambda page: options.show_page(page, opened=opened))
@@ -162,7 +167,9 @@ def view(
     from tiswarm import api
 
     options.refuse({"--port": port, "--plugin": plugins}, "only --live serves a page")
-    page = api.view(log, estimate, truth, out=out, overwrite=overwrite, quiet=quiet)
+    page = api.view(
+        log, estimate, truth, explain=explained, out=out, overwrite=overwrite, quiet=quiet
+    )
     if opened or not quiet:
         options.show_page(page, opened=opened)
 
@@ -196,28 +203,6 @@ def advise(
         raise InputError("needs a number of measurements; add --budget K", key="--kinds")
     chosen: Any = [kind.strip() for kind in kinds.split(",") if kind]
     typer.echo(api.advise(log, estimate, budget=budget, kinds=chosen, quiet=False))
-
-
-@app.command(epilog="Example: tiswarm explain sensing.jsonl 12 estimate.csv --out explain.png")
-def explain(
-    log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
-    robot: Annotated[int, Argument(metavar="ROBOT", help="Name of a robot in LOG.")],
-    estimate: EstimateTable = None,
-    out: Annotated[Path, Option(help="Picture to write: .png or .pdf.")] = Path("explain.png"),
-    *,
-    overwrite: options.Overwrite = False,
-    quiet: options.Quiet = False,
-) -> None:
-    """Show how the measurements of one robot narrow its place.
-
-    Robots that joined earlier stay where they were estimated. Touching one of them leaves a ball;
-    orientation, docks, further contacts and the height each leave less.
-    """
-    from tiswarm import api
-
-    found = api.explain(log, robot, estimate, out=out, overwrite=overwrite, quiet=quiet)
-    if not quiet:
-        typer.echo(f"{found}\n-> {out}")
 
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
@@ -361,22 +346,30 @@ def score(
     typer.echo(api.score(truth, estimate, out=figure, overwrite=overwrite, quiet=quiet))
 
 
-_RunOrLog = Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sensing log.")]
-
-
-@app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
-def report(
+@app.command(epilog="Example: tiswarm redraw reports/tower-1a2b3c4d --animate")
+def redraw(
     run: options.RunFolderPath,
+    renderer: Annotated[
+        str | None, Option(help="open3d or taichi (default: the first that works).")
+    ] = None,
+    case: Annotated[
+        str | None, Option(help="Case of the 3D pictures (default: the largest).")
+    ] = None,
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     pdf: options.Pdf = False,
+    animate: options.Animate = False,
+    movie: options.Movie = None,
     opened: options.Open = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Redraw tables, figures and report.html of a run."""
+    """Draw tables, pictures and page of a run again."""
     from tiswarm import api
 
-    found = api.report(run, plugins=plugins, pdf=pdf, quiet=quiet)
+    found = api.redraw(
+        run, plugins=plugins, pdf=pdf, movie=options.chosen_movie(movie, animate=animate),
+        renderer=renderer, case=case, quiet=quiet,
+    )  # fmt: skip
     if not quiet:
         typer.echo(found)
     if opened or not quiet:
@@ -404,34 +397,6 @@ def table(
     typer.echo(tiswarm.open_run(run).paper_text(form), nl=False)
 
 
-@app.command(epilog="Example: tiswarm render reports/tower-1a2b3c4d --renderer open3d")
-def render(
-    source: _RunOrLog,
-    estimate: EstimateTable = None,
-    truth: Truth = None,
-    renderer: Annotated[
-        str | None, Option(help="open3d or taichi (default: the first that works).")
-    ] = None,
-    case: Annotated[str | None, Option(help="Case to draw (default: the largest).")] = None,
-    out: Annotated[
-        Path | None, Option(help="With LOG: folder to write to (default: renders).")
-    ] = None,
-    *,
-    animate: options.Animate = False,
-    movie: options.Movie = None,
-    overwrite: options.Overwrite = False,
-    quiet: options.Quiet = False,
-) -> None:
-    """Draw 3D pictures of a run, or of a log and its estimate."""
-    from tiswarm import api
-
-    animated = options.chosen_movie(movie, animate=animate)
-    api.render(
-        source, estimate, truth,
-        renderer=renderer, case=case, movie=animated, out=out, overwrite=overwrite, quiet=quiet,
-    )  # fmt: skip
-
-
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")
 def compare(
     runs: Annotated[list[Path], Argument(metavar="RUN RUN ...", help="Run folders.")],
@@ -453,12 +418,13 @@ def compare(
 
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
 def export(
-    source: _RunOrLog,
+    source: Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sensing log.")],
     form: Annotated[
         str,
         Option(
             "--format",
-            help="csv, gltf, gsd, mcap, mjcf, parquet, ply, pyfg, tum, wbt, or that of a plug-in.",
+            help="csv, gltf, gsd, mcap, mjcf, parquet, ply, pyfg, tum, wbt; png for 3D pictures; "
+            "gif, mp4 or webp for growth; or that of a plug-in.",
         ),
     ] = "gltf",
     estimate: EstimateTable = None,

@@ -19,13 +19,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tiswarm.app.console import ConsoleProgress
-from tiswarm.app.drawing import render_log
 from tiswarm.app.formats import export_view
 from tiswarm.app.logs import Localized, Log
 from tiswarm.app.results import Figures, File, PageFile, as_path, choose, plain
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError, warn
 from tiswarm.base.params import AnyMovie
+from tiswarm.base.parts import find
 from tiswarm.compute import backend
 from tiswarm.evaluation import tables
 from tiswarm.measurements.cues import cue_names
@@ -274,10 +274,12 @@ class Structure:
             InputError: there is no such renderer, or a picture would replace another file.
             EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
         """
-        written = render_log(
-            self._shown(), as_path(out, "out"), ConsoleProgress(quiet=quiet),
-            renderer=renderer, movie=movie, overwrite=overwrite,
-        )  # fmt: skip
+        progress = ConsoleProgress(quiet=quiet)
+        draw = find("command", "render").picture_files
+        files = draw(self._shown(), progress, renderer=renderer, movie=movie)
+        written = outputs.write_folder(as_path(out, "out"), files, overwrite=overwrite)
+        for path in written:
+            progress.info(str(path))
         return Figures.of(written)
 
     def export(

@@ -1,4 +1,6 @@
-"""`tiswarm explain` says how the measurements of one robot narrow its place."""
+"""`tiswarm view --explain` shows how the measurements of one robot narrow its place."""
+
+import re
 
 import numpy as np
 import pytest
@@ -20,17 +22,21 @@ def _write(folder, history):
     return folder / "sensing.jsonl"
 
 
-def test_the_command_prints_what_the_call_returns(tiswarm, tmp_path, towers):
-    """A line for each measurement, and a picture."""
+def test_a_page_shows_the_robots_that_one_names(tiswarm, tmp_path, towers):
+    """A figure for each, in place of that of the least certain robot; a call draws it alone."""
     log = library.read_log(_write(tmp_path, towers[0]))
-    found = library.explain(log, 7, tmp_path / "truth.csv")
+    found = log.with_estimate(tmp_path / "truth.csv").explain(7)
 
-    done = tiswarm("explain", "sensing.jsonl", 7, "truth.csv", "--out", "places.png", cwd=tmp_path)
+    shown = ("view", "sensing.jsonl", "truth.csv", "--explain", 7, "--explain", 9)
+    done = tiswarm(*shown, cwd=tmp_path)
 
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{found}\n-> places.png\n"
-    assert (tmp_path / "places.png").stat().st_size > 1000
+    page = (tmp_path / "view.html").read_text()
+    shown = re.findall(r"How the measurements of robot (\d+) narrow", page)
+    assert [*dict.fromkeys(shown)] == ["7", "9"]
     assert [*found.spread][1] == "orientation"
+    assert str(found).splitlines()[0] == "robot 7: spread of the places that remain"
+    assert found.draw(tmp_path / "places.png").stat().st_size > 1000
 
 
 def test_an_unknown_robot_is_refused(tmp_path, towers):
@@ -38,7 +44,7 @@ def test_an_unknown_robot_is_refused(tmp_path, towers):
     log = library.read_log(_write(tmp_path, towers[0]))
 
     with pytest.raises(InputError, match="there is no robot 99; choose one of the 30 of the log"):
-        library.explain(log, 99, tmp_path / "truth.csv")
+        library.view(log, tmp_path / "truth.csv", explain=[99], out=tmp_path / "view.html")
 
 
 def test_a_robot_without_a_compass_is_explained_too(tmp_path, towers):

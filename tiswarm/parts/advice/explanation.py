@@ -73,15 +73,17 @@ class Explanation:
         write_placement(out, self._placement(), overwrite=overwrite)
         return out
 
-    def show(self, why: str) -> Shown:
-        """Draw the same for a page; `why` says in a sentence why this robot is shown."""
+    def show(self, why: str = "") -> Shown:
+        """Draw the same for a page; `why` says why this robot is shown, if nobody chose it."""
         caption = (
             f"How the measurements of robot {self.robot} narrow its place: blue points are places "
             "that remain after one more measurement, numbers their rms distance from their mean. "
             "The cross is the estimate. Gray circles are docks of robots that joined earlier, "
-            f"where they are estimated. {why} The command tiswarm explain draws any robot."
+            "where they are estimated."
         )
-        return show_placement(self._placement(), caption)
+        if why:
+            caption += f" {why} tiswarm view --explain ROBOT shows any robot."
+        return show_placement(f"explain-{self.robot}.svg", self._placement(), caption)
 
     def _placement(self) -> "Placement":
         panels = [
@@ -123,13 +125,15 @@ def explain(log: SensingLog, estimate: Estimate, robot: int) -> Explanation:
     )
 
 
-def show_one(log: SensingLog, estimate: Estimate) -> list[Shown]:
-    """Draw for a page the explanation of one robot; none if no robot touches an earlier one.
+def show(log: SensingLog, estimate: Estimate, robots: Sequence[int] = ()) -> list[Shown]:
+    """Draw for a page the explanations of some robots by name, or of one if none is named.
 
-    That is the one with the largest standard deviation of those that touch two or more docks of
-    earlier robots, or one if none touches more; without standard deviations, the one that touches
-    most.
+    There is none if no robot touches an earlier one. Else that is the one with the largest standard
+    deviation of those that touch two or more docks of earlier robots, or one if none touches more;
+    without standard deviations, the one that touches most.
     """
+    if robots:
+        return [explain(log, estimate, robot).show() for robot in robots]
     touched = np.bincount(log.contacts[:, 2], minlength=log.robot_count) * ~log.is_gone
     least = min(_ENOUGH, int(touched.max()))
     if not least:
@@ -200,7 +204,7 @@ def write_placement(path: Path, placement: Placement, *, overwrite: bool = False
     outputs.write(path, data, overwrite=overwrite)
 
 
-def show_placement(placement: Placement, caption: str) -> Shown:
+def show_placement(file: str, placement: Placement, caption: str) -> Shown:
     """Draw the figure for a page, in columns and, for narrow screens, in rows."""
     from matplotlib import style
 
@@ -209,7 +213,7 @@ def show_placement(placement: Placement, caption: str) -> Shown:
         for figure in figures:
             figure.set_dpi(_PAGE_DPI)
         wide, narrow = map(figure_style.svg, figures)
-    return show_drawing("explain.svg", caption, wide, narrow)
+    return show_drawing(file, caption, wide, narrow)
 
 
 def draw_placement(placement: Placement, *, in_rows: bool = False) -> "Figure":

@@ -8,6 +8,7 @@ import math
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -195,6 +196,40 @@ def render_view(
         for (name, plan), picture in zip(planned.items(), pictures, strict=True)
     }
     return encoded, used, reason
+
+
+def picture_files(
+    view: SwarmView,
+    progress: Progress,
+    *,
+    renderer: str | None = None,
+    movie: AnyMovie | None = None,
+) -> dict[str, bytes]:
+    """Draw every picture of robots, and an animation of the growth if a format is given, by file.
+
+    Centers are relative to the anchor: float32 resolves them well. Errors are those of
+    `render_view` and `animate_view`.
+    """
+    near = _near_anchor(view)
+    pictures, _, _ = render_view(near, progress, renderer)
+    files = {f"{name}.png": data for name, data in pictures.items()}
+    if movie:
+        files[f"growth.{movie}"] = animate_view(near, movie, progress, renderer)[0]
+    return files
+
+
+def encode_png(view: SwarmView) -> dict[str, bytes]:
+    """Draw every picture of robots, by file."""
+    return picture_files(view, Progress())
+
+
+def _near_anchor(view: SwarmView) -> SwarmView:
+    """Return a view whose origin is the place of the anchor."""
+    pose, estimated, stood = map(view.from_origin, (view.pose, view.estimated_pose, view.stood))
+    terrain = view.terrain
+    if terrain is not None:
+        terrain = replace(terrain, ground_z=terrain.ground_z - float(view.origin[2]))
+    return replace(view, pose=pose, estimated_pose=estimated, stood=stood, terrain=terrain)
 
 
 def _encoded(picture: Image.Image, legend: Keys | Scale) -> bytes:
@@ -531,3 +566,15 @@ def _mp4(frames: Sequence[Image.Image]) -> bytes:
 _ENCODERS: dict[AnyMovie, Callable[[Sequence[Image.Image]], bytes]] = {
     "mp4": _mp4, "webp": _webp, "gif": _gif,
 }  # fmt: skip
+
+
+def _growth(form: AnyMovie, view: SwarmView) -> dict[str, bytes]:
+    """Animate the growth of a structure, by file."""
+    film, _, _ = animate_view(_near_anchor(view), form, Progress())
+    return {f"growth.{form}": film}
+
+
+encode_growth_mp4, encode_growth_webp, encode_growth_gif = (
+    partial(_growth, form) for form in _ENCODERS
+)
+"""Formats of an export, as functions of a view."""
