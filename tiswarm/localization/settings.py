@@ -197,7 +197,7 @@ class Together:
 
     Connected docks nearer than D part as firmly as others approach. Robots have inertia, by which
     an error spreads over many robots. The defaults are for structures of the seeds 1000 to 1023
-    with 100 robots and 1000 to 1002 with 1,000; `docs/accuracy.md` has errors.
+    with 100 robots and 1000 to 1002 with 1,000; `docs/notes/measurements.md` has errors.
     """
 
     steps: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
@@ -356,7 +356,7 @@ class JointParams(ChiSquareParams):
     """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape. If null
     1,000, and 2 for each robot, up to 3,000, and again in 3,000 if these do not converge; or 2,000
     for more than 3,000 robots. Chosen on training structures of 100 and 1,000 robots, see
-    `docs/accuracy.md`."""
+    `docs/notes/measurements.md`."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 900
     """Steps at the end temperature, over which positions are averaged."""
