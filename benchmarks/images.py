@@ -10,7 +10,6 @@ rule of docs/guides/repair.md in that file.
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ from tiswarm.parts.pictures.pictures import (
     draw_states,
     encode_webp,
 )
-from tiswarm.parts.pictures.scene import TRUE_SIZE, Scene, build_scene
+from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.records.messages import three_digits
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, JOIN_COLORS, colors_along
@@ -119,17 +118,8 @@ def draw_large(renderer: str) -> tuple[Image.Image, bytes]:
         frames.append(add_legend(small, legend))
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
     scene = build_scene(robots, None).within(*_LARGE_FRAME)
-    return _transparent(scene, renderer), encode_webp(frames, durations, _QUALITY)
-
-
-def _transparent(scene: Scene, renderer: str) -> Image.Image:
-    """Draw a scene before white and black, which differ where it is not opaque."""
-    both, _, _ = draw_scenes([scene, replace(scene, background=0.0)], renderer)
-    white, black = np.array(both, np.float32)
-    opacity = 255.0 - (white - black).mean(axis=-1, keepdims=True)
-    color = np.clip(255.0 * black / np.maximum(opacity, 1.0), 0.0, 255.0)
-    pixels = np.concatenate([color, opacity], axis=-1).round().astype(np.uint8)
-    return Image.fromarray(pixels, "RGBA")
+    [picture], _, _ = draw_scenes([scene], renderer)
+    return Image.fromarray(picture), encode_webp(frames, durations, _QUALITY)
 
 
 def _drawn(structure: Any, color: Reals) -> DrawnRobots:  # noqa: ANN401 - one of `Swarms`
@@ -156,18 +146,12 @@ def draw_departures(rule: Path, renderer: str) -> bytes:
     legend = Scale(JOIN_COLORS, "join index  0", f"{_ROBOTS - 1}")
     drawn, counts = [], range(2, _ROBOTS + 1, 2)
     for structure_of, all_robots in zip(grown.values(), robots, strict=True):
-        camera = build_scene(all_robots, Terrain(), around=around).within(*_FRAME).camera
-        scenes = []
+        joined, there = structure_of.departures[:, 1], []
         for count in counts:
-            events = structure_of.departures
-            gone = events[events[:, 1] <= count, 0]
-            there = np.setdiff1d(np.arange(count), gone)
-            part = replace(
-                all_robots, center=all_robots.center[there], dock=all_robots.dock[there],
-                color=color[there],
-            )  # fmt: skip
-            scenes.append(build_scene(part, Terrain(), around=around).seen_by(camera))
-        drawn.append(draw_scenes(scenes, renderer)[0])
+            gone = structure_of.departures[joined <= count, 0]
+            there.append(np.setdiff1d(np.arange(count), gone))
+        states = draw_states(all_robots, Terrain(), there, _FRAME, renderer, around=around)
+        drawn.append(states[0])
     frames = []
     for count, *pictures in zip(counts, *drawn, strict=True):
         titles = []

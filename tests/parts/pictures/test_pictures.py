@@ -18,7 +18,7 @@ from tiswarm.parts.pictures.pictures import (
     draw_side_by_side,
     render_run,
 )
-from tiswarm.parts.pictures.raycast import draw_scenes
+from tiswarm.parts.pictures.raycast import draw_scenes, on_white
 from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view
 
@@ -162,6 +162,20 @@ def test_pictures_of_a_chosen_case_carry_its_name(run_folder):
     drawn = render_run(load_run(run_folder), progress=Progress(), renderer="taichi", case="0-no-z")
 
     assert all(picture.path.name.endswith("-0-no-z.png") for picture in drawn)
+
+
+def test_a_picture_lets_the_page_through(scene):
+    """Robots are opaque, the ground is a film, and nothing else is there: dark pages stay dark."""
+    [picture] = draw_scenes([scene], "taichi")[0]
+
+    opacity = picture[..., 3]
+    assert opacity[0, 0] == 0
+    assert np.count_nonzero(opacity == 255) > 0.05 * opacity.size
+    bright = on_white(picture)[opacity == opacity[opacity > 0].min()]
+    assert bright.min() > 230  # the ground fades into a white page
+    on_black = picture[..., :3] * (opacity[..., None] / 255.0)
+    film = (opacity > 10) & (opacity < 245)
+    assert np.median(on_black[film]) < 40  # and into a black one
 
 
 def test_both_renderers_draw_the_same_picture(scene):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageChops, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError
@@ -47,7 +47,8 @@ _SEEN_ERROR = 0.3  # error from which a true robot is seen beside its estimate [
 _MOST_GHOSTS = 0.5  # share of robots above which translucent ones would hide each other
 
 _LETTERS, _LEGEND_HEIGHT, _BAR_LENGTH = 19, 44, 144  # of a legend, with its bar of colors [pixels]
-_INK = (40, 40, 40)
+_INK = (118, 118, 118)  # as far from white as from black
+_NOTHING = (*_INK, 0)  # as letters: their edges are half transparent
 
 
 Keys = tuple[tuple[str, str], ...]
@@ -145,9 +146,13 @@ def _contact_graph(view: SwarmView, around: Reals) -> Picture:
 
 
 def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) -> Image.Image:
-    """Add a white band with a legend above a picture; `size` scales its letters and bar."""
+    """Add a band with a legend above a picture; `size` scales its letters and bar.
+
+    The band of a picture with opacity is transparent, others are white.
+    """
     high, long = round(size * _LEGEND_HEIGHT), round(size * _BAR_LENGTH)
-    whole = Image.new("RGB", (picture.width, picture.height + high), "white")
+    back = _NOTHING if picture.mode == "RGBA" else "white"
+    whole = Image.new(picture.mode, (picture.width, picture.height + high), back)
     whole.paste(picture, (0, high))
     pen, font = ImageDraw.Draw(whole), ImageFont.load_default(size * _LETTERS)
     left, line = size * 13.0, high / 2.0
@@ -355,15 +360,14 @@ def _lay_out(
     steps = [max(picture.shape[1] - room, _LEAST_WIDTH) for picture in pictures]
     middles = [sum(steps[:k]) + (step + room) // 2 for k, step in enumerate(steps)]
     size = (sum(steps) + room, round(above + below))
-    whole = Image.new("RGB", size, "white")
+    whole = Image.new("RGBA", size, _NOTHING)
     for picture, row, middle in zip(pictures, rows, middles, strict=True):
-        tile = Image.new("RGB", size, "white")
+        tile = Image.new("RGBA", size, _NOTHING)
         tile.paste(Image.fromarray(picture), (middle - picture.shape[1] // 2, round(above - row)))
-        whole = ImageChops.multiply(whole, tile)
-    content = ImageChops.invert(whole).getbbox() or (0, 0, *size)
+        whole.alpha_composite(tile)
+    content = whole.getchannel("A").getbbox() or (0, 0, *size)
     whole = whole.crop((0, content[1], size[0], content[3] + _LABEL_HEIGHT))
     pen, font = ImageDraw.Draw(whole), ImageFont.load_default(_LETTERS)
-    pen.rectangle((0, whole.height - _LABEL_HEIGHT, *whole.size), "white")
     for middle, label in zip(middles, labels, strict=True):
         place = (middle, whole.height - _LABEL_HEIGHT // 2)
         pen.multiline_text(place, label, _INK, font, anchor="mm", align="center")

@@ -31,6 +31,7 @@ from tiswarm.base.progress import Advance, ignore
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import kernel_cache, machine
 from tiswarm.parts.pictures.scene import (
+    FLOOR_GRAY,
     Array32,
     Scene,
     build_scene,
@@ -110,7 +111,7 @@ def try_in_child() -> None:
             mark.touch()
 
 
-Pixels = NDArray[np.uint8]
+Pixels = NDArray[np.uint8]  # of red, green, blue and, where what is behind shows, opacity
 Trace = Callable[[Array32, Array32], tuple[Array32, Ints]]
 """From pixels (column, row), shape (n, 2), and the directions of their rays, shape (n, 3), to the
 depth of the first capsule, infinite if there is none, and its index or -1, each of shape (n,)."""
@@ -192,9 +193,9 @@ def draw_growth(
                 darker = _changed_ground(scenes[number - 1], scene)[cells]
                 new = np.flatnonzero(_surroundings(scene, centers) | darker)
                 picture = pictures[-1].copy()
-                picture.reshape(-1, 3)[new] = _draw([scene], tracer, new)[0]
+                picture.reshape(-1, 3)[new] = on_white(_draw([scene], tracer, new)[0])
             else:
-                picture = _draw([scene], tracer)[0]
+                picture = on_white(_draw([scene], tracer)[0])
             pictures.append(picture)
             advance(1)
         return pictures
@@ -287,9 +288,9 @@ def _surroundings(scene: Scene, centers: Reals) -> Bools:
 def _draw(
     scenes: list[Scene], tracer: Callable[[Scene], Trace], part: Ints | None = None
 ) -> list[Pixels]:
-    """Draw scenes that differ by colors alone, each of shape (height, width, 3).
+    """Draw scenes that differ by colors alone, each of shape (height, width, 4).
 
-    Of a part of the pixels, colors have the shape (n, 3).
+    Of a part of the pixels, colors have the shape (n, 4).
     """
     scene, colors = scenes[0], np.array([scene.color for scene in scenes])
     layers = [(each, tracer(each)) for each in (scene, scene.ghost) if each]
@@ -304,16 +305,25 @@ def _draw(
     places = _SUBPIXELS if len(edge) < _MANY_EDGES * len(seen) else _SUBPIXELS[::2]
     finer = [_cast(layers, colors, corner[drawn[edge]] + place)[0] for place in places]
     color[:, edge] = np.mean(finer, axis=0)
-    pixels = [np.round(255.0 * one).astype(np.uint8) for one in color]
-    return [one.reshape(height, width, 3) if part is None else one for one in pixels]
+    color[..., :3] /= np.maximum(color[..., 3:], np.float32(1e-6))
+    pixels = [np.round(255.0 * np.minimum(one, 1.0)).astype(np.uint8) for one in color]
+    return [one.reshape(height, width, 4) if part is None else one for one in pixels]
+
+
+def on_white(picture: Pixels) -> Pixels:
+    """Lay a picture on white: its opacity, the last of four numbers, goes."""
+    color, opacity = picture[..., :3].astype(np.float32), picture[..., 3:] / np.float32(255.0)
+    laid: Pixels = np.round(255.0 + opacity * (color - 255.0)).astype(np.uint8)
+    return laid
 
 
 def _cast(
     layers: list[tuple[Scene, Trace]], colors: Array32, pixels: Array32
 ) -> tuple[Array32, Ints]:
-    """Find K colors, shape (K, n, 3), and one object at each pixel.
+    """Find K colors, shape (K, n, 4), and one object at each pixel.
 
-    Different numbers are different objects.
+    Colors are red, green and blue times opacity, and opacity. Different numbers are different
+    objects.
     """
     parts = [
         _cast_chunk(layers, colors, pixels[first : first + _CHUNK])
@@ -329,10 +339,10 @@ def _cast_chunk(
     (scene, trace), *ghosts = layers
     eye, direction = scene.camera.eye.astype(np.float32), scene.camera.directions(pixels)
     depth, seen = trace(pixels, direction)
-    color = np.full((len(colors), len(pixels), 3), scene.background, np.float32)
+    color = np.zeros((len(colors), len(pixels), 4), np.float32)
     hit = np.flatnonzero(seen >= 0)
     points = eye + depth[hit, None] * direction[hit]
-    color[:, hit] = color_of_capsules(scene, seen[hit], points, colors)
+    color[:, hit] = _opaque(color_of_capsules(scene, seen[hit], points, colors))
     ground = scene.ground
     if ground is not None:
         first, last = scene.camera.frame(ground.corners)
@@ -343,7 +353,8 @@ def _cast_chunk(
         low, ground_depth, normal = low[nearer], ground_depth[nearer], normal[nearer]
         light = relative_light(scene, normal)
         gray, opacity = ground.paint(eye + ground_depth[:, None] * direction[low], light)
-        color[:, low] += opacity * (gray - color[:, low])
+        veil, floor = _floor(gray, solid=bool(ground.slabs))
+        color[:, low] += opacity * (floor - veil * color[:, low])
         there = np.flatnonzero(opacity > _FAINT)
         depth[low[there]] = ground_depth[there]
         seen[low[there]] = _FACES[np.abs(normal[there]).argmax(axis=1)]
@@ -353,9 +364,26 @@ def _cast_chunk(
         points = eye + ghost_depth[hit, None] * direction[hit]
         tint = color_of_capsules(ghost, capsule[hit], points, ghost.color[None])
         opacity = np.where(seen[hit] >= 0, np.float32(_GHOST_VEIL), np.float32(_GHOST_OPACITY))
-        color[:, hit] += opacity[:, None] * (tint - color[:, hit])
+        color[:, hit] += opacity[:, None] * (_opaque(tint) - color[:, hit])
         seen[hit] += (capsule[hit] + 1) * (len(scene.radius) + _OTHERS)
     return color, seen
+
+
+def _opaque(color: Array32) -> Array32:
+    """Append the opacity 1 to colors, shape (..., 3)."""
+    return np.concatenate([color, np.ones_like(color[..., :1])], axis=-1)
+
+
+def _floor(gray: Array32, *, solid: bool) -> tuple[Array32, Array32]:
+    """Return the opacity, and the colors of shape (n, 4), of ground that is gray before white.
+
+    A slab hides what is behind. A plane is a gray film under black shade, so that it suits dark
+    pages, too.
+    """
+    film = np.float32(0.0 if solid else 2.0 * FLOOR_GRAY - 1.0)  # of white that passes it
+    opacity = np.clip(1.0 - gray * film / np.float32(FLOOR_GRAY), 0.0, 1.0).astype(np.float32)
+    shown = gray - (1.0 - opacity)
+    return opacity, np.concatenate([shown, shown, shown, opacity], axis=1)
 
 
 def _edges(seen: Ints) -> Bools:

@@ -64,7 +64,8 @@ def unit(vectors: Array32) -> Array32:
 _CELLS = 160
 _FADE = (2.0, 9.0)  # distances from the nearest standing dock where a plane fades [R]
 _REAR_FADE = 4.0  # length over which a slab fades at its rear [R]
-_GRAY = 0.92
+FLOOR_GRAY = 0.92
+"""Brightness of ground in full light, before white, 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +134,7 @@ def lay_ground(terrain: Terrain, dock: Reals, blockers: Reals) -> Ground | None:
         share = (_FADE[1] - distance) / (_FADE[1] - _FADE[0])
     share = np.clip(share, 0.0, 1.0)
     shade = blocked_light(points, blockers)
-    gray = _GRAY * np.exp(-1.3 * np.maximum(shade[:, 0] + shade[:, 3], 0.0))
+    gray = FLOOR_GRAY * np.exp(-1.3 * np.maximum(shade[:, 0] + shade[:, 3], 0.0))
     look = np.column_stack([gray, share * share * (3.0 - 2.0 * share)])
     look = look.reshape(*x.shape, 2).astype(np.float32)
     return Ground(corner=corner, cell=cell, look=look, slabs=slabs)
@@ -244,7 +245,7 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """P capsules, a ground if any, and a camera, against a gray."""
+    """P capsules, a ground if any, and a camera; nothing is behind them."""
 
     start: Array32  # one end of each segment [R], shape (P, 3)
     end: Array32  # other end of each segment [R], shape (P, 3)
@@ -254,7 +255,6 @@ class Scene:
     camera: Camera
     ground: Ground | None
     ghost: "Scene | None" = None  # translucent capsules before the same camera
-    background: float = 1.0  # brightness behind all, 0 to 1
 
     def within(self, width: int, height: int) -> "Scene":
         """Return the same scene before a camera that fills so many columns or rows [pixels]."""
