@@ -7,7 +7,7 @@ unknown to it; a robot that touches no earlier one starts from the first anchor;
 `tiswarm.measurements.cues.in_plane`, stay at its y; further anchors are where they are
 known to be. The paper says only that
 back-propagation would revisit recent robots every ten joins. Its virtual torque gained nothing in
-our trials, see `docs/accuracy.md`.
+our trials, and is left out.
 
 `localize_batch` places the robots of whole logs, `Localizer` each robot as it joins.
 
