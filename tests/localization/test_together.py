@@ -37,13 +37,13 @@ def _steps(log, params):
     count = np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)
     mobility = np.repeat(params.together.gain / np.maximum(count, 1)[:, None], 3, axis=1)
     mobility[0] = 0.0
-    steps, share = params.together.steps, params.together.repulsion_share
+    (steps, momentum), share = params.together.pace(0), params.together.repulsion_share
     for t in range(steps):
-        carried = params.together.momentum * (place[-1] - place[-2])
+        carried = momentum * (place[-1] - place[-2])
         step = swarm_step(
             place[-1], arm, log.contacts, np.zeros(log.robot_count), height,
             attraction_gain=params.attraction_gain, repulsion_gain=params.repulsion_gain,
-            height_gain=params.height_gain, spacing=2.0, max_step=params.max_step,
+            height_gain=params.height_gain, spacing=2.0, max_step=params.together.max_step,
             ramp=1.0 - share * (1.0 - t / (steps - 1)), parting_gain=params.attraction_gain,
             mobility=mobility, carried=carried,
         )  # fmt: skip
@@ -85,6 +85,17 @@ def test_cues_count_as_far_as_they_are_on(log):
     for other in places[1:]:
         assert np.abs(other - places[0]).max() > 1e-6
     np.testing.assert_array_equal(localize(blind, SHORT).position, places[1])
+
+
+def test_large_structures_take_more_steps_and_lose_motion_as_slowly():
+    """Up to 1,000 robots take 700 steps, 8,000 twice as many; motion decays by e^-10.5 in each."""
+    paces = [Together().pace(robots) for robots in (1, 1_000, 8_000, 1_000_000)]
+
+    assert [steps for steps, _ in paces] == [700, 700, 1_400, 7_000]
+    for steps, momentum in paces:
+        assert momentum**steps == pytest.approx(np.exp(-10.5), rel=0.1)
+    assert Together(steps=5).pace(10**6) == (5, 0.0)
+    assert Together(steps=5, momentum=0.5).pace(10) == (5, 0.5)
 
 
 def test_robots_that_nothing_ties_start_where_the_last_ones_joined(log):

@@ -208,6 +208,10 @@ class Dynamics:
     asks: tuple[str, ...] = ()
     """Fields of `SwarmState` that they ask for."""
 
+    skin: float = 0.25
+    """Reach of rows of neighbors beyond a cutoff of D [D], wider where robots are fast. It grows
+    with the square root of the cutoff, since wide skins of long cutoffs hold many pairs."""
+
     has_force: bool = False
     has_integrator: bool = False
     """Whether it is a function of a user, which may return NaN."""
@@ -251,7 +255,7 @@ FREE = Dynamics(pull_freely, follow_force, ("attraction", "repulsion"))
 """Robots follow the forces of the paper."""
 GUIDED = Dynamics(
     part_connected, follow_guide, (*FREE.names, "parting", "momentum"),
-    asks=("mobility", "last_step"),
+    asks=("mobility", "last_step"), skin=0.75,
 )  # fmt: skip
 """Robots have a mobility along each axis and inertia, and connected docks part."""
 

@@ -209,9 +209,6 @@ class Places:
         return self.unit is not None and bool(moves.max() > 0.5 * np.sqrt(OUT_OF_REACH))
 
 
-_SKIN = 0.25
-"""Reach of rows of neighbors beyond a cutoff of D [D]. It grows with the square root of the cutoff,
-since wide skins of long cutoffs hold many pairs."""
 _STEPS, _STEPS_ON_CARD = 4, 16
 """Most steps of a call. On a card Python needs longer for a call than the card for its steps; rows
 serve some 13, and the card skips the rest."""
@@ -303,7 +300,7 @@ class Stepper:
         """
         robots, docks = len(swarm.position), len(swarm.dock_offset_body)
         self.ignores_nan = not (dynamics.has_force or dynamics.has_integrator)
-        self.dynamics, skin = dynamics, _SKIN * (swarm.spacing / cutoff) ** 0.5
+        self.dynamics, skin = dynamics, dynamics.skin * (swarm.spacing / cutoff) ** 0.5
         self.reach = (1.0 + skin) * cutoff
         # Two robots that approach each other share the skin.
         self.stray_limit = 0.5 * skin * cutoff

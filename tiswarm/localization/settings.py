@@ -74,7 +74,7 @@ _ROBOT_S = 0.01
 _ITERATION_S = 1.3e-6
 """Processor time of an iteration of a robot in Algorithm 1 [s]."""
 
-_TOGETHER_S = 4e-7
+_TOGETHER_S = 5e-7
 """Processor time of a step of a robot under the schedule `together` [s]."""
 
 _CHAIN_STEP_S = 4e-7
@@ -196,21 +196,31 @@ class Together:
     """How all robots step at once, from where chains of contacts lead, under the schedule together.
 
     Connected docks nearer than D part as firmly as others approach. Robots have inertia, by which
-    an error spreads over many robots. The defaults are for structures of the seeds 1000 to 1023
-    with 100 robots and 1000 to 1002 with 1,000; `docs/notes/measurements.md` has errors.
+    an error spreads over many robots. The defaults are for structures of the seeds 100,000 to
+    100,011 with 100 to 10,000 robots; `docs/notes/measurements.md` has errors.
     """
 
-    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
-    """Steps of every robot."""
+    steps: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    """Steps of every robot; 700 if null, and in proportion to the cube root of N beyond 1,000
+    robots, since an error has farther to go."""
 
-    gain: Annotated[float, Field(gt=0.0, le=1.0)] = 0.03
+    gain: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
     """Share of the forces that a step follows, divided by the number of the robot's contacts."""
 
-    momentum: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.995
-    """Share of its last step that a robot takes again."""
+    momentum: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    """Share of its last step that a robot takes again; 1 - 10.5 / steps if null, so that motion
+    decays by the same factor in each structure."""
 
-    repulsion_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.04
-    """1 - alpha_t at the first step; it falls to 0 linearly. With twice as much robots scatter."""
+    max_step: Annotated[float, Field(gt=0.0)] = 0.55
+    """A robot moves no farther than this in a step [R]; with long steps robots scatter."""
+
+    repulsion_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.045
+    """1 - alpha_t at the first step; it falls to 0 linearly."""
+
+    def pace(self, robots: int) -> tuple[int, float]:
+        """Choose the steps and the momentum of a structure of so many robots."""
+        steps = self.steps or round(700 * max(1.0, robots / 1_000) ** (1.0 / 3.0))
+        return steps, max(0.0, 1.0 - 10.5 / steps) if self.momentum is None else self.momentum
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -231,7 +241,7 @@ class VirtualForceParams(MethodParams):
     """Who moves: each robot after those that joined before it, as in Algorithm 1, or all robots at
     once, which uses all cores for one large structure. Together, robots start where chains of
     contacts lead, and the trace has 31 frames; what only Algorithm 1 has does not count then:
-    `initial_offset`, `initial_offset_axis`, `iterations` and `trace_every`."""
+    `initial_offset`, `initial_offset_axis`, `iterations`, `max_step` and `trace_every`."""
 
     together: Together = Together()
     """Steps under the schedule `together`."""
@@ -328,7 +338,7 @@ class VirtualForceParams(MethodParams):
     def seconds(self, robots: int) -> float:
         """Estimate the processor time of one structure [s]."""
         if self.is_parallel:
-            return _TOGETHER_S * robots * self.together.steps
+            return _TOGETHER_S * robots * self.together.pace(robots)[0]
         rounds = self.back_propagation
         steps = self.iterations + (rounds.steps(robots) if rounds else 0.0)
         return _ITERATION_S * robots * steps

@@ -75,9 +75,7 @@ def localize_batch(
         robots that contacts tie to the anchor.
     """
     if params[0].schedule == "together":
-        heights = [_heights(log, p) for log, p in zip(logs, params, strict=True)]
-        in_plane_only = [_planar(log) for log in logs]
-        return _localize_together(logs, params[0], heights, in_plane_only, on_progress)
+        return _localize_together(logs, params[0], on_progress)
     iterations, every = params[0].iterations, params[0].trace_every
     rounds = params[0].back_propagation or _NO_SWEEPS
     swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []
@@ -361,28 +359,16 @@ def _swarm_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
 
     docks = log.dock_offset_body / log.dock_radius
     alone = None if log.robot_count <= relax.SMALL else log.robot_count
-    return (params, docks.shape, docks.tobytes(), alone)
+    pace = params.together.pace(log.robot_count)
+    return (params, pace, docks.shape, docks.tobytes(), alone)
 
 
 def _localize_together(
     logs: Sequence[SensingLog],
     params: VirtualForceParams,
-    heights: Sequence[Reals],
-    planar: Sequence[Bools],
     on_progress: Callable[[float], None] = ignore,
 ) -> list[Estimate]:
-    """Localize structures of the same `_swarm_key`.
-
-    Args:
-        logs: What each swarm sensed.
-        params: Settings of all.
-        heights: Heights of centers [R], NaN where unknown, shape (N,) for each log.
-        planar: Whether robots stay at the anchor's y, shape (N,) for each log.
-        on_progress: Called with the share of the work that is done.
-
-    Returns:
-        One estimate a log. The residual is the root mean square step of the robots.
-    """
+    """Localize structures of the same `_swarm_key`."""
     from tiswarm.engine import relax  # noqa: PLC0415 - slow to import
 
     running = backend.device()
@@ -396,24 +382,21 @@ def _localize_together(
         def report(part: float, done: int = done, size: int = len(group)) -> None:
             on_progress((done + part * size) / len(logs))
 
-        estimates += _stepped(
-            [logs[n] for n in group], params, [heights[n] for n in group],
-            [planar[n] for n in group], report,
-        )  # fmt: skip
+        estimates += _stepped([logs[n] for n in group], params, report)
     return estimates
 
 
 def _stepped(
     logs: Sequence[SensingLog],
     params: VirtualForceParams,
-    heights: Sequence[Reals],
-    planar: Sequence[Bools],
     on_progress: Callable[[float], None],
 ) -> list[Estimate]:
     """Localize structures in one swarm."""
     from tiswarm.engine.relax import PreparedSwarm  # noqa: PLC0415 - slow to import
 
     chosen = params.together
+    steps, momentum = chosen.pace(logs[0].robot_count)
+    planar = [_planar(log) for log in logs]
     start = np.cumsum([0, *(log.robot_count for log in logs)])
     first = np.concatenate([_chained(log, flat) for log, flat in zip(logs, planar, strict=True)])
     # A robot of many contacts is pulled by all of them: shorter steps keep it from overshooting.
@@ -429,14 +412,13 @@ def _stepped(
         np.concatenate([log.contacts + base * np.array([1, 0, 1, 0])
                         for log, base in zip(logs, start[:-1], strict=True)]),
         robot=_Body(logs[0].dock_offset_body / logs[0].dock_radius),
-        height=np.concatenate(heights),
+        height=np.concatenate([_heights(log, params) for log in logs]),
         mobility=along,
         structure=np.repeat(np.arange(len(logs)), np.diff(start)),
         running=backend.device(),
     )  # fmt: skip
-    every = -(-chosen.steps // _FRAMES)
-    frames = np.array([*range(0, chosen.steps, every), chosen.steps])
-    ramp: Reals = np.linspace(1.0 - chosen.repulsion_share, 1.0, chosen.steps, dtype=np.float64)
+    frames = np.array([*range(0, steps, -(-steps // _FRAMES)), steps])
+    ramp: Reals = np.linspace(1.0 - chosen.repulsion_share, 1.0, steps, dtype=np.float64)
     trace, moved = [first], [np.zeros(len(first))]
     for before, after in pairwise(frames.tolist()):
         now = swarm.relax(
@@ -444,15 +426,15 @@ def _stepped(
             parting_gain=params.attraction_gain,
             repulsion_gain=params.repulsion_gain if params.undocked_repulsion else 0.0,
             height_gain=params.height_gain,
-            max_step=params.max_step,
-            momentum=chosen.momentum,
+            max_step=chosen.max_step,
+            momentum=momentum,
             ramp=ramp[before:after],
             steps=after - before,
             resume=before > 0,
         )
         trace.append(now.position)
         moved.append(np.linalg.norm(swarm.state.last_step, axis=1))
-        on_progress(after / chosen.steps)
+        on_progress(after / steps)
     estimates = []
     for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True):
         untied = disconnected(measure(log, ["contacts", "anchors"]))
@@ -466,7 +448,7 @@ def _stepped(
                 iteration=frames,
                 trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
                 residual=moves * log.dock_radius,
-                steps=np.where(is_anchor[a:b], 0, chosen.steps),
+                steps=np.where(is_anchor[a:b], 0, steps),
             )
         )
     return estimates
