@@ -42,7 +42,7 @@ ASKED = {
     "tiswarm.parts.peers": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.parts.online": "localize sensing.jsonl --method online",
     "tiswarm.parts.advice": "advise sensing.jsonl known.csv",
-    "tiswarm.parts.pictures": "render sensing.jsonl known.csv",
+    "tiswarm.parts.pictures": "export sensing.jsonl known.csv --format png",
     "tiswarm.parts.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
     "tiswarm.parts.flips": "localize sensing.jsonl --set flip_axes=6",
