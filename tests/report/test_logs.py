@@ -42,6 +42,35 @@ document.body.dataset.found = JSON.stringify(found);
 """
 """Points at a robot, then chooses the third entry of the menu."""
 
+FOLLOW = """
+const at = (type, x, y) => Object.assign(
+  new Event(type), {buttons: 0, pointerId: 1, clientX: x, clientY: y, offsetX: x, offsetY: y});
+const send = (type, place) => view.dispatchEvent(at(type, ...place));
+const click = (place) => { send("pointerdown", place); send("pointerup", place); };
+const read = () => document.getElementById("pointed").textContent;
+view.setPointerCapture = () => {}; // no real pointer has this number
+let place = null;
+for (let x = 0; x < view.clientWidth && !place; x += 5)
+  for (let y = 0; y < view.clientHeight && !place; y += 5) {
+    send("pointermove", [x, y]);
+    if (read()) place = [x, y];
+  }
+found.named = read();
+click(place);
+send("pointermove", [0, 0]);
+found.followed = read();
+setTimeout(() => {
+  const middle = [view.clientWidth / 2, view.clientHeight / 2];
+  click(middle);
+  found.middle = read();
+  view.dispatchEvent(Object.assign(new Event("keydown"), {key: "0"}));
+  send("pointermove", [0, 0]);
+  found.released = read();
+  document.body.dataset.found = JSON.stringify(found);
+}, 500);
+"""
+"""Clicks at a robot, then at the middle, and lets it go."""
+
 SPHERES = """
 const click = (name) => document.getElementById(`show-${name}`).click();
 const pixels = () => {
@@ -225,6 +254,18 @@ def test_a_page_without_truth_works_in_a_browser(log, estimate, tmp_path):
     assert seen["first"] != seen["second"]
     assert re.fullmatch(r"Robot \d+, join index \d+: sd [\d.]+ mm\.", seen["pointed"])
     assert seen["quantity"] == "distance from the estimate"
+
+
+def test_a_click_keeps_a_robot_in_the_middle(log, estimate, tmp_path):
+    """Its values stay until the view is reset, wherever the pointer goes."""
+    text, _ = _page(tmp_path, log, estimate)
+
+    seen = probe(text, FOLLOW, tmp_path)
+
+    assert seen["troubles"] == []
+    assert seen["named"].startswith("Robot ")
+    assert seen["followed"] == seen["middle"] == seen["named"]
+    assert seen["released"] == ""
 
 
 @pytest.mark.trial

@@ -3,6 +3,7 @@
 const GROWTH_MS = 6000, STEPS = 12; // duration of a motion; its steps where the reader wants less motion
 const WHOLE = 200; // places of the slider along iterations
 const WIDE = 960; // width of a window from which two cases are shown [pixels]
+const STILL = 4; // way of the pointer up to which it clicks [pixels]
 const CALM = matchMedia("(prefers-reduced-motion: reduce)");
 
 // Root mean square error of estimated centers; NaN without a truth.
@@ -37,7 +38,7 @@ function paneOf(view, data) {
     return { ...found, value: at.true.map((point, n) => data.radius * Math.hypot(...minus(point, at.estimate[n]))) };
   };
   // Draws the first robots of the case as it is at some iteration; returns whether WebGL did.
-  pane.draw = (at, { box, look, wanted, coloring, balls, count, title, scaled }) => {
+  pane.draw = (at, { box, look, wanted, coloring, balls, count, title, scaled, followed }) => {
     const [width, height, dense] = [view.clientWidth, view.clientHeight, devicePixelRatio];
     view.width = width * dense;
     view.height = height * dense;
@@ -45,6 +46,12 @@ function paneOf(view, data) {
     pen.lineCap = "round";
     const { fit, right, down } = fitOf(box, width, height);
     const moved = { ...look, right: look.right + look.zoom * right, down: look.down + look.zoom * down };
+    const center = at.estimate[at.robot.indexOf(followed)]; // of the robot that the reader follows
+    if (center) {
+      const [x, y] = cameraOf(box, moved, fit, width, height).place(center);
+      moved.right += look.right + width / 2 - x;
+      moved.down += look.down + height / 2 - y;
+    }
     const camera = cameraOf(box, moved, fit, width, height);
     pane.place = camera.place;
     drawBox(pen, box, data, camera);
@@ -55,6 +62,14 @@ function paneOf(view, data) {
     if (!drawn) {
       const pieces = wants.ground ? groundOf(at.ground, camera) : [];
       drawInOrder(pen, pieces, shapesOf(at, Math.min(count, PAINTED), data.offsets, wants, coloring, camera.place, balls));
+    }
+    if (center) {
+      const [x, y, scale] = camera.place(center);
+      pen.strokeStyle = textOf("--ink");
+      pen.lineWidth = 2;
+      pen.beginPath();
+      pen.arc(x, y, Math.max(NEARBY, 2.6 * scale), 0, 7);
+      pen.stroke();
     }
     if (wants.estimate && scaled) drawScale(pen, coloring, width, height);
     pen.textAlign = "left";
@@ -84,7 +99,7 @@ function showSpace(view) {
   if (data.cases.every(({ ground }) => !ground.length)) byId("show-ground").parentElement.hidden = true;
   for (const scale of ["--errors", "--joins"]) balls[scale] = shadesOf(colorsOf(scale));
   const every = [view, byId("view-beside")].map((canvas) => paneOf(canvas, data));
-  let look = { ...START }, panes = [], box, due = 0, began = null;
+  let look = { ...START }, panes = [], box, due = 0, began = null, followed = null;
   const points = [...new Set(data.cases.map((each) => each.point ?? ""))];
   points.forEach((each) => point.add(new Option(each)));
   point.parentElement.hidden = points.length < 2;
@@ -113,7 +128,7 @@ function showSpace(view) {
     const colorings = panes.map((pane, k) => pane.coloring(quantity.value, shown[k]));
     const most = Math.max(...colorings.map((each) => each.most)); // one scale for all
     const drawn = panes.map((pane, k) => pane.draw(shown[k], {
-      box, look, wanted, balls, coloring: { ...colorings[k], most }, scaled: k === panes.length - 1,
+      box, look, wanted, balls, followed, coloring: { ...colorings[k], most }, scaled: k === panes.length - 1,
       count: isTracked() ? pane.case.robot.length : Math.min(slider.valueAsNumber, pane.case.robot.length),
       title: data.cases.length > 1 || isTracked() ? titleOf(shown[k], pane.case, data) : "",
     }));
@@ -163,24 +178,34 @@ function showSpace(view) {
     };
     move();
   };
-  // The robot whose true or estimated center is nearest to the pointer.
-  const nameRobot = (pane, { offsetX, offsetY }) => {
-    const { case: shown, colorings, place } = pane;
+  // The place in the list of the robot whose true or estimated center is nearest to the pointer; -1 if none is near.
+  const findRobot = (pane, { offsetX, offsetY }) => {
+    const { case: shown, place } = pane;
     let found = -1, nearest = NEARBY;
     const count = isTracked() ? shown.robot.length : Math.min(slider.value, shown.robot.length);
     for (let n = 0; n < count; n++) for (const poses of shown.true.length ? [shown.true, shown.estimate] : [shown.estimate]) {
       const [x, y] = place(poses[n]), distance = Math.hypot(x - offsetX, y - offsetY);
       if (distance < nearest) [found, nearest] = [n, distance];
     }
+    return found;
+  };
+  const nameRobot = ({ case: shown, colorings }, found) => {
     const values = colorings.slice(0, -2).map(({ label, unit, value }) => `${label} ${value[found] === null ? "unknown" : `${value[found]} ${unit}`}`.trimEnd());
     pointed.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join index ${found}: ${values.join(", ")}.`;
+  };
+  // Keeps a robot in the middle from now on, or no longer.
+  const follow = (pane, found) => {
+    followed = found < 0 ? null : pane.case.robot[found];
+    look = { ...look, right: 0, down: 0 };
+    nameRobot(pane, found);
+    soon();
   };
   const change = (act) => { act(); look.tilt = Math.max(-1.57, Math.min(1.57, look.tilt)); soon(); };
   const turn = (right, down) => change(() => { look.turn -= 0.008 * right; look.tilt += 0.008 * down; });
   const move = (right, down) => change(() => { look.right += right; look.down += down; });
   const zoom = (factor) => change(() => ["zoom", "right", "down"].forEach((name) => { look[name] *= factor; }));
-  const reset = () => change(() => { look = { ...START }; });
-  for (const pane of every) listen(pane.view, { turn, move, zoom, reset, toggle, point: (event) => nameRobot(pane, event) });
+  const reset = () => change(() => { look = { ...START }; followed = null; });
+  for (const pane of every) listen(pane.view, { turn, move, zoom, reset, toggle, point: (event) => followed === null && nameRobot(pane, findRobot(pane, event)), click: (event) => follow(pane, findRobot(pane, event)) });
   byId("reset").addEventListener("click", reset);
   play.addEventListener("click", toggle);
   for (const menu of [picker, beside]) menu.addEventListener("change", choose);
@@ -198,12 +223,17 @@ function showSpace(view) {
 }
 
 // Mouse, touch and keys on the canvas.
-function listen(view, { turn, move, zoom, reset, toggle, point }) {
+function listen(view, { turn, move, zoom, reset, toggle, point, click }) {
   const touching = new Map(); // pointers by id
+  let start = null; // of a click, where the pointer has hardly moved since
   const spanOf = ([a, b]) => Math.hypot(a.x - b.x, a.y - b.y);
   view.addEventListener("pointerdown", (event) => {
+    start = touching.size ? null : event;
     touching.set(event.pointerId, { x: event.clientX, y: event.clientY });
     view.setPointerCapture(event.pointerId);
+  });
+  view.addEventListener("pointerup", (event) => {
+    if (start && Math.hypot(event.clientX - start.clientX, event.clientY - start.clientY) < STILL) click(event);
   });
   for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, (event) => touching.delete(event.pointerId));
   view.addEventListener("pointermove", (event) => {
