@@ -332,7 +332,10 @@ def test_the_page_of_closed_loops_has_the_file_s_bridges_by_kind_of_error():
 
 @pytest.mark.parametrize(
     ("start", "condition"),
-    [("default: several solve", "touch"), ("base: the anchor solves for all", "base")],
+    [
+        ("keepers for good (`keepers-stay`)", "keepers-stay"),
+        ("base: the anchor solves for all", "base"),
+    ],
 )
 def test_the_page_of_messages_has_the_file_s_errors_and_bytes(start, condition):
     """RMSE with its interval, and what a robot and the worst one send."""

@@ -39,7 +39,7 @@ from tiswarm.sensing import observe
 
 QUICK = DistributedParams(chains=2, steps=40)
 EXACT = DistributedParams(
-    bits=None, hops=1000, robots=1000, chains=0, solver="joiner", channel="radio"
+    bits=None, hops=1000, asked=1000, robots=1000, chains=0, solver="joiner", channel="radio"
 )
 """Settings with which a robot that joins knows all that a tracker knows."""
 
@@ -105,7 +105,8 @@ def test_a_robot_reads_its_own_memory_only(log):
 def test_a_keeper_solves_until_it_is_out_of_reach(log):
     """The line of a robot goes on to who solved for the one that it touches, or stays there."""
     solvers = []
-    for settings in ({"reach": 0}, {"reach": 254}, {"solver": "joiner"}):
+    far = {"reach": 254, "tenure": 99}
+    for settings in ({"reach": 0}, far, {"solver": "joiner"}):
         swarm = grown(log, replace(QUICK, **settings), 16)
         solvers.append({robot.number for robot in swarm.robots if robot.operations})
 
@@ -131,9 +132,62 @@ def test_a_reach_without_keepers_is_refused():
         DistributedParams(solver="base", reach=5)
 
 
+def test_no_robot_solves_for_more_than_its_tenure(log):
+    """All join, and each is solved for once."""
+    swarm = grown(log, replace(QUICK, tenure=2), 12)
+
+    kept = [robot._kept for robot in swarm.robots]  # noqa: SLF001 - what they are compared with
+    assert max(map(len, kept)) == 2
+    assert sorted(number for each in kept for number in each) == [*range(1, 12)]
+    assert all(robot.place is not None for robot in swarm.robots)
+
+
+def test_a_walk_comes_to_all_robots_that_hang_on_one_before_it_leaves(log):
+    """Spans nest along first contacts, and count all robots."""
+    swarm = grown(log, replace(QUICK, tenure=2), 12)
+
+    swarm.review()
+
+    spans = [robot.known[robot.number].span for robot in swarm.robots]
+    assert sorted(enter for enter, _ in spans) == [*range(12)]
+    assert spans[0] == (0, 12)
+    for robot in swarm.robots[1:]:
+        (enter, leave), (first, last) = spans[robot.number], spans[robot.touching[0]]
+        assert first < enter < leave <= last
+
+
+def test_a_review_moves_what_hangs_on_a_robot(log):
+    """All but the first keeper's robots were put aside by one shift, which rows there deny."""
+    swarm = grown(log, replace(QUICK, tenure=4), 12)
+    before = np.array([robot.place.position for robot in swarm.robots])
+    aside = np.array([0.6, 0.0, 0.0])
+    for robot in swarm.robots[5:]:
+        mine = robot.known[robot.number]
+        mine.place = mine.place._replace(position=mine.place.position + aside)
+        robot._warn(robot.number)  # noqa: SLF001 - as if it had been moved
+        swarm._send(robot)  # noqa: SLF001
+    swarm.channel.settle()
+
+    for _ in range(3):
+        swarm.review()
+
+    after = np.array([robot.place.position for robot in swarm.robots])
+    left = np.linalg.norm((after - before)[5:], axis=1).mean()
+    assert left < 0.3
+
+
+def test_robots_of_a_base_are_not_reviewed(log):
+    """The anchor has solved for all at once."""
+    once, again = localize_many(
+        [log] * 2, [replace(QUICK, solver="base", reviews=k) for k in (0, 1)]
+    )
+
+    np.testing.assert_array_equal(once.traffic["sent"], again.traffic["sent"])
+
+
 def test_a_robot_that_another_one_moved_is_asked_again(log):
     """Who moves it is its keeper from then on; who else holds its place learns of that."""
-    swarm = grown(log, QUICK, 12)
+    swarm = grown(log, replace(QUICK, tenure=99), 12)
     robot, former = swarm.robots[11], swarm.robots[0]
     place = Writer(QUICK.bits)
     place.number(0, 2)

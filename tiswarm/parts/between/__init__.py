@@ -27,7 +27,19 @@ _SENDING_S = 1.5e-3
 """Processor time of the messages of a robot in Algorithm 1 [s]."""
 
 _OF_SCHEME = {
-    "joiner": ("hops", "robots", "solver", "reach", "growth", "chains", "steps", "start_sigma"),
+    "joiner": (
+        "hops",
+        "asked",
+        "robots",
+        "solver",
+        "reach",
+        "tenure",
+        "reviews",
+        "growth",
+        "chains",
+        "steps",
+        "start_sigma",
+    ),
     "algorithm-1": ("poses", "back_propagation", "undocked_repulsion"),
 }
 """Settings that have a meaning in one scheme only."""
@@ -85,8 +97,11 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     hops: Annotated[int, Field(ge=1)] = 2
     """Steps of "shares a measurement" within which robots are asked [1]."""
 
+    asked: Annotated[int, Field(ge=1)] = 12
+    """Robots at most that are asked at a join, the last that joined first [1]."""
+
     robots: Annotated[int, Field(ge=2)] = 100
-    """Robots at most that are asked, and that a robot holds measurements of [1]."""
+    """Robots at most that a robot holds measurements of [1]."""
 
     solver: Literal["base", "keeper", "joiner"] = "keeper"
     """Who solves. base: the anchor, for all. keeper: the nearest robot that solved for the first
@@ -94,6 +109,13 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
 
     reach: Annotated[int, Field(ge=0, le=254)] = 3
     """Contacts at most to a keeper [1]; without one, the robot touched solves."""
+
+    tenure: Annotated[int, Field(ge=1)] = 8
+    """Joins at most that a robot solves for, unless it is the base [1]."""
+
+    reviews: Annotated[int, Field(ge=0, le=100)] = 1
+    """Times that all robots that solved do so again after the last join, one after the other, and
+    let what hangs on others move as one [1]."""
 
     growth: Annotated[float, Field(gt=0.0)] = 0.1
     """Growth after which a robot that solves anneals all robots that it holds [1]."""

@@ -131,6 +131,8 @@ def localize(
     for line in lines:
         swarm.join(line)
         on_progress((line.robot + 1) / len(lines))
+    for _ in range(params.reviews if params.solver == "keeper" else 0):
+        swarm.review()
     return estimate_of(log, params, swarm.found())
 
 
@@ -153,9 +155,21 @@ class PeerSwarm:
         """
         robot = Peer(self._program, line)
         self.robots.append(robot)
+        self._memory.append(0)
         self.channel.join({*robot.touching})
         robot.join()
         self._send(robot)
+        self._settle()
+        self._at_join.append(self._centers()[-1])
+
+    def review(self) -> None:
+        """Let all robots that solved do so again, one after the other."""
+        self.robots[0].review()
+        self._send(self.robots[0])
+        self._settle()
+
+    def _settle(self) -> None:
+        """Let messages pass until no robot waits for an answer."""
         self.channel.settle()
         for _ in range(_MOST_TURNS):
             waiting = [each for each in self.robots if each.waits]
@@ -166,10 +180,9 @@ class PeerSwarm:
                 each.expire()
                 self._send(each)
             self.channel.settle()
-        self._at_join.append(self._centers()[-1])
         # Memory counts at its fullest.
-        before = [*self._memory, 0]
-        self._memory = [max(m, each.memory) for m, each in zip(before, self.robots, strict=True)]
+        before = zip(self._memory, self.robots, strict=True)
+        self._memory = [max(memory, each.memory) for memory, each in before]
 
     @property
     def positions(self) -> Reals:

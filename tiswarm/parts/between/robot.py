@@ -9,6 +9,10 @@ A robot reads its own memory and the bytes that it hears. It has no other way to
    whom they share rows with, where they are, and what they sensed if it does not hold that.
 3. It solves, and sends each robot that moved its new place. Who is moved lets all others that hold
    its place know that they hold it no more.
+4. After `tenure` joins it solves for no more, and another robot takes over.
+5. In a review a message walks along first contacts, from robot to robot and back. Whom it reaches
+   solves again for all that it solved for. What hangs on these robots moves as one: otherwise
+   those that are not asked would hold a structure that is to shift as a whole.
 
 The layers of `online` run on the robots that it holds alone. Rows about others are left out: where
 rows of a block have noise in common, that of those which are left stays as it is. Lengths in R,
@@ -26,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import Planes, fewest_contacts
 from tiswarm.localization.chains.views import (
@@ -51,7 +55,7 @@ from tiswarm.parts.online.kernels import (
     Table,
 )
 from tiswarm.parts.online.layers import Joiner, LocalLayers, measured
-from tiswarm.parts.online.neighborhood import Block, NearCost
+from tiswarm.parts.online.neighborhood import Block, NearCost, NearLinear
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import LISTS
@@ -67,11 +71,14 @@ reported on."""
 class AnswerSettings:
     """What is worth a message."""
 
-    moved: float = 0.02
+    moved: float = 0.05
     """Shift from which on a robot hears where it is now [R]."""
 
-    turned: float = 0.2
+    turned: float = 0.5
     """Turn from which on it does [standard deviations]."""
+
+    shifted: float = 0.1
+    """Shift from which on a branch does [R]."""
 
     doubtful_sd: float = 1.0
     """Standard deviation from which on a robot doubts its position: half a dock diameter [R]."""
@@ -87,7 +94,12 @@ OF_ROW = 40
 """Operations for the residual of a row and its derivatives [1]."""
 OF_PAIR = 10
 """Operations to find whether two robots are near [1]."""
+_SETTLED = 1e-9
+"""Step below which a share of it makes no difference [R]."""
 _LEVEL = [1.0, 0.0, 0.0, 0.0]
+
+_READS_ALL = ("join", "ask", "answer", "lines", "place")
+"""Messages that robots read although they pass by."""
 
 _SIZE = 2
 """Bytes of a number or a length between lines."""
@@ -111,6 +123,12 @@ class Known:
 
     sharing: set[int] = field(default_factory=set)
     """Robots that are known to share rows with it."""
+
+    span: tuple[int, int] | None = None
+    """When the last walk came to the robot, and left it: those between hang on it."""
+
+    since: int = 0
+    """Robot that joined as it was asked last; it has said who shares rows with it until then."""
 
     is_surprising: bool = False
     """Whether chance does not explain its rows and overlaps, as the one that solved for it says."""
@@ -163,6 +181,12 @@ class Solved(NamedTuple):
     operations: float
     """Additions and multiplications that it took, about."""
 
+    shifts: Mapping[int, tuple[Reals, list[int]]] = {}
+    """By a robot, the shift of all that hang on it [R], and those that do not take part."""
+
+    along: Mapping[int, Reals] = {}
+    """Shift of each robot that does and is held [R], by its number."""
+
 
 @lru_cache(maxsize=20_000)
 def _decoded(line: bytes, docks: int, bits: int | None) -> RobotLine:
@@ -180,13 +204,21 @@ class LocalSwarm:
         self._program, self._params = program, _precise(program, known)
         self.layers = LocalLayers(program.docks, self._params)
         position, turn, sd = (np.zeros((len(held) + 1, _AXES)) for _ in range(3))
+        self._stays = np.zeros(len(self.numbers), np.bool_)
+        self._spans: list[tuple[int, int] | None] = []
+        self._opened: dict[int, Joiner] = {}
         for number, k in self._index.items():
             each = held.get(number, Known())
             lines = {n: other.line for n, other in held.items()}
             # A robot whose other rows are not here is held by where it is.
             is_whole = each.place is None or each.sharing <= held.keys()
-            block = self._block(number, lines, None if is_whole or not number else each.place)
-            self.layers.append(Joiner(block, self._touching(program, each.line)))
+            self._stays[k] = not is_whole and number > 0
+            block = self._block(number, lines, each.place if self._stays[k] else None)
+            touching = self._touching(program, each.line)
+            self._spans.append(each.span)
+            if self._stays[k]:
+                self._opened[k] = Joiner(self._block(number, lines, None), touching)
+            self.layers.append(Joiner(block, touching))
             self.layers.places[k] = each.candidates
             if each.place is not None:
                 position[k], turn[k], sd[k, 0] = each.place
@@ -203,13 +235,30 @@ class LocalSwarm:
             everywhere: Whether to anneal all robots.
         """
         layers, k = self.layers, self._index[number]
-        before = State(*(each.copy() for each in layers.state))
+        before = State(*(each.copy() for each in layers.state[:2]))
+        given = layers.sd.copy()
         # A robot that has a place keeps it, unless those near it move.
         layers.solve_near(k, layers.place(k) if anew else None)
         if self._program.params.chains:
             moving = np.arange(len(self.numbers)) if everywhere else self.layers.near(k)
             found = annealed(layers, moving, self._program.params, number)
-            layers.state, layers.sd[moving] = found.state, found.sd
+            layers.state = found.state
+            self._revise_sd(given, moving, found.sd)
+        return self._solved(number, before, self._operations(k, anew=anew))
+
+    def _revise_sd(self, given: Reals, moving: Ints, spread: Reals) -> None:
+        """Set the sd of robots that moved: what others err by counts, and how far chains differ."""
+        layers, stays = self.layers, self._stays[moving]
+        # Where a robot stays by what others found, it is as uncertain as they found it.
+        layers.sd[self._stays] = given[self._stays]
+        free = moving[~stays]
+        if len(free) and layers.blocks_about(free):
+            linear = layers.neighborhood(free).linearized(layers.state)
+            layers.sd[free] = np.hypot(spread[~stays], linear.sd())
+
+    def _solved(self, number: int, before: State, operations: float) -> Solved:
+        """List the robots that moved, and the one that was solved for."""
+        layers, k = self.layers, self._index[number]
         state = layers.state
         apart = np.linalg.norm(state.position - before.position, axis=1)
         turned = np.linalg.norm(state.turn - before.turn, axis=1)
@@ -228,8 +277,89 @@ class LocalSwarm:
             dict(zip(number_of, places, strict=True)),
             {n for n, is_surprise in zip(number_of, surprising, strict=True) if is_surprise},
             layers.places[k],
-            self._operations(k, anew=anew),
+            operations,
         )
+
+    def relax(self, number: int) -> Solved:
+        """Move robots whose rows are all held to the minimum, and what hangs on each as one.
+
+        Without the second a structure that is to shift as a whole would be held where it is by all
+        robots that are not here.
+        """
+        layers, robots = self.layers, len(self.numbers)
+        before = State(*(each.copy() for each in layers.state[:2]))
+        every, is_free = np.arange(robots), ~self._stays & (self.numbers > 0)
+        free = np.flatnonzero(is_free)
+        opened = layers.with_other(self._opened)
+        blocks = opened.blocks_about(free)
+        if not blocks:
+            return self._solved(number, before, 0.0)
+        root, parted = self._branches(is_free)
+        problem, basis = opened.neighborhood(every, blocks), _motions(free, root)
+        state, linear = before, problem.linearized(before)
+        for _ in range(NEIGHBORS.rounds):
+            known = basis.T @ linear.information @ basis
+            known[np.diag_indices(len(known))] += NEIGHBORS.radius**-2.0
+            step = (basis @ np.linalg.solve(known, -basis.T @ linear.slope)).reshape(2, -1, _AXES)
+            share = min(1.0, NEIGHBORS.longest_step / max(np.abs(step[0]).max(), _SETTLED))
+            other = State(state.position + share * step[0], state.turn + share * step[1])
+            there = problem.linearized(other)
+            if there.cost > linear.cost - NEIGHBORS.settled:
+                break
+            state, linear = other, there
+        layers.sd[free] = self._sd(linear, basis, root)[free]
+        shifts: dict[int, tuple[Reals, list[int]]] = {}
+        along: dict[int, Reals] = {}
+        for first in np.unique(root[root >= 0]).tolist():
+            members = np.flatnonzero(root == first)
+            shift = state.position[members[0]] - before.position[members[0]]
+            if np.linalg.norm(shift) > ANSWERS.shifted:
+                shift = wire.rounded(shift, self._program.params.bits)
+                shifts[int(self.numbers[first])] = shift, [*self.numbers[parted[first]].tolist()]
+                along |= dict.fromkeys(self.numbers[members].tolist(), shift)
+            state.position[members] = before.position[members]
+        layers.state = state
+        found = self._solved(number, before, NEIGHBORS.rounds * (2.0 * _AXES * len(free)) ** 3)
+        return found._replace(shifts=shifts, along=along)
+
+    def _branches(self, is_free: Bools) -> tuple[Ints, dict[int, list[int]]]:
+        """Find what hangs on robots that are free to move, by the spans of a walk.
+
+        Returns:
+            The last free robot on the way to each other one, -1 if there is none, shape (N,); and
+            by this robot the free ones that are next on ways beyond it.
+        """
+        root = np.full(len(is_free), -1)
+        parted: dict[int, list[int]] = {}
+        spans = {k: self._spans[k] for k in np.flatnonzero(is_free).tolist() if self._spans[k]}
+        for k, span in enumerate(self._spans):
+            if span is None:
+                continue
+            above = [j for j, its in spans.items() if its[0] < span[0] < its[1]]
+            last = max(above, key=lambda j: spans[j][0], default=-1)
+            if is_free[k]:
+                parted.setdefault(last, []).append(k)
+            else:
+                root[k] = last
+        return root, parted | {k: [] for k in set(root.tolist()) - parted.keys()}
+
+    def _sd(self, linear: NearLinear, basis: Reals, root: Ints) -> Reals:
+        """Compute the standard deviation of each robot that moved [R], shape (N,).
+
+        Errors of those that stay count as a shift that they share.
+        """
+        robots = len(root)
+        known = basis.T @ linear.information @ basis
+        known[np.diag_indices(len(known))] += NEIGHBORS.open_precision
+        stays = np.where(self._stays & (root < 0), self.layers.sd, 0.0)
+        others = np.zeros((2, robots, _AXES, _AXES))
+        others[0] = stays[:, None, None] * np.eye(_AXES) / np.sqrt(_AXES)
+        inverse = np.linalg.inv(known)
+        shared = basis @ inverse @ (basis.T @ (linear.information @ others.reshape(-1, _AXES)))
+        own = ((basis @ inverse) * basis).sum(axis=1)
+        square = (own + (shared**2).sum(axis=1)).reshape(2, robots, _AXES)
+        sd: Reals = np.sqrt(square[0].sum(axis=1))
+        return sd
 
     def _operations(self, k: int, *, anew: bool) -> float:
         """Count what a search for candidates, linear problems and chains take, about."""
@@ -262,6 +392,21 @@ class LocalSwarm:
         return {
             (dock, self._index[other], its) for dock, other, its in rows if other in self._index
         }
+
+
+def _motions(free: Ints, root: Ints) -> Reals:
+    """Lay out shifts and turns of robots that are free, and shifts of branches, a column each."""
+    robots = len(root)
+    firsts = np.unique(root[root >= 0])
+    single = np.zeros((2, robots, _AXES, 2, len(free), _AXES))
+    for part in range(2):
+        for axis in range(_AXES):
+            single[part, free, axis, part, np.arange(len(free)), axis] = 1.0
+    together = np.zeros((2, robots, _AXES, len(firsts), _AXES))
+    for axis in range(_AXES):
+        together[0, :, axis, :, axis] = root[:, None] == firsts
+    rows = 2 * robots * _AXES
+    return np.hstack([single.reshape(rows, -1), together.reshape(rows, -1)])
 
 
 def _precise(program: Program, known: Mapping[int, Known]) -> DistributedParams:
@@ -328,6 +473,8 @@ class _Search:
     waiting: set[int] = field(default_factory=set)
     answered: set[int] = field(default_factory=set)
     attempt: int = 0
+    walk: tuple[int, int] | None = None
+    """Where a walk goes on once this is solved; None where a robot joined."""
 
 
 class Peer:
@@ -347,6 +494,14 @@ class Peer:
             self._hosts = [*self.touching, self.number]
         # Robots that moved this one, and contacts to them.
         self._keepers: dict[int, int] = {}
+        # The robot that another keeper may have to solve for, and its line.
+        self._hosted: tuple[int, bytes] | None = None
+        # Robots whose first contact is with this one.
+        self._children: set[int] = set()
+        # Robots that this one solved for.
+        self._kept: set[int] = set()
+        # Where a walk is.
+        self._entered, self._left = 0, list[int]()
         # Robots that rely on hearing of it when this one moves.
         self._watchers: set[int] = set()
         self._search: _Search | None = None
@@ -375,27 +530,86 @@ class Peer:
 
     def hear(self, message: Message) -> Message:
         """Take in a message, whether it was for this robot or passes by; return what goes on."""
-        if message.kind == "join":
-            self._hear_join(message)
-        elif message.kind == "ask":
-            return self._hear_ask(message)
-        elif message.kind == "answer":
-            self._hear_answer(message)
-        elif message.kind == "lines":
-            for part in message.parts.values():
-                self._hear_lines(part)
-        elif message.kind == "moved" and self.number in message.parts:
-            self._of(message.sender).is_current = False
-        elif message.kind == "task" and self.number in message.parts:
-            self._take(message.parts[self.number])
-        elif message.kind == "place":
-            return self._hear_places(message)
+        if message.kind in _READS_ALL:
+            return getattr(self, f"_hear_{message.kind}")(message) or message
+        if self.number in message.parts:
+            getattr(self, f"_hear_{message.kind}")(message)
         return message
 
-    def _hear_places(self, message: Message) -> Message:
+    def _hear_moved(self, message: Message) -> None:
+        self._of(message.sender).is_current = False
+
+    def _hear_task(self, message: Message) -> None:
+        if self._is_busy:
+            self._say("full", b"", {message.sender: b""})
+        else:
+            self._take(message.parts[self.number])
+
+    def _hear_branch(self, message: Message) -> None:
+        self._pass_shift(message.common)
+
+    def _hear_shift(self, message: Message) -> None:
+        """Move with the robot that this one hangs on."""
+        mine, bits = self.known[self.number], self._program.params.bits
+        keeper, shift, _ = wire.read_shift(message.common, bits)
+        if mine.place is not None and keeper != self.number:
+            mine.place = mine.place._replace(position=mine.place.position + shift)
+            self._warn(keeper)
+        self._pass_shift(message.common)
+
+    def _pass_shift(self, content: bytes) -> None:
+        """Let robots that hang on this one move, too."""
+        _, _, parted = wire.read_shift(content, self._program.params.bits)
+        self._say("shift", content, dict.fromkeys(sorted(self._children - {*parted}), b""))
+
+    def review(self) -> None:
+        """Send a message around that lets each robot that solved do so again for all it solved for.
+
+        It walks along first contacts, twice: on the first walk robots learn what hangs on whom.
+        """
+        self._enter(0, 0)
+
+    def _hear_walk(self, message: Message) -> None:
+        count, turn = wire.read_walk(message.common)
+        if message.sender in self._children:
+            self._go_on(count, turn)
+        else:
+            self._enter(count, turn)
+
+    def _enter(self, count: int, turn: int) -> None:
+        """Take in a walk that comes to this robot."""
+        self._entered, self._left = count, sorted(self._children)
+        if turn and self._kept:
+            self._review(count + 1, turn)
+        else:
+            self._go_on(count + 1, turn)
+
+    def _go_on(self, count: int, turn: int) -> None:
+        """Let a walk go to the next robot that hangs on this one, or back."""
+        at = wire.write_walk(count, turn)
+        if self._left:
+            self._say("walk", at, {self._left.pop(0): b""})
+            return
+        self.known[self.number].span = self._entered, count
+        if self.touching:
+            self._say("walk", at, {self.touching[0]: b""})
+        elif not turn:
+            self._enter(0, 1)
+
+    def _review(self, count: int, turn: int) -> None:
+        """Solve again for all that this robot solved for, then let the walk go on."""
+        self._search = _Search(self.number, dict.fromkeys(self._kept | {self.number}, 0))
+        self._search.walk = count, turn
+        self._search.waiting = self._kept - {self.number}
+        if self._search.waiting:
+            self._ask(self._search.waiting)
+        else:
+            self._advance()
+
+    def _hear_place(self, message: Message) -> Message:
         """Take in where robots are, and count the contact to the next one."""
         for number, part in message.parts.items():
-            self._hear_place(number, part)
+            self._hold_place(number, part)
         [contacts] = message.common
         if self.number in message.parts:
             self._follow(message.sender, contacts)
@@ -404,17 +618,20 @@ class Peer:
     def _follow(self, keeper: int, contacts: int) -> None:
         """Take note of a robot that moved this one, and let others that hold it know."""
         self._keepers[keeper] = contacts
+        self._warn(keeper)
+        self._watchers.add(keeper)
+
+    def _warn(self, keeper: int) -> None:
+        """Let robots that hold this one know that a keeper has moved it, but for that keeper."""
         others = self._watchers - {keeper}
-        self._watchers = {keeper}
+        self._watchers &= {keeper}
         self._say("moved", b"", dict.fromkeys(sorted(others), b""))
 
     def _take(self, line: bytes) -> None:
         """Become the keeper of a robot, which sent this line."""
         number = self._program.decoded(line).robot
-        joiner = self._of(number)
-        joiner.line = line
-        joiner.sharing |= self._program.partners(line)
-        for partner in joiner.sharing & self.known.keys():
+        self._hold_line(number, line)
+        for partner in self._of(number).sharing & self.known.keys():
             self.known[partner].sharing.add(number)
         self._begin(number)
         self._forget()
@@ -474,21 +691,46 @@ class Peer:
         for partner in message.parts.keys() & self.known.keys():
             self.known[partner].sharing.add(message.sender)
         if line := message.parts.get(self.number):
-            keeper = self._keeper()
-            if keeper == self.number:
-                self._take(line)
-            else:
-                self._say("task", b"", {keeper: line})
+            if self.number == min(o for _, o, _ in self._program.decoded(line).contacts):
+                self._children.add(message.sender)
+            self._find_keeper(message.sender, line)
+
+    def _find_keeper(self, joiner: int, line: bytes) -> None:
+        """Hand the line of a robot to who solves for it."""
+        keeper = self._keeper()
+        if keeper != self.number:
+            self._hosted = joiner, line
+            self._say("task", b"", {keeper: line})
+        elif self._is_busy:
+            self._say("full", b"", {joiner: b""})
+        else:
+            self._take(line)
+
+    def _hear_full(self, message: Message) -> None:
+        """Try the next keeper, or the next robot that this one touches."""
+        self._keepers.pop(message.sender, None)
+        if self._hosted is not None:
+            self._find_keeper(*self._hosted)
+        elif self.place is None:
+            self.join()
+
+    @property
+    def _is_busy(self) -> bool:
+        """Whether this robot has solved for as many as it does."""
+        params = self._program.params
+        return params.solver == "keeper" and self._solved >= params.tenure
 
     def _keeper(self) -> int:
         """Choose who solves for a robot that touches this one, perhaps this one itself."""
         params = self._program.params
         if params.solver == "base":
             return 0
-        contacts, keeper = min(
-            ((contacts, keeper) for keeper, contacts in self._keepers.items()), default=(0, 0)
-        )
-        return keeper if 0 < contacts <= params.reach else self.number
+        near = [
+            (contacts, keeper)
+            for keeper, contacts in self._keepers.items()
+            if contacts <= params.reach and not (keeper == self.number and self._is_busy)
+        ]
+        return min(near)[1] if near else self.number
 
     def _begin(self, joiner: int) -> None:
         """Begin to solve for a robot."""
@@ -500,7 +742,8 @@ class Peer:
         search = self._search
         params = self._program.params
         while search is not None and not search.waiting:
-            if search.current == params.hops or not self._widen(search):
+            hops = params.hops if search.walk is None else 1
+            if search.current == hops or not self._widen(search):
                 self._search = None
                 self._solve(search)
                 return
@@ -508,6 +751,8 @@ class Peer:
             search.attempt = 0
             there = {n for n, step in search.step.items() if step == search.current}
             search.waiting = {n for n in there if not self._is_current(n)}
+            if search.walk is not None:
+                search.waiting = there - {self.number}
             if search.waiting:
                 self._ask(search.waiting)
 
@@ -520,7 +765,9 @@ class Peer:
         """Number the robots a step farther; return whether there are any."""
         last = [n for n, step in search.step.items() if step == search.current]
         further = {other for n in last for other in self._of(n).sharing} - search.step.keys()
-        room = self._program.params.robots - len(search.step)
+        room = self._program.params.asked + 1 - len(search.step)
+        if search.walk is not None:
+            room = len(further)
         # The last that joined are the least known.
         chosen = sorted(further, reverse=True)[: max(room, 0)]
         search.step |= dict.fromkeys(chosen, search.current + 1)
@@ -530,41 +777,42 @@ class Peer:
         """Ask robots for what this one does not hold of them."""
         parts = {}
         for number in sorted(robots):
-            parts[number] = wire.asking(not self._of(number).line, self._checksum(number))
+            its = self._of(number)
+            asked = wire.Asked(not its.line, self._checksum(number), its.since)
+            parts[number] = wire.write_question(asked)
         self._say("ask", b"", parts)
 
     def _answer(self, asker: int, part: bytes) -> None:
         """Answer what a robot asked."""
-        asked, mine = wire.Reader(part, None), self.known[self.number]
-        wants_line, held = asked.number(1), asked.number(wire.CHECK)
+        asked, mine = wire.read_question(part), self.known[self.number]
         self._watchers.add(asker)
-        head = self._head() if held != self._checksum(self.number) else b"\0"
-        line = mine.line if wants_line else b""
-        self._say("answer", len(head).to_bytes(_SIZE, "big") + head + line, {asker: b""})
-
-    def _head(self) -> bytes:
-        """Write with whom this robot shares rows, and where it is."""
-        mine = self.known[self.number]
         answer = wire.Writer(self._program.params.bits)
-        answer.number(1, 1)
-        answer.number(mine.place is not None, 1)
-        wire.write_numbers(answer, mine.sharing)
-        if mine.place is not None:
+        is_moved = mine.place is not None and asked.checksum != self._checksum(self.number)
+        answer.number(is_moved, 1)
+        wire.write_span(answer, mine.span)
+        # Robots that joined before this one are in its line.
+        since = max(asked.since, self.number + 1)
+        wire.write_numbers(answer, (other for other in mine.sharing if other >= since))
+        if mine.place is not None and is_moved:
             wire.write_place(answer, mine.place)
             if self._exchanges:
                 wire.write_candidates(answer, mine.candidates)
-        return answer.to_bytes()
+        line = mine.line if asked.wants_line else b""
+        self._say("answer", answer.to_bytes() + line, {asker: b""})
 
     def _hear_answer(self, message: Message) -> None:
-        length, content = int.from_bytes(message.common[:_SIZE], "big"), message.common[_SIZE:]
         its = self._of(message.sender)
-        its.line = content[length:] or its.line
-        answer = wire.read_answer(content[:length], self._program.params.bits, self._exchanges)
-        if answer.is_new:
-            its.sharing, its.place = {*answer.sharing}, answer.place or its.place
-            its.candidates = answer.candidates
+        answer = wire.read_answer(message.common, self._program.params.bits, self._exchanges)
+        self._hold_line(message.sender, answer.line)
+        its.sharing.update(answer.sharing)
+        its.span = answer.span
+        if answer.place is not None:
+            its.place, its.candidates = answer.place, answer.candidates
         if self.number in message.parts:
             its.is_current = True
+            if self._search is not None:
+                # Its notice may have come after the question.
+                its.since = self._search.joiner
         # By radio, robots hear answers that others asked for.
         if self._search is not None:
             self._search.answered.add(message.sender)
@@ -583,20 +831,29 @@ class Peer:
         found, parts = b"", {**message.parts}
         for number, part in message.parts.items():
             line = self.known[number].line if number in self.known else b""
-            asked = wire.Reader(part, None)
-            if asked.number(1) and line:
+            asked = wire.read_question(part)
+            if asked.wants_line and line:
                 found += number.to_bytes(_SIZE, "big") + len(line).to_bytes(_SIZE, "big") + line
-                parts[number] = wire.asking(0, asked.number(wire.CHECK))
+                parts[number] = wire.write_question(asked._replace(wants_line=False))
         if found:
             self._say("lines", b"", {message.sender: found})
         return message._replace(parts=parts)
 
-    def _hear_lines(self, part: bytes) -> None:
-        while part:
-            number, size = (int.from_bytes(part[k : k + _SIZE], "big") for k in (0, _SIZE))
-            self._of(number).line, part = part[2 * _SIZE :][:size], part[2 * _SIZE + size :]
+    def _hear_lines(self, message: Message) -> None:
+        for lines in message.parts.values():
+            part = lines
+            while part:
+                number, size = (int.from_bytes(part[k : k + _SIZE], "big") for k in (0, _SIZE))
+                self._hold_line(number, part[2 * _SIZE :][:size])
+                part = part[2 * _SIZE + size :]
         if self._search is not None:
             self._check_off()
+
+    def _hold_line(self, number: int, line: bytes) -> None:
+        """Take in what a robot sensed, if anything was sent of it."""
+        if line:
+            self._of(number).line = line
+            self._of(number).sharing |= self._program.partners(line)
 
     def _check_off(self) -> None:
         """Wait no longer for robots that have answered and whose lines are here."""
@@ -605,7 +862,7 @@ class Peer:
             search.waiting -= {n for n in search.answered if self._of(n).line}
             self._advance()
 
-    def _hear_place(self, number: int, part: bytes) -> None:
+    def _hold_place(self, number: int, part: bytes) -> None:
         answer, its = wire.read_result(part, self._program.params.bits), self._of(number)
         its.place, its.is_surprising = answer.place, answer.is_surprising
         if len(answer.candidates):
@@ -617,7 +874,6 @@ class Peer:
         if its.place is None:
             return 0
         text = wire.Writer(self._program.params.bits)
-        wire.write_numbers(text, its.sharing)
         wire.write_place(text, its.place)
         return zlib.crc32(text.to_bytes()) % int(2**wire.CHECK - 1) + 1
 
@@ -629,6 +885,12 @@ class Peer:
         """Solve for a robot with what is held, and send new places."""
         joiner = search.joiner
         held = self._placed()
+        if search.walk is not None:
+            near = {n: each for n, each in held.items() if n in search.step or not n}
+            self._send(self.number, LocalSwarm(self._program, near).relax(self.number))
+            self._go_on(*search.walk)
+            return
+        self._kept.add(joiner)
         near = {n: each for n, each in held.items() if n in search.step or self._is_current(n)}
         near[joiner] = self.known[joiner]
         if 0 in held:
@@ -636,6 +898,10 @@ class Peer:
         solved = LocalSwarm(self._program, near).solve(
             joiner, anew=near[joiner].place is None, everywhere=self._has_grown(len(near))
         )
+        self._send(joiner, solved)
+
+    def _send(self, joiner: int, solved: Solved) -> None:
+        """Send robots their new places."""
         # Thinking costs a robot energy, too.
         self.operations += solved.operations
         parts = {}
@@ -648,11 +914,27 @@ class Peer:
                 wire.write_candidates(part, solved.candidates)
             parts[number] = part.to_bytes()
             # The robot holds what others hear, rounded as it is.
-            self._hear_place(number, parts[number])
+            self._hold_place(number, parts[number])
             self._of(number).is_current = True
         if parts.pop(self.number, None):
             self._follow(self.number, 0)
         self._say("place", b"\1", parts)
+        self._send_shifts(solved)
+
+    def _send_shifts(self, solved: Solved) -> None:
+        """Let branches move as one."""
+        for number, shift in solved.along.items():
+            its = self._of(number)
+            if its.place is not None:
+                its.place = its.place._replace(position=its.place.position + shift)
+        if self.number in solved.along:
+            self._warn(self.number)
+        for first, (shift, parted) in solved.shifts.items():
+            content = wire.write_shift(self.number, shift, parted, self._program.params.bits)
+            if first == self.number:
+                self._pass_shift(content)
+            else:
+                self._say("branch", content, {first: b""})
 
     def _has_grown(self, robots: int) -> bool:
         """Count one more robot solved for, and judge whether all that are held are due."""
@@ -707,12 +989,12 @@ def annealed(
     reach = problem.shapes.reach
     score = np.array([each[1].cost - _gain(layers, moving, each[0], reach) for each in found])
     best = int(score.argmin())
-    state, linear = found[best]
+    state = found[best][0]
     # Ends that are nearly as likely as the best one make its position uncertain.
     weight = weights(score, _TEMPERED)
     away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
     spread = weight @ np.array(away)
-    return NearAnnealed(state, np.sqrt(linear.sd() ** 2 + spread))
+    return NearAnnealed(state, np.sqrt(spread))
 
 
 def _gain(layers: LocalLayers, moving: Ints, state: State, reach: float) -> float:

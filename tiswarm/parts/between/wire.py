@@ -139,6 +139,12 @@ class Reader:
         self._left -= bits
         return self._value >> self._left & (1 << bits) - 1
 
+    @property
+    def rest(self) -> bytes:
+        """Bytes after the one that was read last."""
+        whole = self._left // 8
+        return (self._value & (1 << 8 * whole) - 1).to_bytes(whole, "big")
+
     def reals(self, count: int, limit: float, bits: int | None = None) -> Reals:
         """Take numbers from -limit to limit, shape (count,)."""
         bits = bits or self.bits
@@ -196,6 +202,54 @@ def read_place(source: Reader) -> Whereabouts:
         return Whereabouts(position, turn, float(source.reals(1, 1.0)[0]))
     share = source.number(_SD) / (2**_SD - 1)
     return Whereabouts(position, turn, _LEAST_SD * (_MOST_SD / _LEAST_SD) ** share)
+
+
+def write_shift(keeper: int, shift: Reals, parted: Iterable[int], bits: int | None) -> bytes:
+    """Write who lets robots shift how far [R], and which do not take part."""
+    to = Writer(bits)
+    to.number(keeper, NUMBER)
+    to.lengths(shift)
+    write_numbers(to, parted)
+    return to.to_bytes()
+
+
+def read_shift(content: bytes, bits: int | None) -> tuple[int, Reals, list[int]]:
+    """Read what `write_shift` wrote."""
+    source = Reader(content, bits)
+    return source.number(NUMBER), source.lengths(_AXES), read_numbers(source)
+
+
+def rounded(shift: Reals, bits: int | None) -> Reals:
+    """Round a shift as it is sent [R]."""
+    return read_shift(write_shift(0, shift, (), bits), bits)[1]
+
+
+def write_walk(count: int, turn: int) -> bytes:
+    """Write how many robots a walk has come to, and whether it is the second one."""
+    to = Writer(None)
+    to.number(count, NUMBER + 1)
+    to.number(turn, 1)
+    return to.to_bytes()
+
+
+def read_walk(content: bytes) -> tuple[int, int]:
+    """Read what `write_walk` wrote."""
+    source = Reader(content, None)
+    return source.number(NUMBER + 1), source.number(1)
+
+
+def write_span(to: Writer, span: tuple[int, int] | None) -> None:
+    """Append when a walk came to a robot, and left it, if one did."""
+    to.number(span is not None, 1)
+    for count in span or ():
+        to.number(count, NUMBER + 1)
+
+
+def read_span(source: Reader) -> tuple[int, int] | None:
+    """Take what `write_span` wrote."""
+    if not source.number(1):
+        return None
+    return source.number(NUMBER + 1), source.number(NUMBER + 1)
 
 
 def write_candidates(to: Writer, places: Reals) -> None:
@@ -358,30 +412,48 @@ def _read_stance(source: Reader, docks: int, stays: list[list[int]]) -> dict[str
 class Answer(NamedTuple):
     """What a robot says of itself, or one that solved says of it."""
 
-    is_new: bool
     sharing: tuple[int, ...]
     place: Whereabouts | None
     candidates: Reals
+    line: bytes
+    span: tuple[int, int] | None
     is_surprising: bool
 
 
-def asking(wants_line: int, checksum: int) -> bytes:
-    """Write what is asked of a robot: its line, and its place unless that has this checksum."""
+class Asked(NamedTuple):
+    """What is asked of a robot."""
+
+    wants_line: bool
+    checksum: int
+    """Of its place as the one that asks holds it; 0 if it holds none."""
+    since: int
+    """Robot that joined as it was asked last: it says which have joined since."""
+
+
+def write_question(question: Asked) -> bytes:
+    """Write what is asked of a robot."""
     part = Writer(None)
-    part.number(wants_line, 1)
-    part.number(checksum, CHECK)
+    part.number(question.wants_line, 1)
+    part.number(question.checksum, CHECK)
+    part.number(question.since, NUMBER)
     return part.to_bytes()
+
+
+def read_question(part: bytes) -> Asked:
+    """Read what is asked of a robot."""
+    asked = Reader(part, None)
+    return Asked(asked.number(1) == 1, asked.number(CHECK), asked.number(NUMBER))
 
 
 @lru_cache(maxsize=20_000)
 def read_answer(content: bytes, bits: int | None, with_candidates: bool) -> Answer:  # noqa: FBT001
     """Read what a robot says of itself."""
     answer = Reader(content, bits)
-    is_new, is_placed = answer.number(1) == 1, answer.number(1)
-    sharing = tuple(read_numbers(answer)) if is_new else ()
+    is_placed, span = answer.number(1), read_span(answer)
+    sharing = tuple(read_numbers(answer))
     place = read_place(answer) if is_placed else None
     candidates = read_candidates(answer) if is_placed and with_candidates else _NO_CANDIDATES
-    return Answer(is_new, sharing, place, candidates, is_surprising=False)
+    return Answer(sharing, place, candidates, answer.rest, span, is_surprising=False)
 
 
 @lru_cache(maxsize=20_000)
@@ -392,5 +464,10 @@ def read_result(content: bytes, bits: int | None) -> Answer:
     place = read_place(answer)
     candidates = read_candidates(answer) if has_candidates else _NO_CANDIDATES
     return Answer(
-        is_new=True, sharing=(), place=place, candidates=candidates, is_surprising=is_surprising
+        sharing=(),
+        place=place,
+        candidates=candidates,
+        line=b"",
+        span=None,
+        is_surprising=is_surprising,
     )

@@ -219,10 +219,15 @@ class LocalLayers:
         linear = problem.linearized(self.state)
         return [self._is_surprise(problem, linear, robot) for robot in robots.tolist()]
 
-    def neighborhood(self, robots: Ints) -> NearCost:
-        """Gather the cost of some robots, ascending by join order, all others where they are."""
+    def neighborhood(self, robots: Ints, blocks: list[Block] | None = None) -> NearCost:
+        """Gather the cost of some robots, ascending by join order, all others where they are.
+
+        Args:
+            robots: The robots.
+            blocks: Blocks that count; all about these robots if None.
+        """
         return NearCost(
-            self.blocks_about(robots),
+            self.blocks_about(robots) if blocks is None else blocks,
             robots,
             self.sd,
             shapes=self._shapes,
