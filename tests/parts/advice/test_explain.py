@@ -43,7 +43,8 @@ def test_an_unknown_robot_is_refused(tmp_path, towers):
     """The message says how many there are."""
     log = library.read_log(_write(tmp_path, towers[0]))
 
-    with pytest.raises(InputError, match="there is no robot 99; choose one of the 30 of the log"):
+    refused = "explain: there is no robot 99; choose one of the 30 of the log"
+    with pytest.raises(InputError, match=refused):
         library.view(log, tmp_path / "truth.csv", explain=[99], out=tmp_path / "view.html")
 
 

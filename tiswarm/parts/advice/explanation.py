@@ -108,7 +108,7 @@ def explain(log: SensingLog, estimate: Estimate, robot: int) -> Explanation:
     found = np.flatnonzero(log.robot_id == robot)
     if not len(found):
         problem = f"there is no robot {robot}; choose one of the {log.robot_count} of the log"
-        raise InputError(problem, argument="robot")
+        raise InputError(problem, argument="explain")
     index = int(found[0])
     position = estimate.position / log.dock_radius
     log = with_orientations(log)
