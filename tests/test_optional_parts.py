@@ -39,6 +39,7 @@ ASKED = {
     "tiswarm.parts.doctor": "doctor --missing-packages",
     "tiswarm.parts.formats": "export sensing.jsonl known.csv --format csv",
     "tiswarm.parts.between": "localize sensing.jsonl --method distributed",
+    "tiswarm.parts.channels": "localize sensing.jsonl --method distributed",
     "tiswarm.parts.peers": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.parts.online": "localize sensing.jsonl --method online",
     "tiswarm.parts.advice": "advise sensing.jsonl known.csv",

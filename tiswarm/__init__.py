@@ -45,6 +45,7 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.base.errors import InputError as InputError
     from tiswarm.base.parts import Swarms as Swarms
     from tiswarm.base.parts import Tracker as Tracker
+    from tiswarm.base.parts import channel as channel
     from tiswarm.base.parts import relax as relax
     from tiswarm.base.parts import rule as rule
     from tiswarm.base.parts import sensor as sensor

@@ -24,7 +24,9 @@ from tiswarm.study import runner
 from tiswarm.world.params import all_kinds
 
 PAGE = (REPOSITORY / "docs" / "own-method.md").read_text()
-CHAIN, RADAR, LEANING, WORST, XYZ, READ, DRAW = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+CHAIN, RADAR, FADES, LEANING, WORST, XYZ, READ, DRAW = re.findall(
+    r"```python\n(.*?)```", PAGE, re.DOTALL
+)
 [STUDY] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 RULES = (REPOSITORY / "docs" / "guides" / "rules.md").read_text()
 [RANDOM, *_] = re.findall(r"```python\n(.*?)```", RULES, re.DOTALL)
@@ -892,3 +894,17 @@ def test_what_is_forgotten_leaves_the_scenario():
     """The union of settings is that of the package without plug-ins."""
     assert "origin" not in str(all_params())
     assert "Leaning" not in str(all_kinds())
+
+
+@pytest.mark.trial
+def test_a_channel_of_the_page_is_chosen(tiswarm, files):
+    """Robots localize by it, though a fifth of all transmissions is lost."""
+    (files / "fades.py").write_text(FADES)
+    sets = ["robots=4", "seeds=1", "localization={method: distributed, channel: fades, chains: 0}"]
+    done = tiswarm(
+        "run", "tower", "--plugin", files / "fades.py", "--out", files, "--no-pictures",
+        "--set", "conditions={own: {}}",
+        *(each for text in sets for each in ("--set", text)),
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr

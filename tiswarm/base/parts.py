@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
     Swarms: Any  # of `__getattr__`
     Tracker: Any
+    channel: Any
     relax: Any
     rule: Any
     sensor: Any
@@ -112,6 +113,10 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "mocap": "tiswarm.parts.formats.trajectories:read_mocap",
         "table": "tiswarm.parts.formats.columns:read_table",
     },
+    "channel": {
+        "touch": "tiswarm.parts.channels:lossy",
+        "radio": "tiswarm.parts.channels:lossy",
+    },
     "question": {
         "least-error": "tiswarm.report.answers:mean_errors",
         "reached": "tiswarm.parts.questions:reached",
@@ -122,6 +127,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "class": {
         "Swarms": "tiswarm.parts.swarms:Swarms",
         "Tracker": "tiswarm.parts.online.tracker:Tracker",
+        "channel": "tiswarm.parts.channels:channel",
         "relax": "tiswarm.parts.forces:relax",
         "rule": "tiswarm.parts.growth:rule",
         "sensor": "tiswarm.parts.suites:sensor",
@@ -165,6 +171,7 @@ export_format: a function of a view, which returns bytes by name of file.
 import_format: a function of a file and assumptions, which returns a table of poses, or None if the
     file has another format.
 log_format: a function of a file, which yields numbered lines of a log.
+channel: a function of the settings of `distributed`, see `parts.channels`.
 question: a function of `report.answers.Results`, which returns a sentence.
 class: a class or function at the top of `tiswarm`.
 command: what a command or setting asks of an optional part.

@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union
 
 import numpy as np
 import pydantic
@@ -93,24 +93,12 @@ def modules(name: str) -> set[str]:
         return set()
 
 
-class Joining(Protocol):
-    """What localizes robots as they join.
-
-    If robots send messages, `sent` has the bytes that each has sent so far, shape (n,).
-    """
-
-    def join(self, robot: Any, /) -> object:  # noqa: ANN401 - of `records.sensing_format`
-        """Add the next robot by its line of a sensing file."""
-
-    @property
-    def positions(self) -> Reals:
-        """Estimated centers in join order [log unit], shape (n, 3)."""
-
-
-def joining(params: MethodParams) -> Callable[..., Joining] | None:
+def joining(params: MethodParams) -> Callable[..., Any] | None:
     """Return the class that localizes robots as they join; None if these settings need all.
 
-    It is made of a log's header and the settings.
+    It is made of a log's header and the settings. `join` adds the next robot by its line of a
+    sensing file; `positions` are the centers in join order [log unit], shape (n, 3). If robots send
+    messages, `sent` has the bytes that each has sent so far, shape (n,).
     """
     return getattr(_module_of(params), params.joining) if params.joining else None
 

@@ -141,7 +141,7 @@ def believe_by(settings: Scenario) -> Believe:
     of its robot put it.
     """
     params = settings.localization
-    swarms: dict[tuple[int, int], methods.Joining] = {}
+    swarms: dict[tuple[int, int], Any] = {}
 
     def believe(grown: Sequence[History]) -> list[Belief]:
         logs = [observe(history, settings.sensing) for history in grown]

@@ -25,6 +25,7 @@ from tiswarm.compute import machine, numerics
 from tiswarm.compute.backend import Backend
 from tiswarm.localization import methods
 from tiswarm.records.run_folder import Manifest, Spent
+from tiswarm.scenario.model import Scenario
 from tiswarm.world.growth import grow
 from tiswarm.world.history_file import write_history
 
@@ -99,17 +100,23 @@ def _file(name: str, package: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def case_code(method: str, suite: str = "", kind: str = "", rule: str = "") -> str:
+def plugged(settings: Scenario) -> dict[str, str]:
+    """Return what a case names that plug-ins may bring beside its method, by kind."""
+    structure, channel = settings.structure, getattr(settings.localization, "channel", "")
+    own = {"structure": structure.kind, "rule": structure.rule.name, "channel": channel}
+    return {"sensor": settings.sensing.suite, **own}
+
+
+def case_code(method: str, **used: str) -> str:
     """Return the digest of the code that computes cases of a localization method in this process.
 
     Other methods do not count, so that an edit of one leaves the cases of the others current. The
-    digests of plug-ins that the method, the suite, the kind of structure and the rule of growth are
-    from follow after "+". The digest of an unknown method is empty.
+    digests of plug-ins that the method and what else is `plugged` are from follow after "+". The
+    digest of an unknown method is empty.
     """
     if method not in names("method"):
         return ""
-    own = _own_digests(method=method, sensor=suite, structure=kind, rule=rule)
-    return "+".join([method_code(method), *own])
+    return "+".join([method_code(method), *_own_digests(method=method, **used)])
 
 
 def _own_digests(**used: str) -> list[str]:
@@ -121,7 +128,7 @@ def _own_digests(**used: str) -> list[str]:
 def is_current(method: str, code: str) -> bool:
     """Whether code of this process computed a case of a method, by the digest in its record."""
     package, *own = code.split("+")
-    kinds = ("method", "sensor", "structure", "rule")
+    kinds = ("method", "sensor", "structure", "rule", "channel")
     loaded = {each.plugin.digest for kind in kinds for each in registered(kind).values()}
     its = registered("method").get(method)
     return (

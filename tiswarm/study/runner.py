@@ -24,7 +24,7 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Case, Group
 from tiswarm.sensing import observe
 from tiswarm.sensing.params import SensingParams
-from tiswarm.study.provenance import Costs, Used, case_code
+from tiswarm.study.provenance import Costs, Used, case_code, plugged
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -340,12 +340,12 @@ def _record(
     reason: str,
     scored: Mapping[str, float | int] = MappingProxyType({}),
 ) -> CaseRecord:
-    method, structure = case.settings.localization.method, case.settings.structure
+    method = case.settings.localization.method
     return CaseRecord(
         case=case.name,
         seed=case.seed,
         method=method,
-        code=case_code(method, case.settings.sensing.suite, structure.kind, structure.rule.name),
+        code=case_code(method, **plugged(case.settings)),
         condition=case.variant.condition,
         point=case.variant.point,
         status=status,

@@ -4,12 +4,13 @@ Here are the settings of `distributed`, each with its unit and its reason. Lengt
 """
 
 from dataclasses import fields
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from tiswarm.base.params import STRICT
+from tiswarm.base.params import STRICT, UNLESS_SET
+from tiswarm.base.parts import names, watch
 from tiswarm.localization.settings import (
     BackPropagation,
     ChiSquareParams,
@@ -39,10 +40,18 @@ _OF_SCHEME = {
         "chains",
         "steps",
         "start_sigma",
+        "burst",
+        "slots",
     ),
     "algorithm-1": ("poses", "back_propagation", "undocked_repulsion"),
 }
 """Settings that have a meaning in one scheme only."""
+
+
+if TYPE_CHECKING:
+    _ChannelName = str
+else:
+    _ChannelName = Literal[names("channel")]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -68,8 +77,9 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     their positions and sends them the answer. algorithm-1: the paper's, by the defaults of
     `virtual-force`, whose positions are those without losses and rounding."""
 
-    poses: Literal["once", "every-join"] = "every-join"
-    """When robots send their poses in `algorithm-1`: once they are placed, or at each join."""
+    poses: Literal["once", "every-join", "asked"] = "every-join"
+    """When robots send their poses in `algorithm-1`: once they are placed, at each join, or if they
+    are in reach of the robot that joins, to it."""
 
     undocked_repulsion: bool = True
     """Use Eq. (2) in `algorithm-1`, for which robots hear of all others; without it they hear of
@@ -78,12 +88,24 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     back_propagation: BackPropagation | None = None
     """Rounds of `algorithm-1` in which all robots move again; off if null."""
 
-    channel: Literal["touch", "radio"] = "touch"
-    """touch: robots in contact pass on what they hear, robot by robot. radio: all robots hear what
-    one of them sends."""
+    channel: _ChannelName = "touch"
+    """touch: robots in contact pass on what they hear, robot by robot. radio: robots in reach hear
+    what one of them sends. Plug-ins add channels, in which robots are in reach as by radio."""
+
+    radio_reach: Annotated[Literal["ranged"] | None, UNLESS_SET] = None
+    """ranged: in reach of a radio are robots in contact, and those between which a range was
+    measured, up to `sensing.range_reach`; nothing else is made of ranges. All are if null."""
 
     loss: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Share of transmissions that are lost [1]."""
+
+    burst: Annotated[float | None, Field(ge=1.0, le=1e6), UNLESS_SET] = None
+    """Mean number of rounds that the way from one robot to another stays bad once it is, so that
+    losses come in bursts [1]; each is by itself if null."""
+
+    slots: Annotated[int | None, Field(ge=1, le=1_000_000), UNLESS_SET] = None
+    """Slots of a round by radio. Each transmission takes one by chance. A robot in reach of two in
+    the same slot hears neither [1]. Nothing collides if null."""
 
     delay: Annotated[int, Field(ge=0, le=1000)] = 0
     """Rounds that a transmission takes beyond the next one [1]."""
@@ -132,14 +154,29 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     def __post_init__(self) -> None:
         """Refuse settings of another scheme."""
         usual = {field.name: field.default for field in fields(self)}
-        for scheme, names in _OF_SCHEME.items():
-            for name in names:
+        for scheme, of_scheme in _OF_SCHEME.items():
+            for name in of_scheme:
                 if scheme != self.scheme and getattr(self, name) != usual[name]:
                     raise ValueError(
                         f"{name} is of scheme {scheme}; remove it, or set scheme to {scheme}"
                     )
+        shortest = 1.0 / (1.0 - self.loss)
+        if self.burst is not None and self.burst < shortest:
+            raise ValueError(
+                f"burst {self.burst:g} is shorter than without bursts, {shortest:.3g} at loss "
+                f"{self.loss:g}; raise it or leave it out"
+            )
+        wired = [name for name in ("radio_reach", "slots") if getattr(self, name) != usual[name]]
+        if self.channel == "touch" and (wired or self.poses == "asked"):
+            what = [*wired, "poses asked"][0]
+            raise ValueError(f"{what} is of radio; remove it, or set channel to radio")
         if self.solver != "keeper" and self.reach != usual["reach"]:
             raise ValueError("reach is of solver keeper; remove it, or set solver to keeper")
+
+    @property
+    def ranges(self) -> bool:
+        """Whether measured ranges are used, not only to know who is in reach."""
+        return self.radio_reach is None
 
     @property
     def joining(self) -> str:
@@ -168,3 +205,12 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
         once, each = _STEP_S
         steps = self.chains * self.steps
         return robots * (_JOIN_S + steps * (once + each * robots))
+
+
+def _take_channels() -> None:
+    """Let settings name the channels of plug-ins, too."""
+    section: Any = DistributedParams
+    section.__dataclass_fields__["channel"].type = Literal[names("channel")]
+
+
+watch(_take_channels, DistributedParams)

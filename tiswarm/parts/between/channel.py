@@ -1,25 +1,29 @@
-"""How messages travel: by radio to all robots, or by touch from robot to robot.
+"""How messages travel: from robot to robot by touch, or by radio to those in reach.
 
-A message has parts, each for one robot. By touch it takes shortest ways along contacts; where ways
-part, each branch carries the parts of the robots behind it. By radio one transmission reaches all
-robots. Who passes a message on, or is in reach of it, hears it. Transmissions take a round and
-`delay` more. Who was to receive one acknowledges it; without an answer it is sent again.
+A message has parts, each for one robot. It takes shortest ways along contacts, or by radio from
+robot to robot in reach; where ways part, each branch carries the parts of the robots behind it. By
+radio one transmission reaches all robots, or those that measured a range between them. Who passes a
+message on takes it in, and so does who is in reach of a radio that reaches all. Transmissions take
+a round and `delay` more. Who was to receive one acknowledges it; without an answer it is sent
+again. Which are heard is decided by the channel of the settings, for all of a round at once.
 
 Losses and the order of events depend on the seed and on numbers of messages and robots alone.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.parts import find
 from tiswarm.compute.math import uniform
 from tiswarm.parts.between import DistributedParams
 from tiswarm.parts.between.wire import MOST_ROBOTS
+from tiswarm.records.sensing_format import RobotLine
 
 HEADER = 4
 """Bytes before the parts of a message: its kind, sender, number and length."""
@@ -65,11 +69,29 @@ class _Hop:
     tree: Mapping[int, list[int]]
     """By robot, those that it passes the message on to."""
 
-    next: list[int]
-    """Robots that are to hear this transmission."""
+    next: Mapping[int, set[int]]
+    """Robots that are to hear this transmission, each with those behind it and itself."""
 
     attempt: int = 0
     acknowledged: set[int] = field(default_factory=set)
+
+    @property
+    def waited(self) -> list[int]:
+        """Robots that have not acknowledged it."""
+        return [number for number in self.next if number not in self.acknowledged]
+
+    def transmitted(self) -> tuple[Message, int]:
+        """Return the message with the parts that still have to be heard, and its bytes."""
+        left = {number for other in self.waited for number in self.next[other]}
+        parts = {number: part for number, part in self.message.parts.items() if number in left}
+        size = HEADER + len(self.message.common) + sum(ADDRESS + len(p) for p in parts.values())
+        return self.message._replace(parts=parts), size
+
+
+def reached(line: RobotLine, params: DistributedParams) -> set[int]:
+    """List earlier robots that one touches, or by a radio of limited reach measured a range to."""
+    ranged = [] if params.radio_reach is None else line.ranges or []
+    return {other for _, other, _ in line.contacts} | {int(row[0]) for row in ranged}
 
 
 class Channel:
@@ -83,6 +105,10 @@ class Channel:
             hear: Called with each robot that hears a message.
         """
         self._params, self._hear = params, hear
+        self._hears: Any = find("channel", params.channel)(params)
+        self._is_radio = params.channel != "touch"
+        self._reaches_all = self._is_radio and params.radio_reach is None
+        self._air: list[_Hop] = []
         self._links: list[set[int]] = []
         self._events: dict[int, list[tuple[int, Callable[[], None]]]] = {}
         self._round, self._serial, self._drawn = 0, 0, 0
@@ -112,7 +138,7 @@ class Channel:
         return self._round
 
     def join(self, touching: set[int]) -> None:
-        """Add the next robot, with those that it touches."""
+        """Add the next robot, with those that it touches, or by radio is in reach of."""
         number = len(self._links)
         self._links.append(set(touching))
         for count in (self.sent, self.heard, self.messages):
@@ -122,9 +148,9 @@ class Channel:
 
     def send(self, message: Message) -> None:
         """Send a message from now on; parts of robots out of reach are lost."""
-        tree = self._tree(message.sender, {*message.parts})
-        if self._params.channel == "radio" or message.sender in tree:
-            self._transmit(self._serial, message, message.sender, tree)
+        self._transmit(
+            self._serial, message, message.sender, self._tree(message.sender, {*message.parts})
+        )
         self._serial += 1
 
     def settle(self) -> None:
@@ -135,20 +161,22 @@ class Channel:
             # Events of a round come in an order of chance.
             for _, event in sorted(due, key=lambda each: each[0]):
                 event()
+            self._deliver()
 
     @property
     def degree(self) -> Ints:
-        """Robots that each one touches, shape (N,)."""
+        """Robots that each one touches, or by radio is in reach of, shape (N,)."""
         return np.array([len(touching) for touching in self._links], np.int64)
 
     def broadcast(self, size: int, times: int = 1, *, by_all: bool = True) -> None:
         """Count messages of so many bytes of each robot to all others, without letting them pass.
 
         Of repeated ones, the mean counts. By touch each robot hears all others through one contact;
-        where not all pass messages on, it hears those that it touches.
+        where not all pass messages on, it hears those that it touches. By radio it hears those in
+        reach.
         """
         robots = range(len(self._links))
-        if self._params.channel == "radio":
+        if self._is_radio:
             self._count_by_radio([*robots], size, times)
             return
         for source in robots:
@@ -158,23 +186,30 @@ class Channel:
             for sender, after in tree.items():
                 self._count_by_touch(sender, after, size, times)
 
+    def ask(self, robot: int, size: int) -> None:
+        """Count a message of so many bytes of a robot to all in reach of its radio."""
+        self._count_by_radio([robot], size, 1)
+
     def answer(self, robot: int, size: int) -> None:
-        """Count messages of so many bytes to a robot, one of each that it touches."""
+        """Count messages of so many bytes to a robot, one of each that it touches or hears."""
         senders = sorted(self._links[robot])
-        if self._params.channel == "radio":
+        if self._is_radio:
             self._count_by_radio(senders, size, 1)
             return
         for sender in senders:
             self._count_by_touch(sender, [robot], size, 1)
 
     def _count_by_radio(self, senders: list[int], size: int, times: int) -> None:
-        """Count transmissions of some robots, which all others hear."""
-        got = 1.0 - self._params.loss
+        """Count transmissions of some robots, which all in reach hear."""
+        got, sending = 1.0 - self._params.loss, {*senders}
         for number in range(len(self._links)):
-            sends = number in senders
+            sends = number in sending
             self.sent[number] += sends * times * size
             self.messages[number] += sends * times
-            self.heard[number] += round(times * got * size * (len(senders) - sends))
+            hears = len(senders) - sends
+            if not self._reaches_all:
+                hears = len(self._links[number] & sending)
+            self.heard[number] += round(times * got * size * hears)
 
     def _count_by_touch(self, sender: int, receivers: list[int], size: int, times: int) -> None:
         """Count transmissions of a robot to each of some others, with repetitions in the mean."""
@@ -192,8 +227,8 @@ class Channel:
 
     def _tree(self, root: int, targets: set[int]) -> dict[int, list[int]]:
         """Find ways to some robots: by robot, whom it passes a message on to."""
-        if self._params.channel == "radio":
-            there = sorted(target for target in targets if target < len(self._links))
+        if self._reaches_all:
+            there = sorted(targets & {*range(len(self._links))} - {root})
             return {root: there} if there else {}
         before: dict[int, int] = {root: root}
         queue, left = deque([root]), {*targets} - {root}
@@ -225,65 +260,84 @@ class Channel:
         self, serial: int, message: Message, sender: int, tree: Mapping[int, list[int]]
     ) -> None:
         """Let a robot pass a message on to those after it in the tree."""
-        after = tree.get(sender, [])
-        if self._params.channel == "radio":
+        behind = {other: self._behind(other, tree) for other in tree.get(sender, [])}
+        # By touch, each contact has a transmission of its own.
+        each = [behind] if self._is_radio else [{other: its} for other, its in behind.items()]
+        for after in filter(None, each):
             self._at_once(_Hop(serial, message, sender, tree, after))
-            return
-        for other in after:
-            behind = self._behind(other, tree)
-            parts = {number: part for number, part in message.parts.items() if number in behind}
-            self._at_once(_Hop(serial, message._replace(parts=parts), sender, tree, [other]))
 
     def _at_once(self, hop: _Hop) -> None:
-        self._later(0, lambda: self._attempt(hop))
+        self._later(0, lambda: self._air.append(hop))
 
-    def _attempt(self, hop: _Hop) -> None:
-        """Transmit once; try again later unless all have acknowledged it."""
-        message, radio = hop.message, self._params.channel == "radio"
-        waited = [number for number in hop.next if number not in hop.acknowledged]
-        parts = message.parts
-        if radio:
-            parts = {number: parts[number] for number in waited}
-        size = HEADER + len(message.common) + sum(ADDRESS + len(part) for part in parts.values())
-        self.sent[hop.sender] += size
-        self.messages[hop.sender] += 1
-        reached = range(len(self._links)) if radio else waited
-        for other in reached:
-            if other == hop.sender or self._is_lost(hop, other, 0):
-                continue
-            self.heard[other] += size
-            if (hop.serial, other) not in self._had:
-                self._had.add((hop.serial, other))
-                arrived = message._replace(parts=parts)
-                self._later(self._params.delay, partial(self._arrive, hop, other, arrived))
+    def _deliver(self) -> None:
+        """Let robots hear what is transmitted in a round; repeat what nobody acknowledged."""
+        hops, self._air = self._air, []
+        sent = [hop.transmitted() for hop in hops]
+        sizes = [size for _, size in sent]
+        heard = self._heard(hops, [self._in_reach(hop) for hop in hops], sizes)
+        waited = [
+            [other for other in of_hop if other in hop.waited]
+            for hop, of_hop in zip(hops, heard, strict=True)
+        ]
+        answered = self._heard(hops, waited, [])
+        for k, (hop, (message, size)) in enumerate(zip(hops, sent, strict=True)):
+            self.sent[hop.sender] += size
+            self.messages[hop.sender] += 1
+            for other in heard[k]:
+                self.heard[other] += size
+                is_new = (hop.serial, other) not in self._had
+                if is_new and (self._reaches_all or other in hop.next):
+                    self._had.add((hop.serial, other))
+                    self._later(self._params.delay, partial(self._arrive, hop, other, message))
             # An acknowledgment may be lost, too: the message comes twice then, and counts twice.
-            if other in waited:
+            for other in waited[k]:
                 self.sent[other] += ACKNOWLEDGMENT
-                if not self._is_lost(hop, other, 1):
-                    self.heard[hop.sender] += ACKNOWLEDGMENT
-                    hop.acknowledged.add(other)
-        hop.attempt += 1
-        left = [number for number in hop.next if number not in hop.acknowledged]
-        if left and hop.attempt <= self._params.retries:
-            self._later(self._params.delay, lambda: self._attempt(hop))
+            self.heard[hop.sender] += ACKNOWLEDGMENT * len(answered[k])
+            hop.acknowledged.update(answered[k])
+            hop.attempt += 1
+            if hop.waited and hop.attempt <= self._params.retries:
+                self._later(self._params.delay, partial(self._air.append, hop))
+
+    def _in_reach(self, hop: _Hop) -> list[int]:
+        """List the robots that may hear a transmission."""
+        if not self._is_radio:
+            return hop.waited
+        if self._reaches_all:
+            return [other for other in range(len(self._links)) if other != hop.sender]
+        return sorted(self._links[hop.sender])
+
+    def _heard(
+        self, hops: Sequence[_Hop], reached: Sequence[Sequence[int]], sizes: Sequence[int]
+    ) -> list[list[int]]:
+        """Let the channel decide which robots hear transmissions.
+
+        Args:
+            hops: The transmissions of a round.
+            reached: By transmission, the robots that may hear it.
+            sizes: Bytes of each; none of acknowledgments, which those robots send.
+        """
+        of = np.repeat(np.arange(len(hops)), [len(each) for each in reached])
+        if not len(of):
+            return [[] for _ in hops]
+        serial, sender, attempt = np.array([(h.serial, h.sender, h.attempt) for h in hops])[of].T
+        listener = np.array([other for each in reached for other in each])
+        is_answer, seed = not sizes, self._params.seed
+        draw, key = 2 * attempt + is_answer, serial * MOST_ROBOTS
+        chance = uniform(seed, "loss", key + listener, draw)
+        own = uniform(seed, "slot", key + sender, draw)
+        size = np.full(len(of), ACKNOWLEDGMENT) if is_answer else np.array(sizes)[of]
+        ways = (listener, sender) if is_answer else (sender, listener)
+        heard = self._hears(self._round, *ways, size, chance, own, is_answer)
+        return [listener[heard & (of == k)].tolist() for k in range(len(hops))]
 
     def _arrive(self, hop: _Hop, robot: int, message: Message) -> None:
         message = self._hear(robot, message)
-        if self._params.channel == "touch":
-            self._transmit(hop.serial, message, robot, hop.tree)
+        self._transmit(hop.serial, message, robot, hop.tree)
 
     def _later(self, delay: int, event: Callable[[], None]) -> None:
         """Let something happen after the next round and a delay."""
         order = 0
-        if self._params.loss or self._params.delay:
+        if self._params.loss or self._params.delay or self._params.slots:
             order = int(2**32 * uniform(self._params.seed, "order", self._drawn, 0)[()])
         self._drawn += 1
         self._events.setdefault(self._round + 1 + delay, []).append((order, event))
-
-    def _is_lost(self, hop: _Hop, robot: int, answer: int) -> bool:
-        """Draw whether a transmission to a robot is lost, or its acknowledgment."""
-        if not self._params.loss:
-            return False
-        draw = 2 * hop.attempt + answer
-        key = hop.serial * MOST_ROBOTS + robot
-        return bool(uniform(self._params.seed, "loss", key, draw)[()] < self._params.loss)

@@ -13,9 +13,8 @@ that it touches answer it. In a round of back-propagation each robot sends its p
 of its steps. By touch, robots pass on what they hear.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from tiswarm.localization.mixture.verdict import rms
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.parts.between import DistributedParams
-from tiswarm.parts.between.channel import HEADER, Channel, Message
+from tiswarm.parts.between.channel import HEADER, Channel, Message, reached
 from tiswarm.parts.between.robot import Peer, Program
 from tiswarm.parts.between.wire import MOST_ROBOTS, pose_bytes
 from tiswarm.parts.online.layers import refuse_header, refuse_line
@@ -126,7 +125,7 @@ def localize(
     for line in lines:
         refuse_line(line)
     if params.scheme == "algorithm-1":
-        return algorithm_1(log, params)
+        return algorithm_1(log, lines, params)
     swarm = PeerSwarm(head, params)
     for line in lines:
         swarm.join(line)
@@ -153,10 +152,11 @@ class PeerSwarm:
         Args:
             line: What it sensed; robots go by their numbers in join order.
         """
-        robot = Peer(self._program, line)
+        params = self._program.params
+        robot = Peer(self._program, line if params.ranges else _without_ranges(line))
         self.robots.append(robot)
         self._memory.append(0)
-        self.channel.join({*robot.touching})
+        self.channel.join(reached(line, params))
         robot.join()
         self._send(robot)
         self._settle()
@@ -232,19 +232,27 @@ class PeerSwarm:
         )
 
 
+def _without_ranges(line: RobotLine) -> RobotLine:
+    """Leave out the ranges of a line, which robots then neither use nor send."""
+    none = {"ranges": None}
+    stances = [each.model_copy(update=none) for each in line.stances or []]
+    return line.model_copy(update={**none, "stances": stances or line.stances})
+
+
 class PublishedSwarm:
     """Robots that Algorithm 1 places as they join, with the bytes that they send for that."""
 
     def __init__(self, header: HeaderLine, params: DistributedParams) -> None:
         """Begin without robots."""
-        places: Any = methods.joining(params.published)
+        places = methods.joining(params.published)
+        assert places is not None  # noqa: S101 - settings that move robots later are refused
         self._placed = places(header, params.published)
         self._params, self._channel = params, Channel(params, lambda _, message: message)
 
     def join(self, line: RobotLine) -> None:
         """Place the next robot, once it has heard the poses that it needs."""
         self._placed.join(line)
-        self._channel.join({other for _, other, _ in line.contacts})
+        self._channel.join(reached(line, self._params))
         _send_poses(self._channel, self._params)
 
     @property
@@ -260,16 +268,23 @@ class PublishedSwarm:
 
 
 def _send_poses(channel: Channel, params: DistributedParams) -> None:
-    """Count the poses that robots send as the last one joins: all, or to it those it touches."""
-    pose = HEADER + pose_bytes(params.bits, with_orientation=True)
-    if params.undocked_repulsion:
+    """Count the poses that robots send as the last one joins: all, or those that it reaches."""
+    pose, joiner = HEADER + pose_bytes(params.bits, with_orientation=True), len(channel.sent) - 1
+    if params.undocked_repulsion and params.poses != "asked":
         channel.broadcast(pose)
-    else:
-        channel.answer(len(channel.sent) - 1, pose)
+        return
+    if params.undocked_repulsion:
+        channel.ask(joiner, HEADER)
+    channel.answer(joiner, pose)
 
 
-def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
+def algorithm_1(log: SensingLog, lines: Sequence[RobotLine], params: DistributedParams) -> Estimate:
     """Localize a log by Algorithm 1, and count what robots send.
+
+    Args:
+        log: Sensing log of N robots.
+        lines: Their lines, under their numbers in join order.
+        params: Settings.
 
     Returns:
         The estimate without losses and rounding, with the traffic of the channel. Robots do not
@@ -279,19 +294,17 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
     [found] = methods.localize_batch([log], [settings])
     robots = log.robot_count
     channel = Channel(params, lambda _, message: message)
-    touching: list[set[int]] = [set() for _ in range(robots)]
-    for i, _, j, _ in log.contacts.tolist():
-        touching[max(i, j)].add(min(i, j))
     pose = HEADER + pose_bytes(params.bits, with_orientation=True)
     moved = HEADER + pose_bytes(params.bits, with_orientation=False)
     rounds = params.back_propagation
-    for number in range(robots):
-        channel.join(touching[number])
-        if params.poses == "every-join" or not params.undocked_repulsion or number == robots - 1:
+    for number, line in enumerate(lines):
+        channel.join(reached(line, params))
+        if params.poses != "once" or not params.undocked_repulsion or number == robots - 1:
             _send_poses(channel, params)
         if rounds is not None and _follows(rounds, number + 1, robots):
             channel.broadcast(moved, rounds.sweeps, by_all=params.undocked_repulsion)
-    heard_of = np.full(robots, robots) if params.undocked_repulsion else 1 + channel.degree
+    hears_all = params.undocked_repulsion and params.radio_reach is None
+    heard_of = np.full(robots, robots) if hears_all else 1 + channel.degree
     memory = heard_of * (pose - HEADER)
     traffic = channel.traffic(memory, _operations(log, settings, found.steps))
     return replace(found, traffic=traffic)
