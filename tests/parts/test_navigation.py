@@ -92,7 +92,9 @@ def test_robots_go_by_what_the_log_of_those_before_them_localizes_to():
         np.testing.assert_allclose(center, localize(log, settings.localization).position, atol=1e-9)
 
 
-MESSAGES = "conditions={messages: {localization: {method: distributed, chains: 1, steps: 20, reviews: 0}}}"
+MESSAGES = (
+    "conditions={messages: {localization: {method: distributed, chains: 1, steps: 20, reviews: 0}}}"
+)
 PUBLISHED = "conditions={published: {localization: {method: distributed, scheme: algorithm-1}}}"
 
 
