@@ -81,7 +81,7 @@ def test_one_hop_is_one_pair_that_touches(towers):
 def test_every_robot_is_in_one_range_of_each_profile(towers):
     """Ranges lie apart, and their errors add up to the error of all."""
     truth, log, estimate = _scored(towers[0], RNG.normal(size=(30, 3)))
-    robots = by_robot(truth, log, estimate, np.zeros(30)).assign(join=np.arange(30))
+    robots = by_robot(truth, log, estimate, towers[0]).assign(join=np.arange(30))
 
     for _, part in error_profile(robots).groupby("by"):
         assert part["count"].sum() == 30
@@ -108,12 +108,17 @@ def test_tiny_structures_are_scored(towers, robots):
     """One robot has no contacts to average; all else is a number, and nothing warns."""
     history = towers[0]
     small = type(history)(
-        **{**vars(history), "walks": history.walks[:robots], "loads": history.loads[:robots]}
+        **{
+            **vars(history),
+            "walks": history.walks[:robots],
+            "loads": history.loads[:robots],
+            "sensed": history.sensed[:robots],
+        }
     )
     truth, log, estimate = _scored(small, np.full(3, 0.5))
 
     scores = score(truth, log, estimate, RobotGeometry(), rows=measure(log, ("contacts", "height")))
-    table = by_robot(truth, log, estimate, np.zeros(robots)).assign(join=np.arange(robots))
+    table = by_robot(truth, log, estimate, small).assign(join=np.arange(robots))
 
     unknown = {name for name, value in scores.items() if np.isnan(value)}
     alone = {

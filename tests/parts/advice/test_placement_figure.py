@@ -47,7 +47,7 @@ def test_the_scale_bar_is_as_long_as_its_words_say(radius, unit, words):
 
 def test_a_page_gets_a_figure_for_each_width():
     """Names are text, also where a unit has signs of formulas."""
-    shown = show_placement(PLACEMENT._replace(unit="$m<m"), "a caption")
+    shown = show_placement("explain-7.svg", PLACEMENT._replace(unit="$m<m"), "a caption")
 
     assert shown.caption == "a caption"
     for drawing in (shown.drawing, shown.narrow):

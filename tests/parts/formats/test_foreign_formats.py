@@ -129,7 +129,8 @@ def test_a_structure_without_contacts_is_exported(view, tmp_path, form):
     export_view(some, form, tmp_path, Progress())
 
     assert all(path.stat().st_size for path in tmp_path.iterdir())
-    assert any("estimate" in path.name or "case" in path.name for path in tmp_path.iterdir())
+    names = {path.stem for path in tmp_path.iterdir()}
+    assert names & {"estimate", "case", "structure", "growth"}, names
 
 
 def test_mcap_has_the_log_and_the_poses(view, exported):

@@ -104,9 +104,15 @@ READERS = {
     "mcap": _of_mcap, "mjcf": _of_mjcf, "pyfg": _of_pyfg, "wbt": _of_wbt,
     "tum": lambda path: np.loadtxt(path)[:, 1:4],
 }  # fmt: skip
+PICTURES = {"png", "gif", "mp4", "webp"}
 
 
-@pytest.mark.parametrize("form", PARTS["export_format"])
+def test_formats_are_read_here_or_are_pictures():
+    """A new format needs a reader."""
+    assert READERS.keys() | PICTURES == PARTS["export_format"].keys()
+
+
+@pytest.mark.parametrize("form", READERS)
 def test_every_format_resolves_robots_at_map_coordinates(form, tmp_path):
     """All points of each file move with the anchor, exact to 1e-6 R: float32 steps 0.5 m there."""
     read = READERS[form]
