@@ -264,14 +264,25 @@ def _of_gap(point):
     return _stored("all-cues", point, scenario="anchor-gap")
 
 
-BY = {"the truth": ("truth", "online"), "`online`": ("estimate", "online")}
-BY["Algorithm 1"] = ("estimate", "algorithm-1")
+BY = {
+    "the truth": ("truth", "online"),
+    "`online`": ("estimate", "online"),
+    "own messages": ("estimate", "messages"),
+    "Algorithm 1": ("estimate", "algorithm-1"),
+}
+BUILT = {
+    "towers": "{kind: tower}",
+    "cantilevers": "{kind: cantilever}",
+    "bridges over 20 R": "{kind: bridge, gap: 20.0}",
+    "bridges over 30 R": "{kind: bridge, gap: 30.0}",
+}
+"""Structures of the scenario closed-loop, as its page names them."""
 
 
-def _tower(by, measure):
-    """Return the results of towers, by what their robots navigate by."""
+def _built(kind, by, measure):
+    """Return the result of a kind of structure, by what its robots navigate by."""
     navigate, condition = BY[by]
-    point = f"structure={{kind: tower}}, structure.navigate_by={navigate}"
+    point = f"structure={BUILT[kind]}, structure.navigate_by={navigate}"
     found = results.read_results()
     keys = {"scenario": "closed-loop", "condition": condition, "point": point, "measure": measure}
     [row] = found[(found[list(keys)] == pd.Series(keys)).all(axis=1)].to_dict("records")
@@ -279,26 +290,37 @@ def _tower(by, measure):
 
 
 @pytest.mark.parametrize("by", BY)
-def test_the_page_of_closed_loops_has_the_file_s_towers(by):
-    """Heights, tries, failed flips and shares as planned."""
-    cells = _cells(_page("docs", "guides", "closed-loop.md"), by)
-    height, half = _numbers(cells[1])
-    found = _tower(by, "height_R")
-    assert (_is_rounded(height, found["value"]), found["structures"]) == (True, 64)
-    assert _is_rounded(half, (found["high"] - found["low"]) / 2)
-    measures = [("tries_per_robot", 1.0), ("failed_flips", 1.0), ("flips_as_planned", 100.0)]
-    for cell, (measure, unit) in zip(cells[2:], measures, strict=False):
-        if by != "the truth" or measure == "tries_per_robot":
-            assert _is_rounded(_numbers(cell)[0], unit * _tower(by, measure)["value"])
+def test_the_page_of_closed_loops_has_what_robots_build(by):
+    """Heights and reaches with intervals, bridges that close, and p against the truth."""
+    height, reach, *bridges = _cells(_page("docs", "guides", "closed-loop.md"), by)[1:]
+    for cell, kind, measure in ((height, "towers", "height_R"), (reach, "cantilevers", "reach_R")):
+        found, (mean, half) = _built(kind, by, measure), _numbers(cell)
+        assert _is_rounded(mean, found["value"])
+        assert _is_rounded(half, (found["high"] - found["low"]) / 2)
+        assert found["structures"] == 64
+    for cell, kind in zip(bridges, [*BUILT][2:], strict=True):
+        closed, truth = (_built(kind, each, "crossed")["value"] for each in (by, "the truth"))
+        assert cell.startswith(f"{round(64 * closed)} of 64")
+        if by != "the truth":
+            stated = float(cell.partition("p = ")[2].rstrip(")"))
+            assert stated == pytest.approx(_p_against(closed, truth), rel=0.06)
 
 
-@pytest.mark.parametrize("by", ["`online`", "Algorithm 1"])
-def test_the_page_of_closed_loops_has_the_file_s_errors(by):
-    """Errors of beliefs, and of the answer."""
-    table = _page("docs", "guides", "closed-loop.md").partition("| towers by |")[2]
-    measures = [f"belief_{name}_R" for name in ("building", "newest", "final", "per_contact")]
-    for cell, measure in zip(_cells(table, by)[1:], [*measures, "rmse_R"], strict=True):
-        assert _is_rounded(cell, _tower(by, measure)["value"])
+@pytest.mark.parametrize("kind", BUILT)
+def test_the_page_of_closed_loops_has_tries_errors_and_bytes(kind):
+    """Tries and flips of each kind of structure; errors of beliefs, and bytes sent for them."""
+    tries, errors = _page("docs", "guides", "closed-loop.md").split("| structures, by what")[1:]
+    flips = [("tries_per_robot", 1.0), ("failed_flips", 1.0), ("flips_as_planned", 100.0)]
+    beliefs = [(f"belief_{name}_R", 1.0) for name in ("building", "newest", "final", "per_contact")]
+    beliefs += [(f"belief_{name}_B", 1e-3) for name in ("sent", "worst_sent")]
+    for table, measures in ((tries, flips), (errors, beliefs)):
+        for by in BY:
+            if by == "the truth" and measures is beliefs:
+                continue
+            cells = _cells(table, f"{kind}, {by}")[1:]
+            for cell, (measure, unit) in zip(cells, measures, strict=False):
+                if cell.strip():
+                    assert _is_rounded(_numbers(cell)[0], unit * _built(kind, by, measure)["value"])
 
 
 def _p_against(closed, others, count=64):
