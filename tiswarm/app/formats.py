@@ -5,6 +5,7 @@ the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -103,6 +104,6 @@ def export_view(
         file, encode = own.value
         files = {file: guarded(own.plugin, form, lambda: bytes(encode(view)))}
     else:
-        files = find("export_format", form, "form")(view)
+        files = find("export_format", form, "form")(replace(view, progress=progress))
     for path in outputs.write_folder(out, files, inputs, overwrite=overwrite):
         progress.info(str(path))

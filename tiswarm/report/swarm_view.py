@@ -5,7 +5,7 @@ That includes the part of the ground around them, and the data of a page's 3D vi
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.base.progress import Progress
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import MOST_WITHIN, Estimate
@@ -68,6 +69,7 @@ class SwarmView:
     stood: Reals  # pose in which each robot last stood, also if it left, shape (N, 7)
     read_log: Callable[[], SensingLog]  # slow for many robots
     read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
+    progress: Progress = field(default_factory=Progress)  # what exports the view reports to it
 
     @cached_property
     def log(self) -> SensingLog:

@@ -12,6 +12,7 @@ import trimesh
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
+from tests.recorder import Recorder
 from tests.robustness.mutations import Random, damaged
 from tests.structures import exact_estimate
 from tiswarm.app.formats import export_view
@@ -131,6 +132,17 @@ def test_a_structure_without_contacts_is_exported(view, tmp_path, form):
     assert all(path.stat().st_size for path in tmp_path.iterdir())
     names = {path.stem for path in tmp_path.iterdir()}
     assert names & {"estimate", "case", "structure", "growth"}, names
+
+
+@pytest.mark.parametrize(("form", "task"), [("png", "render"), ("gif", "animate")])
+def test_pictures_report_what_draws_them(view, tmp_path, form, task):
+    """A film of many robots takes minutes."""
+    begun = Recorder()
+
+    export_view(view, form, tmp_path, begun)
+
+    assert task in begun.tasks
+    assert any(line.startswith("drawn by ") for line in begun.lines)
 
 
 def test_mcap_has_the_log_and_the_poses(view, exported):

@@ -195,12 +195,17 @@ def render_view(
     with progress.task("render", len(planned)) as advance:
         scenes = [plan.scene for plan in planned.values()]
         pictures, used, reason = draw_scenes(scenes, renderer, advance)
-    progress.info(f"drawn by {used}" + (f" ({reason})" if reason else ""))
+    _name_renderer(progress, used, reason)
     encoded = {
         name: _encoded(Image.fromarray(picture), plan.legend)
         for (name, plan), picture in zip(planned.items(), pictures, strict=True)
     }
     return encoded, used, reason
+
+
+def _name_renderer(progress: Progress, used: str, reason: str) -> None:
+    """Report which renderer drew, and why no better one did."""
+    progress.info(f"drawn by {used}" + (f" ({reason})" if reason else ""))
 
 
 def picture_files(
@@ -225,7 +230,7 @@ def picture_files(
 
 def encode_png(view: SwarmView) -> dict[str, bytes]:
     """Draw every picture of robots, by file."""
-    return picture_files(view, Progress())
+    return picture_files(view, view.progress)
 
 
 def _near_anchor(view: SwarmView) -> SwarmView:
@@ -417,8 +422,7 @@ def animate_run(
     suffix = "" if case is None else f"-{case}"
     path = run.subfolder("renders") / f"growth{suffix}.{form}"
     write_bytes(path, film)
-    because = f" ({reason})" if reason else ""
-    progress.info(f"renders/{path.name}: drawn by {used}{because}")
+    progress.info(f"renders/{path.name}")
     return Rendered(path=path, renderer=used, reason=reason)
 
 
@@ -444,6 +448,7 @@ def animate_view(
         pictures, used, reason = draw_states(
             whole, view.terrain, standing, _SIZES[form], renderer, advance
         )
+    _name_renderer(progress, used, reason)
     frames = [
         _with_legend(Image.fromarray(picture), n, robots, np.count_nonzero(left_after <= n))
         for picture, n in zip(pictures, joined, strict=True)
@@ -574,7 +579,7 @@ _ENCODERS: dict[AnyMovie, Callable[[Sequence[Image.Image]], bytes]] = {
 
 def _growth(form: AnyMovie, view: SwarmView) -> dict[str, bytes]:
     """Animate the growth of a structure, by file."""
-    film, _, _ = animate_view(_near_anchor(view), form, Progress())
+    film, _, _ = animate_view(_near_anchor(view), form, view.progress)
     return {f"growth.{form}": film}
 
 
