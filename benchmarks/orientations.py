@@ -37,9 +37,7 @@ TURNS = (0.0, 0.5, 1.0, 2.0, 4.0)
 SLOTS = (8, 16, 32, 64)
 ROBOTS = (25, 50, 100, 200)
 FLIPS = 4
-_LEAST = 0.05
-"""Least angle of a flip [rad]."""
-
+_FLIP = ClimbParams()
 _ROUNDING = 1e-9
 _LEVEL = 1e-6
 """Height [R] up to which a dock is on the ground."""
@@ -120,7 +118,7 @@ def _down(arm: np.ndarray, axis: np.ndarray) -> Iterator[float]:
     middle, half = np.arctan2(side[2], across[2]), np.arccos(np.clip(-along[2] / size, -1, 1))
     for t in ((middle + half) % (2 * np.pi), (middle - half) % (2 * np.pi)):
         sinks = side[2] * np.cos(t) - across[2] * np.sin(t) < _ROUNDING
-        if sinks and _LEAST < t < np.radians(ClimbParams().max_flip_deg):
+        if sinks and _FLIP.min_flip_deg < np.degrees(t) < _FLIP.max_flip_deg:
             yield t
 
 
