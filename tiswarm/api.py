@@ -27,6 +27,7 @@ from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Inspection, inspect
 from tiswarm.app.logs import Localized, Log, Truth, method_params, open_log
 from tiswarm.app.results import (
+    Color,
     File,
     Overrides,
     PageFile,
@@ -294,6 +295,7 @@ def redraw(
     movie: AnyMovie | None = None,
     renderer: str | None = None,
     case: str | None = None,
+    color: Color = (),
     quiet: bool = False,
 ) -> Run:
     """Write tables, figures, 3D pictures and page of a run again, from its stored cases.
@@ -305,6 +307,7 @@ def redraw(
         movie: File format of an animation of the growth; none if None.
         renderer: "open3d" or "taichi"; the first that works if None.
         case: Case of the 3D pictures; the largest if None.
+        color: Values that color its robots, as `view` takes them.
         quiet: Whether to hide progress.
 
     Raises:
@@ -312,7 +315,7 @@ def redraw(
     """
     load_plugins(plugins)
     found = run if isinstance(run, Run) else Run(as_path(run, "run"))
-    found.redraw(pdf=pdf, movie=movie, renderer=renderer, case=case, quiet=quiet)
+    found.redraw(pdf=pdf, movie=movie, renderer=renderer, case=case, color=color, quiet=quiet)
     return found
 
 
@@ -410,9 +413,7 @@ def score(
     found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
     scores = score_files(as_path(truth, "truth"), found)
     if figure is not None:
-        from tiswarm.report.error_figures import write_score  # noqa: PLC0415 - slow to import
-
-        write_score(
+        find("command", "score")(
             figure, scores.true, scores.estimated, scores.errors, scores.unit, overwrite=overwrite
         )
         ConsoleProgress(quiet=quiet).info(str(figure))
@@ -529,6 +530,7 @@ def view(
     truth: Truth = None,
     *,
     explain: Sequence[int] = (),
+    color: Color = (),
     out: File | None = None,
     overwrite: bool = False,
     quiet: bool = True,
@@ -541,6 +543,8 @@ def view(
         truth: True positions of a log, or their table, if there are any.
         explain: Names of robots of a log: the page shows how measurements place each; the one that
             is least certain if none.
+        color: Values that color robots, as "values.csv:charge" or as a series of pandas whose index
+            has the names of robots; several in a list. A unit stands in brackets: `charge [V]`.
         out: Page to write for a log; `view.html` if None.
         overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide progress.
@@ -551,15 +555,17 @@ def view(
     Raises:
         InputError: a file is malformed, or a table has other robots than the log.
     """
-    of_log = {"estimate": estimate, "truth": truth, "explain": explain or None, "out": out}
+    of_log: dict[str, object] = {"estimate": estimate, "truth": truth, "out": out}
+    of_log |= {"explain": explain or None, "color": color if len(color) else None}
     shown = open_source(source, of_log=of_log)
     if isinstance(shown, Run):
         return shown.view(quiet=quiet)
     page = as_path(out or "view.html", "out")
     outputs.check({"out": page}, [shown.path, estimate, truth], overwrite=overwrite)
-    shown.positions(truth)  # a mistake in it is found before the log is localized
+    shown.positions(truth)  # mistakes are found before the log is localized
+    shown.colorings(color)
     found = shown.with_estimate(estimate, quiet=quiet)
-    return found.view(truth, explain=explain, out=page, overwrite=overwrite)
+    return found.view(truth, explain=explain, color=color, out=page, overwrite=overwrite)
 
 
 def export(
@@ -570,6 +576,7 @@ def export(
     *,
     out: File | None = None,
     case: str | None = None,
+    color: Color = (),
     plugins: Sequence[File] = (),
     overwrite: bool = False,
     quiet: bool = False,
@@ -583,6 +590,7 @@ def export(
         truth: True positions of a log, or their table, if there are any.
         out: Folder to write to; `export`, in the run's folder if there is one, if None.
         case: Case of a run; the largest if None.
+        color: Values that color robots, as `view` takes them.
         plugins: Python files that register formats, see `tiswarm.export_format`.
         overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide progress.
@@ -594,10 +602,11 @@ def export(
     of_log = {"estimate": estimate, "truth": truth}
     shown = open_source(source, of_log=of_log, of_run={"case": case})
     if isinstance(shown, Run):
-        return shown.export(form, out=out, case=case, overwrite=overwrite, quiet=quiet)
+        return shown.export(form, out=out, case=case, color=color, overwrite=overwrite, quiet=quiet)
     shown.positions(truth)
+    shown.colorings(color)
     return shown.with_estimate(estimate, quiet=quiet).export(
-        form, truth, out=out or "export", overwrite=overwrite, quiet=quiet
+        form, truth, color=color, out=out or "export", overwrite=overwrite, quiet=quiet
     )
 
 

@@ -119,6 +119,7 @@ def draw_log(
     notes: Sequence[str] = (),
     advice: Sequence[Mapping[str, str]] = (),
     figures: Sequence[Any] = (),
+    own: Sequence[Any] = (),
     overwrite: bool = False,
 ) -> None:
     """Write the page of a log and its estimate.
@@ -133,6 +134,7 @@ def draw_log(
         notes: What the log leaves open, and what the method found, in lines.
         advice: Further measurements that would help, as rows of cells by heading.
         figures: Figures, as `explanation.show` returns them.
+        own: Values of the user that color robots, each a `Coloring`.
         overwrite: Whether to replace a file that no tiswarm command wrote.
 
     Raises:
@@ -144,7 +146,7 @@ def draw_log(
         from tiswarm.evaluation.tables import Scores  # noqa: PLC0415 - slow to import
 
         scores = Scores(true, estimate.position, log.is_gone, log.length_unit)
-    view = view_log(log, estimate, true)
+    view = view_log(log, estimate, true, own=own)
     page = gather_log_page(
         view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice,
         figures=figures,

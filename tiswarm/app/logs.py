@@ -14,7 +14,7 @@ import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Findings
-from tiswarm.app.results import File, Overrides, PageFile, as_path, as_texts, plain
+from tiswarm.app.results import Color, File, Overrides, PageFile, as_path, as_texts, plain
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
@@ -102,6 +102,11 @@ class Log(SensingLog):
             estimate = read_estimate(self, table)
         return Localized(**_fields(Estimate, estimate), log=self, table=table)
 
+    def colorings(self, color: Color) -> Any:  # noqa: ANN401 - of a part
+        """Read values that color robots, in join order."""
+        found = find("command", "color").read_colorings if len(color) else None
+        return found(color, self.robot_id) if found else ()
+
     def positions(self, truth: Truth) -> Reals | None:
         """Read true centers [log unit] in join order, shape (N, 3), unless they are an array."""
         if truth is None or isinstance(truth, np.ndarray):
@@ -165,6 +170,7 @@ class Localized(Estimate):
         truth: Truth = None,
         *,
         explain: Sequence[int] = (),
+        color: Color = (),
         out: File = "view.html",
         overwrite: bool = False,
     ) -> PageFile:
@@ -179,7 +185,8 @@ class Localized(Estimate):
         draw_log(
             page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
-            advice=findings.advice if can_advise else (), figures=figures, overwrite=overwrite,
+            advice=findings.advice if can_advise else (), figures=figures,
+            own=self.log.colorings(color), overwrite=overwrite,
         )  # fmt: skip
         return PageFile(page)
 
@@ -188,6 +195,7 @@ class Localized(Estimate):
         form: str = "gltf",
         truth: Truth = None,
         *,
+        color: Color = (),
         out: File = "export",
         overwrite: bool = False,
         quiet: bool = False,
@@ -197,7 +205,7 @@ class Localized(Estimate):
 
         folder = as_path(out, "out")
         export_view(
-            self._shown(truth), form, folder, ConsoleProgress(quiet=quiet),
+            self._shown(truth, color), form, folder, ConsoleProgress(quiet=quiet),
             inputs=self._inputs(truth), overwrite=overwrite,
         )  # fmt: skip
         return folder
@@ -206,10 +214,11 @@ class Localized(Estimate):
         """List the files of the log, of the estimate and of the truth, where they are files."""
         return [self.log.path, self.table, truth]
 
-    def _shown(self, truth: Truth) -> "SwarmView":
+    def _shown(self, truth: Truth, color: Color) -> "SwarmView":
         from tiswarm.report.swarm_view import view_log  # noqa: PLC0415 - slow to import
 
-        return view_log(self.log, self, self.log.positions(truth))
+        own = self.log.colorings(color)
+        return view_log(self.log, self, self.log.positions(truth), own=own)
 
 
 def method_params(

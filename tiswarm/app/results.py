@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from urllib.parse import quote
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import AnyMovie
-from tiswarm.base.parts import has
+from tiswarm.base.parts import find, has
 from tiswarm.records.measures import DISPARITY, MAIN, MEASURES, PAGE, RMSE
 from tiswarm.records.messages import counted
 
@@ -35,6 +35,9 @@ File = str | PathLike[str]
 
 Overrides = Mapping[str, object] | Sequence[str]
 """Values by dotted key, or as texts `KEY=VALUE`."""
+
+Color: TypeAlias = "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]"
+"""Values that color robots: columns `FILE:COLUMN` of tables, or series of pandas by robot."""
 
 _ERRORS = [RMSE.mean, RMSE.ci95, DISPARITY.mean]
 """Columns of errors that a table shows by default; `frame` has all."""
@@ -177,6 +180,7 @@ class Run:
         movie: AnyMovie | None = None,
         renderer: str | None = None,
         case: str | None = None,
+        color: Color = (),
         quiet: bool = False,
     ) -> None:
         """Write tables, pictures and page again from the stored cases, as `tiswarm.redraw` does."""
@@ -185,7 +189,7 @@ class Run:
 
         progress = ConsoleProgress(quiet=quiet)
         study.tabulate(self.folder, progress)
-        data = self._data()
+        data = self._data(color, case)
         renders = has("command", "render") and any(each.done for each in data.cases)
         draw(
             data, progress, figures=True, renders=renders, pdf=pdf, movie=movie, renderer=renderer,
@@ -198,6 +202,7 @@ class Run:
         *,
         out: File | None = None,
         case: str | None = None,
+        color: Color = (),
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
@@ -205,7 +210,7 @@ class Run:
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 
-        shown = read_case_view(self._data().choose(case))
+        shown = read_case_view(self._data(color, case).choose(case))
         folder = as_path(out or self.folder / "export", "out")
         export_view(
             shown, form, folder, ConsoleProgress(quiet=quiet),
@@ -213,10 +218,11 @@ class Run:
         )  # fmt: skip
         return folder
 
-    def _data(self) -> "RunData":
+    def _data(self, color: Color = (), case: str | None = None) -> "RunData":
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
-        return load_run(self.folder)
+        run = load_run(self.folder)
+        return find("command", "color").colored(run, color, case) if len(color) else run
 
     @property
     def answer(self) -> str:

@@ -137,6 +137,7 @@ def view(
         list[int],
         Option("--explain", metavar="ROBOT", help="Show how measurements place it (repeatable)."),
     ] = [],  # noqa: B006 - typer never changes it
+    color: options.Colors = [],  # noqa: B006 - typer never changes it
     out: Annotated[
         Path | None, Option(help="Page to write (default: view.html).", show_default=False)
     ] = None,
@@ -158,7 +159,8 @@ def view(
     if live:
         from tiswarm.base.parts import find, load_plugins
 
-        of_log = {"ESTIMATE": estimate, "--truth": truth, "--explain": explained, "--out": out}
+        of_log: dict[str, object] = {"ESTIMATE": estimate, "--truth": truth, "--out": out}
+        of_log |= {"--explain": explained, "--color": color}
         options.refuse(of_log, "--live shows a run")
         load_plugins(plugins)
         serve = find("command", "view --live")
@@ -168,8 +170,9 @@ def view(
 
     options.refuse({"--port": port, "--plugin": plugins}, "only --live serves a page")
     page = api.view(
-        log, estimate, truth, explain=explained, out=out, overwrite=overwrite, quiet=quiet
-    )
+        log, estimate, truth, explain=explained, color=color, out=out, overwrite=overwrite,
+        quiet=quiet,
+    )  # fmt: skip
     if opened or not quiet:
         options.show_page(page, opened=opened)
 
@@ -355,6 +358,7 @@ def redraw(
     case: Annotated[
         str | None, Option(help="Case of the 3D pictures (default: the largest).")
     ] = None,
+    color: options.Colors = [],  # noqa: B006 - typer never changes it
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     pdf: options.Pdf = False,
@@ -368,7 +372,7 @@ def redraw(
 
     found = api.redraw(
         run, plugins=plugins, pdf=pdf, movie=options.chosen_movie(movie, animate=animate),
-        renderer=renderer, case=case, quiet=quiet,
+        renderer=renderer, case=case, color=color, quiet=quiet,
     )  # fmt: skip
     if not quiet:
         typer.echo(found)
@@ -433,6 +437,7 @@ def export(
         Path | None, Option(help="Folder to write to (default: export, in RUN if there is one).")
     ] = None,
     case: Annotated[str | None, Option(help="Case to export (default: the largest).")] = None,
+    color: options.Colors = [],  # noqa: B006 - typer never changes it
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     overwrite: options.Overwrite = False,
@@ -448,5 +453,5 @@ def export(
     with options.showing_traceback(debug=debug):
         api.export(
             source, form, estimate, truth,
-            out=out, case=case, plugins=plugins, overwrite=overwrite, quiet=quiet,
+            out=out, case=case, color=color, plugins=plugins, overwrite=overwrite, quiet=quiet,
         )  # fmt: skip

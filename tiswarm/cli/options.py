@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 import tiswarm
@@ -51,7 +51,22 @@ class Grouped(TyperCommand):
                     formatter.write_dl(records)
 
 
+_INSTEAD = {"report": "redraw", "render": "redraw", "explain": "view --explain", "show": "view"}
+"""Commands by names under which users look for them."""
+
+
+class Commands(TyperGroup):
+    """All commands; names that they once had, or may have, lead to them."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - typer's own click
+        """Find the command that arguments begin with."""
+        if instead := _INSTEAD.get(args[0]):
+            raise InputError(f"there is no such command; use tiswarm {instead}", key=args[0])
+        return super().resolve_command(ctx, args)
+
+
 app = typer.Typer(
+    cls=Commands,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -79,6 +94,10 @@ Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only warnings and er
 Plugins = Annotated[
     list[Path],
     Option("--plugin", metavar="FILE", help="Load a plug-in of yours from a file (repeatable)."),
+]
+Colors = Annotated[
+    list[str],
+    Option("--color", metavar="FILE:COLUMN", help="Color robots by a table of yours (repeatable)."),
 ]
 Debug = Annotated[bool, Option("--debug", help="Print the traceback if a plug-in fails.")]
 RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]

@@ -795,7 +795,9 @@ def _space(swarms: Swarms) -> View:
     """Show the first structures, as many as a page has room for."""
     room = 1 + np.searchsorted(np.cumsum(swarms.robot_count)[1:], MOST_ROBOTS, side="right")
     views = [each._shown() for each in swarms[: min(int(room), _MOST_STRUCTURES)]]  # noqa: SLF001
-    shown = [view_data(v, [Coloring("sensed load", "dock weights", v.force)]) for v in views]
+    shown = [
+        view_data(v, [Coloring("sensed load", "dock weights", v.force, "forces")]) for v in views
+    ]
     lacks = len(views) < len(swarms)
     return View(
         data=space_data(views[0].dock_offset_body, shown),

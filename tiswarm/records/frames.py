@@ -16,7 +16,7 @@ import pandas as pd
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.io import Opener, damaged, replacing, run_file, write_bytes
+from tiswarm.records.io import Opener, damaged, replacing, run_file, way_back, write_bytes
 
 _GREATEST = 1e12
 """Greatest number of a table: above, sums of squares and pictures lose all digits."""
@@ -76,10 +76,10 @@ def read_frame(
         table = table.reindex(columns=list(dict.fromkeys([*found, *columns])))
     for column in filter(None, [*words, *columns, numbers_after]):
         if column not in table:
-            problem = "there is no such column; run the scenario again to restore it"
+            problem = f"there is no such column; {way_back(path)}"
             raise InputError(problem, path=path, line=1, key=column)
     if table.empty and not empty:
-        raise InputError("there are no rows; run the scenario again", path=path, line=2)
+        raise InputError(f"there are no rows; {way_back(path)}", path=path, line=2)
     after = found[found.index(numbers_after) + 1 :] if numbers_after else []
     after = [name for name in after if name not in notes]
     swept = [name for name in found if name == "robots"]
@@ -99,7 +99,7 @@ def _check_numbers(cells: pd.Series, path: Path, *, gaps: bool) -> None:
     if len(wrong):
         cell = wrong.iloc[0]
         text = "an empty cell" if pd.isna(cell) else repr(str(cell)[:40])
-        problem = f"{text} is not a number up to {_GREATEST:g}; run the scenario again"
+        problem = f"{text} is not a number up to {_GREATEST:g}; {way_back(path)}"
         raise InputError(problem, path=path, line=int(wrong.index[0]) + 2, key=str(cells.name))
 
 

@@ -225,7 +225,14 @@ def run_file(path: Path, most: int = MAX_FILE_BYTES) -> Path:
 
 def damaged(path: Path, reason: object) -> InputError:
     """Explain why a file of a run cannot be read."""
-    return InputError(f"cannot be read: {reason}; run the scenario again to restore it", path=path)
+    return InputError(f"cannot be read: {reason}; {way_back(path)}", path=path)
+
+
+def way_back(path: Path) -> str:
+    """Say how to restore a file of a run: its tables are made from its cases."""
+    if path.suffix == ".csv" and path.parent.parent.name != "cases":
+        return f"tiswarm redraw {path.parent} writes it again"
+    return "run the scenario again to restore it"
 
 
 @contextmanager

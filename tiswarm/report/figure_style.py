@@ -47,6 +47,19 @@ FORCE_COLORS = ("#A6B8CC", "#E8CC9E", "#F29454", "#D64233", "#870826")
 ERROR_COLORS = ("#FCF0C3", "#F9B64C", "#E4572E", "#8C0D2F")
 """From no error to the greatest: cream over orange to dark red."""
 
+LABEL_COLORS = (
+    *("#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#0072B2", "#8C6D46"),
+)
+"""Colors of labels, such as kinds of robots, on light and dark ground."""
+
+UNKNOWN_GRAY = "#9AA3AD"
+"""Color of robots without a value."""
+
+SCALES: Mapping[str, tuple[str, ...]] = {
+    "errors": ERROR_COLORS, "forces": FORCE_COLORS, "joins": JOIN_COLORS, "labels": LABEL_COLORS,
+}  # fmt: skip
+"""Scales of colors, by the names that pages give them."""
+
 PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
 """Colors that color-blind readers can distinguish (Okabe and Ito)."""
 
@@ -100,12 +113,6 @@ def colors_along(share: NDArray[np.floating], colors: Sequence[str]) -> Reals:
     stops = np.linspace(0.0, 1.0, len(colors))
     channels = np.array([rgb(color) for color in colors]).T
     return np.column_stack([np.interp(share, stops, channel) for channel in channels])
-
-
-def colors_from_zero(values: Reals, colors: Sequence[str]) -> tuple[Reals, float]:
-    """Color values from zero to the greatest, shape (n, 3); returns the greatest too."""
-    greatest = max(float(np.nanmax(values, initial=0.0)), 1e-9)
-    return colors_along(np.nan_to_num(values) / greatest, colors), greatest
 
 
 def new_figure(width: float, height: float) -> "Figure":

@@ -174,10 +174,8 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[PageTable]:
 def _space(view: SwarmView, estimate: Estimate) -> View:
     """Show the estimate, then each solution."""
     radius, unit = view.log.dock_radius, view.log.length_unit
-    sd = np.where(estimate.disconnected, np.nan, view.sd)
-    values = [("error", view.error), (SD, sd)]
-    colorings = [Coloring(label, unit, value * radius) for label, value in values]
-    shown = [view_data(replace(view, name="estimate"), colorings)]
+    tied = replace(view, name="estimate", sd=np.where(estimate.disconnected, np.nan, view.sd))
+    shown = [view_data(tied, tied.colorings)]
     solutions = estimate.solutions if len(estimate.solutions) > 1 else ()
     room = MOST_ROBOTS // len(view.robot) - len(shown)
     for number, each in enumerate(solutions[: max(room, 0)], start=1):
@@ -188,7 +186,8 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
         away = np.linalg.norm(each.position - estimate.position, axis=1)
         sd = np.full(len(away), np.nan) if each.sd is None else each.sd
         values = [("distance from the estimate", away), (SD, sd)]
-        shown.append(view_data(moved, [Coloring(label, unit, value) for label, value in values]))
+        ours = [Coloring(label, unit, value) for label, value in values]
+        shown.append(view_data(moved, [*view.own, *ours]))
     notes = []
     if estimate.sd is not None and estimate.disconnected.any():
         notes.append("Where sd is the color, robots disconnected from the anchor are gray.")

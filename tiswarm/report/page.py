@@ -25,7 +25,7 @@ from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report import page_tables
 from tiswarm.report.answers import read_pairs, result_of
-from tiswarm.report.figure_style import ERROR_COLORS, JOIN_COLORS, NARROW, TRUE_BLUE
+from tiswarm.report.figure_style import NARROW, SCALES, TRUE_BLUE
 from tiswarm.report.figures import caption_of
 from tiswarm.report.run_data import RunData, stated_scenario
 from tiswarm.report.swarm_view import View, build_view
@@ -34,6 +34,7 @@ LARGEST = 7_900_000
 """Largest page [bytes]; pictures beyond it remain in files of their own."""
 
 _FIRST = (
+    "color",
     "price",
     "grades",
     "scaling",
@@ -220,7 +221,7 @@ def _on_page(color: re.Match[str]) -> str:
 
 def _unreadable(path: Path, error: Exception) -> InputError:
     form = path.suffix[1:].upper()
-    problem = f"is no {form} picture that can be shown: {error}; delete it, or draw it again"
+    problem = f"is no {form} picture that can be shown: {error}; delete it, and redraw the run"
     return InputError(problem, path=path)
 
 
@@ -283,8 +284,7 @@ class Page:
 
     def html(self) -> str:
         """Render the page."""
-        colors = {"true": TRUE_BLUE, "errors": ERROR_COLORS, "joins": JOIN_COLORS}
-        return render("report.html", page=self, colors=colors)
+        return render("report.html", page=self, colors={"true": [TRUE_BLUE], **SCALES})
 
 
 def render(template: str, **content: object) -> str:

@@ -40,6 +40,7 @@ class StoredCase:
     robots: int  # robots of its structure; 0 where unknown
     left_edge: float  # end of the ground at the left [R], as in `Terrain`
     right_edge: float  # beginning of the ground at the right [R]
+    own: Sequence[Any] = ()  # values of the user that color its robots, each a `Coloring`
 
     def columns(
         self, file: str, names: Sequence[str], *, gaps: Sequence[str] = (), empty: bool = False
@@ -121,6 +122,7 @@ class RunData:
     folder: Path
     summary: pd.DataFrame  # all cases, `summary.csv`, with labels
     labels: Labels = Labels()
+    own: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # `StoredCase.own` by case
 
     @cached_property
     def cases(self) -> list[StoredCase]:
@@ -137,6 +139,7 @@ class RunData:
                 left_edge=row["left_edge_R"],
                 right_edge=row["right_edge_R"],
                 method=row["method"],
+                own=self.own.get(row["case"], ()),
                 **{word: row[word] for word in ("condition", "series", "point", "kind")},
             )
             for row in table.to_dict("records")

@@ -53,6 +53,26 @@ class DrawnRobots:
     look: Look
 
 
+SD = "sd"
+"""Label of the coloring by standard deviation, which is also the size of the spheres."""
+
+
+class Coloring(NamedTuple):
+    """A quantity that colors robots; pages add hops and the join index."""
+
+    label: str
+    unit: str  # may be empty
+    value: Reals  # NaN where unknown; of words, places in their list; shape (N,)
+    scale: str = "errors"  # of `SCALES`
+    least: float = 0.0  # value of the first color of the scale
+    words: Sequence[str] = ()  # labels of robots; empty where values are numbers
+
+    @property
+    def title(self) -> str:
+        """Label with unit."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+
 @dataclass(frozen=True, kw_only=True)
 class SwarmView:
     """N robots: true and estimated poses, and values that color them; NaN where unknown."""
@@ -70,6 +90,7 @@ class SwarmView:
     read_log: Callable[[], SensingLog]  # slow for many robots
     read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
     progress: Progress = field(default_factory=Progress)  # what exports the view reports to it
+    own: Sequence[Coloring] = ()  # values of the user
 
     @cached_property
     def log(self) -> SensingLog:
@@ -108,6 +129,19 @@ class SwarmView:
     def from_origin(self, pose: Reals) -> Reals:
         """Return poses (N, 7) with centers relative to the origin."""
         return pose - np.pad(self.origin, (0, 4))
+
+    @property
+    def colorings(self) -> list[Coloring]:
+        """What is known to color robots: values of the user, then ours; lengths in the log's unit.
+
+        The first one is what exports show beside the join index.
+        """
+        size, unit = self.log.dock_radius, self.log.length_unit
+        ours = [
+            Coloring(name, unit, size * v) for name, v in (("error", self.error), (SD, self.sd))
+        ]
+        force = Coloring("sensed force", "dock weights", self.force, "forces")
+        return [each for each in (*self.own, *ours, force) if np.isfinite(each.value).any()]
 
     @property
     def color_by_join(self) -> Reals:
@@ -166,6 +200,7 @@ def read_case_view(case: StoredCase) -> SwarmView:
         ),
         read_log=read_log,
         read_trace=lambda: read_trace(case.folder / "trace.csv", len(robot)),
+        own=case.own,
     )
 
 
@@ -184,7 +219,12 @@ def _spread(case: StoredCase, robots: int) -> tuple[Reals, Bools]:
 
 
 def view_log(
-    log: SensingLog, estimate: Estimate, true: Reals | None = None, *, name: str = ""
+    log: SensingLog,
+    estimate: Estimate,
+    true: Reals | None = None,
+    *,
+    name: str = "",
+    own: Sequence[Coloring] = (),
 ) -> SwarmView:
     """Show a log and its estimate.
 
@@ -194,6 +234,7 @@ def view_log(
         true: True centers [log unit], shape (N, 3), or None where unknown; robots are drawn there
             with the orientation that they sensed, or that connections imply.
         name: Name of the estimate.
+        own: Values of the user that color robots.
     """
     gone = np.where(log.is_gone, np.nan, 0.0)[:, None]  # robots that left are not shown
     unknown, unit = np.full((log.robot_count, 3), np.nan), log.dock_radius
@@ -216,6 +257,7 @@ def view_log(
         terrain=None if log.ground_z is None else Terrain(ground_z=log.ground_z / unit),
         read_log=lambda: log,
         read_trace=lambda: trace,
+        own=own,
     )
 
 
@@ -304,9 +346,6 @@ MOST_ROBOTS = 100_000
 ALGORITHM_1 = ("virtual-force", "distributed algorithm-1")
 """Methods, as `summary.csv` names them, that are the paper's Algorithm 1."""
 
-SD = "sd"
-"""Label of the coloring by standard deviation, which is also the size of the spheres."""
-
 _DIGITS = 4  # decimals of positions
 _TRACE_DIGITS = 2  # decimals of positions in motion
 _MOST_PLACES = 100_000  # positions in motion, in all cases together
@@ -332,18 +371,10 @@ class View(NamedTuple):
         return any(color["label"] == SD for case in self.data["cases"] for color in case["colors"])
 
 
-class Coloring(NamedTuple):
-    """A quantity that colors the estimate; the view adds hops and the join index."""
-
-    label: str
-    unit: str  # may be empty
-    value: Reals  # NaN where unknown, shape (N,)
-
-
 def build_view(run: RunData) -> View | None:
     """Take the first case of each series, within the limits; None if no case is done.
 
-    The view opens on the first two.
+    The view opens on the first two. Cases that values of the user color are before others.
     """
     shown: list[dict[str, Any]] = []
     notes = []
@@ -351,13 +382,12 @@ def build_view(run: RunData) -> View | None:
     is_grid = len({cases[0].point for cases in run.series.values()}) < len(run.series)
     is_grid = is_grid and all(cases[0].condition for cases in run.series.values())
     series = [*first, *(name for name in run.series if name not in first)]
-    for case in [run.series[name][0] for name in series][:_MOST_CASES]:
+    cases = [max(run.series[name], key=lambda case: bool(case.own)) for name in series]
+    for case in sorted(cases, key=lambda case: not case.own)[:_MOST_CASES]:
         seed = case.name.partition("-")[0]
         condition = case.condition if is_grid else case.series or case.name
         view = replace(read_case_view(case), name=f"{condition}, seed {seed}")
-        values = [("error", "R", view.error), (SD, "R", view.sd)]
-        values.append(("sensed force", "dock weights", view.force))
-        data = view_data(view, [Coloring(*value) for value in values])
+        data = view_data(view, view.colorings)
         data |= {"point": case.point * is_grid, "condition": condition}
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
             break
@@ -440,9 +470,9 @@ def view_data(view: SwarmView, colorings: Sequence[Coloring] = ()) -> dict[str, 
         "estimate": _rounded(estimated[:, :3]),
         "sensed": _rounded(estimated[:, 3:]),
         "colors": [
-            {"label": label, "unit": unit, "value": [_value(v) for v in value[known].tolist()]}
-            for label, unit, value in colorings
-            if np.isfinite(value[known]).any()
+            each._asdict() | {"value": [_value(v) for v in each.value[known].tolist()]}
+            for each in colorings
+            if np.isfinite(each.value[known]).any()
         ],
         "contacts": _contacts(view, known),
         "ground": _ground(view, true if len(true) else estimated),

@@ -22,7 +22,7 @@ from tiswarm.parts.pictures.raycast import draw_scenes, on_white
 from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view
 
-PICTURES = ["structure", "sensed-force", "truth-and-estimate", "error", "contact-graph"]
+PICTURES = ["structure", "truth-and-estimate", "error", "sensed-force", "contact-graph"]
 
 
 @pytest.fixture

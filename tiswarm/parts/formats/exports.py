@@ -23,6 +23,7 @@ estimate. The time is the join index.
 """
 
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -37,7 +38,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.parts.formats.mcap import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries
-from tiswarm.report.swarm_view import POSE, SwarmView
+from tiswarm.report.swarm_view import POSE, Coloring, SwarmView
 
 
 def encode_csv(view: SwarmView) -> dict[str, bytes]:
@@ -97,7 +98,16 @@ def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
     for name, values in [("error", view.error), ("sd", view.sd)]:
         if np.isfinite(values).any():
             tables["estimate"][f"{name}_{unit}"] = values * radius
+    for name in view.poses:
+        tables[name] = tables[name].assign(**{each.title: _cells(each) for each in view.own})
     return tables
+
+
+def _cells(own: Coloring) -> Any:  # noqa: ANN401 - a column
+    """Return numbers, or words, empty where unknown."""
+    if not own.words:
+        return own.value
+    return ["" if np.isnan(place) else own.words[int(place)] for place in own.value]
 
 
 def _pose_tables(view: SwarmView) -> dict[str, pd.DataFrame]:
@@ -146,7 +156,8 @@ def encode_gsd(view: SwarmView) -> dict[str, bytes]:
     """Encode the structure and the estimate, as far as they are known: bytes by name of file.
 
     Lengths are in the unit of the log. Particles have the logged quantities `robot` and, where
-    known, `error` and `sd`. Robots whose pose is unknown are left out.
+    known, `error`, `sd` and values of the user, words as their numbers. Robots whose pose is
+    unknown are left out.
 
     Raises:
         EnvironmentTroubleError: the library gsd is not installed.
@@ -174,6 +185,7 @@ def _append_frames(file: Any, view: SwarmView, pose: Reals) -> None:  # noqa: AN
         for name, values in [("error", view.error), ("sd", view.sd)]
         if np.isfinite(values).any()
     }
+    logged |= {re.sub(r"\W+", "_", each.label): each.value for each in view.own}
     shape = {
         "type": "SphereUnion",
         "centers": (unit * view.dock_offset_body).tolist(),

@@ -5,6 +5,7 @@ A study that sweeps the number of robots also has one picture of all sizes, side
 
 import io
 import math
+import re
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,22 +24,22 @@ from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Advance, Progress, ignore
 from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.parts.pictures.raycast import Pixels, draw_growth, draw_scenes
-from tiswarm.parts.pictures.scene import TRUE_SIZE, Camera, Scene, build_scene
+from tiswarm.parts.pictures.scene import TRUE_SIZE, Camera, Scene, build_scene, paint
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.figure_style import (
     ERROR_COLORS,
     ESTIMATE_ORANGE,
-    FORCE_COLORS,
     JOIN_COLORS,
+    SCALES,
     TRUE_BLUE,
+    UNKNOWN_GRAY,
     colors_along,
-    colors_from_zero,
     rgb,
 )
 from tiswarm.report.run_data import RunData, StoredCase
-from tiswarm.report.swarm_view import DrawnRobots, Look, SwarmView, read_case_view
+from tiswarm.report.swarm_view import Coloring, DrawnRobots, Look, SwarmView, read_case_view
 
 _GHOST_BLUE = "#80B8D8"  # TRUE_BLUE, translucent over white
 _NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
@@ -52,7 +53,7 @@ _NOTHING = (*_INK, 0)  # as letters: their edges are half transparent
 
 
 Keys = tuple[tuple[str, str], ...]
-"""A legend of single colors (hex), each with its meaning."""
+"""A legend of single colors (hex), each with its meaning; a title has no color."""
 
 
 class Scale(NamedTuple):
@@ -61,6 +62,7 @@ class Scale(NamedTuple):
     colors: tuple[str, ...]
     low: str
     high: str
+    keys: Keys = ()  # behind the range
 
 
 class Picture(NamedTuple):
@@ -78,16 +80,11 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
     name = "structure" if view.has_truth else "estimate"
     scene = build_scene(structure, view.terrain)
     pictures = {name: Picture(scene, by_join)}
-    if np.isfinite(view.force).any():
-        title = "sensed force [dock weights]"
-        pictures["sensed-force"] = _scaled(view, scene, view.force, FORCE_COLORS, title)
     if view.has_truth and view.has_estimate:
         pictures["truth-and-estimate"] = _truth_and_estimate(view, around)
-    for name, lengths in [("error", view.error), ("sd", view.sd)]:
-        if np.isfinite(lengths).any():
-            length, unit = lengths * view.log.dock_radius, view.log.length_unit
-            title = f"{name} [{unit}]"
-            pictures[name] = _scaled(view, scene, length, ERROR_COLORS, title)
+    for each in view.colorings:
+        prefix = "color-" if any(each is own for own in view.own) else ""
+        pictures[prefix + re.sub(r"\W+", "-", each.label)] = _colored(view, scene, each)
     pictures["contact-graph"] = _contact_graph(view, around)
     return pictures
 
@@ -121,14 +118,14 @@ def _known(pose: Reals) -> Bools:
     return np.asarray(np.isfinite(pose).all(axis=1))
 
 
-def _scaled(
-    view: SwarmView, scene: Scene, value: Reals, colors: tuple[str, ...], title: str
-) -> Picture:
-    """Color the structure by a value of each robot, from zero to the greatest."""
-    color, greatest = colors_from_zero(value, colors)
-    robots = view.robots(view.best_pose, color, TRUE_SIZE)
-    legend = Scale(colors, f"{title}  0", three_digits(greatest))
-    return Picture(scene.painted(robots), legend)
+def _colored(view: SwarmView, scene: Scene, by: Coloring) -> Picture:
+    """Color the structure by a value of each robot."""
+    (color, most), colors = paint(by), SCALES[by.scale]
+    gray = ((UNKNOWN_GRAY, "unknown"),) * bool(np.isnan(by.value[_known(view.best_pose)]).any())
+    legend: Keys | Scale = (("", by.title), *zip(colors, by.words, strict=False), *gray)
+    if not by.words:
+        legend = Scale(colors, f"{by.title}  {by.least:.3g}", three_digits(most), gray)
+    return Picture(scene.painted(view.robots(view.best_pose, color, TRUE_SIZE)), legend)
 
 
 def _contact_graph(view: SwarmView, around: Reals) -> Picture:
@@ -150,24 +147,35 @@ def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) ->
 
     The band of a picture with opacity is transparent, others are white.
     """
-    high, long = round(size * _LEGEND_HEIGHT), round(size * _BAR_LENGTH)
+    font, long = ImageFont.load_default(size * _LETTERS), round(size * _BAR_LENGTH)
+    start = left = size * 13.0
+    places: list[tuple[float, float]] = []
+    line = size * _LEGEND_HEIGHT / 2.0
+    keys = legend.keys if isinstance(legend, Scale) else legend
+    if isinstance(legend, Scale):
+        left += font.getlength(f"{legend.low}   {legend.high}   ") + long
+    for _, text in keys:
+        wide = size * 50 + font.getlength(text)
+        if places and left + wide > picture.width:
+            left, line = start, line + size * _LEGEND_HEIGHT
+        places.append((left, line))
+        left += wide
+    high = round(line + size * _LEGEND_HEIGHT / 2.0)
     back = _NOTHING if picture.mode == "RGBA" else "white"
     whole = Image.new(picture.mode, (picture.width, picture.height + high), back)
     whole.paste(picture, (0, high))
-    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(size * _LETTERS)
-    left, line = size * 13.0, high / 2.0
+    pen, line = ImageDraw.Draw(whole), size * _LEGEND_HEIGHT / 2.0
     if isinstance(legend, Scale):
-        pen.text((left, line), legend.low, _INK, font, anchor="lm")
-        left += pen.textlength(f"{legend.low}  ", font)
+        pen.text((start, line), legend.low, _INK, font, anchor="lm")
+        left = start + pen.textlength(f"{legend.low}  ", font)
         bar = colors_along(np.linspace(0.0, 1.0, long), legend.colors)
         for x, color in enumerate((255.0 * bar).round().astype(int).tolist()):
             pen.line((left + x, line - size * 7, left + x, line + size * 7), tuple(color))
         pen.text((left + long, line), f" {legend.high}", _INK, font, anchor="lm")
-        return whole
-    for key, text in legend:
-        pen.ellipse((left, line - size * 9, left + size * 18, line + size * 9), fill=key)
-        pen.text((left + size * 25, line), text, _INK, font, anchor="lm")
-        left += size * 50 + pen.textlength(text, font)
+    for (key, text), (left, line) in zip(keys, places, strict=True):
+        if key:
+            pen.ellipse((left, line - size * 9, left + size * 18, line + size * 9), fill=key)
+        pen.text((left + size * 25 * bool(key), line), text, _INK, font, anchor="lm")
     return whole
 
 

@@ -18,7 +18,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.report import swarm_view
-from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
+from tiswarm.report.figure_style import SCALES, UNKNOWN_GRAY, colors_along, rgb
 
 Array32 = NDArray[np.float32]
 
@@ -512,18 +512,31 @@ def encode_ply(view: swarm_view.SwarmView) -> dict[str, bytes]:
     return {f"{name}.ply": _ply(shape, view.log) for name, shape in _shapes(view).items()}
 
 
+def paint(by: swarm_view.Coloring) -> tuple[Reals, float]:
+    """Color robots by values, gray where unknown, shape (N, 3); returns the last value too."""
+    colors = SCALES[by.scale]
+    most = max(float(np.nanmax(by.value, initial=by.least)), by.least + 1e-9)
+    if by.words:
+        most = len(colors) - 1.0
+    share = (by.value - by.least) / (most - by.least)
+    color = colors_along(np.nan_to_num(share), colors)
+    color[np.isnan(share)] = rgb(UNKNOWN_GRAY)
+    return color, most
+
+
 def _shapes(view: swarm_view.SwarmView, *, gamma: float = 1.0) -> dict[str, Any]:
     """Build trimesh solids of structure and estimate, and a path of the contacts if there are any.
 
     Robots of the structure are colored by join, those of the estimate by error or, where the truth
-    is unknown, by standard deviation. Contacts connect the centers of robots. The exponent `gamma`
-    = 2.2 turns sRGB into linear colors for glTF. Lengths are in the unit of the log, from the
-    anchor.
+    is unknown, by standard deviation; all by values of the user if there are any. Contacts connect
+    the centers of robots. The exponent `gamma` = 2.2 turns sRGB into linear colors for glTF.
+    Lengths are in the unit of the log, from the anchor.
     """
     from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
 
-    doubt, _ = colors_from_zero(view.error if view.has_truth else view.sd, ERROR_COLORS)
-    colors = {"structure": view.color_by_join, "estimate": doubt}
+    by = next(iter(view.colorings), None)
+    known = view.color_by_join if by is None else paint(by)[0]
+    colors = {"structure": known if view.own else view.color_by_join, "estimate": known}
     shapes = {
         name: _solid(view.robots(view.from_origin(pose), colors[name], TRUE_SIZE), gamma)
         for name, pose in view.poses.items()

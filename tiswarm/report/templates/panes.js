@@ -31,14 +31,15 @@ function paneOf(view, data) {
     pane.spheres = spheresOf(chosen, data);
     pane.colorings = coloringsOf(chosen);
   };
-  // The coloring of a label, or the first one; errors are those of the centers shown.
+  // The coloring of a label; robots of a case without it are gray. Errors are those of the centers shown.
   pane.coloring = (label, at) => {
-    const found = pane.colorings.find((each) => each.label === label) || pane.colorings[0];
+    const found = pane.colorings.find((each) => each.label === label);
+    if (!found) return { ...pane.colorings[0], least: Infinity, most: -Infinity, value: at.robot.map(() => null) };
     if (label !== "error" || at === pane.case || !at.true.length) return found;
     return { ...found, value: at.true.map((point, n) => data.radius * Math.hypot(...minus(point, at.estimate[n]))) };
   };
   // Draws the first robots of the case as it is at some iteration; returns whether WebGL did.
-  pane.draw = (at, { box, look, wanted, coloring, balls, count, title, scaled, followed }) => {
+  pane.draw = (at, { box, look, wanted, coloring, legend, balls, count, title, scaled, followed }) => {
     const [width, height, dense] = [view.clientWidth, view.clientHeight, devicePixelRatio];
     view.width = width * dense;
     view.height = height * dense;
@@ -71,7 +72,7 @@ function paneOf(view, data) {
       pen.arc(x, y, Math.max(NEARBY, 2.6 * scale), 0, 7);
       pen.stroke();
     }
-    if (wants.estimate && scaled) drawScale(pen, coloring, width, height);
+    if (wants.estimate && scaled) drawScale(pen, legend, width, height);
     pen.textAlign = "left";
     pen.textBaseline = "top";
     pen.font = "600 14px system-ui, sans-serif";
@@ -97,7 +98,7 @@ function showSpace(view) {
   const boxes = ["truth", "estimate", "error", "spheres", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
   const balls = { unknown: ball(UNKNOWN_COLOR) };
   if (data.cases.every(({ ground }) => !ground.length)) byId("show-ground").parentElement.hidden = true;
-  for (const scale of ["--errors", "--joins"]) balls[scale] = shadesOf(colorsOf(scale));
+  for (const scale of ["--errors", "--forces", "--joins", "--labels"]) balls[scale] = shadesOf(colorsOf(scale));
   const every = [view, byId("view-beside")].map((canvas) => paneOf(canvas, data));
   let look = { ...START }, panes = [], box, due = 0, began = null, followed = null;
   const points = [...new Set(data.cases.map((each) => each.point ?? ""))];
@@ -126,9 +127,11 @@ function showSpace(view) {
     const wanted = Object.fromEntries(boxes.map(([id, check]) => [id, check.checked]));
     const shown = panes.map((pane) => (isTracked() ? atShare(pane.case, slider.valueAsNumber / WHOLE) : pane.case));
     const colorings = panes.map((pane, k) => pane.coloring(quantity.value, shown[k]));
-    const most = Math.max(...colorings.map((each) => each.most)); // one scale for all
+    const most = Math.max(...colorings.map((each) => each.most)), least = Math.min(...colorings.map((each) => each.least)); // one scale for all
+    const legend = colorings.find((each) => each.label === quantity.value);
+    document.documentElement.style.setProperty("--shown", textOf(legend.scale));
     const drawn = panes.map((pane, k) => pane.draw(shown[k], {
-      box, look, wanted, balls, followed, coloring: { ...colorings[k], most }, scaled: k === panes.length - 1,
+      box, look, wanted, balls, followed, coloring: { ...colorings[k], least, most }, legend: { ...legend, least, most }, scaled: k === panes.length - 1,
       count: isTracked() ? pane.case.robot.length : Math.min(slider.valueAsNumber, pane.case.robot.length),
       title: data.cases.length > 1 || isTracked() ? titleOf(shown[k], pane.case, data) : "",
     }));
@@ -190,7 +193,7 @@ function showSpace(view) {
     return found;
   };
   const nameRobot = ({ case: shown, colorings }, found) => {
-    const values = colorings.slice(0, -2).map(({ label, unit, value }) => `${label} ${value[found] === null ? "unknown" : `${value[found]} ${unit}`}`.trimEnd());
+    const values = colorings.slice(0, -2).map(({ label, unit, value, words }) => `${label} ${value[found] === null ? "unknown" : words[value[found]] ?? `${value[found]} ${unit}`}`.trimEnd());
     pointed.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join index ${found}: ${values.join(", ")}.`;
   };
   // Keeps a robot in the middle from now on, or no longer.

@@ -3,7 +3,7 @@
 const BLACK = [0, 0, 0], WHITE = [255, 255, 255], UNKNOWN_COLOR = [154, 163, 173];
 const SOLID = 3000; // most robots that are drawn with docks and arms, and without WebGL
 const PAINTED = 10000; // most robots that are drawn where the browser has no WebGL
-const SHADES = 48; // number of colors of a scale
+const SHADES = 50; // number of colors of a scale: 7 from each of 8 labels to the next
 const NEARBY = 12; // distance within which the pointer selects a robot [pixels]
 const SIDES = [0, 1, 2]; // x, y, z
 const START = { turn: -1.0, tilt: 0.22, zoom: 1, right: 0, down: 0 }; // the last two in pixels
@@ -41,6 +41,9 @@ function along(colors, share) {
   const place = Math.min(1, share) * (colors.length - 1), k = Math.min(Math.floor(place), colors.length - 2);
   return mixed(colors[k], colors[k + 1], place - k);
 }
+
+// The share of a scale at which a value lies.
+const shareOf = ({ least, most }, value) => (value - least) / (most - least || 1);
 
 // Balls in the colors of a scale.
 function shadesOf(colors) {
@@ -136,21 +139,30 @@ function drawBox(pen, box, { radius, unit }, { toward, place }) {
   }
 }
 
-// The color scale of the estimate.
-function drawScale(pen, { label, unit, most, scale }, width, height) {
-  const [wide, tall] = [Math.min(180, width / 2), 10], [left, top] = [width - wide - 22, height - 34];
-  const colors = pen.createLinearGradient(left, 0, left + wide, 0);
-  colorsOf(scale).forEach((color, n, all) => colors.addColorStop(n / (all.length - 1), rgb(color)));
-  pen.fillStyle = colors;
-  pen.fillRect(left, top, wide, tall);
+// The color scale of the estimate, or its labels, and what gray means.
+function drawScale(pen, { label, unit, least, most, scale, words, value }, width, height) {
+  const [wide, tall, right] = [Math.min(180, width / 2), 10, width - 22], [left, top] = [right - wide, height - 34];
+  const small = "12px system-ui, sans-serif", colors = colorsOf(scale);
+  const keys = [...words.map((word, n) => [word, colors[n]]), ...(value.includes(null) ? [["unknown", UNKNOWN_COLOR]] : [])];
+  const key = ([word, color], x, y) => { pen.fillText(word, x - 18, y); pen.drawImage(ball(color), x - 14, y - 7, 14, 14); };
   pen.fillStyle = textOf("--ink");
   pen.textBaseline = "middle";
-  pen.font = "600 13px system-ui, sans-serif";
   pen.textAlign = "right";
-  pen.fillText(unit ? `${label} [${unit}]` : label, left + wide, top - 12);
+  pen.font = small;
+  if (words.length) keys.forEach((each, n) => key(each, right, height - 16 - 18 * (keys.length - 1 - n)));
+  else keys.forEach((each) => key(each, left - 14, top + 5));
+  pen.font = "600 13px system-ui, sans-serif";
+  pen.fillText(unit ? `${label} [${unit}]` : label, right, words.length ? height - 16 - 18 * keys.length : top - 12);
+  if (words.length) return;
+  const bar = pen.createLinearGradient(left, 0, right, 0), span = most - least || 1;
+  colors.forEach((color, n, all) => bar.addColorStop(n / (all.length - 1), rgb(color)));
+  pen.fillStyle = bar;
+  pen.fillRect(left, top, wide, tall);
+  pen.fillStyle = textOf("--ink");
   pen.textAlign = "center";
-  pen.font = "12px system-ui, sans-serif";
-  for (const share of [0, 0.5, 1]) pen.fillText(String(Number((share * most).toPrecision(2))), left + share * wide, top + tall + 11);
+  pen.font = small;
+  const digits = (least ? 3 : 2) + Math.floor(Math.log10(Math.max(Math.abs(least), Math.abs(most), span) / span));
+  for (const share of [0, 0.5, 1]) pen.fillText(String(Number((least + share * span).toPrecision(Math.min(digits, 12)))), left + share * wide, top + tall + 11);
 }
 
 // The pieces of ground from the farthest to the nearest: drawn faces, and whether the piece hides a point from the eye.
@@ -207,7 +219,7 @@ function shapesOf(shown, count, offsets, wanted, coloring, place, balls) {
   if (wanted.estimate) {
     const shades = balls[coloring.scale];
     const shade = (n) => coloring.value[n] === null ? balls.unknown
-      : shades[Math.round((SHADES - 1) * Math.min(1, coloring.value[n] / coloring.most))];
+      : shades[Math.round((SHADES - 1) * Math.min(1, shareOf(coloring, coloring.value[n])))];
     robots(shown.estimate, shown.sensed, textOf("--arm"), shade);
   }
   const line = (a, b, color, wide, raised) => {
@@ -262,10 +274,14 @@ function hopsOf({ robot, contacts }) {
 
 // The colorings of a case: those of its data, hops, and the order of joining; the last two are counted when they are shown.
 function coloringsOf({ colors, robot, contacts }) {
-  const given = colors.map((each) => ({ ...each, scale: "--errors", most: each.value.reduce((most, v) => Math.max(most, v), 0) || 1 }));
+  const given = colors.map((each) => ({
+    ...each,
+    scale: `--${each.scale}`,
+    most: each.words.length ? colorsOf(`--${each.scale}`).length - 1 : each.value.reduce((most, v) => Math.max(most, v ?? most), each.least) || each.least + 1,
+  }));
   const counted = (label, count) => {
     let value;
-    return { label, unit: "", scale: "--joins", get value() { return value ||= count(); }, get most() { return this.value.reduce((most, v) => Math.max(most, v), 1); } };
+    return { label, unit: "", scale: "--joins", least: 0, words: [], get value() { return value ||= count(); }, get most() { return this.value.reduce((most, v) => Math.max(most, v), 1); } };
   };
   return [...given, counted("hops from the first robot", () => hopsOf({ robot, contacts })), counted("join index", () => robot.map((_, n) => n))];
 }

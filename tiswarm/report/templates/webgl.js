@@ -200,7 +200,7 @@ function manyRobots() {
       gl.uniform2f(uniform("depth"), (far + near) / (far - near), -2 * far * near / (far - near));
       if (wanted.estimate) {
         const scale = colorsOf(coloring.scale);
-        const colorOf = (n) => [...(coloring.value[n] === null ? UNKNOWN_COLOR : along(scale, coloring.value[n] / coloring.most)), 255];
+        const colorOf = (n) => [...(coloring.value[n] === null ? UNKNOWN_COLOR : along(scale, shareOf(coloring, coloring.value[n]))), 255];
         robots("estimate", count, coloring, colorOf, tintOf("--arm"), 0);
       }
       if (wanted.contacts) {
