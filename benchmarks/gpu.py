@@ -4,8 +4,8 @@
     python -m benchmarks.gpu --arch cuda
     python -m benchmarks.gpu --arch vulkan --brief --sizes 1e3 --joint-sizes 20 40 --study-sizes 12
 
-It runs the doctor's trial, times the swarm step beside Warp (where it is installed), times steps of
-`joint` beside the processor, runs a study on processor and card, and runs the tests of devices. The
+It runs the doctor's trial and the tests of devices, times the swarm step beside Warp (where it is
+installed), times steps of `joint` beside the processor, and runs a study on processor and card. The
 report is one file of JSON, written anew after each row. Each part has a share of the time: rows
 that would begin later are `left_out`. Its `faults` are empty if all is well, else the exit status
 is 1.
@@ -54,11 +54,13 @@ FIRST_STEPS, TIMED_STEPS = 5, 20
 LARGEST_DEVIATION = 1e-3
 """Of robots after the first steps of `joint`, from the processor in f64 [R]."""
 UNTIL = {
-    "doctor": 0.06, "bandwidth": 0.08, "swarm_step": 0.5, "joint": 0.62, "study": 0.85, "tests": 1.0
+    "doctor": 0.06, "bandwidth": 0.08, "tests": 0.1, "swarm_step": 0.7, "joint": 0.8, "study": 0.9
 }  # fmt: skip
 """Share of the time by which the last row of a part has to begin."""
 COPIED = 2**25
 """Numbers of 4 B that are copied to measure the bandwidth."""
+MOST_LONG = 50
+"""Times as many steps as usual, at most, of the run from which the step alone is read."""
 
 Job = tuple[str, Callable[[], dict[str, Any]]]
 """Name of a row, and what measures it."""
@@ -104,19 +106,20 @@ def main() -> None:
 def _jobs(options: argparse.Namespace, folder: Path) -> dict[str, list[Job]]:
     """List the rows of each part, small ones first."""
     arch, rest = options.arch, functools.partial
-    peers = [name for name in ENGINES if f"-{arch}-" in name]
+    ours = ("tiswarm-", "warp-") if backend.LIBRARY == "taichi" else ("quadrants-", "warp-")
+    peers = [name for name in ENGINES if f"-{arch}-" in name and name.startswith(ours)]
     if arch == "cpu":
         peers = ["tiswarm-f64", "tiswarm-f32", "warp-f64", "warp-f32"]
     engines = itertools.product(sorted(options.sizes), peers)
     jobs: dict[str, list[Job]] = {
         "doctor": [(arch, lambda: {"line": str(doctor.try_backend(arch))})],
         "bandwidth": [("copy", rest(measure_bandwidth, arch))],
+        "tests": [(arch, rest(run_tests, arch, 0.5 * options.seconds))],
         "swarm_step": [(f"{e}, {n:,}", rest(time_swarm, e, n, folder)) for n, e in engines],
         "joint": [(f"{n:,}", rest(time_joint, arch, n)) for n in sorted(options.joint_sizes)],
         "study": [
             (f"{n:,}", rest(study, arch, n, brief=options.brief)) for n in options.study_sizes
         ],
-        "tests": [(arch, rest(run_tests, arch, 0.5 * options.seconds))],
     }
     return {part: jobs[part] for part in options.parts or jobs}
 
@@ -130,10 +133,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "--sizes", **size, default=[10**4, 10**5, 10**6], help="robots of the swarm step"
     )
-    parser.add_argument("--joint-sizes", **size, default=[10**4, 10**5], help="robots of joint")
-    parser.add_argument(
-        "--study-sizes", **size, default=[100, 1000, 10**4], help="robots of the study"
-    )
+    parser.add_argument("--joint-sizes", **size, default=[10**5], help="robots of joint")
+    parser.add_argument("--study-sizes", **size, default=[10**4], help="robots of the study")
     parser.add_argument("--parts", nargs="+", choices=UNTIL, help="only these parts")
     parser.add_argument("--brief", action="store_true", help="short runs of joint in the study")
     parser.add_argument("--seconds", type=float, default=480.0, help="time for all (480)")
@@ -223,7 +224,8 @@ def time_swarm(engine: str, robots: int, folder: Path) -> dict[str, Any]:
     """Time the swarm step of an engine, and check its initial forces.
 
     A run of one step is mostly work of the host, the intercept. The slope of longer runs without
-    stale lists is the step alone; the rest of a usual run is lists.
+    stale lists is the step alone; the rest of a usual run is lists. They are so long that their
+    steps take as long as the host's work, or `MOST_LONG` times as many as those of a usual run.
     """
     params, steps = StepParams(), _steps(robots)
     file, farthest, entries = scene_file(robots, folder)
@@ -231,24 +233,25 @@ def time_swarm(engine: str, robots: int, folder: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"engine": engine, "robots": robots, "note": process.missing}
     if process.missing:
         return row
-    process.ask(do="run", steps=steps, max_step=params.max_step)  # warms up
+
+    def wall(count: int, max_step: float) -> float:
+        return float(process.ask(do="run", steps=count, max_step=max_step)["wall_s"])
+
+    wall(steps, params.max_step)  # warms up
     row |= process.ask(do="check")
     precision = np.finfo(ENGINES[engine].precision)
     allowed = ROUNDINGS * precision.eps * (farthest + 1.0)
     row["note"] = "" if row["force_error"] <= allowed else "WRONG"
-    runs = ((steps, params.max_step), (1, STILL), (1 + steps, STILL))
-    whole, one, long = np.median(
-        [
-            [process.ask(do="run", steps=count, max_step=move)["wall_s"] for count, move in runs]
-            for _ in range(ROUNDS)
-        ],
-        axis=0,
-    )
+    longer, host = steps, wall(1, STILL)
+    while longer < MOST_LONG * steps and wall(1 + longer, STILL) < 2.0 * host:
+        longer = min(4 * longer, MOST_LONG * steps)
+    runs = ((steps, params.max_step), (1, STILL), (1 + longer, STILL))
+    whole, one, long = np.median([[wall(*run) for run in runs] for _ in range(ROUNDS)], axis=0)
     process.stop()
-    per = 1e9 / (robots * steps)
     # Of a robot: entries and its two rows' numbers; centers and docks, read and written; arms.
     moved = 4.0 * (entries + 6.0) + precision.bits / 8.0 * (6.0 + 3.0 + 9.0 + 24.0)
-    row |= {"step_ns": whole * per, "step_alone_ns": (long - one) * per, "call_of_one_s": one}
+    alone = 1e9 * (long - one) / (robots * longer)
+    row |= {"step_ns": 1e9 * whole / (robots * steps), "step_alone_ns": alone, "call_of_one_s": one}
     row["step_alone_GB_per_s"] = moved / row["step_alone_ns"]
     return row
 
