@@ -1,10 +1,14 @@
 // --- many robots, drawn by WebGL ---
 
+// Software drivers take some 30 us for each instance, so that a shape's vertices fetch what they show from textures.
+const UNITS = ["from", "to", "tint", "size"]; // units of textures
+const ROW = 2048; // texels in a row of a texture
 const VERTEX = `#version 300 es
-in vec2 corner; // of a ball's square, or beside (x) and along (y) a bar, -1 to 1
-in vec3 from, to; // center of a ball, ends of a bar [R]
-in vec4 tint; // opacity 0 leaves the shape out
-in float size; // factor of the width
+precision highp sampler2D;
+uniform sampler2D froms, tos, tints, sizes; // centers of balls, ends of bars [R]; opacity 0 leaves a shape out; factors of the width
+uniform ivec3 fromAt, toAt, tintAt, sizeAt; // shape n has item x (n / y) + z
+uniform vec4 tint; // of all shapes where tintAt.y is 0
+uniform int vertices; // of a shape; 1: corners of the ground, each with a place of its own
 uniform vec3 rightward, upward, toward;
 uniform vec4 lens; // pixels per R times distance of the eye, that distance [R], width, height [pixels]
 uniform vec2 shift; // [pixels]
@@ -16,21 +20,32 @@ out vec2 inside;
 out vec4 color;
 out float away, radius;
 
+// Of a ball's square, or beside (x) and along (y) a bar: two triangles.
+const vec2 CORNERS[6] = vec2[](vec2(-1, -1), vec2(1, -1), vec2(-1, 1), vec2(-1, 1), vec2(1, -1), vec2(1, 1));
+
 vec3 seen(vec3 point) { // pixels from the middle times distance, distance
   float w = max(lens.y - dot(toward, point), 0.05 * lens.y);
   return vec3(shift.x * w + lens.x * dot(rightward, point), lens.x * dot(upward, point) - shift.y * w, w);
 }
 
+vec4 item(sampler2D items, ivec3 at, int n) {
+  n = at.x * (n / at.y) + at.z;
+  return texelFetch(items, ivec2(n % ${ROW}, n / ${ROW}), 0);
+}
+
 void main() {
-  vec3 a = seen(from), b = seen(to), here = round ? a : mix(a, b, 0.5 + 0.5 * corner.y);
+  int n = gl_VertexID / vertices, k = gl_VertexID % vertices;
+  vec2 corner = vertices == 1 ? vec2(0.0) : CORNERS[k];
+  float size = sizeAt.y == 0 ? 1.0 : item(sizes, sizeAt, n).x;
+  vec3 a = seen(item(froms, fromAt, n).xyz), b = seen(item(tos, toAt, n).xyz), here = round ? a : mix(a, b, 0.5 + 0.5 * corner.y);
   vec2 along = b.xy / b.z - a.xy / a.z;
   vec2 beside = vec2(along.y, -along.x) / max(length(along), 1e-6);
   here.xy += max(size * wide.x * lens.x, wide.y * here.z) * (round ? corner : corner.x * beside);
   away = here.z + back;
   gl_Position = vec4(2.0 * here.xy / lens.zw, (depth.x + depth.y / away) * here.z, here.z);
-  if (tint.a == 0.0) gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
   inside = corner;
-  color = tint;
+  color = tintAt.y == 0 ? tint : item(tints, tintAt, n);
+  if (color.a == 0.0) gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
   radius = size * wide.x;
 }`;
 const FRAGMENT = `#version 300 es
@@ -79,38 +94,39 @@ function manyRobots() {
   const program = programOn(gl);
   if (!program) return null;
   const uniform = (name) => gl.getUniformLocation(program, name);
-  const buffers = {};
-  let shown, offsets, fine, reach, tinted, link; // reach: later robot of each contact; tinted: what the buffers of colors show; link: fills in contacts
+  const textures = {};
+  let shown, offsets, fine, reach, tinted, link; // reach: later robot of each contact; tinted: what the textures of colors show; link: fills in contacts
   gl.useProgram(program);
+  UNITS.forEach((name, unit) => gl.uniform1i(uniform(`${name}s`), unit));
   gl.enable(gl.DEPTH_TEST);
   gl.enable(gl.BLEND);
   gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
 
-  const keep = (name, values) => {
-    gl.bindBuffer(gl.ARRAY_BUFFER, buffers[name] ||= gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
+  // Stores items of as many values each in a texture.
+  const keep = (name, values, each) => {
+    const rows = Math.ceil(values.length / each / ROW) || 1, padded = new values.constructor(each * ROW * rows);
+    padded.set(values);
+    gl.bindTexture(gl.TEXTURE_2D, textures[name] ||= gl.createTexture());
+    const [inner, format, type] = { 1: [gl.R32F, gl.RED, gl.FLOAT], 3: [gl.RGB32F, gl.RGB, gl.FLOAT], 4: [gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE] }[each];
+    gl.texImage2D(gl.TEXTURE_2D, 0, inner, ROW, rows, 0, format, type, padded);
+    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
   };
-  // Feeds an attribute from a buffer, a new item each `every` instances (0: each vertex), or with one value.
-  const feed = (name, buffer, every, { step = 0, start = 0 } = {}) => {
-    const place = gl.getAttribLocation(program, name);
-    if (typeof buffer !== "string") {
-      gl.disableVertexAttribArray(place);
-      gl.vertexAttrib4f(place, ...buffer);
-      return;
-    }
-    const bytes = name === "tint", size = { corner: 2, tint: 4, size: 1 }[name] || 3;
-    gl.bindBuffer(gl.ARRAY_BUFFER, buffers[buffer]);
-    gl.enableVertexAttribArray(place);
-    gl.vertexAttribPointer(place, size, bytes ? gl.UNSIGNED_BYTE : gl.FLOAT, bytes, step, start);
-    gl.vertexAttribDivisor(place, every);
+  // Takes places, colors or sizes of shapes from a texture, a new item each `every` shapes.
+  const feed = (name, texture, every = 1, { step = 1, start = 0 } = {}) => {
+    gl.activeTexture(gl.TEXTURE0 + UNITS.indexOf(name));
+    gl.bindTexture(gl.TEXTURE_2D, textures[texture]);
+    gl.uniform3i(uniform(`${name}At`), step, every, start);
   };
-  const shapes = (count, { round = false, wide, back = 0, size = [1, 0, 0, 0] }) => {
+  const plain = (color) => {
+    gl.uniform3i(uniform("tintAt"), 0, 0, 0);
+    gl.uniform4f(uniform("tint"), ...color);
+  };
+  const shapes = (count, { round = false, wide, back = 0, vertices = 6 }) => {
     gl.uniform1i(uniform("round"), round);
     gl.uniform2f(uniform("wide"), ...wide);
     gl.uniform1f(uniform("back"), back);
-    feed("corner", "corner", 0);
-    feed("size", size, 1);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+    gl.uniform1i(uniform("vertices"), vertices);
+    gl.drawArrays(gl.TRIANGLES, 0, vertices * count);
   };
   // Robots at true or estimated poses; their colors and opacities are filled in again if `key` is another.
   const robots = (poses, count, key, colorOf, arm, back) => {
@@ -118,35 +134,36 @@ function manyRobots() {
     if (tinted[poses] !== key) {
       const tints = new Uint8Array(4 * shown.robot.length);
       shown.robot.forEach((_, n) => tints.set(colorOf(n), 4 * n));
-      keep(`${poses} tints`, tints);
+      keep(`${poses} tints`, tints, 4);
       tinted[poses] = key;
     }
-    feed("from", `${poses} docks`, 1);
+    feed("from", `${poses} docks`);
     feed("to", poses, each);
     feed("tint", `${poses} tints`, each);
     shapes(count * each, { round: true, wide: [1, 1.5], back });
     if (fine < 2) return; // pixels per R: docks hide the arms
-    if (arm) feed("tint", arm, 0);
+    if (arm) plain(arm);
     shapes(count * each, { wide: [0.15, 0.4], back });
   };
   // The nearest surface of all spheres, once: depths first, then color where a sphere has that depth.
   const spheres = (count) => {
-    feed("from", "estimate", 1);
-    feed("to", "estimate", 1);
-    feed("tint", tintOf("--sphere", SPHERE), 0);
+    for (const name of ["from", "to"]) feed(name, "estimate");
+    feed("size", "spheres");
+    plain(tintOf("--sphere", SPHERE));
     gl.uniform1i(uniform("hull"), 1);
     for (const seen of [false, true]) {
       gl.colorMask(seen, seen, seen, seen);
       gl.depthFunc(seen ? gl.EQUAL : gl.LESS);
-      shapes(count, { round: true, wide: [1, 0], size: "spheres" });
+      shapes(count, { round: true, wide: [1, 0] });
     }
+    gl.uniform3i(uniform("sizeAt"), 0, 0, 0);
     gl.uniform1i(uniform("hull"), 0);
     gl.depthFunc(gl.LESS);
   };
-  const bars = (from, to, count, color, width, back, step) => {
-    feed("from", from, 1, step);
-    feed("to", to, 1, step && { step: step.step, start: step.step / 2 });
-    feed("tint", color, 0);
+  const bars = (from, to, count, color, width, back, pairs) => {
+    feed("from", from, 1, pairs);
+    feed("to", to, 1, pairs && { ...pairs, start: 1 });
+    plain(color);
     shapes(count, { wide: [0, width / 2], back });
   };
 
@@ -170,17 +187,18 @@ function manyRobots() {
         const contacts = chosen.contacts.slice().sort((one, two) => Math.max(one[0], one[2]) - Math.max(two[0], two[2]));
         const ends = new Float32Array(6 * contacts.length), at = (n, k) => 3 * (docks.length * n + k);
         contacts.forEach(([i, a, j, b], n) => [at(i, a), at(j, b)].forEach((from, m) => ends.set(sensed.subarray(from, from + 3), 6 * n + 3 * m)));
-        keep("contacts", ends);
+        keep("contacts", ends, 3);
         reach = contacts.map(([i, , j]) => Math.max(i, j));
         link = null;
       };
-      keep("corner", new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]));
-      keep("estimate", flat(shown.estimate));
-      keep("estimate docks", sensed);
-      keep("true", flat(shown.true));
-      keep("true docks", around(shown.true, shown.turn));
-      if (radii) keep("spheres", new Float32Array(radii));
-      keep("ground", flat(shown.ground.flat().flatMap(([a, b, c, d]) => [a, b, c, a, c, d])));
+      keep("estimate", flat(shown.estimate), 3);
+      keep("estimate docks", sensed, 3);
+      keep("true", flat(shown.true), 3);
+      keep("true docks", around(shown.true, shown.turn), 3);
+      for (const name of UNITS) feed(name, "estimate"); // a unit without a texture is warned of
+      gl.uniform3i(uniform("sizeAt"), 0, 0, 0);
+      if (radii) keep("spheres", new Float32Array(radii), 1);
+      keep("ground", flat(shown.ground.flat().flatMap(([a, b, c, d]) => [a, b, c, a, c, d])), 3);
     },
     // Draws the first `count` robots; false if the graphics card was lost.
     draw(pen, count, wanted, coloring, { look, fit, radius, toward, width, height, dense }) {
@@ -206,7 +224,7 @@ function manyRobots() {
       if (wanted.contacts) {
         link?.();
         const many = reach.findIndex((robot) => robot >= count);
-        bars("contacts", "contacts", many < 0 ? reach.length : many, tintOf("--contact"), 2.5, -RAISED, { step: 24 });
+        bars("contacts", "contacts", many < 0 ? reach.length : many, tintOf("--contact"), 2.5, -RAISED, { step: 2 });
       }
       if (wanted.error) bars("true", "estimate", count, tintOf("--ink"), 1.5, 0);
       if (wanted.truth) {
@@ -216,13 +234,9 @@ function manyRobots() {
         robots("true", count, `${blue} ${ghost}`, colorOf, null, ghost ? GHOST.back : 0);
       }
       if (wanted.ground) {
-        gl.uniform1i(uniform("round"), 0);
-        gl.uniform2f(uniform("wide"), 0, 0);
-        gl.uniform1f(uniform("back"), 0);
-        for (const name of ["from", "to"]) feed(name, "ground", 0);
-        feed("corner", [0, 0, 0, 0], 0);
-        feed("tint", tintOf("--ground", EARTH), 0);
-        gl.drawArrays(gl.TRIANGLES, 0, 6 * shown.ground.flat().length);
+        for (const name of ["from", "to"]) feed(name, "ground");
+        plain(tintOf("--ground", EARTH));
+        shapes(6 * shown.ground.flat().length, { wide: [0, 0], vertices: 1 });
       }
       if (wanted.spheres) spheres(count);
       pen.drawImage(canvas, 0, 0, width, height);
