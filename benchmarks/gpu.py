@@ -224,8 +224,8 @@ def time_swarm(engine: str, robots: int, folder: Path) -> dict[str, Any]:
     """Time the swarm step of an engine, and check its initial forces.
 
     A run of one step is mostly work of the host, the intercept. The slope of longer runs without
-    stale lists is the step alone; the rest of a usual run is lists. They are so long that their
-    steps take as long as the host's work, or `MOST_LONG` times as many as those of a usual run.
+    stale lists is the step alone; the rest of a usual run is lists. Their steps take
+    as long as the host's work, or are `MOST_LONG` times as many as those of a usual run.
     """
     params, steps = StepParams(), _steps(robots)
     file, farthest, entries = scene_file(robots, folder)
