@@ -329,13 +329,17 @@ class CsvFile:
 
     def _split(self, line: int, text: str) -> list[str]:
         try:
-            return next(csv.reader([text], strict=True, delimiter=self._separator), [])
+            row = csv.reader([text], delimiter=self._separator, strict=True, skipinitialspace=True)
+            return next(row, [])
         except csv.Error as error:
             problem = f"not a row of a table: {error}; write numbers with commas between them"
             raise InputError(problem, path=self.path, line=line) from error
 
 
-_NO_VALUE = ("", "nan", "na", "n/a", "null", "none", "-nan")
+_NO_VALUE = (
+    *("", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind"),
+    *("na", "n/a", "#n/a", "null", "none"),
+)
 """Cells without a value, as programs write them, in lower case."""
 
 

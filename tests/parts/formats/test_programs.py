@@ -429,7 +429,9 @@ def test_a_fault_of_a_track_is_named(name, few, frames, tmp_path):
     found = bring_in(exported(tmp_path / "take.csv", motive(spoiled)), up="y")
 
     assert sentence in "\n".join([*found.notes, *found.warnings])
-    if spoil is not cut_in_motion:
+    if spoil is cut_in_motion:
+        assert len(found.warnings) == 1  # that docks do not touch is no fault of the geometry
+    else:
         assert_same_stances(found.log, observe(few, SensingParams()))
 
 

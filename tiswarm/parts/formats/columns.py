@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.parts.formats.poses import QUATERNION, Assumptions, PoseTable
+from tiswarm.parts.formats.poses import QUATERNION, Assumptions, PoseTable, some
 from tiswarm.records.io import MAX_TABLE_BYTES, CsvFile, numbered_lines
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import FARTHEST
@@ -39,7 +39,8 @@ _NAMES = {
     ),
     "time": (
         *("time", "t", "stamp", "timestamp", "frame", "step", "tick", "clock", "sim_time"),
-        *("header.stamp", "__time"),
+        *("header.stamp", "__time", "stamp.sec", "header.stamp.sec", "sec", "secs", "seconds"),
+        *("elapsed", "elapsed_time"),
     ),
 }
 """Names of a column, the first that a table has is read; others have their meaning as name."""
@@ -61,9 +62,10 @@ _ANGLES = {"deg": True, "degrees": True, "°": True, "rad": False, "radians": Fa
 """Whether a unit of angles that a column may name is the degree."""
 
 _UNIT = re.compile(
-    r"(?P<name>.*?)\s*(?:_(?P<suffix>[A-Za-z°µ]+)|[\[(]\s*(?P<brackets>[^\])\d]*?)\s*[\])])"
+    r"(?P<name>.*?)(?:(?:_|/| in )(?P<suffix>[A-Za-z°µ]+)"
+    r"|[\s_]*[\[(]\s*(?P<brackets>[^\])\d]*?)\s*[\])]|\s[\[(]1[\])])"
 )
-"""A name with its unit: `x_mm`, `x [mm]`, `x (mm)`."""
+"""A name with its unit: `x_mm`, `x/mm`, `x in mm`, `x [mm]`, `x (mm)`, or `qw [-]`, `qw [1]`."""
 
 _QUANTITIES = {
     r"(?P<body>.*)qpos[\W_]*(?P<number>\d+)\]?": "",
@@ -76,6 +78,7 @@ _QUANTITIES = {
     r"(?P<body>.*?)(?:orientation|quaternion|x?quat|q)[\W_]*(?P<axis>[wxyz])": "q",
     r"(?P<body>.*?)(?:axis[\W_]*|a)(?P<axis>[xyz])": "a",
     r"(?P<body>.*?)(?:rot\[|matrix[\W_]*|m)(?P<axis>\d)\]?": "m",
+    r"(?P<body>.*?)(?:rotation|rot|matrix|r|m)[\W_]*(?P<axis>[0-3]{2})\]?": "m",
     r"(?P<axis>[xyz])[\W_]*(?P<body>\d+)": "",
     r"q(?P<axis>[wxyz])[\W_]*(?P<body>\d+)": "q",
     r"(?P<body>.*?)(?P<axis>[xyz])[\W_]*(?:position|pos)": "",
@@ -90,7 +93,8 @@ _MESSAGES = {*("field", "pose", "msg", "data", "transform", "header", "state"), 
 """Parts of a message's name that name no robot."""
 
 _OTHERS = {
-    *("vel", "velocity", "twist", "linear", "angular", "acc", "accel", "acceleration", "v", "w"),
+    *("vel", "velocity", "speed", "twist", "linear", "angular", "acc", "accel", "acceleration"),
+    *("v", "w", "scale", "size"),
     *("cmd", "command", "goal", "target", "desired", "setpoint", "ref", "reference", "origin"),
     *("std", "sd", "sigma", "cov", "covariance", "var", "err", "error", "residual", "rms"),
     *("force", "torque", "wrench", "omega", "gyro", "bias", "imu", "mag", "d", "delta"),
@@ -103,6 +107,7 @@ TURNS: Mapping[tuple[str, ...], str] = {
     ("angle", "rx", "ry", "rz"): "",
     ("angle", "ax", "ay", "az"): "",
     tuple(f"m{k}" for k in range(9)): "",
+    **{tuple(f"m{r + i}{r + j}" for j in range(3) for i in range(3)): "" for r in (0, 1)},
     ("roll", "pitch", "yaw"): "ZYX",
     ("alpha", "beta", "gamma"): "XYZ",
     ("rx", "ry", "rz"): "",
@@ -115,6 +120,29 @@ EULER = (
     *("zxz", "zyz", "xyx", "xzx", "yxy", "yzy"),
 )
 """Orders of angles that are tried; the fixed-axis order of one is the reverse of another."""
+
+
+_SEPARATORS = "\t,;|"
+
+_LONGEST_PROSE = 50
+"""Lines among which the head of a table is looked for."""
+
+_OTHER_FILES = {
+    b"PK\x03\x04": "a workbook or an archive; save the sheet as CSV",
+    b"\xd0\xcf\x11\xe0": "an old workbook; save the sheet as CSV",
+    b"PAR1": "a Parquet file; write its table as CSV",
+    b"\x89HDF": "an HDF5 file; write its table as CSV",
+    b"MATLAB 5.0": "a MAT file; write its table as CSV",
+    b"\x93NUMPY": "an array without names of columns; write a CSV with a head",
+    b"\x1f\x8b": "a file compressed by gzip; unpack it",
+    b"\xff\xfe": "text in UTF-16; save it as UTF-8",
+    b"\xfe\xff": "text in UTF-16; save it as UTF-8",
+    b'{"format": "tiswarm-sensing"': "a sensing log already; give it to tiswarm localize",
+    b"{": "JSON; write a table, a robot a row",
+    b"[{": "JSON; write a table, a robot a row",
+    b"<": "HTML or XML; save its table as CSV",
+}
+"""First bytes of files that are no tables, with what they are and what to do."""
 
 
 class Sheet(NamedTuple):
@@ -181,9 +209,14 @@ def read_table(
     table = CsvFile(path, sheet.text)
     known = _known_columns(table.columns, assumed, path)
     bodies = _bodies(table.columns, known, assumed, path, sheet, is_one=robot is not None)
-    is_wide = "robot" not in known and robot is None
+    is_wide, others = "robot" not in known and robot is None, list[str]()
+    if is_wide and not sheet.program:
+        others = [body.name for body in bodies if not re.search(r"\d", body.name)]
+        bodies = [body for body in bodies if body.name not in others] or bodies
     pick = _of_bodies if is_wide else partial(_of_rows, robot=robot)
     rows, notes = pick(table, bodies, known, assumed)
+    if others:
+        notes.append(f"no robots, since their names have no number: {some(others)}")
     numbers = dict(zip(bodies[0].columns, bodies[0].columns.values(), strict=True))
     if "sphere" not in known:
         notes += _add_quaternions(rows, table, bodies[0], assumed, sheet)
@@ -200,30 +233,64 @@ def plain_sheet(path: Path) -> Sheet:
 
     Lines keep their numbers. A line of units below the head becomes part of it.
     """
-    lines = [text.rstrip("\r\n") for _, text in numbered_lines(path, MAX_TABLE_BYTES)]
+    lines = [
+        line
+        for _, text in numbered_lines(path, MAX_TABLE_BYTES)
+        for line in text.rstrip("\r\n").split("\r")
+    ]
     bare = [k for k, text in enumerate(lines) if text.strip() and not text.startswith("#")]
-    head = bare[0] if bare else 0
-    comments = [k for k in range(head) if re.match(r"[#%]\s*[A-Za-z_]", lines[k])]
-    if bare and comments and _are_numbers(_cells(lines[head])):
-        head = comments[-1]
-    elif not bare:
+    if not bare:
         return Sheet("\n".join(lines))
+    head = _head(lines, bare)
+    comments = [k for k in range(head) if re.match(r"[#%]\s*[A-Za-z_]", lines[k])]
+    if comments and head == bare[0] and _are_numbers(_cells(lines[head])):
+        head = comments[-1]
     names = _cells(lines[head].lstrip("#% "))
-    sep = max("\t,;", key=lines[head].count)
-    after = next((k for k in bare if k > head), head)
-    units = _cells(lines[after])
+    sep = max(_SEPARATORS, key=lines[head].count)
+    rows = [k for k in bare if k > head]
+    units = _cells(lines[rows[0]]) if rows else []
     is_unit = {unit.lower() for unit in (*LENGTHS, *_TIMES, *_ANGLES, "")}
-    if after > head and any(units) and {unit.strip("[]() ").lower() for unit in units} <= is_unit:
+    if any(units) and {unit.strip("[]() ").lower() for unit in units} <= is_unit:
         names = [
             f"{name} [{unit.strip('[]() ')}]" if unit else name
             for name, unit in zip(names, units, strict=False)
         ]
-        lines[after] = "#"
-    if sep not in lines[head]:
-        lines = ["\t".join(text.split()) for text in lines]
+        lines[rows.pop(0)] = "#"
+    if sep not in lines[head]:  # blanks; R and pandas give numbers of rows no name
+        cells = [_words(text) for text in lines]
+        names = ["", *names] if {len(cells[k]) for k in rows} == {len(names) + 1} else names
+        lines = ["\t".join(each) for each in cells]
+    elif {(lines[k].count(sep), lines[k].rstrip()[-1]) for k in rows} == {(len(names), sep)}:
+        names.append("")
+    if sep == "|":
+        sep, lines = "\t", [text.replace("|", "\t") for text in lines]
     text = [text if text.strip() else "#" for text in lines]
     above = [line if line.startswith("#") else f"#{line}" for line in text[:head]]
     return Sheet("\n".join([*above, header_line(names, sep), *text[head + 1 :]]))
+
+
+def _head(lines: Sequence[str], bare: Sequence[int]) -> int:
+    """Find the head below lines of prose: the first names that are as many as cells of most rows.
+
+    It is the first line where there are none.
+    """
+    first = [len(_cells(lines[k])) for k in bare[:_LONGEST_PROSE]]
+    usual = max(first, key=first.count)
+    for place, count in zip(bare, first, strict=False):
+        if count == usual and first[0] < usual:
+            is_named = not any(_are_numbers([cell]) for cell in _cells(lines[place]) if cell)
+            return place if is_named else bare[0]
+    return bare[0]
+
+
+def refuse_other_files(path: Path) -> None:
+    """Refuse a file whose first bytes are those of another format, and name what to do."""
+    if path.is_file():
+        with path.open("rb") as file:
+            start = file.read(64).lstrip()
+        for first, problem in _OTHER_FILES.items():
+            if start.startswith(first):
+                raise InputError(f"this is {problem}", path=path)
 
 
 def header_line(names: Sequence[str], separator: str) -> str:
@@ -235,12 +302,19 @@ def header_line(names: Sequence[str], separator: str) -> str:
 
 def _cells(text: str) -> list[str]:
     """Split a line at the separator that it has."""
-    sep = max("\t,;", key=text.count)
+    sep = max(_SEPARATORS, key=text.count)
+    if sep not in text:
+        return _words(text)
     try:
-        cells = next(csv.reader([text], delimiter=sep), []) if sep in text else text.split()
+        cells = next(csv.reader([text], delimiter=sep, skipinitialspace=True), [])
     except csv.Error:
         cells = text.split(sep)
     return [cell.strip() for cell in cells]
+
+
+def _words(text: str) -> list[str]:
+    """Split a line at blanks, except within quotes."""
+    return [quoted or bare for quoted, bare in re.findall(r'"([^"]+)"|([^\s"]+)', text)]
 
 
 def _are_numbers(cells: Sequence[str]) -> bool:
@@ -300,7 +374,7 @@ def _bodies(
     sheet: Sheet,
     *,
     is_one: bool,
-) -> list[_PoseColumns]:
+) -> Sequence[_PoseColumns]:
     """Find the columns of each robot, or those of all robots if a column names them."""
     forced = {column: meaning for meaning, column in assumed.columns.items()}
     units = {unit.lower() for unit in ("", *LENGTHS, _NO_UNIT, assumed.length_unit)}
@@ -314,25 +388,49 @@ def _bodies(
     names = [*dict.fromkeys(column.body for column in columns)]
     found = {name: _body(name, [c for c in columns if c.body == name], path) for name in names}
     whole = [body for body in found.values() if {*_AXES} <= {*body.columns} and body.turn]
-    if "robot" not in known and not is_one and ("sphere" not in known):
+    is_named = "robot" in known or is_one
+    if not is_named and "sphere" not in known:
         several = [body for body in whole if body.name]
-        if several and (sheet.program or re.search(r"\d", several[0].name)):
+        if several and (sheet.program or any(re.search(r"\d", body.name) for body in several)):
             return several
-    placed = [body for body in found.values() if {*_AXES} & {*body.columns}]
-    turned = [body for body in found.values() if body.turn]
-    if not whole and len(placed) == 1 and len(turned) <= 1 and "sphere" not in known:
+    chosen = _together([*found.values()], whole, is_named=is_named, has_spheres="sphere" in known)
+    if len(chosen) > 1:
+        sets = (",".join(body.columns.get(axis, "") for axis in _AXES) for body in chosen)
+        problem = f"positions are in {' and in '.join(sets)}; choose by --column x=NAME,y=NAME,..."
+        if not is_named:
+            problem += ", or give robots names with numbers, such as bot_7"
+        raise InputError(problem, path=path, line=sheet.line)
+    _refuse_lacking(header, known, chosen, found, path, sheet, is_one=is_one)
+    return chosen
+
+
+def _together(
+    found: Sequence[_PoseColumns],
+    whole: Sequence[_PoseColumns],
+    *,
+    is_named: bool,
+    has_spheres: bool,
+) -> Sequence[_PoseColumns]:
+    """Choose the columns of a pose, which may have positions and orientations under two names.
+
+    Args:
+        found: Columns by what they are of.
+        whole: Those with positions and orientations.
+        is_named: Whether rows are of robots that are known, so that sets of positions are a choice.
+        has_spheres: Whether rows are of spheres, which have no orientations.
+    """
+    placed = [body for body in found if {*_AXES} & {*body.columns}]
+    if has_spheres:
+        whole = [body._replace(turn=()) for body in placed]
+    elif not whole and len(placed) == 1:
+        turned = [body for body in found if body.turn]
         turn = turned[0] if turned else placed[0]
         both = {**{name: turn.columns[name] for name in turn.turn}, **placed[0].columns}
-        whole = [placed[0]._replace(columns=both, turn=turn.turn)]
-    if "sphere" in known:
-        whole = [body._replace(turn=()) for body in placed]
-    whole = [body for body in whole if not body.name] or whole
-    _refuse_lacking(header, known, whole, found, path, sheet, is_one=is_one)
-    if len(whole) > 1:
-        sets = " and in ".join(",".join(body.columns[axis] for axis in _AXES) for body in whole)
-        problem = f"positions are in {sets}; choose by --column x=NAME,y=NAME,..."
-        raise InputError(problem, path=path, line=1)
-    return whole
+        whole = [placed[0]._replace(columns=both, turn=turn.turn)] if len(turned) <= 1 else []
+    elif not whole and is_named:
+        several = [body for body in placed if {*_AXES} <= {*body.columns}]
+        whole = several if len(several) > 1 else []
+    return [body for body in whole if not body.name] or whole
 
 
 def _refuse_lacking(
@@ -360,16 +458,21 @@ def _refuse_lacking(
             problem = f"{stray[1][:40]!r} is no known unit of length; rename it to one of "
             problem += f"{', '.join(LENGTHS)}, or give --length-unit {stray[1][:40]}"
             raise InputError(problem, path=path, line=1, key=column)
+    if any(header) and _are_numbers(header):
+        problem = "there are no names of columns; write robot,x,y,z,qw,qx,qy,qz, or what they are, "
+        raise InputError(f"{problem}above the numbers", path=path, line=sheet.line)
     problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z but "
     problem += f"{','.join(header)[:200] or 'none'}; rename or add {','.join(lacking)}"
-    raise InputError(f"{problem}, or name columns by --column", path=path, line=1)
+    problem += f", or name columns as by --column {lacking[0]}=NAME"
+    raise InputError(problem, path=path, line=sheet.line)
 
 
 def _meaning(name: str, units: Collection[str], *, is_export: bool) -> _Column | None:
     """Read the name of a column; None if it has no part in a pose."""
     bare, unit = split_unit(name, units)
     for pattern, begin in _QUANTITIES.items():
-        found = re.fullmatch(pattern, bare.lower())
+        whole_words = pattern.replace("(?P<body>.*?)", "(?P<body>|.*?[^a-z])")
+        found = re.fullmatch(pattern if is_export else whole_words, bare.lower())
         if found is None or (re.search(r"[a-z]$", found["body"]) and not is_export):
             continue
         body, meaning = (
@@ -383,7 +486,7 @@ def _meaning(name: str, units: Collection[str], *, is_export: bool) -> _Column |
             return _Column(name, body.rstrip("/"), meaning, unit)
         parts = [part for part in re.split(r"[./|:\s]+", body) if part.lower() not in _MESSAGES]
         body = ".".join(parts).strip("_- ")
-        is_pose = not {*re.findall(r"[a-z]+", body.lower())} & _OTHERS
+        is_pose = not {*re.findall(r"[a-z]{2,}|[a-z](?!\d)", body.lower())} & _OTHERS
         return _Column(name, body, meaning, unit) if is_pose else None
     return None
 
@@ -436,8 +539,8 @@ def split_unit(column: str, units: Collection[str]) -> tuple[str, str]:
     found = _UNIT.fullmatch(column)
     if found is None:
         return column.strip(), ""
-    unit = found["suffix"] or found["brackets"] or ""
-    is_unit = unit.lower() in {*units, *_ANGLES} or (found["brackets"] is not None and not unit)
+    unit = found["suffix"] or (found["brackets"] or "").strip("-")
+    is_unit = unit.lower() in {*units, *_ANGLES} or not (unit or found["suffix"])
     return (found["name"].strip(), unit) if is_unit else (column.strip(), "")
 
 
@@ -445,7 +548,7 @@ def _find(header: Sequence[str], meaning: str) -> str:
     """Find the column of a quantity by its names, of a time with a unit or not; else return ""."""
     for name in _NAMES.get(meaning, (meaning,)):
         for column in header:
-            bare = re.sub(r"^(?:field|data|msg)[./]", "", column.lower())
+            bare = re.sub(r"^(?:field|data|msg)[./]", "", column.lower()).replace("/", ".")
             if bare == name or (meaning == "time" and split_unit(bare, _TIMES)[0] == name):
                 return column
     return ""
@@ -478,10 +581,15 @@ def _of_rows(
     numbers: dict[str, Any] = {
         name: table.integers(column) if name in {"sphere", "join"} else table.numbers(column)
         for name, column in columns.items()
-        if name != "robot"
+        if name not in {"robot", "time"}
     }
+    if "time" in columns:
+        numbers["time"] = _times(table, columns["time"])
     rows = pd.DataFrame({"robot": first, **numbers, "line": [*table.rows]})
-    return rows.assign(run=_runs(table, known)), notes
+    rows = rows.assign(run=_runs(table, known))
+    if "time" in columns:
+        _refuse_clocks_set_anew(rows, table.path, columns["time"])
+    return rows, notes
 
 
 def _of_bodies(
@@ -491,7 +599,9 @@ def _of_bodies(
     names = [_listed_name(table, body.name) for body in bodies]
     robots, notes = robot_numbers(names)
     lines, parts, lost = np.array([*table.rows]), [], 0
-    time = table.numbers(known["time"]) if "time" in known else lines.astype(float)
+    time = _times(table, known["time"]) if "time" in known else lines.astype(float)
+    clock = pd.DataFrame({"robot": 0, "run": "", "time": time, "line": lines})
+    _refuse_clocks_set_anew(clock, table.path, known.get("time", ""))
     for robot, body in zip(robots, bodies, strict=True):
         columns = [*body.columns.values()]
         for line in table.incomplete(columns):
@@ -512,6 +622,55 @@ def _of_bodies(
     return rows if len(lines) > 1 else rows.drop(columns="time"), notes
 
 
+_PARTS_OF_SECONDS = ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs")
+
+
+def _times(table: CsvFile, column: str) -> Reals:
+    """Read times: numbers, seconds beside a column of nanoseconds, dates, or times of a day [s]."""
+    cells = table.words(column).tolist()
+    if cells and re.match(r"\s*\d+[-/:.]\d+[-/:]", cells[0]):
+        try:
+            stamps = pd.to_datetime(pd.Series(cells), format="mixed", utc=True)
+        except ValueError as error:
+            problem = f"not all times are dates or times of a day ({str(error)[:80]}); write them "
+            raise InputError(f"{problem}like 12.5 [s]", path=table.path, key=column) from None
+        return np.array((stamps - stamps.iloc[0]).dt.total_seconds(), np.float64)
+    time = table.numbers(column)
+    start = re.sub(r"(?:sec|secs|seconds)$", "", column, flags=re.IGNORECASE)
+    for name in table.columns:
+        if start != column and name in {f"{start}{part}" for part in _PARTS_OF_SECONDS}:
+            time += 1e-9 * table.numbers(name) - time[0]
+    return time
+
+
+_RARE = 0.05
+"""Share of steps back in time up to which rows are sorted, but for a clock that was set anew."""
+
+_SET_BACK = 10
+"""Rows by which such a clock goes back at least; messages that overtook others go back by fewer."""
+
+
+def _refuse_clocks_set_anew(rows: pd.DataFrame, path: Path, column: str) -> None:
+    """Refuse rows in order of time that start again in the middle, as two recordings do.
+
+    Rows in another order are sorted.
+
+    Raises:
+        InputError: a robot's time goes back by many rows, rarely.
+    """
+    for (_, robot), one in rows.groupby(["run", "robot"], sort=False):
+        time = one["time"].to_numpy(float)
+        back = np.flatnonzero(np.diff(time) < 0.0)
+        if not 0 < len(back) <= _RARE * len(time):
+            continue
+        again = [int((time[: k + 1] > time[k + 1]).sum()) for k in back]
+        if max(again) > _SET_BACK:
+            k = back[int(np.argmax(again))]
+            problem = f"the time of robot {robot} goes back from {time[k]:g} to {time[k + 1]:g}; "
+            problem += "import each recording alone, or sort the rows if they are of one"
+            raise InputError(problem, path=path, line=int(one["line"].iloc[k + 1]), key=column)
+
+
 def _listed_name(table: CsvFile, body: str) -> str:
     """Return the name that a message lists for a body, such as `name3` for `pose3`, or its own."""
     number = re.search(r"\d+", body)
@@ -525,13 +684,27 @@ def _listed_name(table: CsvFile, body: str) -> str:
 
 def robot_numbers(names: Sequence[str]) -> tuple[list[int], list[str]]:
     """Take the numbers of robots from their names, or count them and say so."""
-    found = [re.findall(r"\d+", name) for name in names]
-    numbers = [int(each[0]) for each in found if [len(n) <= LONGEST_NUMBER for n in each] == [True]]
-    if len({*numbers}) == len(names):
+    if len({*(numbers := numbers_in(names))}) == len(names):
         return numbers, []
     listed = ", ".join(f"{name} is {number}" for number, name in enumerate(names[:3]))
     more = ", ..." * (len(names) > 3)  # noqa: PLR2004
     return [*range(len(names))], [f"bodies are numbered as listed: {listed}{more}"]
+
+
+def numbers_in(names: Sequence[str]) -> list[int]:
+    """Read the number in each name, the one that differs where names have several; else nothing.
+
+    >>> numbers_in(["tb3_0/base", "tb3_12/base"])
+    [0, 12]
+    """
+    found = [re.findall(r"\d+", name) for name in names]
+    if len({*map(len, found)}) != 1 or not found[0]:
+        return []
+    differ = [place for place in zip(*found, strict=True) if len({*place}) > 1]
+    several = differ if len(found[0]) > 1 else [*zip(*found, strict=True)]
+    if len(several) != 1 or max(map(len, several[0])) > LONGEST_NUMBER:
+        return []
+    return [*map(int, several[0])]
 
 
 def _add_quaternions(
@@ -556,9 +729,14 @@ def _add_quaternions(
             raise InputError(problem, path=table.path, line=line, key=body.columns[turn[0]])
         rows[QUATERNION] = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
         return []
-    units = {split_unit(body.columns[name], ())[1].lower() for name in turn} & {*_ANGLES}
-    degrees = _ANGLES[units.pop()] if units else sheet.degrees
     angles = numbers[:, :1] if turn[0] == "angle" else numbers
+    by_name = {name: split_unit(body.columns[name], ())[1].lower() for name in turn}
+    units = {by_name["angle"]} if turn[0] == "angle" else {*by_name.values()}
+    if len({_ANGLES.get(unit) for unit in units}) > 1:
+        listed = ", ".join(f"{name} in {unit or 'none'}" for name, unit in by_name.items())
+        problem = f"the angles have different units: {listed}; convert them to one"
+        raise InputError(problem, path=table.path, line=sheet.line)
+    degrees = _ANGLES.get(min(units), sheet.degrees)
     guessed = degrees is None
     if degrees is None:
         degrees = bool(np.abs(angles).max(initial=0.0) > 2.0 * np.pi + 1e-3)
@@ -626,18 +804,20 @@ def _robots(text: CsvFile, column: str) -> Ints:
     names: list[str] = text.words(column).tolist()
     if any(re.fullmatch(r"\s*[-+]?\d+\s*", name) for name in names):
         return text.integers(column)
-    named: dict[int, str] = {}
-    for row, name in enumerate(names):
-        found = re.findall(r"\d+", name)
-        problem = ""
-        if len(found) != 1 or len(found[0]) > LONGEST_NUMBER:
-            problem = f"{name[:40]!r} has no number, or several; write it like bot_7"
-        elif named.setdefault(int(found[0]), name) != name:
+    single = [*dict.fromkeys(names)]
+    numbers, named = numbers_in(single), dict[int, str]()
+    if not numbers:
+        odd = next((name for name in single if len(re.findall(r"\d+", name)) != 1), "")
+        odd = odd or max(single, key=len)
+        problem = f"{odd[:40]!r} has no number, or several; write it like bot_7, or delete its "
+        problem += "rows if it is no robot"
+        raise InputError(problem, path=text.path, line=text.line(names.index(odd)), key=column)
+    for number, name in zip(numbers, single, strict=True):
+        if named.setdefault(number, name) != name:
             problem = f"{name[:40]!r} has the number of another robot; give each its own"
-        if problem:
-            raise InputError(problem, path=text.path, line=text.line(row), key=column)
-    number = {name: robot for robot, name in named.items()}
-    return np.array([number[name] for name in names], np.int64)
+            raise InputError(problem, path=text.path, line=text.line(names.index(name)), key=column)
+    robot = dict(zip(single, numbers, strict=True))
+    return np.array([robot[name] for name in names], np.int64)
 
 
 def report_incomplete(path: Path, lines: Sequence[int], *, drop: bool, name: str = "") -> list[str]:

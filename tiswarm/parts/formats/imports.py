@@ -27,7 +27,7 @@ from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
-from tiswarm.parts.formats.columns import EULER, Sheet, read_table, turns_by
+from tiswarm.parts.formats.columns import EULER, Sheet, read_table, refuse_other_files, turns_by
 from tiswarm.parts.formats.motion import (
     LOUDEST,
     Rests,
@@ -134,8 +134,8 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
 def _import_ranges(path: Path, assumed: Assumptions, radius: float | None) -> Imported:
     """Turn tables of ranges and beacons into a log; places of tags are unknown."""
     log, notes, warnings = read_ranges(
-        path, Path(str(assumed.beacons)), sd=assumed.range_sd, radius=radius,
-        drop_incomplete=assumed.drop_incomplete,
+        path, Path(str(assumed.beacons)), columns=assumed.columns, sd=assumed.range_sd,
+        radius=radius, drop_incomplete=assumed.drop_incomplete,
     )  # fmt: skip
     with at_line(path, 1):
         check_header(log)
@@ -148,6 +148,7 @@ def _read(path: Path, assumed: Assumptions) -> PoseTable:
         if path.name.endswith(own.value.suffix):
             columns = guarded(own.plugin, name, partial(own.value.read, path))
             return read_table(path, assumed, Sheet(pd.DataFrame(columns).to_csv(index=False)))
+    refuse_other_files(path)
     readers = (find("import_format", name) for name in PARTS["import_format"])
     found: Iterator[PoseTable | None] = (read(path, assumed) for read in readers)
     return next(table for table in found if table)
@@ -231,9 +232,11 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
         size = log.size
     notes = [*order_of_numbers, *guessed, *glitches, *widened, *gaps, *joined]
     notes += [*_describe_rests(poses, rests), *_describe(log), size]
-    few = few_contacts(poses, assumed, len(contacts), overlaps)
     # Docks at wrong places stand nowhere, so the ground says nothing more.
-    warnings = [*(few or off_the_ground(poses, assumed)), *_unrested(poses, rests)]
+    in_motion = 0 if rests is None else len(rests.in_motion)
+    warnings = few_contacts(poses, assumed, len(contacts), overlaps, in_motion)
+    warnings = warnings or _in_one_place(poses, assumed) or off_the_ground(poses, assumed)
+    warnings += _unrested(poses, rests)
     if early:
         problem = f"{counted(early, 'contact')} of stances left out: by the time, the other robot "
         problem += "had not arrived; if robots have clocks of their own, set them to one"
@@ -375,6 +378,16 @@ def _unrested(poses: Poses, rests: Rests | None) -> Iterator[str]:
     if rests is not None and len(rests.in_motion):
         robots = _named(poses, rests.in_motion)
         yield f"the tracks of {robots} end in motion, not at final poses; record until they rest"
+
+
+def _in_one_place(poses: Poses, assumed: Assumptions) -> list[str]:
+    """Warn of robots whose docks are in one place, as of a body that changed its name."""
+    pair = dock_pairs(poses.docks, assumed.dock_radius)[:, [0, 2]]
+    if not len(pair):
+        return []
+    robots = [f"{a} and {b}" for a, b in np.unique(poses.robot_id[pair], axis=0).tolist()]
+    problem = f"docks of these robots are in one place: {some(robots)}; if they are one body, "
+    return [f"{problem}give it one name"]
 
 
 def _named(poses: Poses, robots: Ints) -> str:
@@ -692,7 +705,9 @@ _BEST = 12
 _UNKNOWNS = 3
 
 
-def few_contacts(poses: Poses, assumed: Assumptions, contacts: int, overlaps: int) -> list[str]:
+def few_contacts(
+    poses: Poses, assumed: Assumptions, contacts: int, overlaps: int, in_motion: int = 0
+) -> list[str]:
     """Warn of too few contacts, or more overlaps than contacts, and say what may be the cause.
 
     Args:
@@ -700,9 +715,11 @@ def few_contacts(poses: Poses, assumed: Assumptions, contacts: int, overlaps: in
         assumed: Limits of contacts, and docks if they are given.
         contacts: Number of docks in contact.
         overlaps: Number of docks that overlap by more.
+        in_motion: Number of robots that move at the end, and touch nothing yet.
     """
     robots = len(poses.robot_id)
-    if robots == 1 or (contacts >= ENOUGH * robots and contacts >= overlaps):
+    at_rest = robots - in_motion
+    if at_rest <= 1 or (contacts >= ENOUGH * at_rest and contacts >= overlaps):
         return []
     found = f"{counted(contacts, 'contact')} and {counted(overlaps, 'overlap')}"
     problem = f"{counted(robots, 'robot')} have {found} of docks; "
@@ -745,10 +762,17 @@ def _readings(poses: Poses, assumed: Assumptions) -> Iterator[tuple[Poses, str, 
     These are conventions of orientations first, then of units and of handedness.
     """
     yield poses.conjugate(), "quaternions that turn world to body give", "add --conjugate"
+    if poses.other_order:
+        both = "quaternions in the other order that turn world to body give"
+        yield poses.reordered().conjugate(), both, "rename the columns, and add --conjugate"
+    angles = np.asarray(poses.angles)
     orders = [*EULER, *(order.swapcase() for order in EULER), "rotvec"]
-    for order in () if poses.angles is None else orders:
-        turned = poses._replace(orientation_wxyz=turns_by(np.asarray(poses.angles), order))
-        yield turned, f"angles read as {order} give", f"add --euler {order}"
+    for scale, unit in ((1.0, ""), (np.pi / 180.0, "deg"), (180.0 / np.pi, "rad")):
+        for order in () if poses.angles is None else orders:
+            turned = poses._replace(orientation_wxyz=turns_by(scale * angles, order))
+            remedy = f"write [{unit}] behind their names, and " * bool(unit)
+            read = f"angles in {unit}, read as {order}," if unit else f"angles read as {order}"
+            yield turned, f"{read} give", f"{remedy}add --euler {order}"
     for scale in (*_SCALES, *(1.0 / scale for scale in _SCALES)):
         size = f"{assumed.dock_radius / scale:.4g}"
         remedy = f"give --dock-radius {size}, and docks in that unit"

@@ -381,7 +381,9 @@ def _by_robot(table: pd.DataFrame, by: list[str], path: Path) -> pd.DataFrame:
         first = repeated.iloc[0]
         what = f"sphere {first['sphere']} of robot" if spheres else "robot"
         when = f" at time {first['time']:g}" if "time" in by else ""
-        remedy = "keep one" if when else "keep one, or give the time of each in a column time"
+        remedy = "keep one"
+        if not when:
+            remedy += ", or give the time of each in a column time (--column time=NAME)"
         problem = f"{what} {repeated['robot'].iloc[0]} has a row already{when}; {remedy}"
         file = Path(first.get("file", path))  # one of a folder
         raise InputError(problem, path=file, line=int(first["line"]))
@@ -407,7 +409,8 @@ def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
     length = np.linalg.norm(quaternion, axis=1)
     far = np.flatnonzero(~(np.abs(length - 1.0) <= FAR_FROM_UNIT))
     if len(far):
-        problem = f"the quaternion has length {length[far[0]]:.6g}; scale it to 1"
+        problem = f"the quaternion has length {length[far[0]]:.6g}; scale it to 1, write more "
+        problem += "digits, or delete the row if the body was lost"
         raise InputError(problem, path=path, line=int(table["line"].iloc[far[0]]), key="qw")
     unit: Reals = quaternion / length[:, None]
     return unit

@@ -10,6 +10,7 @@ with the scatter of a reading, since readings of a pair share the errors of thei
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.parts.formats.columns import (
     LENGTHS,
     plain_sheet,
+    refuse_other_files,
     report_incomplete,
     robot_numbers,
     split_unit,
@@ -49,6 +51,27 @@ _FEWEST = 3
 _MOVED = 5.0
 """Scatter of a pair, in that of most pairs, from which on its robots moved or paths changed."""
 
+_DRIFT = 2.0
+"""Scatter of readings of a pair, in that of one from the next, from which on its robots moved."""
+
+_FEWEST_IN_ORDER = 8
+"""Readings of a pair from which on their order shows that."""
+
+_SCALES = {"mm": 1e-3, "cm": 1e-2, "dm": 0.1, "ft": 0.3048, "in": 0.0254}
+"""Units that are taken for m, with their lengths [m]; a range may be in either."""
+
+_SLACK = 5.0
+"""Standard deviations by which lengths of a triangle may miss each other."""
+
+_FEW = 0.1
+"""Share of triangles that may be impossible, by outliers."""
+
+_MOST = 1 / 3
+"""Share of them from which on another unit is looked for."""
+
+_MOST_OF_A_TAG = 30
+"""Ranges of a tag whose triangles are looked at."""
+
 _RADIUS = 0.01
 """Radius of the dock at the center of a tag, in the median of ranges."""
 
@@ -73,17 +96,23 @@ class _Ranges(NamedTuple):
     unit: str
 
 
-def read_beacons(path: Path) -> Beacons:
+def read_beacons(path: Path, columns: Mapping[str, str]) -> Beacons:
     """Read a table `beacon,x,y,z`, with `sd`, `bias` and `bias_sd` where these are known.
+
+    Args:
+        path: The table.
+        columns: Names of its columns, by their meaning, where others are not the usual ones.
 
     Raises:
         InputError: the table is malformed, or names a beacon twice.
     """
+    refuse_other_files(path)
     table = CsvFile(path, plain_sheet(path).text)
-    found = _columns(table, {**_NAMES, "beacon": (*_NAMES["beacon"], "name", "id")})
+    found = _columns(table, {**_NAMES, "beacon": (*_NAMES["beacon"], "name", "id")}, columns)
     if lacking := [name for name in ("beacon", *"xyz") if name not in found]:
         problem = f"the columns are {','.join(table.columns)[:200]}, not beacon,x,y,z; add "
-        raise InputError(f"{problem}{','.join(lacking)}", path=path, line=1)
+        problem += f"{','.join(lacking)}, or name columns as by --column {lacking[0]}=NAME"
+        raise InputError(problem, path=path, line=1)
     names = [name.strip() for name in table.words(found["beacon"]).tolist()]
     for row, name in enumerate(names):
         if name in names[:row]:
@@ -93,6 +122,7 @@ def read_beacons(path: Path) -> Beacons:
     if len(units) > 1:
         problem = f"the axes have different units: {', '.join(sorted(units))}; convert them to one"
         raise InputError(problem, path=path, line=1)
+    _refuse_other_units(path, found, ("bias", "sd", "bias_sd"), next(iter(units)))
 
     def numbers(name: str) -> Reals:
         return table.numbers(found[name], empty=0.0) if name in found else np.zeros(len(names))
@@ -102,7 +132,13 @@ def read_beacons(path: Path) -> Beacons:
 
 
 def read_ranges(
-    path: Path, beacons: Path, *, sd: float | None, radius: float | None, drop_incomplete: bool
+    path: Path,
+    beacons: Path,
+    *,
+    columns: Mapping[str, str],
+    sd: float | None,
+    radius: float | None,
+    drop_incomplete: bool,
 ) -> tuple[SensingLog, list[str], list[str]]:
     """Turn a table of ranges and one of beacons into a sensing log, with notes and warnings.
 
@@ -111,6 +147,7 @@ def read_ranges(
     Args:
         path: Table of ranges.
         beacons: Table of beacons.
+        columns: Names of columns of both tables, by their meaning, that are not the usual ones.
         sd: Standard deviation of a range where the table has no column of it; None if unknown.
         radius: Radius of the dock of a tag; 1 % of the median range if None.
         drop_incomplete: Whether to drop rows without a range, instead of refusing them.
@@ -118,8 +155,11 @@ def read_ranges(
     Raises:
         InputError: a table is malformed, units differ, or nothing states how exact ranges are.
     """
-    known, notes = read_beacons(beacons), list[str]()
-    ranges = _read(path, known.name, notes, drop=drop_incomplete)
+    if unknown := [name for name in columns if name not in _NAMES]:
+        problem = f"{unknown[0]!r} is no quantity of ranges; use {', '.join(_NAMES)}"
+        raise InputError(problem, argument="column")
+    known, notes = read_beacons(beacons, columns), list[str]()
+    ranges = _read(path, known.name, columns, notes, drop=drop_incomplete)
     if ranges.unit != known.unit and "" not in {ranges.unit, known.unit}:
         problem = f"ranges are in {ranges.unit}, beacons in {known.unit}; convert them to one unit"
         raise InputError(problem, path=path, line=1)
@@ -136,9 +176,10 @@ def read_ranges(
         notes.append(f"{counted(lost, 'range')} left out: empty, 0, or between two beacons")
     if not rows:
         raise InputError("there are no ranges of tags; add some", path=path, line=2)
-    warnings = list[str]()
+    warnings = _strangers(path, known.name, rows)
     if np.isnan([row[3] for row in rows]).any():
         rows = _pooled(path, rows, notes, warnings)
+    warnings += _impossible(known, rows)
     size = radius or float(f"{_RADIUS * np.median([row[2] for row in rows]):.1g}")
     return _log(known, rows, size, ranges.unit or known.unit, notes), notes, warnings
 
@@ -188,27 +229,106 @@ def _log(
     )
 
 
-def _columns(table: CsvFile, names: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Find columns by their meaning."""
+def _strangers(path: Path, beacons: Sequence[str], rows: Sequence["_Row"]) -> list[str]:
+    """Warn of beacons without ranges beside names that no table has as beacons or tags.
+
+    Raises:
+        InputError: no range is to a beacon.
+    """
+    named = {name for a, b, *_ in rows for name in (a, b)}
+    strangers = sorted({b for _, b, *_ in rows} - {a for a, *_ in rows} - {*beacons}, key=_natural)
+    silent = [name for name in beacons if name not in named]
+    if len(silent) == len(beacons):
+        problem = f"no range is to a beacon: ranges have {some(strangers or sorted(named))}, "
+        raise InputError(f"{problem}beacons are {some(beacons)}; write them alike", path=path)
+    problem = f"ranges are to names without a place, which are located as tags: {some(strangers)}; "
+    return [f"{problem}add their places if they are beacons"] if strangers else []
+
+
+def _impossible(known: Beacons, rows: Sequence["_Row"]) -> list[str]:
+    """Warn where ranges of a tag to two beacons are no triangle with the distance of these."""
+    place = dict(zip(known.name, known.place, strict=True))
+    by_tag: dict[str, list[tuple[Reals, float, float]]] = {}
+    for a, b, value, width in rows:
+        for tag, beacon in ((a, b), (b, a)):
+            if beacon in place and tag not in place:
+                by_tag.setdefault(tag, []).append((place[beacon], value, width))
+    apart, first, second, slack = list[float](), list[float](), list[float](), list[float]()
+    for seen in by_tag.values():
+        for one, other in combinations(seen[:_MOST_OF_A_TAG], 2):
+            apart.append(float(np.linalg.norm(one[0] - other[0])))
+            first.append(one[1])
+            second.append(other[1])
+            slack.append(_SLACK * float(np.hypot(one[2], other[2])))
+    sides = np.array([apart, first, second])
+    number = _not_triangles(sides, np.array(slack), 1.0)
+    if number <= _FEW * len(apart):
+        return []
+    problem = f"{number} of {len(apart)} triangles of a tag and two beacons cannot be"
+    for unit, length in _SCALES.items() if number > _MOST * len(apart) else ():
+        for scale, fit in (
+            (length, f"{unit} and beacons in m"),
+            (1 / length, f"m and beacons in {unit}"),
+        ):
+            if _not_triangles(sides, np.array(slack), scale) <= _FEW * len(apart):
+                return [f"{problem}; with ranges in {fit} they can: convert them to one unit"]
+    return [f"{problem}: correct places or names of beacons, or give their bias"]
+
+
+def _not_triangles(sides: Reals, slack: Reals, scale: float) -> int:
+    """Count triangles that cannot be, with ranges in another unit."""
+    apart, first, second = sides[0], scale * sides[1], scale * sides[2]
+    off = np.maximum(np.abs(first - second) - apart, apart - first - second)
+    return int((off > scale * slack).sum())
+
+
+def _refuse_other_units(
+    path: Path, found: Mapping[str, str], names: Sequence[str], unit: str
+) -> None:
+    """Refuse columns of lengths in another unit than those beside them; some may have none."""
+    for name in names:
+        other = split_unit(found[name], LENGTHS)[1] if name in found else ""
+        if other and other.lower() != unit.lower():
+            problem = f"this column is in {other}, others in {unit or 'none'}; convert them to one"
+            raise InputError(f"{problem} unit", path=path, line=1, key=found[name])
+
+
+def _columns(
+    table: CsvFile, names: Mapping[str, Sequence[str]], given: Mapping[str, str]
+) -> dict[str, str]:
+    """Find columns by their meaning, those first whose names are given."""
     bare = {column: split_unit(column, LENGTHS)[0].lower() for column in table.columns}
-    found = {}
+    found = {meaning: column for meaning, column in given.items() if column in bare}
     for meaning, known in names.items():
+        if meaning in found:
+            continue
         column = next((c for name in known for c in table.columns if bare[c] == name), None)
         if column is not None:
             found[meaning] = column
     return found
 
 
-def _read(path: Path, beacons: Sequence[str], notes: list[str], *, drop: bool) -> _Ranges:
-    """Read a range a row, or those of a tag to all beacons; gaps of the latter are left out."""
+def _read(
+    path: Path,
+    beacons: Sequence[str],
+    columns: Mapping[str, str],
+    notes: list[str],
+    *,
+    drop: bool,
+) -> _Ranges:
+    """Read a range a row, or those of a tag to all beacons; gaps of the latter are left out.
+
+    Ranges to all beacons are of one tag if no column names tags.
+    """
+    refuse_other_files(path)
     table = CsvFile(path, plain_sheet(path).text)
-    found = _columns(table, _NAMES)
+    found = _columns(table, _NAMES, columns)
     wide = {} if "beacon" in found else _by_beacon(table.columns, beacons)
-    wanted = ["tag", *([] if wide else ["beacon", "range"])]
+    wanted = [] if wide else ["tag", "beacon", "range"]
     if lacking := [name for name in wanted if name not in found]:
         problem = f"the columns are {','.join(table.columns)[:200]}, neither tag,beacon,range nor "
-        problem += f"tag and names of beacons; rename or add {','.join(lacking)}"
-        raise InputError(problem, path=path, line=1)
+        problem += f"tag and names of beacons; rename or add {','.join(lacking)}, or name columns "
+        raise InputError(f"{problem}as by --column {lacking[0]}=NAME", path=path, line=1)
     values = [*wide] or [found["range"]]
     units = {split_unit(column, LENGTHS)[1] for column in values}
     if len(units) > 1:
@@ -218,7 +338,10 @@ def _read(path: Path, beacons: Sequence[str], notes: list[str], *, drop: bool) -
         lines = table.incomplete([found[name] for name in wanted])
         notes += report_incomplete(path, lines, drop=drop)
         table.drop(lines)
-    tags = [name.strip() for name in table.words(found["tag"]).tolist()]
+    _refuse_other_units(path, found, ("sd",), next(iter(units)))
+    tags = ["tag"] * len(table.rows)
+    if "tag" in found:
+        tags = [name.strip() for name in table.words(found["tag"]).tolist()]
     ends, length, sd = list[tuple[str, str]](), list[float](), list[float]()
     for column in values:
         lost = {*table.incomplete([column])}
@@ -227,17 +350,25 @@ def _read(path: Path, beacons: Sequence[str], notes: list[str], *, drop: bool) -
         others = [wide[column]] * len(tags) if wide else table.words(found["beacon"]).tolist()
         ends += [(tag, other.strip()) for tag, other in zip(tags, others, strict=True)]
         length += table.numbers(column, empty=0.0).tolist()
-        widths = table.numbers(found["sd"]) if "sd" in found else np.full(len(tags), np.nan)
-        sd += widths.tolist()
-        for row, width in enumerate(sd[-len(tags) :]):
-            if width <= 0.0:
-                problem = f"{width:g} is no standard deviation; write a positive one"
-                raise InputError(problem, path=path, line=table.line(row), key=found["sd"])
+        sd += _deviations(table, found.get("sd"))
     for row, (tag, other) in enumerate(ends):
         if tag == other:
-            problem = f"{tag[:40]!r} has a range to itself; name another robot"
+            problem = f"{tag[:40]!r} has a range to itself; name another robot, or give tags and "
+            problem += "beacons different names, such as T1 and A1"
             raise InputError(problem, path=path, line=table.line(row % len(tags)))
     return _Ranges(ends, np.array(length), np.array(sd), units.pop())
+
+
+def _deviations(table: CsvFile, column: str | None) -> list[float]:
+    """Read positive standard deviations; NaN without a column."""
+    if column is None:
+        return [np.nan] * len(table.rows)
+    widths: list[float] = table.numbers(column).tolist()
+    for row, width in enumerate(widths):
+        if width <= 0.0:
+            problem = f"{width:g} is no standard deviation; write a positive one"
+            raise InputError(problem, path=table.path, line=table.line(row), key=column)
+    return widths
 
 
 def _by_beacon(columns: Sequence[str], beacons: Sequence[str]) -> dict[str, str]:
@@ -268,7 +399,8 @@ def _pooled(path: Path, rows: Sequence[_Row], notes: list[str], warnings: list[s
     }
     width = float(np.median([*scatter.values()])) if scatter else 0.0
     if not width:
-        problem = "nothing states how exact ranges are, and no repeated readings show it; add a "
+        shown = "repeated readings are equal" if scatter else "no repeated readings show it"
+        problem = f"nothing states how exact ranges are, and {shown}; add a "
         raise InputError(f"{problem}column sd, or give --range-sd", path=path, line=1)
     notes.append(
         f"ranges scatter by {width:.2g} (1 sd), in {counted(len(scatter), 'pair')} with repeated "
@@ -277,10 +409,27 @@ def _pooled(path: Path, rows: Sequence[_Row], notes: list[str], warnings: list[s
     if wide := [f"{a} to {b}" for (a, b), each in scatter.items() if each > _MOVED * width]:
         problem = f"readings scatter far more than others: {some(wide)}; robots moved, or paths "
         warnings.append(f"{problem}changed: cut the table to a time of rest")
+    if _drift(pairs) > _DRIFT:
+        problem = "readings of a pair follow each other closely, and drift: robots moved; "
+        warnings.append(f"{problem}cut the table to a time of rest")
     return kept + [
         (*pair, float(np.median(each)), max(width, scatter.get(pair, 0.0)))
         for pair, each in pairs.items()
     ]
+
+
+def _drift(pairs: Mapping[tuple[str, str], Sequence[float]]) -> float:
+    """Compare the scatter of readings with that of each from the next; the median of pairs.
+
+    It is 1 for readings with errors of their own; 0 where there are too few, or equal ones.
+    """
+    ratios = [0.0]
+    for each in pairs.values():
+        steps = np.abs(np.diff(each))
+        if len(each) >= _FEWEST_IN_ORDER and (step := float(np.median(steps))) > 0.0:
+            off = np.abs(np.array(each) - np.median(each))
+            ratios.append(float(np.median(off)) * np.sqrt(2.0) / step)
+    return float(np.median(ratios[1:] or ratios))
 
 
 def _natural(name: str) -> tuple[int, str]:

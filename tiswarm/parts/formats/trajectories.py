@@ -189,21 +189,22 @@ def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
     files = sorted(path.glob("*.tum")) or sorted(
         file for file in path.iterdir() if file.suffix in {".csv", ".txt", ".tsv"}
     )
-    for file in files:
-        numbers = re.findall(r"\d+", file.stem)
-        if len(numbers) != 1 or len(numbers[0]) > columns.LONGEST_NUMBER:
-            problem = "the name has no number, or several; name the file as robot_7.tum"
-            raise InputError(problem, path=file)
-        if (other := named.setdefault(int(numbers[0]), file.name)) != file.name:
+    robots = columns.numbers_in([file.stem for file in files])
+    if files and not robots:
+        file = next((file for file in files if len(re.findall(r"\d+", file.stem)) != 1), files[0])
+        problem = "the name has no number, or several; name the file as robot_7.tum, or move it "
+        raise InputError(f"{problem}out of the folder if it is of no robot", path=file)
+    for file, robot in zip(files, robots, strict=True):
+        if (other := named.setdefault(robot, file.name)) != file.name:
             problem = f"the name has the number of {other}; give each robot its own"
             raise InputError(problem, path=file)
         if file.suffix == ".tum":
             rows, lines = _trajectory(file, assumed.dock_radius)
             drop = assumed.drop_incomplete
             notes += columns.report_incomplete(file, lines, drop=drop, name=file.name)
-            table = poses.PoseTable(rows.assign(robot=int(numbers[0])), "", (), notes)
+            table = poses.PoseTable(rows.assign(robot=robot), "", (), notes)
         else:
-            table = columns.read_table(file, assumed, robot=int(numbers[0]))
+            table = columns.read_table(file, assumed, robot=robot)
         tables.append(table._replace(rows=table.rows.assign(file=str(file))))
     if not tables:
         problem = "there are no files *.tum or *.csv; add one for each robot"
@@ -215,7 +216,8 @@ def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
         )
         notes = [*dict.fromkeys(note for table in tables for note in table.notes)]
     if len(units := {table.length_unit for table in tables}) > 1:
-        problem = f"files have different units, {' and '.join(sorted(units))}; convert them to one"
+        listed = " and ".join(unit or "none" for unit in sorted(units))
+        problem = f"files have different units, {listed}; convert them to one"
         raise InputError(problem, path=path)
     return tables[0]._replace(rows=rows, notes=notes)
 
@@ -271,7 +273,7 @@ def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None
             whose order it does not state.
     """
     _, first = next(numbered_lines(path, LONGEST_TEXT), (1, ""))
-    start = _cells(first, path, 1)[0]
+    start = _cells(first.partition("\r")[0], path, 1)[0]
     heads = {"Format Version": _motive, "FILE_VERSION": _qualisys, "NO_OF_FRAMES": _qualisys}
     head = _vicon if start in {*_VICON, *_VICON_OTHERS} else heads.get(start)
     if head is None:
