@@ -7,7 +7,8 @@
     python -m benchmarks.logs joint --logs tower-a room          # some logs
     python -m benchmarks.logs joint --rounding all               # as another processor rounds
 
-The table has a row a log and method, and the summary one a method. Both are written to --out, too.
+The table has a row a log and method, and the summary one a method. Both and a figure are written to
+--out.
 """
 
 import argparse
@@ -18,6 +19,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,12 +33,29 @@ from tiswarm.base.parts import load_plugins
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.report.figure_style import (
+    PAGE_WIDTH,
+    PALETTE,
+    STYLE,
+    TRUE_BLUE,
+    UNKNOWN_GRAY,
+    label_plainly,
+    new_figure,
+    png,
+)
 
 FOLDER = Path(__file__).parent / "data"
 ROUNDING = "TISWARM_BENCHMARK_ROUNDING"
 """Variable that says which rounding this process has."""
 
 PEERS = ("scipy", "gtsam", "isam2")
+_SPREAD = 0.25
+"""Rows over which a method's logs are spread, to either side."""
+_LOOKS: dict[bool, dict[str, Any]] = {
+    False: {"marker": "o", "markersize": 3.0, "alpha": 0.6, "color": TRUE_BLUE, "label": "a log"},
+    True: {"marker": "X", "markersize": 6.0, "color": PALETTE[3], "label": "wrong, and silent"},
+}
+_MEAN: dict[str, Any] = {"marker": "D", "markersize": 5.0, "color": "black", "capsize": 3.0}
 
 
 def main() -> int:
@@ -61,7 +80,8 @@ def main() -> int:
     table.to_csv(options.out / "grades.csv", index=False, float_format="%.4g")
     total.to_csv(options.out / "summary.csv", index=False, float_format="%.4g")
     print(f"\n{total.to_string(index=False, float_format='{:.3g}'.format)}")
-    print(f"\ntables in {options.out}")
+    (options.out / "grades.png").write_bytes(draw(table, total))
+    print(f"\ntables and grades.png in {options.out}")
     return 0
 
 
@@ -92,6 +112,32 @@ def _localized(log: SensingLog, method: str) -> Estimate:
         # Verdicts are in the table.
         warnings.simplefilter("ignore")
         return tiswarm.localize(log, method)
+
+
+def draw(table: pd.DataFrame, total: pd.DataFrame) -> bytes:
+    """Draw the error over the limit of each log that is not open, by method, as PNG."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        figure = new_figure(PAGE_WIDTH, 0.8 + 0.35 * len(total))
+        axes = figure.subplots()
+        for row, mean in enumerate(total.to_dict("records")):
+            own = table[(table["method"] == mean["method"]) & table["over_limit"].notna()]
+            at = row + np.linspace(-_SPREAD, _SPREAD, len(own))
+            for silent, look in _LOOKS.items():
+                some = (own["silent"] == silent).to_numpy()
+                axes.plot(own["over_limit"][some], at[some], linestyle="", **look)
+            middle = mean["over_limit"]
+            half = [[middle - mean["from"]], [mean["to"] - middle]]
+            axes.errorbar(middle, row, xerr=half, label="geometric mean, 95 % interval", **_MEAN)
+            if row == 0:
+                figure.legend(loc="outside upper right", ncols=3)
+        axes.axvline(1.0, color=UNKNOWN_GRAY, linewidth=0.8, zorder=0)
+        axes.set(xscale="log", xlabel="Error over the limit of a log")
+        label_plainly(axes.xaxis)
+        axes.set_yticks(range(len(total)), total["method"])
+        axes.invert_yaxis()
+        return png(figure)
 
 
 def _line(found: Grade) -> str:

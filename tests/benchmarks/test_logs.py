@@ -193,6 +193,7 @@ def test_the_command_grades_methods_plugins_and_estimates(tmp_path):
     assert table["method"].tolist() == ["hop-by-hop", "heap"] * 2
     assert (table["rmse"][table["method"] == "heap"] > 10.0).all()
     assert list(pd.read_csv(tmp_path / "own" / "summary.csv")["method"]) == ["hop-by-hop", "heap"]
+    assert (tmp_path / "own" / "grades.png").stat().st_size > 10_000
 
     theirs = tmp_path / "theirs"
     theirs.mkdir()
