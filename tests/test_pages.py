@@ -30,6 +30,18 @@ def test_links_lead_to_files(page):
     assert missing == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_scenarios_on_pages_have_no_mistakes(page, tmp_path):
+    """A reader can copy them; some need a plug-in of the same page."""
+    mistakes = []
+    for block in re.findall(r"```yaml\n(name:.*?)```", page.read_text(), re.DOTALL):
+        (tmp_path / "scenario.yaml").write_text(block)
+        found = tiswarm.check(tmp_path / "scenario.yaml").mistakes
+        mistakes += [str(each) for each in found if "of a plug-in that you load" not in str(each)]
+
+    assert mistakes == []
+
+
 def test_the_readme_names_the_folder_of_the_first_run():
     """A reader compares what the first command prints; the name changes with the scenario."""
     scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml")

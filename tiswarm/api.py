@@ -515,10 +515,10 @@ def open_source(
             read.
     """
     if isinstance(source, Run):
-        _refuse("a run has its own", of_log)
+        _refuse("a run has its own (sensing.jsonl of a case takes others)", of_log)
         return source
     if not isinstance(source, SensingLog) and as_path(source, "source").is_dir():
-        _refuse("a run has its own", of_log)
+        _refuse("a run has its own (sensing.jsonl of a case takes others)", of_log)
         return open_run(source)
     _refuse("a log is no run", of_run)
     return open_log(source)

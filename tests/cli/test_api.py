@@ -372,7 +372,9 @@ def test_pictures_and_exports_of_a_log_need_no_run(run, tmp_path):
     assert (drawn / "estimate.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="case: a log is no run; leave it out"):
         library.export(log, "ply", estimate, case="0-baseline")
-    with pytest.raises(InputError, match="estimate: a run has its own; leave it out"):
+    with pytest.raises(
+        InputError, match=r"estimate: a run has its own \(sensing.jsonl of a case takes others\)"
+    ):
         library.export(run, "png", estimate)
 
 

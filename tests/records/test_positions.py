@@ -112,6 +112,7 @@ def test_a_position_that_is_not_finite_is_not_written(tmp_path):
             "{path}:2: undetermined: 'zx' should be x, ",
         ),
         ('robot,x_R,y_R,z_R\n"1,0,0,0\n', "{path}:2: not a row of a table: "),
+        ('{"format": "tiswarm-sensing"}\n', "{path}:1: this is JSON, no table; give a table, such"),
     ],
 )
 def test_a_malformed_table_is_refused(tmp_path, text, problem):

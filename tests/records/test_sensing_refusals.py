@@ -228,7 +228,12 @@ def test_a_malformed_line_is_refused_with_its_place(tmp_path, file, line, key, p
 FIRST = json.dumps(HEADER).encode() + b"\n"
 BROKEN = [
     (b"", 1, "the file is empty; start it with a header line"),
-    (b"robot,x\n", 1, "not JSON at column 1: Expecting value; write one JSON object a line"),
+    (
+        b"robot,x\n",
+        1,
+        "the first line is no JSON object; start a log with its header, or make a log",
+    ),
+    (b"{robot,x\n", 1, "not JSON at column 2: Expecting property name enclosed in double quotes;"),
     (b"[1, 2]\n", 1, "[1, 2] is not a JSON object; write the line as {...}"),
     (FIRST + b"\n", 2, "the line is empty; delete it"),
     (FIRST + json.dumps(ANCHOR).encode()[:-9], 2, "write one JSON object a line"),

@@ -444,8 +444,14 @@ def test_exports_have_the_unit_of_the_log(log, estimate, true, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ("export . estimate.csv", "ESTIMATE: a run has its own; leave it out"),
-        ("export . --format csv --truth truth.csv", "--truth: a run has its own; leave it out"),
+        (
+            "export . estimate.csv",
+            "ESTIMATE: a run has its own (sensing.jsonl of a case takes others); leave it out",
+        ),
+        (
+            "export . --format csv --truth truth.csv",
+            "--truth: a run has its own (sensing.jsonl of a case takes others); leave it out",
+        ),
         ("view --live . --explain 3", "--explain: --live shows a run; leave it out"),
         ("export log.jsonl --format csv --case 0-a", "--case: a log is no run; leave it out"),
         ("localize log.jsonl --open", "--open: needs a page; add --report PAGE"),

@@ -277,6 +277,14 @@ def test_a_mistake_is_reported_with_its_place_and_remedy(scenario, text, line, k
     assert "\n" not in str(refusal.value)
 
 
+def test_a_table_is_no_scenario(tmp_path):
+    """Poses are imported; the line says so."""
+    (tmp_path / "poses.csv").write_text("robot,x,y,z\n0,0,0,0\n")
+
+    with pytest.raises(InputError, match=r"poses.csv:1: .* or give a table to tiswarm import"):
+        load_scenario(tmp_path / "poses.csv")
+
+
 def test_all_mistakes_are_found_at_once(scenario):
     """They come in file order; loading reports the first, and the number of the others."""
     path = scenario(

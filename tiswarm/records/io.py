@@ -259,6 +259,9 @@ class CsvFile:
             lines = enumerate(text.splitlines(), start=1)
         self._lines = ((line, text) for line, text in lines if not text.startswith("#"))
         first, header = next(self._lines, (1, ""))
+        if header.startswith("{"):
+            problem = "this is JSON, no table; give a table, such as estimate.csv or truth.csv"
+            raise InputError(problem, path=path, line=first)
         self._separator = max(",;\t", key=header.count)
         self.columns = [name.strip() for name in self._split(first, header)]
 

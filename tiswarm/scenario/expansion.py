@@ -106,6 +106,7 @@ def _examine(
     data = source.data
     if not isinstance(data, dict):
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
+        problem += ", or give a table to tiswarm import" * bool(path and path.suffix == ".csv")
         raise InputError(problem, path=path, line=source.place_of(()).line)
     settings = [parse_setting(text) for text in overrides]
     swept = any(setting.path[0] == "sweep" for setting in settings)
