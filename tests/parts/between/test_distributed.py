@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.parts.online.test_online import LOCAL, lines_of
 from tests.structures import NOISY, with_directions, with_fixes
 from tiswarm.base.errors import InputError
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import centered, localize_many
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
 from tiswarm.parts.between import DistributedParams
@@ -36,6 +37,8 @@ from tiswarm.parts.between.wire import (
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_format import parse_header, parse_robot
 from tiswarm.sensing import observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import BridgeParams
 
 QUICK = DistributedParams(chains=2, steps=40)
 EXACT = DistributedParams(
@@ -174,6 +177,62 @@ def test_a_review_moves_what_hangs_on_a_robot(log):
     after = np.array([robot.place.position for robot in swarm.robots])
     left = np.linalg.norm((after - before)[5:], axis=1).mean()
     assert left < 0.3
+
+
+@pytest.fixture(scope="module")
+def bridges():
+    """Bridges that closed, each with the robots whose first contacts lead to the far side."""
+    found = []
+    for history in grow(BridgeParams(), robots=40, seeds=[100_001, 100_004], robot=RobotGeometry()):
+        log, root = observe(history, NOISY), np.arange(history.robot_count)
+        for earlier, _, robot, _ in sorted(log.contacts.tolist(), key=lambda row: (row[2], row[0])):
+            if root[robot] == robot:
+                root[robot] = root[earlier]
+        assert {*root[:-1]} == {0, 1}
+        found.append((history, log, root > 0))
+    return found
+
+
+def test_the_far_side_of_a_bridge_learns_where_it_is(bridges):
+    """Who closes it touches both sides: what each knows of that robot ties them."""
+    for history, log, is_far in bridges:
+        [found] = localize_many([log], [QUICK])
+
+        off = np.linalg.norm(found.position - history.position, axis=1)
+        assert np.sqrt((off[is_far] ** 2).mean()) < 4.0  # 16 R and more without it
+        assert not found.disconnected.any()
+        # Errors of a whole side are within what its robots state.
+        assert np.sqrt((off**2).mean()) < 3.0 * np.sqrt((found.sd**2).mean())
+
+
+def test_before_a_bridge_closes_its_far_side_doubts(bridges):
+    """It knows where its robots are relative to each other only."""
+    for history, log, is_far in bridges:
+        swarm = grown(log, QUICK, log.robot_count - 1)
+
+        found = swarm.found()
+        far = np.flatnonzero(is_far[:-1])
+        assert np.flatnonzero(found.lost).tolist() == far.tolist()
+        assert found.doubtful[far].all()
+        away = (found.position - history.position[:-1])[far]
+        assert np.sqrt(away.var(axis=0).sum()) < 3.0
+
+
+def test_after_a_bridge_closes_a_walk_comes_to_all(bridges):
+    """The far side hangs on the robot that closed it, and that one on the near side."""
+    for _, log, _ in bridges:
+        swarm = grown(log, QUICK)
+
+        assert {robot.place.body for robot in swarm.robots} == {0}
+        parents = [robot._parent for robot in swarm.robots]  # noqa: SLF001 - what hangs on whom
+        for robot in swarm.robots:
+            number, steps = robot.number, 0
+            while parents[number] is not None:
+                assert number in swarm.robots[parents[number]]._children  # noqa: SLF001
+                number, steps = parents[number], steps + 1
+                assert steps < len(parents)
+            assert number == 0
+        assert sum(len(robot._children) for robot in swarm.robots) == len(parents) - 1  # noqa: SLF001
 
 
 def test_robots_of_a_base_are_not_reviewed(log):

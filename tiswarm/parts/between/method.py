@@ -61,7 +61,7 @@ class Found:
     """Standard deviation of each position, as its robot knows it, shape (N,)."""
 
     lost: Bools
-    """Robots that do not know where they are, shape (N,)."""
+    """Robots that do not know where they are relative to the anchor, shape (N,)."""
 
     doubtful: Bools
     """Robots that doubt where they are, shape (N,)."""
@@ -224,7 +224,7 @@ class PeerSwarm:
             position=self._centers(),
             at_join=np.array(self._at_join),
             sd=np.array([0.0 if robot.place is None else robot.place.sd for robot in robots]),
-            lost=np.array([robot.place is None for robot in robots], np.bool_),
+            lost=np.array([not robot.place or robot.place.body > 0 for robot in robots], np.bool_),
             doubtful=np.array([robot.judge() for robot in robots], np.bool_),
             traffic=self.channel.traffic(np.array(self._memory), operations),
             steps=len(robots),

@@ -13,6 +13,9 @@ A robot reads its own memory and the bytes that it hears. It has no other way to
 5. In a review a message walks along first contacts, from robot to robot and back. Whom it reaches
    solves again for all that it solved for. What hangs on these robots moves as one: otherwise
    those that are not asked would hold a structure that is to shift as a whole.
+6. A robot that touches none, and all that hang on it, are a body of their own, in which they know
+   where they are. Who touches two bodies joins them: its keeper solves for it in one of them, then
+   for the shift of the other as one. A message around lets that one hang on the new robot.
 
 The layers of `online` run on the robots that it holds alone. Rows about others are left out: where
 rows of a block have noise in common, that of those which are left stays as it is. Lengths in R,
@@ -23,7 +26,7 @@ reported on.
 """
 
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -41,7 +44,7 @@ from tiswarm.localization.chains.views import (
     find_subtrees,
 )
 from tiswarm.localization.cost import EXTENSION, ROBUST_SD
-from tiswarm.localization.cost.cost import State, weights
+from tiswarm.localization.cost.cost import Cost, State, weights
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.parts.between import DistributedParams, wire
 from tiswarm.parts.between.channel import Message
@@ -136,6 +139,11 @@ class Known:
     is_current: bool = False
     """Whether it lets the robot that holds this know as it moves."""
 
+    @property
+    def body(self) -> int:
+        """First robot of the body in which it is placed; -1 if it is not."""
+        return -1 if self.place is None else self.place.body
+
 
 @dataclass(frozen=True, eq=False)
 class Program:
@@ -169,7 +177,7 @@ class Program:
 class Solved(NamedTuple):
     """What a robot found out."""
 
-    places: Mapping[int, wire.Whereabouts]
+    places: dict[int, wire.Whereabouts]
     """Places of robots that moved, and of the one that was solved for, by number."""
 
     surprising: set[int]
@@ -207,6 +215,7 @@ class LocalSwarm:
         self._stays = np.zeros(len(self.numbers), np.bool_)
         self._spans: list[tuple[int, int] | None] = []
         self._opened: dict[int, Joiner] = {}
+        self.body = 0
         for number, k in self._index.items():
             each = held.get(number, Known())
             lines = {n: other.line for n, other in held.items()}
@@ -221,7 +230,10 @@ class LocalSwarm:
             self.layers.append(Joiner(block, touching))
             self.layers.places[k] = each.candidates
             if each.place is not None:
-                position[k], turn[k], sd[k, 0] = each.place
+                position[k], turn[k], sd[k, 0] = each.place[:3]
+                self.body = each.place.body
+        if self.body:
+            self.layers.gone.add(0)  # the anchor is elsewhere
         count = len(self.numbers)
         self.layers.state = State(position[:count], turn[:count])
         self.layers.sd = sd[:count, 0]
@@ -269,7 +281,9 @@ class LocalSwarm:
         moved = np.flatnonzero(has_moved)
         number_of = self.numbers[moved].tolist()
         places = [
-            wire.Whereabouts(state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j]))
+            wire.Whereabouts(
+                state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j]), self.body
+            )
             for j in moved.tolist()
         ]
         surprising = layers.surprising(moved)
@@ -295,19 +309,17 @@ class LocalSwarm:
         if not blocks:
             return self._solved(number, before, 0.0)
         root, parted = self._branches(is_free)
-        problem, basis = opened.neighborhood(every, blocks), _motions(free, root)
+        basis = _motions(free, root)
+        problem = _MotionCost(opened.neighborhood(every, blocks), basis)
         state, linear = before, problem.linearized(before)
         for _ in range(NEIGHBORS.rounds):
-            known = basis.T @ linear.information @ basis
-            known[np.diag_indices(len(known))] += NEIGHBORS.radius**-2.0
-            step = (basis @ np.linalg.solve(known, -basis.T @ linear.slope)).reshape(2, -1, _AXES)
-            share = min(1.0, NEIGHBORS.longest_step / max(np.abs(step[0]).max(), _SETTLED))
-            other = State(state.position + share * step[0], state.turn + share * step[1])
+            other, _ = problem.moved(state, linear, NEIGHBORS.radius)
             there = problem.linearized(other)
             if there.cost > linear.cost - NEIGHBORS.settled:
                 break
             state, linear = other, there
-        layers.sd[free] = self._sd(linear, basis, root)[free]
+        stays = self._stays & (root < 0)
+        layers.sd[free] = self._sd(linear, basis, stays)[free]
         shifts: dict[int, tuple[Reals, list[int]]] = {}
         along: dict[int, Reals] = {}
         for first in np.unique(root[root >= 0]).tolist():
@@ -343,23 +355,70 @@ class LocalSwarm:
                 root[k] = last
         return root, parted | {k: [] for k in set(root.tolist()) - parted.keys()}
 
-    def _sd(self, linear: NearLinear, basis: Reals, root: Ints) -> Reals:
+    def closing(self, number: int, members: Collection[int], places: Reals) -> tuple[Reals, float]:
+        """Find the shift by which another body is where a robot touches it.
+
+        Args:
+            number: The robot, where it is in its own body.
+            members: Robots of the other body, where they are in that one.
+            places: Where the robot may be in that one [R], shape (k, 3).
+
+        Returns:
+            The shift, shape (3,), and its standard deviation [R].
+        """
+        layers, k, robots = self.layers, self._index[number], len(self.numbers)
+        body = np.array([self._index[n] for n in sorted(members)])
+        root, alone = np.full(robots, -1), np.array([k])
+        root[body] = k
+        opened = layers.with_other({j: self._opened[j] for j in body.tolist() if self._stays[j]})
+        blocks, basis = opened.blocks_about(np.append(body, k)), _motions(alone, root)
+        problem = _MotionCost(opened.neighborhood(np.arange(robots), blocks), basis)
+        found = []
+        for place in places:
+            start = layers.state.position.copy()
+            start[body] += start[k] - place
+            found.append(problem.refine(State(start, layers.state.turn)))
+        reach = opened.neighborhood(alone).shapes.reach
+        score = np.array([each[1].cost - _gain(opened, alone, each[0], reach) for each in found])
+        shift = np.array([(each.position - layers.state.position)[body[0]] for each, _ in found])
+        best = int(score.argmin())
+        spread = weights(score, _TEMPERED) @ ((shift - shift[best]) ** 2).sum(axis=1)
+        stays = (root < 0) & (np.arange(robots) != k)
+        return shift[best], float(
+            np.hypot(self._sd(found[best][1], basis, stays)[body[0]], np.sqrt(spread))
+        )
+
+    def places_of(self, number: int) -> Reals:
+        """Find where rows about those that are held allow a robot to be [R], shape (k, 3)."""
+        layers, k = self.layers, self._index[number]
+        layers.place(k)
+        found: Reals = layers.places[k] + layers.state.position[layers.blocks[k].partners].mean(
+            axis=0
+        )
+        return found
+
+    def is_floating(self, number: int) -> bool:
+        """Judge whether the rows of a robot tie it neither to the world nor to one that is held."""
+        rows = self.layers.blocks[self._index[number]].rows
+        return not len(rows.other) and int(np.linalg.matrix_rank(rows.places.direction)) < _AXES
+
+    def _sd(self, linear: NearLinear, basis: Reals, stays: Bools) -> Reals:
         """Compute the standard deviation of each robot that moved [R], shape (N,).
 
-        Errors of those that stay count as a shift that they share.
+        Errors of those that stay, shape (N,), count as a shift that they share.
         """
-        robots = len(root)
+        robots = len(stays)
         known = basis.T @ linear.information @ basis
         known[np.diag_indices(len(known))] += NEIGHBORS.open_precision
-        stays = np.where(self._stays & (root < 0), self.layers.sd, 0.0)
         others = np.zeros((2, robots, _AXES, _AXES))
-        others[0] = stays[:, None, None] * np.eye(_AXES) / np.sqrt(_AXES)
+        sd = np.where(stays, self.layers.sd, 0.0)
+        others[0] = sd[:, None, None] * np.eye(_AXES) / np.sqrt(_AXES)
         inverse = np.linalg.inv(known)
         shared = basis @ inverse @ (basis.T @ (linear.information @ others.reshape(-1, _AXES)))
         own = ((basis @ inverse) * basis).sum(axis=1)
         square = (own + (shared**2).sum(axis=1)).reshape(2, robots, _AXES)
-        sd: Reals = np.sqrt(square[0].sum(axis=1))
-        return sd
+        found: Reals = np.sqrt(square[0].sum(axis=1))
+        return found
 
     def _operations(self, k: int, *, anew: bool) -> float:
         """Count what a search for candidates, linear problems and chains take, about."""
@@ -392,6 +451,30 @@ class LocalSwarm:
         return {
             (dock, self._index[other], its) for dock, other, its in rows if other in self._index
         }
+
+
+class _MotionCost(Cost[NearLinear]):
+    """The cost of robots near one as a function of some motions, which move several as one."""
+
+    most_rounds, widest, promised = CANDIDATES.rounds, NEIGHBORS.radius, NEIGHBORS.settled
+
+    def __init__(self, problem: NearCost, basis: Reals) -> None:
+        """Take the cost of N robots that may all move, and motions, shape (6 N, n)."""
+        self._problem, self._basis = problem, basis
+
+    def linearized(self, state: State) -> NearLinear:
+        """Linearize the cost at a state."""
+        return self._problem.linearized(state)
+
+    def moved(self, state: State, linear: NearLinear, radius: float) -> tuple[State, float]:
+        """Step along the motions."""
+        basis = self._basis
+        known = basis.T @ linear.information @ basis
+        known[np.diag_indices(len(known))] += radius**-2.0
+        step = (basis @ np.linalg.solve(known, -basis.T @ linear.slope)).reshape(2, -1, _AXES)
+        share = min(1.0, NEIGHBORS.longest_step / max(np.abs(step[0]).max(), _SETTLED))
+        other = State(state.position + share * step[0], state.turn + share * step[1])
+        return other, float(-share * linear.slope @ step.ravel())
 
 
 def _motions(free: Ints, root: Ints) -> Reals:
@@ -496,12 +579,15 @@ class Peer:
         self._keepers: dict[int, int] = {}
         # The robot that another keeper may have to solve for, and its line.
         self._hosted: tuple[int, bytes] | None = None
-        # Robots whose first contact is with this one.
+        # The robot that this one hangs on, its first contact, and those that hang on this one.
+        self._parent = min(self.touching, default=None)
         self._children: set[int] = set()
         # Robots that this one solved for.
         self._kept: set[int] = set()
         # Where a walk is.
-        self._entered, self._left = 0, list[int]()
+        self._entered, self._left, self._visited = 0, list[int](), -1
+        # The shift by which its body joined another one, as it was sent.
+        self._joined = b""
         # Robots that rely on hearing of it when this one moves.
         self._watchers: set[int] = set()
         self._search: _Search | None = None
@@ -550,17 +636,63 @@ class Peer:
 
     def _hear_shift(self, message: Message) -> None:
         """Move with the robot that this one hangs on."""
-        mine, bits = self.known[self.number], self._program.params.bits
-        keeper, shift, _ = wire.read_shift(message.common, bits)
-        if mine.place is not None and keeper != self.number:
-            mine.place = mine.place._replace(position=mine.place.position + shift)
-            self._warn(keeper)
+        found = wire.read_shift(message.common, self._program.params.bits)
+        self._hang_on(message.sender)
+        if found.body:
+            self._joined = message.common
+            self._join_body(self.number, found)
+            self._warn(self.number)
+        elif self.place is not None and found.keeper != self.number:
+            mine = self.known[self.number]
+            mine.place = self.place._replace(position=self.place.position + found.shift)
+            self._warn(found.keeper)
         self._pass_shift(message.common)
 
     def _pass_shift(self, content: bytes) -> None:
         """Let robots that hang on this one move, too."""
-        _, _, parted = wire.read_shift(content, self._program.params.bits)
+        parted = wire.read_shift(content, self._program.params.bits).parted
         self._say("shift", content, dict.fromkeys(sorted(self._children - {*parted}), b""))
+
+    def _join_body(self, number: int, found: wire.JointShift) -> None:
+        """Move what this robot holds of one to another body, unless it is there."""
+        its = self._of(number)
+        if its.place is not None and its.body == found.body:
+            its.place = wire.Whereabouts(
+                its.place.position + found.shift,
+                its.place.turn,
+                float(np.hypot(its.place.sd, found.sd)),
+                found.joined,
+            )
+
+    def _hang_on(self, parent: int) -> None:
+        """Hang on a robot; what this one hung on before hangs on it then, as its body joined."""
+        if parent == self._parent:
+            return
+        self._children.discard(parent)
+        if self._parent is not None:
+            self._children.add(self._parent)
+        self._parent = parent
+
+    def _hear_lost(self, message: Message) -> None:
+        """Repeat the shift for a robot that has not heard of it."""
+        if self._joined:
+            self._say("shift", self._joined, {message.sender: b""})
+
+    def _hear_hang(self, message: Message) -> None:
+        self._hang(message.parts[self.number], message.common)
+
+    def _hang(self, pair: bytes, content: bytes) -> None:
+        """Hang on a robot of one body, and let the other body hang on this one."""
+        parent, child = wire.read_pair(pair)
+        if self._parent != parent:
+            self._parent = parent
+            self._say("child", b"", {parent: b""})
+        self._children.add(child)
+        self._joined = content
+        self._say("shift", content, {child: b""})
+
+    def _hear_child(self, message: Message) -> None:
+        self._children.add(message.sender)
 
     def review(self) -> None:
         """Send a message around that lets each robot that solved do so again for all it solved for.
@@ -571,14 +703,17 @@ class Peer:
 
     def _hear_walk(self, message: Message) -> None:
         count, turn = wire.read_walk(message.common)
-        if message.sender in self._children:
+        if message.sender == self._visited:
             self._go_on(count, turn)
-        else:
-            self._enter(count, turn)
+            return
+        self._hang_on(message.sender)
+        if self.known[self.number].body > 0:
+            self._say("lost", b"", {message.sender: b""})
+        self._enter(count, turn)
 
     def _enter(self, count: int, turn: int) -> None:
         """Take in a walk that comes to this robot."""
-        self._entered, self._left = count, sorted(self._children)
+        self._entered, self._left, self._visited = count, sorted(self._children), -1
         if turn and self._kept:
             self._review(count + 1, turn)
         else:
@@ -588,11 +723,12 @@ class Peer:
         """Let a walk go to the next robot that hangs on this one, or back."""
         at = wire.write_walk(count, turn)
         if self._left:
-            self._say("walk", at, {self._left.pop(0): b""})
+            self._visited = self._left.pop(0)
+            self._say("walk", at, {self._visited: b""})
             return
         self.known[self.number].span = self._entered, count
-        if self.touching:
-            self._say("walk", at, {self.touching[0]: b""})
+        if self._parent is not None:
+            self._say("walk", at, {self._parent: b""})
         elif not turn:
             self._enter(0, 1)
 
@@ -662,9 +798,9 @@ class Peer:
         """Judge whether the robot doubts where it is, by what it heard.
 
         It does if chance does not explain its rows and overlaps, if its standard deviation is
-        large, or if it heard of no place.
+        large, or if it heard of no place relative to the anchor.
         """
-        if self.place is None or self.place.sd > ANSWERS.doubtful_sd:
+        if self.place is None or self.place.body or self.place.sd > ANSWERS.doubtful_sd:
             return True
         return self.known[self.number].is_surprising
 
@@ -864,6 +1000,9 @@ class Peer:
 
     def _hold_place(self, number: int, part: bytes) -> None:
         answer, its = wire.read_result(part, self._program.params.bits), self._of(number)
+        # Bodies join those of lower numbers: who places it in a higher one has not heard of that.
+        if answer.place is None or 0 <= its.body < answer.place.body:
+            return
         its.place, its.is_surprising = answer.place, answer.is_surprising
         if len(answer.candidates):
             its.candidates = answer.candidates
@@ -887,7 +1026,8 @@ class Peer:
         held = self._placed()
         if search.walk is not None:
             near = {n: each for n, each in held.items() if n in search.step or not n}
-            self._send(self.number, LocalSwarm(self._program, near).relax(self.number))
+            mine = _of_body(near, self.known[self.number].body)
+            self._send(self.number, LocalSwarm(self._program, mine).relax(self.number))
             self._go_on(*search.walk)
             return
         self._kept.add(joiner)
@@ -895,8 +1035,51 @@ class Peer:
         near[joiner] = self.known[joiner]
         if 0 in held:
             near[0] = held[0]
-        solved = LocalSwarm(self._program, near).solve(
-            joiner, anew=near[joiner].place is None, everywhere=self._has_grown(len(near))
+        partners = self._program.partners(near[joiner].line) & near.keys()
+        bodies = sorted({near[n].body for n in partners})
+        mine = _of_body(near, min(bodies, default=0)) | {joiner: near[joiner]}
+        swarm = LocalSwarm(self._program, mine)
+        if swarm.is_floating(joiner):
+            swarm.body = joiner
+        anew = near[joiner].place is None
+        solved = swarm.solve(joiner, anew=anew, everywhere=self._has_grown(len(near)))
+        if swarm.body == joiner:
+            solved.places[joiner] = solved.places[joiner]._replace(sd=0.0)
+        self._send(joiner, solved)
+        if swarm.body and joiner == self.number and self._parent is not None:
+            # Who solves for itself sent no line.
+            self._say("child", b"", {self._parent: b""})
+        for body in bodies[1:]:
+            self._close(joiner, near, body)
+
+    def _close(self, joiner: int, near: Mapping[int, Known], body: int) -> None:
+        """Let a body join that of a robot which touches both, and solve for those near it."""
+        own, other = near[joiner].body, _of_body(near, body)
+        line = near[joiner].line
+        touching = sorted(o for _, o, _ in self._program.decoded(line).contacts)
+        # By radio, messages reach robots that it touched on its way, too.
+        ways = [n for n in (*touching, *sorted(self._program.partners(line))) if n in near]
+        parent, child = (next(n for n in ways if near[n].body == b) for b in (own, body))
+        lost = replace(near[joiner], place=None)
+        places = LocalSwarm(self._program, other | {joiner: lost}).places_of(joiner)
+        both = LocalSwarm(self._program, _of_body(near, own) | other)
+        shift, sd = both.closing(joiner, other.keys(), places)
+        content = wire.write_shift(
+            wire.JointShift(self.number, shift, body=body, joined=own, sd=sd),
+            self._program.params.bits,
+        )
+        found = wire.read_shift(content, self._program.params.bits)
+        for number, its in self.known.items():
+            # Who has not heard of it by then is asked again.
+            its.is_current &= its.body != body
+            self._join_body(number, found)
+        at = wire.write_pair(parent, child)
+        if joiner == self.number:
+            self._hang(at, content)
+        else:
+            self._say("hang", content, {joiner: at})
+        solved = LocalSwarm(self._program, _of_body(near, own)).solve(
+            joiner, anew=False, everywhere=True
         )
         self._send(joiner, solved)
 
@@ -930,7 +1113,9 @@ class Peer:
         if self.number in solved.along:
             self._warn(self.number)
         for first, (shift, parted) in solved.shifts.items():
-            content = wire.write_shift(self.number, shift, parted, self._program.params.bits)
+            content = wire.write_shift(
+                wire.JointShift(self.number, shift, parted), self._program.params.bits
+            )
             if first == self.number:
                 self._pass_shift(content)
             else:
@@ -956,6 +1141,11 @@ class Peer:
         spare = sorted((n for n in lines if n not in busy), key=self._is_current)
         for number in spare[:beyond]:
             del self.known[number]
+
+
+def _of_body(near: Mapping[int, Known], body: int) -> dict[int, Known]:
+    """Choose robots that are placed relative to a body."""
+    return {n: each for n, each in near.items() if each.body == body}
 
 
 class NearAnnealed(NamedTuple):

@@ -15,7 +15,7 @@ states. Lengths in R, relative to the anchor.
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -79,6 +79,10 @@ class Whereabouts(NamedTuple):
 
     sd: float
     """Standard deviation of the position [R]."""
+
+    body: int = 0
+    """First robot of the body that the position is relative to: all robots that rows connect. The
+    anchor's is 0."""
 
 
 def pose_bytes(bits: int | None, *, with_orientation: bool) -> int:
@@ -185,11 +189,8 @@ def write_place(to: Writer, place: Whereabouts) -> None:
     """Append where a robot is."""
     to.lengths(place.position)
     to.reals(place.turn, _MOST_TURN, _fewer(to.bits, _TURN))
-    if to.bits is None:
-        to.reals([place.sd], 1.0)
-        return
-    share = math.log(max(place.sd, _LEAST_SD) / _LEAST_SD) / math.log(_MOST_SD / _LEAST_SD)
-    to.number(round(min(share, 1.0) * (2**_SD - 1)), _SD)
+    _write_sd(to, place.sd)
+    _write_if(to, place.body)
 
 
 def read_place(source: Reader) -> Whereabouts:
@@ -198,30 +199,96 @@ def read_place(source: Reader) -> Whereabouts:
         source.lengths(_AXES),
         source.reals(_AXES, _MOST_TURN, _fewer(source.bits, _TURN)),
     )
+    return Whereabouts(position, turn, _read_sd(source), _read_if(source))
+
+
+def _write_sd(to: Writer, sd: float) -> None:
+    """Append a standard deviation [R]."""
+    if to.bits is None:
+        to.reals([sd], 1.0)
+        return
+    share = math.log(max(sd, _LEAST_SD) / _LEAST_SD) / math.log(_MOST_SD / _LEAST_SD)
+    to.number(round(min(share, 1.0) * (2**_SD - 1)), _SD)
+
+
+def _read_sd(source: Reader) -> float:
     if source.bits is None:
-        return Whereabouts(position, turn, float(source.reals(1, 1.0)[0]))
-    share = source.number(_SD) / (2**_SD - 1)
-    return Whereabouts(position, turn, _LEAST_SD * (_MOST_SD / _LEAST_SD) ** share)
+        return float(source.reals(1, 1.0)[0])
+    return float(_LEAST_SD * (_MOST_SD / _LEAST_SD) ** (source.number(_SD) / (2**_SD - 1)))
 
 
-def write_shift(keeper: int, shift: Reals, parted: Iterable[int], bits: int | None) -> bytes:
-    """Write who lets robots shift how far [R], and which do not take part."""
+def _write_if(to: Writer, number: int) -> None:
+    """Append a robot's number; the anchor's takes one bit."""
+    to.number(number > 0, 1)
+    if number:
+        to.number(number, NUMBER)
+
+
+def _read_if(source: Reader) -> int:
+    return source.number(NUMBER) if source.number(1) else 0
+
+
+class JointShift(NamedTuple):
+    """By how much robots that hang on one move."""
+
+    keeper: int
+    """Robot that computed it."""
+
+    shift: Reals
+    """Shift [R], shape (3,)."""
+
+    parted: Collection[int] = ()
+    """Robots that do not take part, nor those that hang on them."""
+
+    body: int = 0
+    """Body that joins another one by this; 0 where none does."""
+
+    joined: int = 0
+    """The other body."""
+
+    sd: float = 0.0
+    """Standard deviation of the shift, where bodies join [R]."""
+
+
+def write_shift(shift: JointShift, bits: int | None) -> bytes:
+    """Write by how much robots move."""
     to = Writer(bits)
-    to.number(keeper, NUMBER)
-    to.lengths(shift)
-    write_numbers(to, parted)
+    to.number(shift.keeper, NUMBER)
+    to.lengths(shift.shift)
+    write_numbers(to, shift.parted)
+    _write_if(to, shift.body)
+    if shift.body:
+        _write_if(to, shift.joined)
+        _write_sd(to, shift.sd)
     return to.to_bytes()
 
 
-def read_shift(content: bytes, bits: int | None) -> tuple[int, Reals, list[int]]:
+def read_shift(content: bytes, bits: int | None) -> JointShift:
     """Read what `write_shift` wrote."""
     source = Reader(content, bits)
-    return source.number(NUMBER), source.lengths(_AXES), read_numbers(source)
+    found = JointShift(source.number(NUMBER), source.lengths(_AXES), read_numbers(source))
+    if not (body := _read_if(source)):
+        return found
+    return found._replace(body=body, joined=_read_if(source), sd=_read_sd(source))
 
 
 def rounded(shift: Reals, bits: int | None) -> Reals:
     """Round a shift as it is sent [R]."""
-    return read_shift(write_shift(0, shift, (), bits), bits)[1]
+    return read_shift(write_shift(JointShift(0, shift), bits), bits).shift
+
+
+def write_pair(first: int, second: int) -> bytes:
+    """Write two numbers of robots."""
+    to = Writer(None)
+    to.number(first, NUMBER)
+    to.number(second, NUMBER)
+    return to.to_bytes()
+
+
+def read_pair(content: bytes) -> tuple[int, int]:
+    """Read what `write_pair` wrote."""
+    source = Reader(content, None)
+    return source.number(NUMBER), source.number(NUMBER)
 
 
 def write_walk(count: int, turn: int) -> bytes:
