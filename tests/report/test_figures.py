@@ -160,7 +160,7 @@ def test_a_method_of_many_more_iterations_is_drawn_to_its_end(tmp_path):
 
 def test_methods_share_no_axis_of_iterations(tmp_path):
     """Iterations of one method cost a hundred times those of another."""
-    methods = {"joint": "joint", "paper": "virtual-force", "no-z": "virtual-force"}
+    methods = {"ours": "joint", "paper": "virtual-force", "no-z": "virtual-force"}
     for name in methods:
         write_case(tmp_path / "cases" / f"0-{name}", seed=0)
     rows = [[f"0-{name}", "done", name, name, method] for name, method in methods.items()]
@@ -169,7 +169,7 @@ def test_methods_share_no_axis_of_iterations(tmp_path):
     figure = draw_convergence(load_run(tmp_path))
 
     drawn = {axes.get_title(): [line.get_label() for line in axes.lines] for axes in figure.axes}
-    assert drawn == {"joint": ["joint"], "virtual-force": ["paper", "no-z"]}
+    assert drawn == {"ours": ["ours"], "virtual-force": ["paper", "no-z"]}
 
 
 def test_only_best_and_worst_have_bands(tmp_path):
@@ -619,6 +619,26 @@ def test_series_that_are_equal_are_one_line(tmp_path):
     )  # fmt: skip
 
     assert not draw_scaling(load_run(tmp_path)).texts
+
+
+@pytest.mark.parametrize(("series", "stated"), [(4, 4), (5, 0)])
+def test_powers_are_stated_where_a_reader_finds_whose_they_are(tmp_path, series, stated):
+    """Equal series state theirs once; of more than four, `scaling.csv` has them."""
+    names = [*(f"method {k}" for k in range(series)), "like method 0"]
+    rows = [
+        [name, measure, robots, (1 + place % series) * robots, power, power]
+        for measure in SCALING_PANELS
+        for place, name in enumerate(names)
+        for robots in (10, 100)
+        for power in [1.0 + place % series / 10]
+    ]
+    write_table(tmp_path / "scaling.csv", "series,measure,robots,mean,exponent,slope", rows)
+    write_summary(tmp_path, "case,status", [["0-paper", "done"]])
+
+    figure = draw_scaling(load_run(tmp_path))
+
+    assert {len(axes.texts) for axes in figure.axes} == {stated}
+    assert "in scaling.csv" in figure.texts[-1].get_text()
 
 
 def test_no_two_of_many_series_look_alike():

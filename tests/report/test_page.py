@@ -18,8 +18,9 @@ from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import swarm_view
 from tiswarm.report.answers import result_of
 from tiswarm.report.figures import caption_of, draw_figures
-from tiswarm.report.page import show_pictures, write_page
+from tiswarm.report.page import Page, Shown, show_pictures, write_page
 from tiswarm.report.page_tables import (
+    PageTable,
     case_table,
     headline_table,
     notes_of,
@@ -469,3 +470,37 @@ def test_a_page_of_a_sweep_has_a_row_group_and_a_choice_for_each_point(swept_run
     assert found["rows"] == [[point, "Algorithm 1", "joint"] for point in found["points"]]
     assert found["csv"].splitlines()[1].startswith('"gap 20 R","Algorithm 1","2')
     assert not re.search(r"kind: bridge|structure=", page.partition("The scenario with all")[0])
+
+
+@pytest.mark.parametrize(("rows", "is_wide"), [(14, False), (15, True)])
+def test_a_long_table_has_the_whole_width(rows, is_wide):
+    """Beside the view its columns were cut; some renders are then large, others folded."""
+    frame = pd.DataFrame({"condition": [f"F {k}" for k in range(rows)], "RMSE [R]": "1"})
+    renders = [Shown("data:,", f"renders/{k}.png", f"{k}", 10, 10, wide=10) for k in range(5)]
+    table = PageTable(frame=frame, words=["condition"], title="Accuracy")
+    page = Page(name="laws", result="", headline=table, renders=renders)
+
+    assert page.is_sweep == is_wide
+    before, fold, after = page.html().partition("More renders")
+    assert [before.count("<img"), after.count("<img")] == ([3, 2] if is_wide else [5, 0])
+    assert bool(fold) == is_wide
+
+
+def test_paper_has_the_first_rows_of_a_long_table(tmp_path):
+    """A study of 1,536 cases was 97 pages."""
+    cells = pd.DataFrame({"case": [f"case {k}" for k in range(45)], "RMSE [R]": "1"})
+    rows = PageTable(frame=cells, words=["case"], title="Cases")
+    script = """
+    const rows = [...document.querySelectorAll(".tall tbody tr")];
+    found.shown = rows.filter((row) => row.getClientRects().length).length;
+    found.note = document.querySelector(".printed").getClientRects().length;
+    document.body.dataset.found = JSON.stringify(found);
+    """
+    html = Page(name="study", result="", rows=rows).html()
+
+    seen = probe(html, script, tmp_path)
+    paper = probe(html.replace("@media print", "@media screen"), script, tmp_path)
+
+    assert (seen["shown"], seen["note"]) == (45, 0)
+    assert (paper["shown"], paper["note"]) == (40, 1)
+    assert "On paper: the first 40 of 45 rows." in html

@@ -313,12 +313,15 @@ def _count(axes: "Axes", places: "pd.Series[float]", counts: "pd.Series[float]")
         )  # fmt: skip
 
 
+_MOST_POWERS = 4  # that a panel states
+
+
 def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     """Draw means over structures against the number of robots N on logarithmic axes.
 
-    Panels state the power of N fitted to all sizes, and to the two largest. Bands of the best and
-    the worst series cover all structures. Where all series are equal, one gray line stands for all.
-    Threads, workers or movers take the place of N in a study of these.
+    Panels state the power of N fitted to all sizes, and to the two largest, if there are few. Bands
+    of the best and the worst series cover all structures. Where all series are equal, one gray line
+    stands for all. Threads, workers or movers take the place of N in a study of these.
     """
     table = run.table("scaling.csv", ["series", "measure"], ["mean"], after="measure")
     column = str(table.columns[2])
@@ -348,6 +351,7 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     entries = {name: legend[name] for name in (*names, "all series") if name in legend}
     panels.legend(entries=entries, loc="outside upper right")
     powers = f"powers of {symbol} are fitted to all points, then to the two largest"
+    powers += f"; where more than {_MOST_POWERS}, in scaling.csv" * (len(names) > _MOST_POWERS)
     fitted = table["exponent"].notna().any()
     more = figure_style.left_out(left_out, "scaling.csv")
     return panels.finish(powers if fitted else "", more, run.note)
@@ -377,6 +381,7 @@ def _draw_powers(
     ranked = sorted(
         (n for n, p in drawn.items() if len(p)), key=lambda n: drawn[n]["mean"].iloc[-1]
     )
+    powers: dict[str, Any] = {}
     for place, (name, part) in enumerate(drawn.items()):
         if part.empty:  # a method that states no steps, for example
             continue
@@ -391,8 +396,11 @@ def _draw_powers(
             axes.fill_between(
                 part[column], part["least"], part["most"], color=look["color"], alpha=0.15, lw=0.0
             )
+        powers[_powers(part, symbol)] = look["color"]  # equal series are drawn over each other
+    powers.pop("", None)
+    for place, (text, color) in enumerate(powers.items() if len(powers) <= _MOST_POWERS else ()):
         axes.annotate(
-            _powers(part, symbol), (0.0, 1.0), (3.0, 3.0 + 8.0 * place), color=look["color"],
+            text, (0.0, 1.0), (3.0, 3.0 + 8.0 * place), color=color,
             xycoords="axes fraction", textcoords="offset points", fontsize=6.0,
         )  # fmt: skip
 
@@ -406,7 +414,10 @@ def _powers(part: "pd.DataFrame", symbol: str) -> str:
 
 
 _FEWEST_GRADES = 3
-_UNITS = {"_deg": "deg", "_noise": "R"}
+_UNITS = {
+    "_deg": "deg", "_noise": "R", "loss": "share of messages",
+    **dict.fromkeys(["mute", "deaf", "drift", "stuck"], "share of robots"),
+}  # fmt: skip
 """Units by the ends of keys."""
 
 

@@ -80,7 +80,8 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
         drawn = _most_telling(of_point, names)
         hidden += len(of_point) - len(drawn)
         top = max(top, _plot_convergence(axes, drawn, names))
-        figure_style.set_title(axes, ", ".join(filter(None, [point, method])))
+        way = next(iter(of_point)) if method and len(of_point) == 1 else method
+        figure_style.set_title(axes, ", ".join(filter(None, [point, way])))
         legend |= {str(line.get_label()): line for line in axes.lines}
     lines = [np.asarray(line.get_ydata(), float) for axes in panels.axes for line in axes.lines]
     ends = np.array([line[-1] for line in lines])
@@ -153,11 +154,11 @@ def _by_point(series: Series) -> _Panels:
 def _plot_convergence(axes: "Axes", traces: dict[str, _Trace], names: list[str]) -> float:
     """Draw the mean of each trace, colored by its place in `names`; returns the top [R].
 
-    The best and the worst have bands. Others than those named are thin and gray, and have one entry
+    Of those named, the best and the worst have bands. Others are thin and gray, and have one entry
     in a legend.
     """
-    top = 0.0
-    order = sorted(traces, key=lambda name: float(traces[name][1][:, -1].mean()))
+    top, named = 0.0, [name for name in traces if name in names]
+    order = sorted(named, key=lambda name: float(traces[name][1][:, -1].mean()))
     banded = {*order[:1], *order[-1:]}
     for name, (iteration, rmse) in sorted(traces.items(), key=lambda item: item[0] in names):
         is_named = name in names

@@ -76,14 +76,15 @@ _PLACES = 6  # digits to which axes have the same place in every process [share 
 _LONG_LABEL = 20  # letters of a row's label beyond which a narrow figure wraps it
 _LEGEND_LINE = 0.14  # height of a line of text in a legend [inch]
 _LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.055  # widths of marker and letter in a legend [inch]
-_NOTE_LINE = 0.1  # height of a line of a note [inch]
+_NOTE_LINE = 0.115  # height of a line of a note [inch]
 _LETTER = 0.58  # width of a letter, as a share of its size
-_TITLE_SIZE, _NOTE_SIZE = 7.0, 5.5  # letters of a legend's title and of a note [pt]
+_TITLE_SIZE, _NOTE_SIZE = 7.0, 6.5  # letters of a legend's title and of a note [pt]
 _MANY_PANELS = 4  # panels with common axes beyond which two fit into a row of a column
 _EXACT = (1e-3, 1e4)  # numbers of an axis that have no power of ten
 _MOST_LINEAR = 12.0  # greatest ratio of values that a linear axis shows well
 _NORMAL_95 = 1.96  # half width of an interval [standard errors]
 _LABEL_SIZE = 8.0  # letters of a label beside all panels [pt]
+_FEW_STEPS = 6.0  # ratio below which 1, 2 and 5 are too few labels
 _MOST_LABELS = 60.0  # greatest ratio with three labels a decade
 
 STYLE: dict[Any, Any] = {
@@ -337,7 +338,8 @@ def set_log(axes: "Axes", which: str, span: float = np.inf, *, nonpositive: str 
     getattr(axes, f"set_{which}scale")("log", nonpositive=nonpositive)
     axis: Axis = getattr(axes, f"{which}axis")
     few = span < _MOST_LABELS
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0) if span < _FEW_STEPS else (1.0, 2.0, 5.0)
+    axis.set_major_locator(LogLocator(subs=steps if few else (1.0,)))
     # Each tick costs 2 ms of a layout: two between powers of ten show the scale.
     axis.set_minor_locator(NullLocator() if few else LogLocator(subs=(2.0, 5.0)))
     label_plainly(axis)

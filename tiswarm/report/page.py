@@ -34,20 +34,8 @@ LARGEST = 7_900_000
 """Largest page [bytes]; pictures beyond it remain in files of their own."""
 
 _FIRST = (
-    "color",
-    "price",
-    "grades",
-    "scaling",
-    "building",
-    "traffic",
-    "shape",
-    "accuracy",
-    "convergence",
-    "structure",
-    "truth-and-estimate",
-    "error",
-    "sd",
-    "contact",
+    *("color", "price", "grades", "scaling", "building", "traffic", "shape", "accuracy"),
+    *("convergence", "structure", "sizes", "truth-and-estimate", "error", "sd", "contact"),
 )
 """Beginnings of the names of the first pictures; others follow by name."""
 
@@ -228,6 +216,7 @@ def _unreadable(path: Path, error: Exception) -> InputError:
 _ACCURACY = "figures/accuracy.png"
 _OF_ROBOTS = re.compile(r"figures/(error-|profiles)")
 _MOST_BESIDE = 8  # rows of the figure of accuracy beside the 3D view
+_MOST_ROWS_BESIDE = 14  # rows of the table there
 
 
 class _Reproduction(NamedTuple):
@@ -271,8 +260,9 @@ class Page:
 
     @property
     def is_sweep(self) -> bool:
-        """Whether conditions are listed for several points: their table has the whole width."""
-        return self.headline is not None and self.headline.is_grouped
+        """Whether the table of conditions has the whole width: those of a sweep, and long ones."""
+        table = self.headline
+        return table is not None and (table.is_grouped or len(table.frame) > _MOST_ROWS_BESIDE)
 
     @property
     def accuracy(self) -> Shown | None:
@@ -338,7 +328,7 @@ def _gather(run: RunData) -> Page:
         tables=[each for each in tables if each.is_first],
         more=[each for each in tables if not each.is_first],
         view=build_view(run),
-        rows=page_tables.case_table(run.summary, in_words=page_tables.POINT in headline.frame),
+        rows=page_tables.case_table(run.summary, in_words=bool(run.summary["point"].notna().any())),
         rows_example=f"{table['condition'].iloc[0]} done",
         reproduction=_Reproduction(
             version=manifest.tiswarm or "of the same version",

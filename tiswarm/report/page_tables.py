@@ -282,7 +282,8 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
         words["case"] = words["case"].str.replace(r"-.*", "", regex=True)
         words["case"] = shown["series"] + ", seed " + words["case"]
     measures = PAGE["cases"] | PAGE["own"]
-    headings = {"robots": "robots"} | {m.column: heading for m, heading in measures.items()}
+    headings = {m.column: heading for m, heading in measures.items()}
+    headings = {RMSE.column: headings[RMSE.column], "robots": "robots"} | headings
     numbers = {
         heading: _numbers(shown[name]) for name, heading in headings.items() if name in shown
     }

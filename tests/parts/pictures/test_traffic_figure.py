@@ -45,6 +45,19 @@ def test_means_are_drawn_on_logarithmic_axes(run):
     assert [text.get_text() for text in axes.texts] == ["1"]
 
 
+def test_points_of_a_sweep_are_kept_apart(run):
+    """A mean over structures that differ compares nothing."""
+    rows = run.summary
+    points = [rows.assign(point=f"gap {k} R", rmse_R=k * rows["rmse_R"]) for k in range(1, 11)]
+
+    figure = painters(run)["traffic"](RunData(run.folder, pd.concat(points))).axes[0].figure
+
+    assert [axes.get_title() for axes in figure.axes] == [f"gap {k} R" for k in range(1, 10)]
+    errors = [axes.containers[0][0].get_ydata()[0] for axes in figure.axes]
+    assert errors == [0.5 * k for k in range(1, 10)]
+    assert "1 more panel not drawn" in figure.texts[-1].get_text()
+
+
 def test_numbers_keep_apart_from_markers_and_each_other():
     """Also where markers are closer to each other than numbers may be."""
     points = np.array([[0.0, 0.0], [3.0, 1.0], [1.0, 4.0], [5.0, 5.0], [40.0, 9.0]])

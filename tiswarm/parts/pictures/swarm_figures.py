@@ -11,6 +11,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.records import outputs
 from tiswarm.records.measures import RMSE, RMSE_AT_JOIN, SENT
+from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, StoredCase
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_MOST_PANELS = 9
 _SENT, _ERROR = SENT.column, RMSE.column
 _TICKS = {"x": (1.0, 3.0), "y": (1.0, 2.0, 5.0)}
 _CLEAR = 8.0
@@ -68,22 +70,25 @@ def _traffic_painters(run: RunData) -> dict[str, figure_style.Painter]:
 
 
 def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
-    """Draw RMSE against the bytes that a robot sends, a panel for each kind and size.
+    """Draw RMSE against the bytes that a robot sends, a panel for each point of the sweep.
 
     Conditions that no other beats in both have a marker with a number, which the legend explains,
     and a line along them; the rest is gray.
     """
     done = run.summary[run.summary["status"] == "done"]
-    groups = [*done.groupby(["kind", "robots"], sort=False)]
+    titles = done["point"].where(done["point"].fillna("") != "", done["kind"])
+    every_point = [*done.groupby(titles, sort=False)]
+    groups, left = every_point[:_MOST_PANELS], len(every_point[_MOST_PANELS:])
     fronts = [_front(cases) for _, cases in groups]
     silent = done.groupby("condition", sort=False)[_SENT].count() == 0
     wanted = {*silent[silent].index, *(name for front in fronts for name in front)}
     every = list(dict.fromkeys(done["condition"]))
     names = [name for name in every if name in wanted]
-    columns = min(len(groups), 2)
+    columns = figure_style.columns_of(len(groups))
     rows = -(-len(groups) // columns)
-    panels = figure_style.Panels(1.0 + 3.0 * rows, len(groups), columns, share="xy", most=most)
-    for axes, (((kind, robots), cases), front) in panels.each(zip(groups, fronts, strict=True)):
+    height = 1.0 + (6.0 / columns if columns > 1 else 3.0) * rows
+    panels = figure_style.Panels(height, len(groups), columns, share="xy", most=most)
+    for axes, ((title, cases), front) in panels.each(zip(groups, fronts, strict=True)):
         axes.plot(*np.array(list(front.values())).reshape(-1, 2).T, color="0.8", linewidth=0.8)
         means = cases.groupby("condition")[[_SENT, _ERROR]].mean()
         rest = means.loc[[name for name in means.index if name not in wanted]]
@@ -97,12 +102,12 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
             axes.plot(rest[_SENT], rest[_ERROR], label="others", **look)
         for place, name in enumerate(names):
             _draw_condition(axes, cases[cases["condition"] == name], name, place)
-        figure_style.set_title(axes, f"{kind}, {robots} robots")
+        figure_style.set_title(axes, str(title))
         axes.set_xlabel(SENT.axis)
     panels.label_left(RMSE.axis)
     _set_scale(panels.first)
     panels.legend(entries=panels.entries())
-    figure = panels.finish(run.note)
+    figure = panels.finish(f"{counted(left, 'more panel')} not drawn" * (left > 0), run.note)
     # Numbers keep apart on paper, so panels need their final size.
     figure_style.lay_out(figure)
     for axes in panels.axes:
