@@ -503,7 +503,8 @@ def place_disconnected(mean: Reals, problem: Problem) -> tuple[Reals, Reals]:
         placed[:, part] += ((place - placed[:, first]) @ problem.loose[first])[:, None]
         # The earlier ones may be of disconnected parts, too.
         uncertain = ANNEALING.join_variance * (away**2).sum(axis=2) + square[:, window]
-        square[:, part] = (uncertain @ weight)[:, None]
+        # Where these are in one place, it is still off by the distance of docks in contact, 2 R.
+        square[:, part] = np.maximum(uncertain @ weight, 4.0)[:, None]
     return placed, square
 
 
