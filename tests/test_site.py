@@ -47,6 +47,7 @@ def test_the_site_can_be_built(tmp_path):
     front = (tmp_path / "site/index.html").read_text()
     assert front.index("growing.webp") < front.index('id="start"')
     assert 'id="view"' in (tmp_path / "site/example.html").read_text()
+    assert 'src="example.html"' in (tmp_path / "site/index.html").read_text()
     assert 'id="tiswarm.localize"' in (tmp_path / "site/api.html").read_text()
     grow, study = ((tmp_path / f"site/notebooks/{n}.html").read_text() for n in ("grow", "study"))
     assert "<iframe srcdoc=" in grow  # the page of a log, within the page
