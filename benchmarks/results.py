@@ -47,6 +47,9 @@ MEASURES = {
     "belief_worst_sent_B": "B",
     "sent_B": "B",
     "worst_sent_B": "B",
+    "worst_memory_B": "B",
+    "rounds": "1",
+    "rmse_per_contact_R": "R",
     "converged": "1",
     "consistent": "1",
 }

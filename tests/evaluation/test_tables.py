@@ -41,6 +41,27 @@ def test_coverage_is_the_share_of_robots_in_their_interval(towers):
     assert calibrated["coverage_90"] == 1.0 - 1.0 / (count - 1)
 
 
+def test_the_share_of_joins_that_one_robot_solves_is_its_largest(towers):
+    """Algorithm 1, in which no robot solves for others, has none."""
+    history = towers[0]
+    log = observe(history, SensingParams())
+    pose = {"position": history.position, "orientation_wxyz": history.orientation_wxyz}
+    truth = Truth(robot_id=log.robot_id, **pose)
+    silent = localize(log, VirtualForceParams(iterations=1))
+    counts = ("sent", "heard", "memory", "messages", "rounds", "operations")
+    published = {name: np.ones(history.robot_count) for name in counts}
+    rows = measure(log, [])
+    joins = np.bincount([3] * 6 + [5] * 23, minlength=history.robot_count)
+
+    alone, shared = (
+        score(truth, log, dataclasses.replace(silent, traffic=traffic), history.robot, rows=rows)
+        for traffic in (published, published | {"joins": joins})
+    )
+
+    assert "solved_share" not in alone
+    assert shared["solved_share"] == pytest.approx(23 / 29)
+
+
 def test_robots_that_were_located_have_an_error_of_their_own(towers):
     """The root mean square of their distances from the truth, without the anchor."""
     history = towers[0]

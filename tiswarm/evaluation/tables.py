@@ -385,6 +385,8 @@ def _of_traffic(estimate: Estimate) -> dict[str, float | int]:
             scores |= {f"{name}_B": _mean(count), f"worst_{name}_B": int(count.max())}
         scores |= {name: _mean(traffic[name]) for name in ("messages", "rounds", "operations")}
         scores |= {"worst_operations": float(traffic["operations"].max())}
+        if (joins := traffic.get("joins")) is not None:
+            scores |= {"solved_share": float(joins.max() / max(joins.sum(), 1.0))}
     return scores
 
 

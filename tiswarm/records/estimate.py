@@ -244,8 +244,8 @@ class Estimate:
     traffic: Mapping[str, Reals] | None = None
     """What it cost each robot to localize itself, shape (N,) each: bytes `sent`, passed on ones
     included, and `heard`; `messages`; `memory` at most [B]; `operations`, additions and
-    multiplications, about; `rounds` with messages, which all share. None where one program has the
-    whole log."""
+    multiplications, about; `rounds` with messages, which all share; `joins` that it solves, if any
+    does. None where one program has the whole log."""
 
     doubtful: Bools | None = None
     """Robots that do not trust their own positions, by what each holds, shape (N,); None where

@@ -273,6 +273,9 @@ OPERATIONS = Measure(
 WORST_OPERATIONS = Measure(
     "worst_operations", "1", _TRAFFIC, "most operations of a robot", better="smaller"
 )
+SOLVED_SHARE = Measure(
+    "solved_share", "1", _TRAFFIC, "largest share of joins that one robot solves", better="smaller"
+)
 FIRST_ON_ANCHOR, SECOND_ON_ANCHOR, THIRD_ON_ANCHOR = (
     Measure(
         f"{place}_on_anchor", "1", _STRUCTURE,

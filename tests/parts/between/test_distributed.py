@@ -143,6 +143,7 @@ def test_no_robot_solves_for_more_than_its_tenure(log):
     assert max(map(len, kept)) == 2
     assert sorted(number for each in kept for number in each) == [*range(1, 12)]
     assert all(robot.place is not None for robot in swarm.robots)
+    assert swarm.found().traffic["joins"].tolist() == [*map(len, kept)]
 
 
 def test_a_walk_comes_to_all_robots_that_hang_on_one_before_it_leaves(log):

@@ -226,7 +226,10 @@ class PeerSwarm:
             sd=np.array([0.0 if robot.place is None else robot.place.sd for robot in robots]),
             lost=np.array([not robot.place or robot.place.body > 0 for robot in robots], np.bool_),
             doubtful=np.array([robot.judge() for robot in robots], np.bool_),
-            traffic=self.channel.traffic(np.array(self._memory), operations),
+            traffic={
+                **self.channel.traffic(np.array(self._memory), operations),
+                "joins": np.array([robot.joins for robot in robots], np.float64),
+            },
             steps=len(robots),
             reason=reason,
         )

@@ -805,6 +805,11 @@ class Peer:
         return self.known[self.number].is_surprising
 
     @property
+    def joins(self) -> int:
+        """Joins that the robot solved."""
+        return len(self._kept)
+
+    @property
     def memory(self) -> int:
         """Bytes of what the robot holds."""
         bits = self._program.params.bits or 64
