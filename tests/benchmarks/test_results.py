@@ -356,6 +356,7 @@ MESSAGES = {
     "`joint`, whole log": "joint",
     "default, by touch": "touch",
     "`base`, by touch": "base",
+    "by radio, seeds 0 to 9": "radio",
     "Algorithm 1 by radio, poses at each join": "algorithm-1",
     "Algorithm 1 by touch, no undocked repulsion": "algorithm-1-local",
 }
