@@ -139,6 +139,25 @@ class _NamedPlane(_Plane):
     NUMBER = 1
 
 
+def test_functions_of_classes_are_known_by_where_they_stand():
+    """The library asks this of each function that is defined, and passes `self` to these alone."""
+    found = {}
+
+    def define(name):
+        found[name] = lang._is_in_class(2)  # noqa: SLF001 - of the library's decorator: 3
+
+    class Outer:
+        define("class")
+
+        def method(self):
+            define("method")
+
+    Outer().method()
+    define("function")
+
+    assert found == {"class": True, "method": False, "function": False}
+
+
 def test_columns_have_one_place_and_one_width():
     """A table is packed as it was declared, whatever the order of arguments."""
     point, precision = np.arange(6.0).reshape(2, 3), np.array([7.0, 8.0])

@@ -5,9 +5,10 @@ import sys
 
 import pytest
 
-from tiswarm.compute import numerics
+from tiswarm.base.params import ARCHS
+from tiswarm.compute import backend, machine, numerics
 from tiswarm.parts import doctor
-from tiswarm.parts.doctor import draw_test_picture, missing_packages
+from tiswarm.parts.doctor import draw_test_picture, examine_backend, missing_packages
 
 
 @pytest.fixture
@@ -38,11 +39,34 @@ def test_missing_libraries_are_named_as_packages(bare_machine):
 
 def test_what_decides_the_last_bits_has_a_line_each():
     """Who compares two machines compares these lines; the manifest of a run has the same."""
-    found = {each.subject: each for each in doctor.name_roundings()}
+    *found, cache = doctor.name_kernels()
 
-    assert list(found) == [f"numbers by {name}" for name in ("kernels", "numpy", "blas", "libm")]
-    assert all(each.works for each in found.values())
-    assert [each.detail for each in found.values()] == list(numerics.here())
+    libraries = ("kernels", "numpy", "blas", "libm")
+    assert [each.subject for each in found] == [f"numbers by {name}" for name in libraries]
+    assert all(each.works for each in [*found, cache])
+    assert [each.detail for each in found] == list(numerics.here())
+    assert (cache.subject, cache.detail) == ("kernel cache", backend.current().cache)
+
+
+def test_a_device_without_a_driver_starts_no_process(bare_machine, monkeypatch):
+    """A process that tries a device imports the kernel language, which takes a second each."""
+    tried = []
+    monkeypatch.setattr(doctor, "_in_child", lambda probe, name: tried.append(name) or (True, "{}"))
+    monkeypatch.setattr(doctor, "_loads", lambda library: library == "libvulkan.so.1")
+
+    found = {each.subject: each.works for each in doctor.examine()}
+
+    assert [name for name in tried if name in ARCHS] == ["cpu", "cpu", "vulkan"]
+    assert [found[f"backend {arch}"] for arch in ARCHS] == [arch in tried for arch in ARCHS]
+
+
+def test_software_for_a_card_starts_and_is_not_timed(monkeypatch):
+    """It compiles the kernels of a swarm for a minute, and nobody should compute with it."""
+    software = machine.Card(name="llvmpipe", driver="Vulkan 1.3", is_software=True)
+    monkeypatch.setattr(doctor.machine, "find_card", lambda _arch: software)
+    monkeypatch.setattr(doctor, "try_backend", pytest.fail)
+
+    assert examine_backend("cpu").endswith("starts, but is software; --arch cpu is faster")
 
 
 def test_no_packages_are_named_off_linux(bare_machine, monkeypatch):

@@ -292,6 +292,23 @@ def test_little_work_is_done_by_one_process():
     assert [line.partition(":")[0] for line in said.lines] == ["one process instead of 2"]
 
 
+def test_there_are_no_more_processes_than_structures():
+    """One process computes a structure, and leaves no work to others, however long it takes."""
+    long = [
+        "robots=1000",
+        "structure.goal_height=65",
+        "conditions={a: {localization: {method: joint}}}",
+    ]
+    eight, said = study.Execution(workers=8), Recorder()
+
+    def workers(seeds):
+        tower = [REPOSITORY / "tests" / "tower.yaml", [*long, f"seeds={seeds}"]]
+        return fewer(load_scenario(*tower), eight, said).workers
+
+    assert [workers(1), workers(3), workers(20)] == [None, 3, 8]
+    assert said.lines[0].startswith("one process instead of 8: 1 structure, ")
+
+
 def test_a_forecast_counts_what_robots_estimate_while_they_build():
     """Robots that go by their estimates make them at each join, for one robot or for all."""
     tower = REPOSITORY / "tests" / "tower.yaml"

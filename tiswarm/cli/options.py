@@ -1,5 +1,6 @@
 """The `tiswarm` application, its exit status, and options that several commands share."""
 
+import atexit
 import contextlib
 import gc
 import os
@@ -219,6 +220,7 @@ def _status(arguments: list[str]) -> int:
     os.environ["MPLBACKEND"] = "agg"  # figures go to files; an unknown name would be refused
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # idle threads would still reserve memory
     gc.set_threshold(50_000, 20, 100)  # most objects of a command live until it ends
+    atexit.register(gc.freeze)  # and the search at its end would take half a second
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         with naming_shortage():

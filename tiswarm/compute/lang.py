@@ -15,7 +15,6 @@ them again, inside `ti.static`, and hand the bundle on:
     @ti.kernel
     def fill(room: I32, entry_out: Ints1, first_out: Ints1):
         rows = ti.static(Rows(entry_out, first_out))
-
     fill(8, *rows)
 
 Arguments that a kernel writes end in `_out`. A bundle may hold others. Loops of a function that a
@@ -28,6 +27,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -40,19 +40,13 @@ from tiswarm.base.errors import EnvironmentTroubleError
 LIBRARIES = {"taichi": "TI", "quadrants": "QD"}
 """The implementations, best first, with the prefix of their environment variables."""
 
-
 HONOURED = ("VISIBLE_DEVICE",)
 """Variables of the libraries that no argument replaces: which of several Vulkan cards computes."""
 
 
 @contextmanager
 def variables_hidden(library: str, instead: Mapping[str, str]) -> Iterator[None]:
-    """Hide a library's variables while it starts, as it obeys them over its arguments.
-
-    Args:
-        library: Name of the library.
-        instead: Variables to set meanwhile.
-    """
+    """Hide a library's variables while it starts, as it obeys them, and set those of `instead`."""
     prefix = f"{LIBRARIES[library]}_"
     kept = {prefix + name for name in HONOURED}
     hidden = {name for name in os.environ if name.startswith(prefix)} - kept
@@ -117,9 +111,17 @@ def _place(context: Any, node: Any) -> str:  # noqa: ANN401 - of the library
     return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n{source}\n^\n'
 
 
+def _is_in_class(level_of_class_stackframe: int) -> bool:
+    """Whether a class defines a function; the library would examine all modules for each."""
+    return "__qualname__" in sys._getframe(level_of_class_stackframe - 1).f_locals  # noqa: SLF001
+
+
 with suppress(AttributeError, ImportError):  # of another version of the library
     _ast = import_module(f"{LIBRARY}.lang.ast.ast_transformer_utils")
     _ast.ASTTransformerContext.get_pos_info = _place
+    _kernels: Any = import_module(f"{LIBRARY}.lang.kernel_impl")
+    _kernels._inside_class = _is_in_class  # noqa: SLF001
+    _kernels.getsourcelines = cache(_kernels.getsourcelines)  # else read for each call in a kernel
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as kernel_struct

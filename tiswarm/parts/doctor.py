@@ -39,12 +39,16 @@ _LIBRARIES = {
 }
 """Shared libraries that `import open3d` loads, and the Debian packages that contain them."""
 
+_DRIVERS = {"cuda": "libcuda.so.1", "vulkan": "libvulkan.so.1"}
+"""Shared libraries that devices need on Linux."""
+
 _TAICHI_LIBRARIES = frozenset({"libX11.so.6"})
 
 _PROBE = """
-import sys
+import atexit, gc, sys
 from tiswarm.parts import doctor
 from tiswarm.base.errors import TiswarmError
+atexit.register(gc.freeze)
 try:
     print(getattr(doctor, sys.argv[1])(sys.argv[2]))
 except TiswarmError as error:
@@ -66,10 +70,12 @@ def examine() -> Iterator[Finding]:
     for name, value in machine.machine().items():
         unit = " MB" if name.endswith("_MB") else ""
         yield Finding(name.replace("_MB", ""), works=True, detail=f"{value}{unit}")
-    yield from name_roundings()
-    yield Finding("kernel cache", *_in_child(start_cache, "cpu"))
+    yield from name_kernels()
     for arch in ARCHS:
-        yield Finding(f"backend {arch}", *_in_child(try_backend, arch))
+        if _lacks_driver(arch):
+            yield Finding(f"backend {arch}", works=False, detail="no driver; use --arch cpu")
+        else:
+            yield Finding(f"backend {arch}", *_in_child(examine_backend, arch))
     for renderer in find("command", "renderer").TRACERS if has("command", "renderer") else ():
         yield Finding(f"renderer {renderer}", *_in_child(draw_test_picture, renderer))
     if packages := missing_packages():
@@ -77,12 +83,18 @@ def examine() -> Iterator[Finding]:
         yield Finding("system packages", works=False, detail=detail)
 
 
-def name_roundings() -> Iterator[Finding]:
-    """Name what decides the last bits of numbers, in a line each."""
-    works, said = _in_child(name_numerics, "cpu")
-    found = json.loads(said) if works else {"": said}
-    for name, text in found.items():
-        yield Finding(f"numbers by {name}".removesuffix(" by "), works, text)
+def name_kernels() -> Iterator[Finding]:
+    """Name what decides the last bits of numbers, and the folder of kernels, in a line each."""
+    works, said = _in_child(examine_kernels, "cpu")
+    for name, text in (json.loads(said) if works else {"kernels": said}).items():
+        yield Finding(name, works, text)
+
+
+def examine_kernels(arch: Arch) -> str:
+    """Return what decides the last bits of numbers, and the folder of kernels, as JSON."""
+    numbers = json.loads(name_numerics(arch))
+    found = {f"numbers by {name}": text for name, text in numbers.items()}
+    return json.dumps({**found, "kernel cache": start_cache(arch)})
 
 
 def name_numerics(_arch: Arch) -> str:
@@ -90,6 +102,13 @@ def name_numerics(_arch: Arch) -> str:
     from tiswarm.compute import numerics  # noqa: PLC0415 - the kernel language
 
     return json.dumps(numerics.here()._asdict())
+
+
+def _lacks_driver(arch: Arch) -> bool:
+    """Whether a device cannot work, as this system has no driver of it."""
+    if arch == "metal":
+        return sys.platform != "darwin"
+    return sys.platform == "linux" and arch in _DRIVERS and not _loads(_DRIVERS[arch])
 
 
 def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:
@@ -137,6 +156,20 @@ def try_backend(arch: Arch) -> str:
             raise EnvironmentTroubleError("moves robots otherwise than the processor does")
     speed = f"{step_ns:.0f} ns a step of a robot, {_ROBOTS:,} robots"
     return f"{running.library}, {running}, {running.threads} threads: {speed}"
+
+
+def examine_backend(arch: Arch) -> str:
+    """Try a device; software that stands in for a card only starts, as it is slower than `cpu`.
+
+    Raises:
+        EnvironmentTroubleError: as for `try_backend`.
+    """
+    if not (card := machine.find_card(arch)) or not card.is_software:
+        return try_backend(arch)
+    from tiswarm.compute import backend  # noqa: PLC0415 - the kernel language
+
+    running = backend.start(arch)
+    return f"{running.library}, {running}: starts, but is software; --arch cpu is faster"
 
 
 def start_cache(arch: Arch) -> str:

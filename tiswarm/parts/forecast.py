@@ -19,7 +19,7 @@ from tiswarm.evaluation import metrics
 from tiswarm.records import measures
 from tiswarm.records.frames import read_frame
 from tiswarm.records.messages import counted
-from tiswarm.scenario.expansion import Case, Group, structure_kind, variants
+from tiswarm.scenario.expansion import Case, Group, plan, structure_kind, variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.executors import Execution
 from tiswarm.study.provenance import Cost
@@ -86,24 +86,34 @@ def forecast(scenario: Scenario, execution: Execution = _HERE) -> Forecast:
     )
 
 
-_SHORT_S = 20.0
-"""Work below which more than one process takes longer than one [s]: each has kernels to load."""
+_SAVED_S = 10.0
+"""Least wall time that several processes must save [s]: each has libraries and kernels to load."""
 
 
 def fewer(scenario: Scenario, execution: Execution, progress: Progress) -> Execution:
-    """Compute little work in this process instead of several, and say so.
+    """Compute in this process where several save little time, and say so.
 
-    Several processes stay where a case has a limit of time, or where the code of a plug-in may take
-    any time.
+    One process computes a structure, so there are no more processes than structures. All stay where
+    a case has a limit of time, or where the code of a plug-in may take any time.
     """
     own = any(map(registered, ("method", "sensor", "structure", "rule")))
     if own or execution.workers in {None, 1} or execution.case_limit_s is not None:
         return execution
-    work_s = forecast(scenario).work_s
-    if work_s >= _SHORT_S:
-        return execution
-    progress.info(f"one process instead of {execution.workers}: {_time(work_s)} of work is short")
+    each = [_structure_s(group) for group in plan(scenario).structures]
+    many = min(execution.workers or 1, len(each))
+    saved_s = sum(each) - max(*each, sum(each) / many, 0.0)
+    if many > 1 and saved_s >= _SAVED_S:
+        return replace(execution, workers=many)
+    why = f"{counted(len(each), 'structure')}, {_time(sum(each))} of work"
+    progress.info(f"one process instead of {execution.workers}: {why}; more would save no time")
     return replace(execution, workers=None)
+
+
+def _structure_s(group: Group) -> float:
+    """Estimate the work for a structure under all of its conditions [s]."""
+    cases = [case.settings for case in group]
+    localize = sum(each.localization.seconds(each.robots) for each in cases)
+    return _grow_s(cases[0]) + localize + sum(_REST_S * each.robots for each in cases)
 
 
 def _grow_s(settings: Scenario) -> float:

@@ -5,6 +5,8 @@ started by `subprocess`: those of `multiprocessing` are forbidden within workers
 need a guard in the scripts of users.
 """
 
+import atexit
+import gc
 import math
 import os
 import signal
@@ -261,6 +263,8 @@ def _end_all() -> None:
 
 def main(descriptor: int, parent: int) -> None:
     """Run the jobs that arrive at a connection, and send back the outcome of each."""
+    gc.set_threshold(50_000, 20, 100)  # as for a command
+    atexit.register(gc.freeze)
     threading.Thread(target=_end_with, args=[parent], daemon=True).start()
     connection: Connection[object, Any] = Connection(descriptor)
     with suppress(EOFError):
