@@ -8,10 +8,12 @@ from hypothesis import strategies as st
 from tests.runs import call
 from tiswarm.base import parts
 from tiswarm.base.errors import InputError
+from tiswarm.localization.settings import BackPropagation
 from tiswarm.parts.between import DistributedParams
 from tiswarm.parts.between.channel import Channel, Message
 from tiswarm.parts.channels import Air, Lossy
 
+PUBLISHED = {"scheme": "algorithm-1", "channel": "radio"}
 PAIR = np.zeros(1, np.int64), np.ones(1, np.int64), np.full(1, 20)
 
 
@@ -157,7 +159,16 @@ def test_a_radio_of_limited_reach_relays():
         ({"loss": 0.5, "burst": 1.5}, "burst 1.5 is shorter than without bursts, 2 at loss 0.5"),
         ({"slots": 8}, "slots is of radio"),
         ({"radio_reach": "ranged"}, "radio_reach is of radio"),
-        ({"scheme": "algorithm-1", "burst": 3.0}, "burst is of scheme joiner"),
+        ({"scheme": "algorithm-1", "burst": 3.0}, "burst of algorithm-1 is of radio"),
+        ({"scheme": "algorithm-1", "delay": 3}, "delay is of scheme joiner"),
+        (
+            PUBLISHED | {"poses": "once", "loss": 0.1},
+            "poses once needs all poses, and channel radio loses some; remove loss",
+        ),
+        (
+            PUBLISHED | {"slots": 9, "back_propagation": BackPropagation()},
+            "back_propagation needs all poses",
+        ),
     ],
 )
 def test_settings_without_effect_are_refused(given_settings, problem):

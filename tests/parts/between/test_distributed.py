@@ -24,7 +24,7 @@ from tiswarm.parts.between.channel import (
     Channel,
     Message,
 )
-from tiswarm.parts.between.method import PeerSwarm
+from tiswarm.parts.between.method import PeerSwarm, PublishedSwarm
 from tiswarm.parts.between.wire import (
     Reader,
     Writer,
@@ -219,10 +219,11 @@ def test_before_a_bridge_closes_its_far_side_doubts(bridges):
         assert np.sqrt(away.var(axis=0).sum()) < 3.0
 
 
-def test_after_a_bridge_closes_a_walk_comes_to_all(bridges):
+@pytest.mark.parametrize("settings", [{}, {"channel": "radio"}, {"loss": 0.2}])
+def test_after_a_bridge_closes_a_walk_comes_to_all(bridges, settings):
     """The far side hangs on the robot that closed it, and that one on the near side."""
     for _, log, _ in bridges:
-        swarm = grown(log, QUICK)
+        swarm = grown(log, replace(QUICK, **settings))
 
         assert {robot.place.body for robot in swarm.robots} == {0}
         parents = [robot._parent for robot in swarm.robots]  # noqa: SLF001 - what hangs on whom
@@ -418,6 +419,65 @@ def test_without_undocked_repulsion_robots_hear_of_those_they_touch(log, channel
         [log] * 2, [DistributedParams(scheme="algorithm-1", **local), VirtualForceParams(**local)]
     )
     np.testing.assert_array_equal(estimates[0].position, estimates[1].position)
+
+
+RADIO = DistributedParams(scheme="algorithm-1", channel="radio")
+ASKED = replace(RADIO, poses="asked", radio_reach="ranged")
+
+
+def _published(log, params):
+    """Let robots join by Algorithm 1, and return them with their lines."""
+    header, *lines = lines_of(centered(replace(log, robot_id=np.arange(log.robot_count))))
+    swarm, robots = PublishedSwarm(parse_header(header), params), [*map(parse_robot, lines)]
+    for line in robots:
+        swarm.join(line)
+    return swarm, robots
+
+
+@pytest.mark.parametrize("params", [RADIO, replace(RADIO, undocked_repulsion=False)])
+def test_who_hears_all_poses_is_where_algorithm_1_puts_it(log, params):
+    """So many slots that none collides; steps add up what rounding leaves, so most robots agree."""
+    heard = replace(params, slots=1_000_000)
+
+    one, other = localize_many([log] * 2, [params, heard])
+
+    assert np.median(np.abs(one.position - other.position).max(axis=1)) < 1e-6
+    np.testing.assert_array_equal(one.traffic["sent"], other.traffic["sent"])
+
+
+@pytest.mark.parametrize("params", [RADIO, ASKED])
+def test_who_touches_a_robot_asks_until_it_hears_it(log, params):
+    """With so many retries each hears all that it touches, and some others."""
+    swarm, lines = _published(log, replace(params, loss=0.5, burst=4.0, retries=100))
+
+    for line, heard in zip(lines, swarm.heard, strict=True):
+        assert {other for _, other, _ in line.contacts} <= heard
+        assert heard <= {*range(line.robot)}
+
+
+def test_a_question_costs_its_numbers(log):
+    """Robot 1 touches robot 0 and hears it at the second question. By hand.
+
+    Each question names who was heard, of 12 bits: none, none, one. A pose has 4 + 13 bytes.
+    """
+    header, *lines = lines_of(centered(log))
+    swarm = PublishedSwarm(parse_header(header), replace(ASKED, loss=0.3))
+    decided = iter([True, False, True, True, True])
+    swarm.channel._hears = lambda _, sender, *__: np.array([next(decided)] * len(sender))  # noqa: SLF001
+    for line in lines[:2]:
+        swarm.join(parse_robot(line))
+
+    assert swarm.heard == [set(), {0}]
+    assert swarm.channel.sent == [4 + 2 * 17, 4 + 4 + 6]
+
+
+@pytest.mark.parametrize("params", [RADIO, ASKED])
+def test_who_hears_nothing_still_joins(log, params):
+    """Positions are numbers, and worse than with all poses."""
+    deaf, hearing = localize_many([log] * 2, [replace(params, loss=0.99, retries=0), params])
+
+    assert np.isfinite(deaf.position).all()
+    assert deaf.traffic["memory"].sum() < hearing.traffic["memory"].sum()
 
 
 @pytest.mark.parametrize("local", [{}, {"undocked_repulsion": False}])

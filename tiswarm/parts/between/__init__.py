@@ -40,8 +40,7 @@ _OF_SCHEME = {
         "chains",
         "steps",
         "start_sigma",
-        "burst",
-        "slots",
+        "delay",
     ),
     "algorithm-1": ("poses", "back_propagation", "undocked_repulsion"),
 }
@@ -75,7 +74,8 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     scheme: Literal["joiner", "algorithm-1"] = "joiner"
     """joiner: where a robot joins, one robot asks those nearby for what they measured, solves for
     their positions and sends them the answer. algorithm-1: the paper's, by the defaults of
-    `virtual-force`, whose positions are those without losses and rounding."""
+    `virtual-force`, without rounding. By radio a robot goes without poses that it does not hear; by
+    touch all are repeated until they are heard."""
 
     poses: Literal["once", "every-join", "asked"] = "every-join"
     """When robots send their poses in `algorithm-1`: once they are placed, at each join, or if they
@@ -170,6 +170,14 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
         if self.channel == "touch" and (wired or self.poses == "asked"):
             what = [*wired, "poses asked"][0]
             raise ValueError(f"{what} is of radio; remove it, or set channel to radio")
+        if self.scheme == "algorithm-1" and self.channel == "touch" and self.burst is not None:
+            raise ValueError("burst of algorithm-1 is of radio; remove it, or set channel to radio")
+        if self.misses_poses and (self.poses == "once" or self.back_propagation):
+            what = "back_propagation" if self.back_propagation else "poses once"
+            raise ValueError(
+                f"{what} needs all poses, and channel {self.channel} loses some; remove loss and "
+                "slots, or choose poses every-join or asked without back_propagation"
+            )
         if self.solver != "keeper" and self.reach != usual["reach"]:
             raise ValueError("reach is of solver keeper; remove it, or set solver to keeper")
 
@@ -177,6 +185,13 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     def ranges(self) -> bool:
         """Whether measured ranges are used, not only to know who is in reach."""
         return self.radio_reach is None
+
+    @property
+    def misses_poses(self) -> bool:
+        """Whether a robot of `algorithm-1` may have to go without poses of others."""
+        if self.scheme != "algorithm-1" or self.channel == "touch":
+            return False
+        return self.loss > 0.0 or self.slots is not None or self.channel != "radio"
 
     @property
     def joining(self) -> str:

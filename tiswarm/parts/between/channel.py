@@ -11,7 +11,7 @@ Losses and the order of events depend on the seed and on numbers of messages and
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
@@ -186,13 +186,37 @@ class Channel:
             for sender, after in tree.items():
                 self._count_by_touch(sender, after, size, times)
 
+    def transmit(self, senders: Iterable[int], size: int) -> dict[int, list[int]]:
+        """Let robots transmit so many bytes each in one round by radio, and return who hears each.
+
+        Nobody acknowledges or repeats them.
+        """
+        self._round += 1
+        hops = [
+            _Hop(self._serial + k, Message("pose", sender, b"", {}), sender, {}, {})
+            for k, sender in enumerate(senders)
+        ]
+        self._serial += len(hops)
+        heard = self._heard(hops, [self._in_reach(hop) for hop in hops], [size] * len(hops))
+        for hop, listeners in zip(hops, heard, strict=True):
+            self.sent[hop.sender] += size
+            self.messages[hop.sender] += 1
+            for other in listeners:
+                self.heard[other] += size
+        return {hop.sender: listeners for hop, listeners in zip(hops, heard, strict=True)}
+
     def ask(self, robot: int, size: int) -> None:
         """Count a message of so many bytes of a robot to all in reach of its radio."""
         self._count_by_radio([robot], size, 1)
 
-    def answer(self, robot: int, size: int) -> None:
-        """Count messages of so many bytes to a robot, one of each that it touches or hears."""
+    def answer(self, robot: int, size: int, *, by_all: bool = False) -> None:
+        """Count messages of so many bytes to a robot, one of each that it touches or hears.
+
+        Only where all answer, those do that a radio without limits reaches.
+        """
         senders = sorted(self._links[robot])
+        if by_all and self._reaches_all:
+            senders = [other for other in range(len(self._links)) if other != robot]
         if self._is_radio:
             self._count_by_radio(senders, size, 1)
             return
@@ -201,7 +225,7 @@ class Channel:
 
     def _count_by_radio(self, senders: list[int], size: int, times: int) -> None:
         """Count transmissions of some robots, which all in reach hear."""
-        got, sending = 1.0 - self._params.loss, {*senders}
+        sending = {*senders}
         for number in range(len(self._links)):
             sends = number in sending
             self.sent[number] += sends * times * size
@@ -209,7 +233,7 @@ class Channel:
             hears = len(senders) - sends
             if not self._reaches_all:
                 hears = len(self._links[number] & sending)
-            self.heard[number] += round(times * got * size * hears)
+            self.heard[number] += times * size * hears
 
     def _count_by_touch(self, sender: int, receivers: list[int], size: int, times: int) -> None:
         """Count transmissions of a robot to each of some others, with repetitions in the mean."""

@@ -11,10 +11,15 @@ repulsion of all near it: the paper's minimal global channel, on which robots "p
 broadcast an estimated pose proxy (e.g., center and dock position)". Without that repulsion, those
 that it touches answer it. In a round of back-propagation each robot sends its position after each
 of its steps. By touch, robots pass on what they hear.
+
+By a radio that loses transmissions, a robot that joins asks again for poses that it has not heard:
+of those that it touches, or with `poses: asked` of all that answer, up to `retries` times. Then it
+goes without.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -26,16 +31,17 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.mixture.verdict import rms
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
-from tiswarm.measurements.contacts import contact_count
+from tiswarm.measurements.contacts import contact_count, disconnected
+from tiswarm.measurements.cues import measure
 from tiswarm.parts.between import DistributedParams
 from tiswarm.parts.between.channel import HEADER, Channel, Message, reached
 from tiswarm.parts.between.robot import Peer, Program
-from tiswarm.parts.between.wire import MOST_ROBOTS, pose_bytes
+from tiswarm.parts.between.wire import MOST_ROBOTS, NUMBER, pose_bytes
 from tiswarm.parts.online.layers import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import lines_of
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
 
 _MOST_TURNS = 1000
 """Times that robots go on without an answer after a join, before the next one joins."""
@@ -125,7 +131,7 @@ def localize(
     for line in lines:
         refuse_line(line)
     if params.scheme == "algorithm-1":
-        return algorithm_1(log, lines, params)
+        return algorithm_1(log, head, lines, params)
     swarm = PeerSwarm(head, params)
     for line in lines:
         swarm.join(line)
@@ -249,25 +255,85 @@ class PublishedSwarm:
         """Begin without robots."""
         places = methods.joining(params.published)
         assert places is not None  # noqa: S101 - settings that move robots later are refused
-        self._placed = places(header, params.published)
-        self._params, self._channel = params, Channel(params, lambda _, message: message)
+        # The second version knows fixes, by which robots are where they were heard to be.
+        head = header.model_copy(update={"version": 2})
+        self._swarm_of = partial(places, head, params.published)
+        self._placed, self._unit = self._swarm_of(), header.dock_radius
+        self._params, self._lines = params, list[RobotLine]()
+        self._found: list[Reals] = []
+        self.channel = Channel(params, lambda _, message: message)
+        self.heard: list[set[int]] = []
+        """Robots whose poses each one heard as it joined."""
 
     def join(self, line: RobotLine) -> None:
         """Place the next robot, once it has heard the poses that it needs."""
-        self._placed.join(line)
-        self._channel.join(reached(line, self._params))
-        _send_poses(self._channel, self._params)
+        earlier = {*range(len(self._lines))}
+        self.channel.join(reached(line, self._params))
+        if self._params.misses_poses:
+            touching = {other for _, other, _ in line.contacts}
+            self.heard.append(_hear_poses(self.channel, touching, self._params))
+            self._found.append(self._alone(line, {0, *self.heard[-1]} & earlier))
+        else:
+            _send_poses(self.channel, self._params)
+            self._found.append(self._placed.join(line))
+        self._lines.append(line)
+
+    def _alone(self, line: RobotLine, heard: set[int]) -> Reals:
+        """Place a robot among those that it heard, which are where they say [log unit], (3,)."""
+        swarm = self._swarm_of(capacity=len(heard) + 1)
+        for number in sorted(heard):
+            swarm.join(_fixed(self._lines[number], self._found[number], self._unit))
+        contacts = [each for each in line.contacts if each[1] in heard]
+        found: Reals = swarm.join(line.model_copy(update={"contacts": contacts, "stances": None}))
+        return found
 
     @property
     def positions(self) -> Reals:
         """Estimated centers in join order [log unit], shape (n, 3)."""
-        found: Reals = self._placed.positions
-        return found
+        return np.array(self._found).reshape(-1, 3)
 
     @property
     def sent(self) -> Ints:
         """Bytes that each robot has sent so far, shape (n,)."""
-        return np.array(self._channel.sent, np.int64)
+        return np.array(self.channel.sent, np.int64)
+
+
+def _fixed(line: RobotLine, center: Reals, unit: float) -> RobotLine:
+    """Reduce what a robot sensed to its pose, which is known [log unit]."""
+    fixes = [(*axis, float(center @ axis), KNOWN_SD * unit) for axis in np.eye(3)]
+    none = {"flip_height": None, "ground_docks": None, "stances": None, "spawn_position": None}
+    return line.model_copy(update={**none, "contacts": [], "fixes": fixes})
+
+
+def _hear_poses(channel: Channel, touching: set[int], params: DistributedParams) -> set[int]:
+    """Let robots send poses that the last one to join may miss; it asks again for some.
+
+    Returns:
+        Robots whose poses it hears.
+    """
+    joiner = len(channel.sent) - 1
+    pose = HEADER + pose_bytes(params.bits, with_orientation=True)
+    asks_all = params.undocked_repulsion and params.poses == "asked"
+
+    def heard_of(senders: Iterable[int]) -> set[int]:
+        return {sender for sender, by in channel.transmit(senders, pose).items() if joiner in by}
+
+    heard: set[int] = set()
+    if not asks_all:
+        heard = heard_of(range(joiner + 1) if params.undocked_repulsion else sorted(touching))
+    for _ in range(params.retries + asks_all):
+        missing = touching - heard
+        if not (asks_all or missing):
+            break
+        # A question names those that need not answer, or those that are to.
+        named = len(heard if asks_all else missing)
+        question = HEADER + -(-NUMBER * named // 8)
+        asked = {*channel.transmit([joiner], question)[joiner]}
+        fresh = heard_of(sorted(asked - heard if asks_all else asked & missing))
+        heard |= fresh
+        if not fresh and touching <= heard:
+            break
+    return heard
 
 
 def _send_poses(channel: Channel, params: DistributedParams) -> None:
@@ -278,21 +344,26 @@ def _send_poses(channel: Channel, params: DistributedParams) -> None:
         return
     if params.undocked_repulsion:
         channel.ask(joiner, HEADER)
-    channel.answer(joiner, pose)
+    channel.answer(joiner, pose, by_all=params.undocked_repulsion)
 
 
-def algorithm_1(log: SensingLog, lines: Sequence[RobotLine], params: DistributedParams) -> Estimate:
+def algorithm_1(
+    log: SensingLog, head: HeaderLine, lines: Sequence[RobotLine], params: DistributedParams
+) -> Estimate:
     """Localize a log by Algorithm 1, and count what robots send.
 
     Args:
         log: Sensing log of N robots.
+        head: Its first line.
         lines: Their lines, under their numbers in join order.
         params: Settings.
 
     Returns:
-        The estimate without losses and rounding, with the traffic of the channel. Robots do not
-        judge for themselves.
+        The estimate without rounding, with the traffic of the channel. Robots do not judge for
+        themselves.
     """
+    if params.misses_poses:
+        return _with_losses(log, head, lines, params)
     settings = params.published
     [found] = methods.localize_batch([log], [settings])
     robots = log.robot_count
@@ -311,6 +382,30 @@ def algorithm_1(log: SensingLog, lines: Sequence[RobotLine], params: Distributed
     memory = heard_of * (pose - HEADER)
     traffic = channel.traffic(memory, _operations(log, settings, found.steps))
     return replace(found, traffic=traffic)
+
+
+def _with_losses(
+    log: SensingLog, head: HeaderLine, lines: Sequence[RobotLine], params: DistributedParams
+) -> Estimate:
+    """Localize a log by Algorithm 1, each robot by the poses that it hears."""
+    swarm = PublishedSwarm(head, params)
+    for line in lines:
+        swarm.join(line)
+    settings, position = params.published, swarm.positions
+    rows = measure(log, ["contacts", "anchors"])
+    untied, gap = disconnected(rows), rows.residual(position / log.dock_radius)
+    found = assess(log, settings.cues, position / log.dock_radius, is_guess=untied)
+    pose = pose_bytes(params.bits, with_orientation=True)
+    memory = np.array([1 + len(heard) for heard in swarm.heard]) * pose
+    return Estimate(
+        robot_id=log.robot_id,
+        position=position,
+        **found.fields(untied, log.dock_radius),
+        iteration=np.array([len(lines)]),
+        trace=position[None],
+        residual=rms(gap[None]) * log.dock_radius,
+        traffic=swarm.channel.traffic(memory, _operations(log, settings, None)),
+    )
 
 
 def _follows(rounds: BackPropagation, joined: int, robots: int) -> bool:
