@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.parts.online.test_online import LOCAL, lines_of
-from tests.structures import NOISY, with_directions, with_fixes
+from tests.structures import NOISY, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import centered, localize_many
@@ -446,8 +446,9 @@ def test_who_hears_all_poses_is_where_algorithm_1_puts_it(log, params):
 
 
 @pytest.mark.parametrize("params", [RADIO, ASKED])
-def test_who_touches_a_robot_asks_until_it_hears_it(log, params):
+def test_who_touches_a_robot_asks_until_it_hears_it(towers, log, params):
     """With so many retries each hears all that it touches, and some others."""
+    log = with_ranges(log, towers[0], reach=8.0, sd=0.1)
     swarm, lines = _published(log, replace(params, loss=0.5, burst=4.0, retries=100))
 
     for line, heard in zip(lines, swarm.heard, strict=True):

@@ -41,7 +41,12 @@ from tiswarm.parts.online.layers import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import lines_of
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
-from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
+from tiswarm.records.sensing_log import KNOWN_SD, LISTS, SensingLog
+
+_OF_OTHERS = {"stances": None} | {
+    name: None for name, key in LISTS.items() if key.robot is not None
+}
+"""What a line says of other robots, which Algorithm 1 does not use but for contacts."""
 
 _MOST_TURNS = 1000
 """Times that robots go on without an answer after a join, before the next one joins."""
@@ -284,7 +289,7 @@ class PublishedSwarm:
         for number in sorted(heard):
             swarm.join(_fixed(self._lines[number], self._found[number], self._unit))
         contacts = [each for each in line.contacts if each[1] in heard]
-        found: Reals = swarm.join(line.model_copy(update={"contacts": contacts, "stances": None}))
+        found: Reals = swarm.join(line.model_copy(update={**_OF_OTHERS, "contacts": contacts}))
         return found
 
     @property
@@ -301,8 +306,8 @@ class PublishedSwarm:
 def _fixed(line: RobotLine, center: Reals, unit: float) -> RobotLine:
     """Reduce what a robot sensed to its pose, which is known [log unit]."""
     fixes = [(*axis, float(center @ axis), KNOWN_SD * unit) for axis in np.eye(3)]
-    none = {"flip_height": None, "ground_docks": None, "stances": None, "spawn_position": None}
-    return line.model_copy(update={**none, "contacts": [], "fixes": fixes})
+    none = {"flip_height": None, "ground_docks": None, "spawn_position": None}
+    return line.model_copy(update={**_OF_OTHERS, **none, "contacts": [], "fixes": fixes})
 
 
 def _hear_poses(channel: Channel, touching: set[int], params: DistributedParams) -> set[int]:
