@@ -306,8 +306,7 @@ class PublishedSwarm:
 def _fixed(line: RobotLine, center: Reals, unit: float) -> RobotLine:
     """Reduce what a robot sensed to its pose, which is known [log unit]."""
     fixes = [(*axis, float(center @ axis), KNOWN_SD * unit) for axis in np.eye(3)]
-    none = {"flip_height": None, "ground_docks": None, "spawn_position": None}
-    return line.model_copy(update={**_OF_OTHERS, **none, "contacts": [], "fixes": fixes})
+    return line.model_copy(update={**_OF_OTHERS, "contacts": [], "fixes": fixes})
 
 
 def _hear_poses(channel: Channel, touching: set[int], params: DistributedParams) -> set[int]:
