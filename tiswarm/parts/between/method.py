@@ -35,7 +35,7 @@ from tiswarm.measurements.contacts import contact_count, disconnected
 from tiswarm.measurements.cues import measure
 from tiswarm.parts.between import DistributedParams
 from tiswarm.parts.between.channel import HEADER, Channel, Message, reached
-from tiswarm.parts.between.robot import Peer, Program
+from tiswarm.parts.between.robot import Peer, Program, held
 from tiswarm.parts.between.wire import MOST_ROBOTS, NUMBER, pose_bytes
 from tiswarm.parts.online.layers import refuse_header, refuse_line
 from tiswarm.records.estimate import Estimate
@@ -287,7 +287,8 @@ class PublishedSwarm:
         """Place a robot among those that it heard, which are where they say [log unit], (3,)."""
         swarm = self._swarm_of(capacity=len(heard) + 1)
         for number in sorted(heard):
-            swarm.join(_fixed(self._lines[number], self._found[number], self._unit))
+            pose = self._lines[number].model_copy(update={**_OF_OTHERS, "contacts": []})
+            swarm.join(held(pose, self._found[number], KNOWN_SD * self._unit))
         contacts = [each for each in line.contacts if each[1] in heard]
         found: Reals = swarm.join(line.model_copy(update={**_OF_OTHERS, "contacts": contacts}))
         return found
@@ -301,12 +302,6 @@ class PublishedSwarm:
     def sent(self) -> Ints:
         """Bytes that each robot has sent so far, shape (n,)."""
         return np.array(self.channel.sent, np.int64)
-
-
-def _fixed(line: RobotLine, center: Reals, unit: float) -> RobotLine:
-    """Reduce what a robot sensed to its pose, which is known [log unit]."""
-    fixes = [(*axis, float(center @ axis), KNOWN_SD * unit) for axis in np.eye(3)]
-    return line.model_copy(update={**_OF_OTHERS, "contacts": [], "fixes": fixes})
 
 
 def _hear_poses(channel: Channel, touching: set[int], params: DistributedParams) -> set[int]:

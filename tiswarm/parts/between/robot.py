@@ -505,10 +505,10 @@ def _precise(program: Program, known: Mapping[int, Known]) -> DistributedParams:
     )
 
 
-def _held(line: RobotLine, center: Reals, unit: float) -> RobotLine:
-    """Add to a line that the robot is where it is [log unit]."""
+def held(line: RobotLine, center: Reals, sd: float) -> RobotLine:
+    """Add to a line that the robot is where it is, with an sd of each coordinate [log unit]."""
     axes = np.eye(_AXES)
-    fixes = [(*axis.tolist(), float(axis @ center), ANSWERS.stays_sd * unit) for axis in axes]
+    fixes = [(*axis.tolist(), float(axis @ center), sd) for axis in axes]
     return line.model_copy(update={"fixes": [*(line.fixes or []), *fixes]})
 
 
@@ -537,7 +537,7 @@ def _measured(
     robots = [program.decoded(line) if line else _ANCHOR for line in lines]
     if stays is not None:
         center = np.array(stays) * head.dock_radius + head.anchor_position
-        robots[-1] = _held(robots[-1], center, head.dock_radius)
+        robots[-1] = held(robots[-1], center, ANSWERS.stays_sd * head.dock_radius)
     builder = SensingLogBuilder(head, of_some=True)
     for robot in robots:
         builder.add(robot)
