@@ -144,7 +144,7 @@ def test_functions_of_classes_are_known_by_where_they_stand():
     found = {}
 
     def define(name):
-        found[name] = lang._is_in_class(2)  # noqa: SLF001 - of the library's decorator: 3
+        found[name] = lang._is_in_class(3)  # noqa: SLF001
 
     class Outer:
         define("class")
