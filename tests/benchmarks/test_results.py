@@ -357,6 +357,7 @@ MESSAGES = {
     "default, by touch": "touch",
     "`base`, by touch": "base",
     "by radio, seeds 0 to 9": "radio",
+    "by touch, 30 % lost, seeds 0 to 9": "touch-loss-30",
     "Algorithm 1 by radio, poses at each join": "algorithm-1",
     "Algorithm 1 by touch, no undocked repulsion": "algorithm-1-local",
 }
