@@ -1,7 +1,8 @@
 """Panels, legend, note, colors and file formats of all figures; pictures and page share colors."""
 
 import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -9,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import InputError
+from tiswarm.records import outputs
 from tiswarm.records.measures import FEWEST
 from tiswarm.records.messages import counted
 
@@ -408,6 +411,21 @@ def svg(figure: "Figure") -> bytes:
 
     unset = dict.fromkeys(["Creator", "Date", "Format", "Type"])
     return _encoded(figure, FigureCanvasSVG, "svg", unset)
+
+
+def write(path: Path, draw: Callable[[], "Figure"], *, overwrite: bool = False) -> None:
+    """Draw a figure in our style, and write it, as vectors if the name ends in .pdf.
+
+    Raises:
+        InputError: the name ends in neither .png nor .pdf, or another file has it.
+    """
+    from matplotlib import style
+
+    if path.suffix not in {".png", ".pdf"}:
+        raise InputError(f"{path.name!r} should end in .png or .pdf; rename it", argument="out")
+    with style.context(["default", STYLE]):
+        data = (pdf if path.suffix == ".pdf" else png)(draw())
+    outputs.write(path, data, overwrite=overwrite)
 
 
 def _encoded(

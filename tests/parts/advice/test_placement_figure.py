@@ -9,8 +9,8 @@ from tiswarm.parts.advice.explanation import (
     Placement,
     draw_placement,
     show_placement,
-    write_placement,
 )
+from tiswarm.report import figure_style
 
 RING = np.column_stack([np.cos(np.arange(50.0)), np.sin(np.arange(50.0)), np.zeros(50)])
 PANELS = [Panel("touches robot 3", 4.0 * RING), Panel("height", RING[:1]), Panel("none", RING[:0])]
@@ -58,8 +58,8 @@ def test_a_page_gets_a_figure_for_each_width():
 def test_a_picture_is_written_as_its_name_says(tmp_path):
     """Other endings are refused before anything is drawn."""
     for name in ("places.png", "places.pdf"):
-        write_placement(tmp_path / name, PLACEMENT)
+        figure_style.write(tmp_path / name, lambda: draw_placement(PLACEMENT))
         assert (tmp_path / name).stat().st_size > 1000
 
     with pytest.raises(InputError, match=r"'places.gif' should end in .png or .pdf"):
-        write_placement(tmp_path / "places.gif", PLACEMENT)
+        figure_style.write(tmp_path / "places.gif", lambda: pytest.fail("it is drawn"))

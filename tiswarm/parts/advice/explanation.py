@@ -12,7 +12,6 @@ from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.parts.advice.placement import narrow
-from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.sensing_log import SensingLog
@@ -70,7 +69,7 @@ class Explanation:
 
     def draw(self, out: Path, *, overwrite: bool = False) -> Path:
         """Draw the places that remain after each measurement; return the picture."""
-        write_placement(out, self._placement(), overwrite=overwrite)
+        figure_style.write(out, lambda: draw_placement(self._placement()), overwrite=overwrite)
         return out
 
     def show(self, why: str = "") -> Shown:
@@ -186,22 +185,6 @@ class Placement(NamedTuple):
 
     unit: str = "R"
     """The log's unit."""
-
-
-def write_placement(path: Path, placement: Placement, *, overwrite: bool = False) -> None:
-    """Write the figure, as vectors if the name ends in .pdf.
-
-    Raises:
-        InputError: the name ends in neither .png nor .pdf, or another file has it.
-    """
-    from matplotlib import style
-
-    if path.suffix not in {".png", ".pdf"}:
-        raise InputError(f"{path.name!r} should end in .png or .pdf; rename it", argument="out")
-    encode = figure_style.pdf if path.suffix == ".pdf" else figure_style.png
-    with style.context(["default", figure_style.STYLE]):
-        data = encode(draw_placement(placement))
-    outputs.write(path, data, overwrite=overwrite)
 
 
 def show_placement(file: str, placement: Placement, caption: str) -> Shown:

@@ -8,8 +8,6 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.aliases import Reals
-from tiswarm.base.errors import InputError
-from tiswarm.records import outputs
 from tiswarm.records.measures import RMSE, RMSE_AT_JOIN, SENT
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
@@ -303,19 +301,8 @@ def write_score(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the figure of a score, as vectors if the name ends in .pdf; arguments of `draw_score`.
-
-    Raises:
-        InputError: the name ends in neither .png nor .pdf, or another file has it.
-    """
-    from matplotlib import style
-
-    if path.suffix not in {".png", ".pdf"}:
-        raise InputError(f"{path.name!r} should end in .png or .pdf; rename it", argument="out")
-    encode = figure_style.pdf if path.suffix == ".pdf" else figure_style.png
-    with style.context(["default", figure_style.STYLE]):
-        data = encode(draw_score(true, estimated, errors, unit))
-    outputs.write(path, data, overwrite=overwrite)
+    """Write the figure of a score as `figure_style.write` does; arguments of `draw_score`."""
+    figure_style.write(path, lambda: draw_score(true, estimated, errors, unit), overwrite=overwrite)
 
 
 def draw_score(true: Reals, estimated: Reals, errors: Mapping[str, Reals], unit: str) -> "Figure":
