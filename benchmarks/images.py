@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import tiswarm
@@ -24,7 +23,9 @@ from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.parts.pictures.pictures import (
     FRAME_MS,
+    INK,
     LAST_MS,
+    NOTHING,
     Keys,
     Scale,
     Tile,
@@ -35,6 +36,7 @@ from tiswarm.parts.pictures.pictures import (
     draw_states,
     encode_webp,
 )
+from tiswarm.parts.pictures.raycast import Pixels
 from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.records.messages import three_digits
 from tiswarm.records.terrain import Terrain
@@ -60,7 +62,7 @@ _LARGE_TOWER = {
 }  # fmt: skip
 """Size and settings of the large structure, those of scenarios/scaling.yaml."""
 _LARGE_FRAME = (2000, 1040)
-_LARGE_FRAMES = 100
+_LARGE_FRAMES = 50
 
 
 def draw_methods(run: RunData, renderer: str) -> Image.Image:
@@ -163,20 +165,20 @@ def draw_departures(rule: Path, renderer: str) -> bytes:
 
 
 def _beside(
-    pictures: Sequence[NDArray[np.uint8]],
+    pictures: Sequence[Pixels],
     titles: Sequence[str],
     errors: Sequence[float],
     legend: Scale,
 ) -> Image.Image:
     """Put pictures side by side, each with its title and RMSE [R] below."""
     height, width, _ = pictures[0].shape
-    frame = Image.new("RGB", (len(pictures) * width, height + _BELOW), "white")
+    frame = Image.new("RGBA", (len(pictures) * width, height + _BELOW), NOTHING)
     pen, font = ImageDraw.Draw(frame), ImageFont.load_default(20)
     for place, (picture, title, error) in enumerate(zip(pictures, titles, errors, strict=True)):
         frame.paste(Image.fromarray(picture), (place * width, 0))
         text = title if np.isnan(error) else f"{title}\nRMSE {three_digits(error)} R"
         middle = ((place + 0.5) * width, height + _BELOW / 2)
-        pen.multiline_text(middle, text, (40, 40, 40), font, anchor="mm", align="center")
+        pen.multiline_text(middle, text, INK, font, anchor="mm", align="center")
     return add_legend(frame, legend)
 
 

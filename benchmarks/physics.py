@@ -57,6 +57,8 @@ DRAWN = {
 }
 """Pairs of the figure, with their titles and means."""
 
+_EDGE = 480  # of a world's picture [pixels]
+
 
 class Pair(NamedTuple):
     """Loads of the robots of some structures, by two means."""
@@ -204,16 +206,20 @@ def draw_worlds(robots: int) -> Image.Image:
 
 
 def _photo(world: Simulation) -> Any:  # noqa: ANN401 - an array
-    """Draw a world from the side."""
+    """Draw a world from the side, transparent around its solids."""
     places = world.data.xpos[1:]
     camera = mujoco.MjvCamera()
     camera.lookat = 0.5 * (places.min(axis=0) + places.max(axis=0))
     camera.distance = 1.45 * float(np.ptp(places, axis=0).max()) + 0.4
     camera.azimuth, camera.elevation = 75.0, -8.0
-    world.model.vis.global_.offwidth = world.model.vis.global_.offheight = 480
-    with mujoco.Renderer(world.model, 480, 480) as renderer:
+    world.model.vis.global_.offwidth = world.model.vis.global_.offheight = 2 * _EDGE
+    with mujoco.Renderer(world.model, 2 * _EDGE, 2 * _EDGE) as renderer:
         renderer.update_scene(world.data, camera)
-        return renderer.render()
+        color = renderer.render().copy()
+        renderer.enable_segmentation_rendering()
+        opacity = 255 * (renderer.render()[..., :1] >= 0)
+    pixels = np.concatenate([color, opacity], axis=2).astype(np.uint8)
+    return np.asarray(Image.fromarray(pixels).resize((_EDGE, _EDGE), Image.Resampling.BOX))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import typer.main
+from PIL import Image
 
 import tiswarm
 from tiswarm.cli import app
@@ -53,6 +54,16 @@ def test_the_site_can_be_built(tmp_path):
     assert "<iframe srcdoc=" in grow  # the page of a log, within the page
     assert "data:image/png;base64" in study
     assert "<td>no-heights</td>" in study
+
+
+def test_pictures_fit_a_dark_page():
+    """Films and solids are transparent around them; of the others, charts, the site turns all."""
+    turned = set(re.findall(r'src\*="([\w-]+)"', (DOCS / "static" / "site.css").read_text()))
+
+    for path in sorted((DOCS / "images").iterdir()):
+        with Image.open(path) as picture:
+            is_clear = picture.convert("RGBA").getchannel("A").getextrema()[0] == 0
+        assert is_clear != any(part in path.stem for part in turned), path.name
 
 
 def test_every_call_is_on_its_page():

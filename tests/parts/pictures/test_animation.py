@@ -66,7 +66,7 @@ def test_frames_look_as_if_each_were_drawn_alone(run_folder):
         )  # fmt: skip
         scene = build_scene(part, view.terrain, around=around).seen_by(camera)
         (alone,), _, _ = draw_scenes([scene], "taichi")
-        off = np.abs(frame.astype(int) - on_white(alone))
+        off = np.abs(on_white(frame).astype(int) - on_white(alone))
         assert (off.max(axis=2) > 12).mean() < 0.01  # 5 % of the brightness, on edges of light
 
 
@@ -79,7 +79,7 @@ def test_robots_that_leave_vanish(monkeypatch, tmp_path):
 
     def draw(given, *_):
         scenes.extend(given)
-        return [np.zeros((40, 600, 3), np.uint8)] * len(given), "", ""
+        return [np.zeros((40, 600, 4), np.uint8)] * len(given), "", ""
 
     monkeypatch.setattr(pictures, "draw_growth", draw)
     monkeypatch.setattr(pictures, "render_view", lambda *_: ({}, "", ""))
@@ -102,6 +102,22 @@ def test_without_a_video_library_the_best_movie_is_a_webp(run_folder, monkeypatc
     with Image.open(drawn.path) as movie:
         assert (movie.format, movie.n_frames) == ("WEBP", 12)
         assert movie.width <= 960
+
+
+@pytest.mark.parametrize("form", ["webp", "gif"])
+def test_a_page_in_the_dark_shows_through_a_webp_alone(run_folder, form):
+    """Its pixels can be half transparent; other films are on white."""
+    drawn = animate_run(load_run(run_folder), form, progress=Progress(), renderer="taichi")
+
+    with Image.open(drawn.path) as movie:
+        for frame in (0, 11):
+            movie.seek(frame)
+            pixels = np.asarray(movie.convert("RGBA"))
+            corner = pixels[pixels.shape[0] // 4, 0]  # above the ground
+            if form == "webp":
+                assert (corner[3], pixels[..., 3].max()) == (0, 255)
+            else:
+                assert corner.tolist() == [255] * 4
 
 
 @pytest.mark.trial

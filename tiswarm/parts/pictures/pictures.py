@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from tiswarm.base.aliases import Bools, Ints, Reals
@@ -23,7 +22,7 @@ from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Advance, Progress, ignore
 from tiswarm.measurements.observability import hops_from_anchors
-from tiswarm.parts.pictures.raycast import Pixels, draw_growth, draw_scenes
+from tiswarm.parts.pictures.raycast import Pixels, draw_growth, draw_scenes, on_white
 from tiswarm.parts.pictures.scene import TRUE_SIZE, Camera, Scene, build_scene, paint
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted, three_digits
@@ -48,8 +47,11 @@ _SEEN_ERROR = 0.3  # error from which a true robot is seen beside its estimate [
 _MOST_GHOSTS = 0.5  # share of robots above which translucent ones would hide each other
 
 _LETTERS, _LEGEND_HEIGHT, _BAR_LENGTH = 19, 44, 144  # of a legend, with its bar of colors [pixels]
-_INK = (118, 118, 118)  # as far from white as from black
-_NOTHING = (*_INK, 0)  # as letters: their edges are half transparent
+INK = (118, 118, 118)
+"""Color of letters, as far from white as from black."""
+
+NOTHING = (*INK, 0)
+"""Color where nothing is drawn: edges of letters on it are half transparent."""
 
 
 Keys = tuple[tuple[str, str], ...]
@@ -161,21 +163,21 @@ def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) ->
         places.append((left, line))
         left += wide
     high = round(line + size * _LEGEND_HEIGHT / 2.0)
-    back = _NOTHING if picture.mode == "RGBA" else "white"
+    back = NOTHING if picture.mode == "RGBA" else "white"
     whole = Image.new(picture.mode, (picture.width, picture.height + high), back)
     whole.paste(picture, (0, high))
     pen, line = ImageDraw.Draw(whole), size * _LEGEND_HEIGHT / 2.0
     if isinstance(legend, Scale):
-        pen.text((start, line), legend.low, _INK, font, anchor="lm")
+        pen.text((start, line), legend.low, INK, font, anchor="lm")
         left = start + pen.textlength(f"{legend.low}  ", font)
         bar = colors_along(np.linspace(0.0, 1.0, long), legend.colors)
         for x, color in enumerate((255.0 * bar).round().astype(int).tolist()):
             pen.line((left + x, line - size * 7, left + x, line + size * 7), tuple(color))
-        pen.text((left + long, line), f" {legend.high}", _INK, font, anchor="lm")
+        pen.text((left + long, line), f" {legend.high}", INK, font, anchor="lm")
     for (key, text), (left, line) in zip(keys, places, strict=True):
         if key:
             pen.ellipse((left, line - size * 9, left + size * 18, line + size * 9), fill=key)
-        pen.text((left + size * 25 * bool(key), line), text, _INK, font, anchor="lm")
+        pen.text((left + size * 25 * bool(key), line), text, INK, font, anchor="lm")
     return whole
 
 
@@ -373,9 +375,9 @@ def _lay_out(
     steps = [max(picture.shape[1] - room, _LEAST_WIDTH) for picture in pictures]
     middles = [sum(steps[:k]) + (step + room) // 2 for k, step in enumerate(steps)]
     size = (sum(steps) + room, round(above + below))
-    whole = Image.new("RGBA", size, _NOTHING)
+    whole = Image.new("RGBA", size, NOTHING)
     for picture, row, middle in zip(pictures, rows, middles, strict=True):
-        tile = Image.new("RGBA", size, _NOTHING)
+        tile = Image.new("RGBA", size, NOTHING)
         tile.paste(Image.fromarray(picture), (middle - picture.shape[1] // 2, round(above - row)))
         whole.alpha_composite(tile)
     content = whole.getchannel("A").getbbox() or (0, 0, *size)
@@ -383,7 +385,7 @@ def _lay_out(
     pen, font = ImageDraw.Draw(whole), ImageFont.load_default(_LETTERS)
     for middle, label in zip(middles, labels, strict=True):
         place = (middle, whole.height - _LABEL_HEIGHT // 2)
-        pen.multiline_text(place, label, _INK, font, anchor="mm", align="center")
+        pen.multiline_text(place, label, INK, font, anchor="mm", align="center")
     return whole
 
 
@@ -399,6 +401,7 @@ _SIZES = {"mp4": (1920, 1080), "webp": (960, 720), "gif": (960, 720)}
 
 _LEGEND_WIDTH = 600  # of a frame for which the letters of a legend are made [pixels]
 _QUALITY = 80  # of a WebP
+_ALPHA_QUALITY = 40  # at 100 files are twice as large, and look alike
 _GRAYS = np.array([*range(0, 200, 8), *range(200, 256)], np.uint8)  # of a GIF, for the ground
 _GRAY = 8  # range of red, green and blue up to which a pixel is gray
 _BAR_HEIGHT = 60  # rows of the legend's colors that count when a GIF's are chosen [pixels]
@@ -457,8 +460,9 @@ def animate_view(
             whole, view.terrain, standing, _SIZES[form], renderer, advance
         )
     _name_renderer(progress, used, reason)
+    ground = on_white if form != "webp" else np.asarray  # only WebP has half transparent pixels
     frames = [
-        _with_legend(Image.fromarray(picture), n, robots, np.count_nonzero(left_after <= n))
+        _with_legend(Image.fromarray(ground(picture)), n, robots, np.count_nonzero(left_after <= n))
         for picture, n in zip(pictures, joined, strict=True)
     ]
     return _ENCODERS[form](frames), used, reason
@@ -472,7 +476,7 @@ def draw_states(
     renderer: str | None = None,
     advance: Advance = ignore,
     around: Reals | None = None,
-) -> tuple[list[NDArray[np.uint8]], str, str]:
+) -> tuple[list[Pixels], str, str]:
     """Draw a structure in several states, before one camera.
 
     Args:
@@ -485,7 +489,7 @@ def draw_states(
         around: Docks that fit into each picture [R], shape (n, 3); those of all robots if None.
 
     Returns:
-        The pictures, of shape (height, width, 3), the renderer, and why a better one failed.
+        The pictures, of shape (height, width, 4), the renderer, and why a better one failed.
     """
     docks = robots.dock.reshape(-1, 3) if around is None else around
     camera = build_scene(robots, terrain, around=docks).within(*size).camera
@@ -518,7 +522,7 @@ def encode_webp(frames: Sequence[Image.Image], durations: Sequence[int], quality
     first, *rest = frames
     first.save(
         stream, "WEBP", save_all=True, append_images=rest, duration=[*durations], loop=0,
-        quality=quality, method=2,
+        quality=quality, method=2, alpha_quality=_ALPHA_QUALITY,
     )  # fmt: skip
     return stream.getvalue()
 

@@ -142,7 +142,7 @@ def draw_scenes(
         advance: Called with the number of pictures drawn since, less than 0 if a renderer fails.
 
     Returns:
-        The pictures, of shape (height, width, 3), the name of their renderer, and why a better
+        The pictures, of shape (height, width, 4), the name of their renderer, and why a better
         renderer failed, if one did.
 
     Raises:
@@ -177,7 +177,7 @@ def draw_growth(
         advance: Called with the number of pictures drawn since, less than 0 if a renderer fails.
 
     Returns:
-        The pictures, of shape (height, width, 3), the name of their renderer, and why a better
+        The pictures, of shape (height, width, 4), the name of their renderer, and why a better
         renderer failed, if one did.
 
     Raises:
@@ -193,9 +193,9 @@ def draw_growth(
                 darker = _changed_ground(scenes[number - 1], scene)[cells]
                 new = np.flatnonzero(_surroundings(scene, centers) | darker)
                 picture = pictures[-1].copy()
-                picture.reshape(-1, 3)[new] = on_white(_draw([scene], tracer, new)[0])
+                picture.reshape(-1, 4)[new] = _draw([scene], tracer, new)[0]
             else:
-                picture = on_white(_draw([scene], tracer)[0])
+                picture = _draw([scene], tracer)[0]
             pictures.append(picture)
             advance(1)
         return pictures
