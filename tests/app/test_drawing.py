@@ -3,7 +3,6 @@
 import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -14,7 +13,6 @@ from tiswarm.base.progress import Progress
 from tiswarm.parts.pictures import pictures
 from tiswarm.parts.pictures.pictures import Rendered
 from tiswarm.records.run_folder import read_manifest
-from tiswarm.report.run_data import load_run
 from tiswarm.study.run import RunResult
 
 
@@ -93,15 +91,3 @@ def test_the_same_command_restores_all_drawings(small_run, result, monkeypatch):
     assert len(read_manifest(result.folder).renders) == 5
     monkeypatch.delattr(drawing, "draw")
     draw_all(result, Progress())
-
-
-def test_figures_never_meet_a_half_imported_library(result, monkeypatch):
-    """Open3d imports IPython, where there is one; matplotlib fails on it while that goes on."""
-    order = []
-    monkeypatch.setattr(drawing, "importlib", SimpleNamespace(import_module=order.append))
-    monkeypatch.setattr(pictures, "render_run", lambda *_, **__: order.append("renders") or [])
-    monkeypatch.setattr(drawing, "draw_figures", lambda *_, **__: [])
-
-    drawing.draw(load_run(result.folder), Progress(), figures=True, renders=True)
-
-    assert order == ["IPython", "renders"]

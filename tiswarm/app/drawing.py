@@ -1,7 +1,5 @@
 """Draws the figures, pictures and page of a run folder, and the page of a log."""
 
-import contextlib
-import importlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -84,9 +82,6 @@ def draw(
     manifest = read_manifest(run.folder)
     render_run = find("command", "render").render_run if renders else None
     animate_run = find("command", "render").animate_run if movie else None
-    if renders:  # matplotlib looks at IPython, and fails while open3d imports it
-        with contextlib.suppress(ImportError):
-            importlib.import_module("IPython")
     with ThreadPoolExecutor(1) as pool:  # renders leave the interpreter to figures for long
         rendering = (
             pool.submit(render_run, run, progress=progress, renderer=renderer, case=case)

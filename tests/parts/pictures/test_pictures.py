@@ -135,6 +135,27 @@ def test_an_open3d_that_crashes_does_not_end_the_run(scene, tmp_path, monkeypatc
     assert len([*(tmp_path / "cache" / "tiswarm" / "kernels" / "open3d").iterdir()]) == 1
 
 
+def test_open3d_imports_web_servers_when_they_are_called(tmp_path, monkeypatch):
+    """They bring dash, plotly and IPython, three quarters of the time of its import."""
+    folder, name = tmp_path / "open3d" / "visualization", "open3d.visualization"
+    folder.mkdir(parents=True)
+    (tmp_path / "open3d" / "__init__.py").write_text(f"import {name}\n")
+    (folder / "__init__.py").write_text("from .draw_plotly import draw_plotly\n")
+    (folder / "draw_plotly.py").write_text("def draw_plotly(shown):\n    return [shown]\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for each in ("open3d", name, web := f"{name}.draw_plotly"):
+        monkeypatch.setitem(sys.modules, each, None)  # undone in the end
+        del sys.modules[each]
+
+    found = raycast.load_open3d()
+    is_loaded = web in sys.modules
+    drawn = [found.visualization.draw_plotly(mesh) for mesh in "ab"]
+
+    assert not is_loaded
+    assert drawn == [["a"], ["b"]]
+    assert web in sys.modules
+
+
 def test_a_chosen_renderer_is_not_replaced(run_folder, broken_open3d):
     """It fails with advice, and nothing is drawn."""
     with pytest.raises(EnvironmentTroubleError, match=r"libodd\.so\.1.*`tiswarm doctor`"):

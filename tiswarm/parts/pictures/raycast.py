@@ -8,6 +8,7 @@ tries it first.
 
 import contextlib
 import ctypes
+import importlib
 import platform
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from functools import cache
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -45,6 +47,8 @@ from tiswarm.report.swarm_view import DrawnRobots, Look
 _LONGEST_S = 120.0
 """Time that the import may take, on a slow disk that has not read it before."""
 
+_WEB = "open3d.visualization.draw_plotly"
+
 _TRIAL = f"""
 import resource
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -67,14 +71,37 @@ def import_open3d() -> Any:  # noqa: ANN401 - open3d has no types
 
 
 def load_open3d() -> Any:  # noqa: ANN401 - open3d has no types
-    """Import open3d, after the library that `libusb_package` brings, where it is installed."""
+    """Import open3d, after the library that `libusb_package` brings, where it is installed.
+
+    Its module of web servers imports dash, plotly and IPython, which take most of the time: here it
+    waits for the first call.
+    """
+    if (loaded := sys.modules.get("open3d")) is not None:
+        return loaded
     with contextlib.suppress(ImportError, OSError):
         import libusb_package  # noqa: PLC0415 - optional
 
         ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    import open3d
-
+    stand_in = ModuleType(_WEB)
+    stand_in.__getattr__ = _on_call  # type: ignore[method-assign]
+    sys.modules[_WEB] = stand_in
+    try:
+        import open3d
+    finally:
+        del sys.modules[_WEB]
     return open3d
+
+
+def _on_call(name: str) -> Callable[..., Any]:
+    """Return a function that imports the module of web servers, and calls its function."""
+
+    def call(*args: Any, **named: Any) -> Any:  # noqa: ANN401 - of open3d
+        web, package = importlib.import_module(_WEB), sys.modules[_WEB.rpartition(".")[0]]
+        for each in [each for each in vars(package) if each in vars(web)]:
+            setattr(package, each, getattr(web, each))  # of one name with the module, too
+        return getattr(web, name)(*args, **named)
+
+    return call
 
 
 @cache
