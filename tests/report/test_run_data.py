@@ -63,6 +63,17 @@ def test_a_missing_table_may_be_empty(run_folder):
         run.table("table.csv", [], [], after="cases")
 
 
+def test_a_table_that_changes_is_read_again(run_folder):
+    """Small tables stay in memory, each caller has a copy of its own."""
+    first = load_run(run_folder).summary
+    first["robots"] = 0
+    kept = load_run(run_folder).summary["robots"].to_list()
+    write_summary(run_folder, "case,status,robots", [["0-a", "done", 7]])
+
+    assert 0 not in kept
+    assert load_run(run_folder).summary["robots"].to_list() == [7]
+
+
 def test_edges_of_the_ground_come_from_the_summary(tmp_path):
     """Where the summary has none, the ground is a plane."""
     for name in ("0-bridge", "0-tower"):

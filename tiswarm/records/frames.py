@@ -7,8 +7,9 @@ much memory. The centers of an estimate at some iterations have the table `trace
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,9 @@ from tiswarm.records.io import Opener, damaged, replacing, run_file, way_back, w
 
 _GREATEST = 1e12
 """Greatest number of a table: above, sums of squares and pictures lose all digits."""
+
+_KEPT_B = 1_000_000
+"""Size of files that stay in memory as tables: figures, page and sentences read the same ones."""
 
 
 def write_frame(table: pd.DataFrame, path: Path, *, opened: Opener = replacing) -> None:
@@ -54,19 +58,12 @@ def read_frame(
         InputError: the table is missing or malformed; names file, line and column.
     """
     run_file(path)
-    read: dict[str, Any] = {
-        # Only empty cells are unknown: a condition may be called `NA` or `null`.
-        "keep_default_na": False, "na_values": [""],
-        # The quicker default is wrong in the last bit of half of all numbers.
-        "float_precision": "round_trip",
-        "low_memory": False,
-    }  # fmt: skip
-    file = path.absolute()  # pandas takes a folder named ~ for the home of the user
     try:
-        found = list(pd.read_csv(file, nrows=0, **read).columns)
+        found = list(_stored(path, None).columns)
         before = found[: found.index(numbers_after)] if numbers_after in found else []
         named = {*before} - {*numbers, *gaps, "robots"} | {*words, *notes}
-        table: pd.DataFrame = pd.read_csv(file, dtype=dict.fromkeys(named, str), **read)
+        # A copy is the caller's own, in one piece: pandas 3 warns of columns that it read apart.
+        table = _stored(path, frozenset(named)).copy()
     except (OSError, ValueError) as error:
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):
@@ -83,14 +80,59 @@ def read_frame(
     after = found[found.index(numbers_after) + 1 :] if numbers_after else []
     after = [name for name in after if name not in notes]
     swept = [name for name in found if name == "robots"]
-    for column in [*columns, *after, *swept]:
+    _check_numbers(table, [*columns, *after, *swept], path, known=numbers)
+    return table
+
+
+def _stored(path: Path, words: frozenset[str] | None) -> pd.DataFrame:
+    """Parse a CSV, or return what was parsed of a small one since it was written."""
+    file = path.absolute()  # pandas takes a folder named ~ for the home of the user
+    state = file.stat()
+    parse = _parsed if state.st_size <= _KEPT_B else _parsed.__wrapped__
+    return parse(file, (state.st_ino, state.st_mtime_ns, state.st_size), words)
+
+
+@lru_cache(maxsize=64)
+def _parsed(
+    file: Path,
+    version: tuple[int, ...],  # noqa: ARG001 - a file that has changed is read again
+    words: frozenset[str] | None,
+) -> pd.DataFrame:
+    """Read a CSV with some columns of text; its header alone if they are None."""
+    return pd.read_csv(
+        file, nrows=0 if words is None else None, dtype=dict.fromkeys(words or (), str),
+        # Only empty cells are unknown: a condition may be called `NA` or `null`.
+        keep_default_na=False, na_values=[""],
+        # The quicker default is wrong in the last bit of half of all numbers.
+        float_precision="round_trip",
+        low_memory=False,
+    )  # fmt: skip
+
+
+def _are_usual(table: pd.DataFrame, *, gaps: bool = True) -> bool:
+    """Whether all cells are numbers of a usual size, or unknown where they may be."""
+    if not all(kind.kind in "biuf" for kind in table.dtypes):
+        return False
+    size = np.abs(table.to_numpy(float))
+    return bool(((size <= _GREATEST) | (np.isnan(size) & gaps)).all())
+
+
+def _check_numbers(
+    table: pd.DataFrame, columns: Sequence[str], path: Path, *, known: Sequence[str]
+) -> None:
+    """Turn truth into numbers, and refuse the first cell that is no number of a usual size.
+
+    Cells may be unknown but in the columns `known`.
+    """
+    for column in columns:
         if table[column].dtype == object:  # as pandas reads True beside an empty cell
             table[column] = table[column].map(_truth_as_number).infer_objects()
-        _check_numbers(table[column], path, gaps=column not in numbers)
-    return table.copy()  # pandas 3 reads columns into pieces, and warns of more of them
+    if not (_are_usual(table[[*columns]]) and _are_usual(table[[*known]], gaps=False)):
+        for column in columns:  # where it is takes a hundred times as long
+            _check_column(table[column], path, gaps=column not in known)
 
 
-def _check_numbers(cells: pd.Series, path: Path, *, gaps: bool) -> None:
+def _check_column(cells: pd.Series, path: Path, *, gaps: bool) -> None:
     """Refuse the first cell that is no finite number of a usual size."""
     # `to_numeric` crashes the process on text such as 1e4001234567.
     numbers = cells if pd.api.types.is_numeric_dtype(cells) else cells.map(_as_number)
