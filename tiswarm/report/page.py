@@ -10,9 +10,10 @@ import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from html import escape
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree as ET
 
 from PIL import Image
@@ -29,6 +30,9 @@ from tiswarm.report.figure_style import NARROW, SCALES, TRUE_BLUE
 from tiswarm.report.figures import caption_of
 from tiswarm.report.run_data import RunData, stated_scenario
 from tiswarm.report.swarm_view import View, build_view
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 LARGEST = 7_900_000
 """Largest page [bytes]; pictures beyond it remain in files of their own."""
@@ -279,6 +283,12 @@ class Page:
 
 def render(template: str, **content: object) -> str:
     """Fill in one of the templates of pages; text is escaped."""
+    return _templates().get_template(template).render(content) + "\n"
+
+
+@cache
+def _templates() -> "Environment":
+    """Find templates, which are compiled once."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
 
     environment = Environment(
@@ -286,7 +296,7 @@ def render(template: str, **content: object) -> str:
         autoescape=True, trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "sort_keys": True}
-    return environment.get_template(template).render(content) + "\n"
+    return environment
 
 
 def write_page(run: RunData, progress: Progress) -> Path:

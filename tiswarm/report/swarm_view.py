@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import MOST_WITHIN, Estimate
 from tiswarm.records.frames import EstimateTrace, read_frame, read_trace, thinned
-from tiswarm.records.io import MAX_LOG_BYTES, at_line, numbered_lines, run_file
+from tiswarm.records.io import MAX_LOG_BYTES, at_line, digest, numbered_lines, run_file
 from tiswarm.records.measures import RMSE
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import parse_header
@@ -160,6 +161,10 @@ class SwarmView:
         return DrawnRobots(center=center, dock=dock, color=color, look=look)
 
 
+_logs: WeakValueDictionary[str, SensingLog] = WeakValueDictionary()
+"""Logs in use by the digest of their files: conditions of a seed have equal ones."""
+
+
 def read_case_view(case: StoredCase) -> SwarmView:
     """Read the poses, errors and forces of a case."""
     gaps = [*_ESTIMATED_POSE, "error_R", "sensed_force"]
@@ -175,7 +180,8 @@ def read_case_view(case: StoredCase) -> SwarmView:
         header = parse_header(text)
 
     def read_log() -> SensingLog:
-        log = read_sensing_log(path)
+        content = digest(path)
+        log = _logs.get(content) or _logs.setdefault(content, read_sensing_log(path))
         if log.robot_count != len(robot):
             problem = f"has {len(robot)} robots, the log {log.robot_count}; run the scenario again"
             raise InputError(problem, path=case.folder / "robots.csv", line=len(robot) + 2)
