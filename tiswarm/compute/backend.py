@@ -405,21 +405,6 @@ def current() -> Backend:
     return _started if _started and is_running() else device()
 
 
-@contextlib.contextmanager
-def fast_arithmetic(*, ignores_nan: bool) -> Iterator[None]:
-    """Let kernels that are compiled within reorder sums, if they may ignore NaN, too.
-
-    Sums over neighbors are then vectorized. Their bits do not depend on the number of threads,
-    but may differ between kinds of processors.
-    """
-    config = ti.lang.impl.current_cfg()
-    config.fast_math, config.cfg_optimization = ignores_nan, True
-    try:
-        yield
-    finally:
-        config.fast_math = config.cfg_optimization = False
-
-
 def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks: int) -> None:
     """Start the library's program, and check what came of it."""
     wanted = getattr(ti, arch)

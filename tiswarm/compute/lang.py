@@ -30,6 +30,8 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
+from textwrap import dedent, fill
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -121,7 +123,9 @@ with suppress(AttributeError, ImportError):  # of another version of the library
     _ast.ASTTransformerContext.get_pos_info = _place
     _kernels: Any = import_module(f"{LIBRARY}.lang.kernel_impl")
     _kernels._inside_class = _is_in_class  # noqa: SLF001
-    _kernels.getsourcelines = cache(_kernels.getsourcelines)  # else read for each call in a kernel
+    # What is called in a kernel is read again for each call.
+    _kernels.getsourcelines = cache(_kernels.getsourcelines)
+    _kernels.textwrap = SimpleNamespace(fill=cache(fill), dedent=cache(dedent))
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as kernel_struct

@@ -7,8 +7,8 @@ values do, even under equal names.
 
 import math
 import platform
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
@@ -145,3 +145,18 @@ def _by_blas() -> list[object]:
 def _digest(*values: object) -> str:
     flat = np.concatenate([np.ravel(np.asarray(each, np.float64)) for each in values])
     return sha256(flat.tobytes()).hexdigest()[:_DIGITS]
+
+
+@contextmanager
+def fast_arithmetic(*, ignores_nan: bool) -> Iterator[None]:
+    """Let kernels that are compiled within reorder sums, if they may ignore NaN, too.
+
+    Sums over neighbors are then vectorized. Their bits do not depend on the number of threads,
+    but may differ between kinds of processors.
+    """
+    config = ti.lang.impl.current_cfg()
+    config.fast_math, config.cfg_optimization = ignores_nan, True
+    try:
+        yield
+    finally:
+        config.fast_math = config.cfg_optimization = False

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import Robot
-from tiswarm.compute import backend
+from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_kernels import StructureTable
@@ -405,7 +405,7 @@ class Stepper:
             neighbors.build(robots.dock, taken % 2 * half)
             kernels.start_interval(robots.position, robots.reference, control)
             while not control[Control.STALE]:
-                with backend.fast_arithmetic(ignores_nan=self.ignores_nan):
+                with numerics.fast_arithmetic(ignores_nan=self.ignores_nan):
                     for t in range(taken, taken + calls * most, most):
                         kernels.step_robots(
                             neighbors.on_card, most, self.dynamics, neighbors.docks,
@@ -424,7 +424,7 @@ class Stepper:
         """All steps of a structure on one thread; None if a row was too short, which is now not."""
         neighbors, structures = self.neighbors, len(self.start) - 1
         moves = self.memory.reals(structures, len(numbers))
-        with backend.fast_arithmetic(ignores_nan=self.ignores_nan):
+        with numerics.fast_arithmetic(ignores_nan=self.ignores_nan):
             kernels.relax_structures(
                 self.dynamics, neighbors.own_bits, neighbors.cutoff, self.stray_limit,
                 self.places.scale, self.memory.upload(numbers),

@@ -1,7 +1,7 @@
 """One linear problem: residuals with their covariance, priors, steps and uncertainty."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,9 @@ from tiswarm.compute.math import normal
 
 _DRAWS = 64
 """Draws of all errors from which the variance of the result is computed."""
+
+_BLOCK = 1024
+"""Rows whose draws are kept together, 0.5 MB: many problems take the same ones."""
 
 _FLOPPY = 1e-9
 """Information, relative to the largest one, below which nothing determines a motion."""
@@ -309,9 +312,16 @@ class Linear:
         turns = self.noise.shape[1]
         sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
         # The inverse of a sparse matrix is dense; draws of all errors take one solve.
-        draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(draws))
+        blocks = [_standard_errors(k, draws) for k in range(-(-int(sizes[-1]) // _BLOCK))]
+        draw = np.concatenate(blocks)[: sizes[-1]]
         own, turn, prior = np.split(draw, sizes[:-1])
         error = np.sqrt(self.own_variance)[:, None] * own
         error[: self.noise.shape[0]] += self.noise @ turn
         pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
         return error, self.undamped.solve(pull)
+
+
+@lru_cache(maxsize=32)
+def _standard_errors(block: int, draws: int) -> Reals:
+    """Draw standard normal errors of the rows of a block."""
+    return normal(0, "errors", np.arange(_BLOCK)[:, None] + _BLOCK * block, np.arange(draws))
