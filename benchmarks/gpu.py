@@ -224,7 +224,7 @@ def time_swarm(engine: str, robots: int, folder: Path) -> dict[str, Any]:
     """Time the swarm step of an engine, and check its initial forces.
 
     A run of one step is mostly work of the host, the intercept. The slope of longer runs without
-    stale lists is the step alone; the rest of a usual run is lists. Their steps take
+    stale lists is the step alone; what moving robots add to it is lists. Their steps take
     as long as the host's work, or are `MOST_LONG` times as many as those of a usual run.
     """
     params, steps = StepParams(), _steps(robots)
@@ -234,24 +234,28 @@ def time_swarm(engine: str, robots: int, folder: Path) -> dict[str, Any]:
     if process.missing:
         return row
 
-    def wall(count: int, max_step: float) -> float:
-        return float(process.ask(do="run", steps=count, max_step=max_step)["wall_s"])
+    def run(count: int, max_step: float) -> tuple[float, int]:
+        """Return wall-clock time and the number of lists."""
+        answer = process.ask(do="run", steps=count, max_step=max_step)
+        return answer["wall_s"], answer["builds"]
 
-    wall(steps, params.max_step)  # warms up
+    run(steps, params.max_step)  # warms up
     row |= process.ask(do="check")
     precision = np.finfo(ENGINES[engine].precision)
     allowed = ROUNDINGS * precision.eps * (farthest + 1.0)
     row["note"] = "" if row["force_error"] <= allowed else "WRONG"
-    longer, host = steps, wall(1, STILL)
-    while longer < MOST_LONG * steps and wall(1 + longer, STILL) < 2.0 * host:
+    longer, host = steps, run(1, STILL)[0]
+    while longer < MOST_LONG * steps and run(1 + longer, STILL)[0] < 2.0 * host:
         longer = min(4 * longer, MOST_LONG * steps)
-    runs = ((steps, params.max_step), (1, STILL), (1 + longer, STILL))
-    whole, one, long = np.median([[wall(*run) for run in runs] for _ in range(ROUNDS)], axis=0)
+    runs = (1, STILL), (1 + longer, STILL), (1 + longer, params.max_step), (steps, params.max_step)
+    taken = np.median([[run(*each) for each in runs] for _ in range(ROUNDS)], axis=0)
     process.stop()
+    (one, _), (long, _), (moving, lists), (whole, _) = taken
     # Of a robot: entries and its two rows' numbers; centers and docks, read and written; arms.
     moved = 4.0 * (entries + 6.0) + precision.bits / 8.0 * (6.0 + 3.0 + 9.0 + 24.0)
     alone = 1e9 * (long - one) / (robots * longer)
     row |= {"step_ns": 1e9 * whole / (robots * steps), "step_alone_ns": alone, "call_of_one_s": one}
+    row["list_ns"] = 1e9 * (moving - long) / (robots * max(lists - 1, 1))
     row["step_alone_GB_per_s"] = moved / row["step_alone_ns"]
     return row
 
