@@ -91,6 +91,15 @@ def test_version_is_printed(tiswarm):
             '--set starts=x: "x" should be a whole number',
         ),
         (("redraw", "scenarios"), "run folder"),
+        (("run", "tower", "--seeds", "5"), "No such option: --seeds; use --set seeds=5"),
+        (("run", "tower", "--seed=3"), "No such option: --seed; use --set seeds=3"),
+        (("check", "scenarios/tower.yaml", "--robots=50"), "use --set robots=50"),
+        (("run", "tower", "--goal-height", "30"), "use --set structure.goal_height=30"),
+        (("localize", "log.jsonl", "--chains", "2"), "use --set chains=2"),
+        (("localize", "log.jsonl", "--chains"), "use --set chains=VALUE"),
+        (("localize", "log.jsonl", "--goal-height", "2"), "No such option: --goal-height"),
+        (("score", "truth.csv", "estimate.csv", "--robots", "5"), "No such option: --robots"),
+        (("run", "tower", "--theads", "3"), "(Possible options: --threads)"),
     ],
 )
 def test_bad_commands_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, printed):

@@ -139,7 +139,7 @@ def test_a_run_leaves_everything_behind(small_run):
     np.testing.assert_allclose(
         table["rmse_R_mean"], summary.groupby("condition", sort=False)["rmse_R"].mean()
     )
-    assert set(manifest["stages"]) == {"grow", "sense", "localize", "evaluate and store"}
+    assert set(manifest["stages"]) == {"grow", "sense", "localize", "score and store"}
     assert {"tiswarm", "backend", "machine", "libraries", "peak_memory_MB"} <= set(manifest)
     assert {"structure.png", "truth-and-estimate.png"} <= set(manifest["renders"])
 

@@ -38,7 +38,7 @@ def test_kernels_are_compiled_before_costs_are_measured(tmp_path, monkeypatch):
 
     assert events == [
         ("virtual-force", SAMPLE_ROBOTS), ("joint", SAMPLE_ROBOTS), "grow", "sense", "localize",
-        ("joint", 8), "evaluate and store", "localize", ("virtual-force", 8), "evaluate and store",
+        ("joint", 8), "score and store", "localize", ("virtual-force", 8), "score and store",
     ]  # fmt: skip
 
 

@@ -146,9 +146,10 @@ def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
         (tmp_path / run).mkdir()
         (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,,2,2,\n")
 
-    (line,) = headline(tmp_path / "a").splitlines()
+    units, line = headline(tmp_path / "a").splitlines()
     compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
 
+    assert "R: radius of a dock" in units
     assert line == f"{name}: RMSE 2 R, disparity 0.5, 1 structure"
     assert f"a,{name},1," in (tmp_path / "both" / "comparison.csv").read_text()
 

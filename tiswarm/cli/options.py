@@ -3,7 +3,9 @@
 import atexit
 import contextlib
 import gc
+import json
 import os
+import re
 import signal
 import sys
 import warnings
@@ -234,7 +236,8 @@ def _status(arguments: list[str]) -> int:
         fail(lack)
         return lack.exit_status
     except TyperException as error:
-        fail(" ".join(error.format_message().replace("Value error, ", "").split()))
+        text = _as_setting(error, arguments) or error.format_message()
+        fail(" ".join(text.replace("Value error, ", "").split()))
         return InputError.exit_status
     except OSError as error:
         what = error.filename or "cannot read or write"
@@ -246,3 +249,32 @@ def _status(arguments: list[str]) -> int:
     if status in _INTERRUPTED:
         fail("interrupted; the same command starts anew, and a run goes on from its finished cases")
     return status if isinstance(status, int) else 0
+
+
+def _as_setting(error: Any, arguments: list[str]) -> str:  # noqa: ANN401 - typer's own click
+    """Lead from an unknown option that is a key to `--set`; empty if it is none."""
+    option, context = getattr(error, "option_name", ""), getattr(error, "ctx", None)
+    if not option or not context or "overrides" not in [p.name for p in context.command.params]:
+        return ""
+    from tiswarm.scenario.model import scenario_schema
+
+    section = "localization." if context.command.name in {"localize", "track"} else ""
+    name, schema = option.lstrip("-").replace("-", "_"), scenario_schema()
+    paths = sorted(_keys(schema, schema), key=lambda path: path.count("."))
+    found = [
+        each.removeprefix(section) for each in paths
+        if each.startswith(section) and each.rpartition(".")[2] in {name, f"{name}s"}
+    ]  # fmt: skip
+    words = [part for each in arguments for part in each.split("=", 1)]
+    if not found or option not in words:
+        return ""
+    value = [*words[words.index(option) + 1 :], "VALUE"][0]
+    return f"No such option: {option}; use --set {found[0]}={value}"
+
+
+def _keys(section: Any, schema: Any, path: str = "") -> Iterator[str]:  # noqa: ANN401 - JSON
+    """List the keys of a scenario's section in its JSON Schema, with the keys that hold them."""
+    for name, entry in section.get("properties", {}).items():
+        yield path + name
+        for part in dict.fromkeys(re.findall(r"#/\$defs/(\w+)", json.dumps(entry))):
+            yield from _keys(schema["$defs"][part], schema, f"{path}{name}.")

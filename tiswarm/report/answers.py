@@ -373,9 +373,11 @@ def mean_errors(results: Results) -> str:
 
 _NEEDED = [RMSE.mean, RMSE.ci95, RMSE.least, RMSE.most, DISPARITY.mean]
 
+_UNITS = "(R: radius of a dock; disparity: squared error over squared extent of the shape)"
+
 
 def headline(folder: Path) -> str:
-    """Write the results of a run: a line for each row of its table, then the answer."""
+    """Write the results of a run: units, a line for each row of its table, then the answer."""
     path = folder / "table.csv"
     if not path.exists():
         raise InputError("has no table.csv; give a folder that `tiswarm run` made", path=folder)
@@ -385,7 +387,9 @@ def headline(folder: Path) -> str:
     labels = run_data.read_labels(folder)
     table = labels.put(table, before="cases")
     last = result_of(folder, table, labels) if len(table) > 1 else ""
-    return "\n".join([*map(_in_words, table.to_dict("records")), *([last] if last else [])])
+    units = [_UNITS] if table["cases"].any() else []
+    rows = map(_in_words, table.to_dict("records"))
+    return "\n".join([*units, *rows, *([last] if last else [])])
 
 
 def read_pairs(folder: Path, labels: run_data.Labels) -> pd.DataFrame:

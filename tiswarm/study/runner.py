@@ -162,7 +162,7 @@ class _CaseRunner:
         for cases in _batches(valid, logs):
             sensed = [logs[case.name] for case in cases]
             estimates = self._localize(cases, sensed)
-            with self._stage("evaluate and store", cases) as advance:
+            with self._stage("score and store", cases) as advance:
                 for case, log, estimate in zip(cases, sensed, estimates, strict=True):
                     records.append(self._store(case, histories[case.seed], log, estimate))
                     advance(1)
