@@ -140,6 +140,26 @@ def test_what_is_not_lost_arrives_once(tree, given_settings):
     assert min(channel.sent) >= 0
 
 
+@pytest.mark.parametrize("delay", [0, 3])
+def test_what_nobody_acknowledges_is_repeated_after_pauses_that_double(delay):
+    """Repetition k comes 2^k rounds after the last one, and the delay, so it outlasts a burst."""
+    heard = []
+    channel = Channel(DistributedParams(delay=delay, retries=5), lambda _, message: message)
+    channel.join(set())
+    channel.join({0})
+
+    def hear(now, sender, *_):
+        heard.append(now)
+        return np.zeros(len(sender), np.bool_)
+
+    channel._hears = hear  # noqa: SLF001 - a channel that loses all
+    channel.send(Message("place", 0, b"", {1: b""}))
+    channel.settle()
+
+    assert np.diff(heard).tolist() == [2 + delay, 4 + delay, 8 + delay, 16 + delay, 32 + delay]
+    assert channel.messages == [6, 0]
+
+
 def test_a_radio_of_limited_reach_relays():
     """Of a row of four robots each hears its neighbors; two of them pass the message on."""
     params = DistributedParams(channel="radio", radio_reach="ranged")

@@ -23,6 +23,7 @@ from tiswarm.parts.between.channel import (
     HEADER,
     Channel,
     Message,
+    pause,
 )
 from tiswarm.parts.between.method import PeerSwarm, PublishedSwarm
 from tiswarm.parts.between.wire import (
@@ -178,6 +179,66 @@ def test_a_review_moves_what_hangs_on_a_robot(log):
     after = np.array([robot.place.position for robot in swarm.robots])
     left = np.linalg.norm((after - before)[5:], axis=1).mean()
     assert left < 0.3
+
+
+def _deaf(swarm, is_deaf):
+    """Let the channel lose what a function of listener, sender and round picks, by hand."""
+    swarm.channel._hears = lambda now, sender, listener, *_: np.array([  # noqa: SLF001
+        not is_deaf(heard, said, now) for said, heard in zip(sender, listener, strict=True)
+    ])  # fmt: skip
+
+
+def test_a_robot_that_heard_of_no_partner_asks_again_in_the_review(towers, log):
+    """It hears nothing as it joins, but the robot it touches hears that it hangs on it."""
+    header, *lines = lines_of(centered(replace(log, robot_id=np.arange(log.robot_count))))
+    swarm = PeerSwarm(parse_header(header), QUICK)
+    for line in lines[:12]:
+        _deaf(swarm, lambda heard, *_: heard == 11)
+        swarm.join(parse_robot(line))
+    _deaf(swarm, lambda *_: False)
+    alone = swarm.found()
+    assert np.flatnonzero(alone.lost).tolist() == [11]
+    assert alone.doubtful[11]
+
+    swarm.review()
+
+    assert not swarm.found().lost.any()
+    history = towers[0]
+    true = (history.position[11] - history.position[0]) / log.dock_radius
+    assert np.linalg.norm(swarm.robots[11].place.position - true) < 3.0
+    assert np.linalg.norm(alone.position[11] - true) > 3.0
+
+
+def test_a_lost_walk_is_resumed_by_who_waits_for_it(log):
+    """What the sixth robot hears is lost until its transmissions and repetitions have ended."""
+    spans = []
+    for rounds in (0, 400):
+        swarm = grown(log, replace(QUICK, tenure=2), 12)
+        begin = swarm.channel.rounds
+        _deaf(swarm, lambda heard, _, now, end=begin + rounds: heard == 5 and now < end)
+
+        swarm.review()
+
+        spans.append([robot.known[robot.number].span for robot in swarm.robots])
+        assert not any(robot.waits for robot in swarm.robots)
+    assert spans[0] == spans[1]
+    assert spans[0][0] == (0, 12)
+
+
+def test_who_waits_for_a_walk_goes_on_without_it(log):
+    """The sixth robot hears nothing any more: a walk comes to those that do not hang on it."""
+    swarm = grown(log, QUICK, 12)
+    hang, queue = {5}, [5]
+    while queue:
+        after = swarm.robots[queue.pop()]._children  # noqa: SLF001 - who hangs on whom
+        hang |= after
+        queue += after
+    _deaf(swarm, lambda heard, *_: heard == 5)
+
+    swarm.review()
+
+    walked = {robot.number for robot in swarm.robots if robot.known[robot.number].span}
+    assert walked == {*range(12)} - hang
 
 
 @pytest.fixture(scope="module")
@@ -456,6 +517,23 @@ def test_who_touches_a_robot_asks_until_it_hears_it(towers, log, params):
     for line, heard in zip(lines, swarm.heard, strict=True):
         assert {other for _, other, _ in line.contacts} <= heard
         assert heard <= {*range(line.robot)}
+
+
+def test_a_question_is_repeated_after_pauses_that_double(log):
+    """Nobody hears the second robot: it asks in the rounds 1, 1 + 1 + 2 and so on, by hand."""
+    header, *lines = lines_of(centered(log))
+    params = replace(RADIO, undocked_repulsion=False, loss=0.3, retries=4)
+    swarm, asked = PublishedSwarm(parse_header(header), params), []
+
+    def hear(now, sender, *_):
+        asked.extend([now] * (1 in sender))
+        return np.zeros(len(sender), np.bool_)
+
+    for line in lines[:2]:
+        swarm.channel._hears = hear  # noqa: SLF001
+        swarm.join(parse_robot(line))
+
+    assert np.diff(asked).tolist() == [pause(k) + 2 for k in (2, 3, 4)]
 
 
 def test_a_question_costs_its_numbers(log):

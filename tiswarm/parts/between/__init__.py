@@ -110,7 +110,7 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     delay: Annotated[int, Field(ge=0, le=1000)] = 0
     """Rounds that a transmission takes beyond the next one [1]."""
 
-    retries: Annotated[int, Field(ge=0, le=100)] = 4
+    retries: Annotated[int, Field(ge=0, le=100)] = 5
     """Times at most that a transmission without an answer is repeated [1]."""
 
     bits: Annotated[int, Field(ge=8, le=32)] | None = 16

@@ -5,7 +5,8 @@ robot to robot in reach; where ways part, each branch carries the parts of the r
 radio one transmission reaches all robots, or those that measured a range between them. Who passes a
 message on takes it in, and so does who is in reach of a radio that reaches all. Transmissions take
 a round and `delay` more. Who was to receive one acknowledges it; without an answer it is sent
-again. Which are heard is decided by the channel of the settings, for all of a round at once.
+again, after pauses that double: they outlast bursts of loss. Which are heard is decided by the
+channel of the settings, for all of a round at once.
 
 Losses and the order of events depend on the seed and on numbers of messages and robots alone.
 """
@@ -35,6 +36,15 @@ ACKNOWLEDGMENT = 3
 """Bytes of an acknowledgment: the number of the message and its robot."""
 
 
+def pause(attempt: int) -> int:
+    """Choose for how many rounds to be silent before a transmission or a question is repeated.
+
+    Args:
+        attempt: Number of the repetition, from 1.
+    """
+    return int(2 ** min(attempt, _LONGEST)) - 1
+
+
 class Message(NamedTuple):
     """What a robot sends."""
 
@@ -50,6 +60,9 @@ class Message(NamedTuple):
     parts: Mapping[int, bytes]
     """Content for each receiver, by its number."""
 
+
+_LONGEST = 10
+"""Times that a pause doubles at most."""
 
 Hear = Callable[[int, Message], Message]
 """Gives a robot a message, with those parts of it that passed by; returns what it passes on."""
@@ -134,7 +147,7 @@ class Channel:
 
     @property
     def rounds(self) -> int:
-        """Rounds in which a message was under way."""
+        """Rounds in which a message was under way, or a robot paused to repeat one."""
         return self._round
 
     def join(self, touching: set[int]) -> None:
@@ -146,12 +159,20 @@ class Channel:
         for other in touching:
             self._links[other].add(number)
 
-    def send(self, message: Message) -> None:
-        """Send a message from now on; parts of robots out of reach are lost."""
+    def send(self, message: Message, after: int = 0) -> None:
+        """Send a message after some silent rounds; parts of robots out of reach are lost."""
         self._transmit(
-            self._serial, message, message.sender, self._tree(message.sender, {*message.parts})
+            self._serial,
+            message,
+            message.sender,
+            self._tree(message.sender, {*message.parts}),
+            after,
         )
         self._serial += 1
+
+    def wait(self, rounds: int) -> None:
+        """Let rounds pass in which nothing is under way."""
+        self._round += rounds
 
     def settle(self) -> None:
         """Let rounds pass until no message is under way."""
@@ -281,17 +302,23 @@ class Channel:
         return found
 
     def _transmit(
-        self, serial: int, message: Message, sender: int, tree: Mapping[int, list[int]]
+        self,
+        serial: int,
+        message: Message,
+        sender: int,
+        tree: Mapping[int, list[int]],
+        after: int = 0,
     ) -> None:
-        """Let a robot pass a message on to those after it in the tree."""
+        """Let a robot pass a message on to those that follow in the tree, after silent rounds."""
         behind = {other: self._behind(other, tree) for other in tree.get(sender, [])}
         # By touch, each contact has a transmission of its own.
         each = [behind] if self._is_radio else [{other: its} for other, its in behind.items()]
-        for after in filter(None, each):
-            self._at_once(_Hop(serial, message, sender, tree, after))
+        for next_ones in filter(None, each):
+            self._begin(_Hop(serial, message, sender, tree, next_ones), after)
 
-    def _at_once(self, hop: _Hop) -> None:
-        self._later(0, lambda: self._air.append(hop))
+    def _begin(self, hop: _Hop, after: int) -> None:
+        """Let a transmission begin in the next round, after silent ones."""
+        self._later(after, lambda: self._air.append(hop))
 
     def _deliver(self) -> None:
         """Let robots hear what is transmitted in a round; repeat what nobody acknowledged."""
@@ -320,7 +347,7 @@ class Channel:
             hop.acknowledged.update(answered[k])
             hop.attempt += 1
             if hop.waited and hop.attempt <= self._params.retries:
-                self._later(self._params.delay, partial(self._air.append, hop))
+                self._begin(hop, self._params.delay + pause(hop.attempt))
 
     def _in_reach(self, hop: _Hop) -> list[int]:
         """List the robots that may hear a transmission."""

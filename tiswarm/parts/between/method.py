@@ -34,7 +34,7 @@ from tiswarm.localization.settings import BackPropagation, VirtualForceParams
 from tiswarm.measurements.contacts import contact_count, disconnected
 from tiswarm.measurements.cues import measure
 from tiswarm.parts.between import DistributedParams
-from tiswarm.parts.between.channel import HEADER, Channel, Message, reached
+from tiswarm.parts.between.channel import HEADER, Channel, Message, pause, reached
 from tiswarm.parts.between.robot import Peer, Program, held
 from tiswarm.parts.between.wire import MOST_ROBOTS, NUMBER, pose_bytes
 from tiswarm.parts.online.layers import refuse_header, refuse_line
@@ -188,8 +188,7 @@ class PeerSwarm:
                 break
             # Nothing is under way, so no answer will come.
             for each in waiting:
-                each.expire()
-                self._send(each)
+                self._send(each, each.expire())
             self.channel.settle()
         # Memory counts at its fullest.
         before = zip(self._memory, self.robots, strict=True)
@@ -214,9 +213,10 @@ class PeerSwarm:
         self._send(robot)
         return passed
 
-    def _send(self, robot: Peer) -> None:
+    def _send(self, robot: Peer, silent: int = 0) -> None:
+        """Send what a robot has to say, after some silent rounds."""
         while robot.outbox:
-            self.channel.send(robot.outbox.pop(0))
+            self.channel.send(robot.outbox.pop(0), silent)
 
     def _centers(self) -> Reals:
         """List where the robots take themselves to be; at the anchor if they do not know."""
@@ -320,10 +320,11 @@ def _hear_poses(channel: Channel, touching: set[int], params: DistributedParams)
     heard: set[int] = set()
     if not asks_all:
         heard = heard_of(range(joiner + 1) if params.undocked_repulsion else sorted(touching))
-    for _ in range(params.retries + asks_all):
+    for attempt in range(1 - asks_all, params.retries + 1):
         missing = touching - heard
         if not (asks_all or missing):
             break
+        channel.wait(pause(attempt) if attempt else 0)
         # A question names those that need not answer, or those that are to.
         named = len(heard if asks_all else missing)
         question = HEADER + -(-NUMBER * named // 8)

@@ -47,7 +47,7 @@ from tiswarm.localization.cost import EXTENSION, ROBUST_SD
 from tiswarm.localization.cost.cost import Cost, State, weights
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.parts.between import DistributedParams, wire
-from tiswarm.parts.between.channel import Message
+from tiswarm.parts.between.channel import Message, pause
 from tiswarm.parts.online import CANDIDATES, NEIGHBORS
 from tiswarm.parts.online.kernels import (
     COORDINATE,
@@ -555,9 +555,10 @@ class _Search:
     """Robots within so many steps have answered."""
     waiting: set[int] = field(default_factory=set)
     answered: set[int] = field(default_factory=set)
-    attempt: int = 0
-    walk: tuple[int, int] | None = None
-    """Where a walk goes on once this is solved; None where a robot joined."""
+    walked: int | None = None
+    """Robots that a walk has come to, which goes on once this is solved; None without one."""
+    is_review: bool = False
+    """Whether to solve again for all that the robot solved for."""
 
 
 class Peer:
@@ -584,8 +585,12 @@ class Peer:
         self._children: set[int] = set()
         # Robots that this one solved for.
         self._kept: set[int] = set()
-        # Where a walk is.
-        self._entered, self._left, self._visited = 0, list[int](), -1
+        # Number of the last walk, when it came here and went on, to whom it is to go, and where
+        # it is; -1 if it is not at a robot that hangs on this one.
+        self._walk, self._entered, self._went, self._visited = -1, 0, 0, -1
+        self._left = list[int]()
+        # Times that what the robot waits for was repeated.
+        self._tries = 0
         # The shift by which its body joined another one, as it was sent.
         self._joined = b""
         # Robots that rely on hearing of it when this one moves.
@@ -698,44 +703,71 @@ class Peer:
         """Send a message around that lets each robot that solved do so again for all it solved for.
 
         It walks along first contacts, twice: on the first walk robots learn what hangs on whom.
+        Who waits for the return of a walk sends it again.
         """
-        self._enter(0, 0)
+        self._enter(0, self._walk + 1)
 
     def _hear_walk(self, message: Message) -> None:
-        count, turn = wire.read_walk(message.common)
-        if message.sender == self._visited:
-            self._go_on(count, turn)
-            return
-        self._hang_on(message.sender)
-        if self.known[self.number].body > 0:
-            self._say("lost", b"", {message.sender: b""})
-        self._enter(count, turn)
+        count, walk = wire.read_walk(message.common)
+        if walk != self._walk:
+            self._hang_on(message.sender)
+            if self.known[self.number].body > 0:
+                self._say("lost", b"", {message.sender: b""})
+            self._enter(count, walk)
+        elif message.sender == self._visited:
+            self._go_on(count)
+        elif message.sender == self._parent:
+            self._answer_walk()
 
-    def _enter(self, count: int, turn: int) -> None:
-        """Take in a walk that comes to this robot."""
-        self._entered, self._left, self._visited = count, sorted(self._children), -1
-        if turn and self._kept:
-            self._review(count + 1, turn)
+    def _answer_walk(self) -> None:
+        """Answer the robot that this one hangs on, which has not heard of the walk again."""
+        if self._search is not None or self._visited >= 0:
+            self._say("walking", b"", {self._parent or 0: b""})
         else:
-            self._go_on(count + 1, turn)
+            self._say_walk(self._went, self._parent)
 
-    def _go_on(self, count: int, turn: int) -> None:
+    def _hear_walking(self, message: Message) -> None:
+        if message.sender == self._visited:
+            self._tries = 0
+
+    def _enter(self, count: int, walk: int) -> None:
+        """Take in a walk that comes to this robot."""
+        self._walk, self._entered, self._visited = walk % wire.WALKS, count, -1
+        self._left = sorted(self._children)
+        if self._is_alone:
+            self._begin(self.number, count + 1)
+        elif walk % 2 and self._kept:
+            self._review(count + 1)
+        else:
+            self._go_on(count + 1)
+
+    @property
+    def _is_alone(self) -> bool:
+        """Whether the robot touches others, and has heard of no place among them."""
+        return bool(self.touching) and (self.place is None or self.place.body == self.number)
+
+    def _go_on(self, count: int) -> None:
         """Let a walk go to the next robot that hangs on this one, or back."""
-        at = wire.write_walk(count, turn)
+        self._went, self._tries = count, 0
         if self._left:
             self._visited = self._left.pop(0)
-            self._say("walk", at, {self._visited: b""})
+            self._say_walk(count, self._visited)
             return
+        self._visited = -1
         self.known[self.number].span = self._entered, count
         if self._parent is not None:
-            self._say("walk", at, {self._parent: b""})
-        elif not turn:
-            self._enter(0, 1)
+            self._say_walk(count, self._parent)
+        elif self._walk % 2 == 0:
+            self._enter(0, self._walk + 1)
 
-    def _review(self, count: int, turn: int) -> None:
+    def _say_walk(self, count: int, robot: int | None) -> None:
+        if robot is not None:
+            self._say("walk", wire.write_walk(count, self._walk), {robot: b""})
+
+    def _review(self, count: int) -> None:
         """Solve again for all that this robot solved for, then let the walk go on."""
-        self._search = _Search(self.number, dict.fromkeys(self._kept | {self.number}, 0))
-        self._search.walk = count, turn
+        every = dict.fromkeys(self._kept | {self.number}, 0)
+        self._search = _Search(self.number, every, walked=count, is_review=True)
         self._search.waiting = self._kept - {self.number}
         if self._search.waiting:
             self._ask(self._search.waiting)
@@ -780,19 +812,31 @@ class Peer:
     @property
     def waits(self) -> bool:
         """Whether the robot still waits for something."""
-        return self._search is not None or (self.place is None and bool(self._hosts))
+        is_lost = self.place is None and bool(self._hosts)
+        return self._search is not None or self._visited >= 0 or is_lost
 
-    def expire(self) -> None:
-        """Go on although nothing more was heard."""
+    def expire(self) -> int:
+        """Repeat what has no answer, or go on without; return the rounds to be silent before."""
         search = self._search
-        if search is None:
+        self._tries += 1
+        silent = pause(self._tries)
+        if search is None and self._visited < 0:
+            if self._parent is not None:
+                # The first notice may be lost.
+                self._say("child", b"", {self._parent: b""})
             self.join()
-        elif search.attempt < self._program.params.retries:
-            search.attempt += 1
-            self._ask(search.waiting)
+        elif self._tries > self._program.params.retries:
+            silent = 0
+            if search is None:
+                self._go_on(self._went)
+            else:
+                search.waiting.clear()
+                self._advance()
+        elif search is None:
+            self._say_walk(self._went, self._visited)
         else:
-            search.waiting.clear()
-            self._advance()
+            self._ask(search.waiting)
+        return silent
 
     def judge(self) -> bool:
         """Judge whether the robot doubts where it is, by what it heard.
@@ -873,9 +917,9 @@ class Peer:
         ]
         return min(near)[1] if near else self.number
 
-    def _begin(self, joiner: int) -> None:
-        """Begin to solve for a robot."""
-        self._search = _Search(joiner, {joiner: 0})
+    def _begin(self, joiner: int, walked: int | None = None) -> None:
+        """Begin to solve for a robot; a walk may go on after that."""
+        self._search = _Search(joiner, {joiner: 0}, walked=walked)
         self._advance()
 
     def _advance(self) -> None:
@@ -883,16 +927,16 @@ class Peer:
         search = self._search
         params = self._program.params
         while search is not None and not search.waiting:
-            hops = params.hops if search.walk is None else 1
+            hops = 1 if search.is_review else params.hops
             if search.current == hops or not self._widen(search):
                 self._search = None
                 self._solve(search)
                 return
             search.current += 1
-            search.attempt = 0
+            self._tries = 0
             there = {n for n, step in search.step.items() if step == search.current}
             search.waiting = {n for n in there if not self._is_current(n)}
-            if search.walk is not None:
+            if search.is_review:
                 search.waiting = there - {self.number}
             if search.waiting:
                 self._ask(search.waiting)
@@ -907,7 +951,7 @@ class Peer:
         last = [n for n, step in search.step.items() if step == search.current]
         further = {other for n in last for other in self._of(n).sharing} - search.step.keys()
         room = self._program.params.asked + 1 - len(search.step)
-        if search.walk is not None:
+        if search.is_review:
             room = len(further)
         # The last that joined are the least known.
         chosen = sorted(further, reverse=True)[: max(room, 0)]
@@ -1027,14 +1071,40 @@ class Peer:
 
     def _solve(self, search: _Search) -> None:
         """Solve for a robot with what is held, and send new places."""
-        joiner = search.joiner
-        held = self._placed()
-        if search.walk is not None:
+        if search.is_review:
+            held = self._placed()
             near = {n: each for n, each in held.items() if n in search.step or not n}
             mine = _of_body(near, self.known[self.number].body)
             self._send(self.number, LocalSwarm(self._program, mine).relax(self.number))
-            self._go_on(*search.walk)
+        elif search.walked is None:
+            self._place(search)
+        else:
+            self._place_again(search)
+        if search.walked is not None:
+            self._go_on(search.walked)
+
+    def _place_again(self, search: _Search) -> None:
+        """Solve for this robot, which was alone, and move what hangs on it to the body it is in."""
+        mine = self.known[self.number]
+        before, mine.place = mine.place, None
+        self._place(search)
+        if before is None or mine.place is None:
             return
+        if mine.body == self.number:
+            mine.place = before
+        else:
+            shift = mine.place.position - before.position
+            self._joined = wire.write_shift(
+                wire.JointShift(
+                    self.number, shift, body=before.body, joined=mine.body, sd=mine.place.sd
+                ),
+                self._program.params.bits,
+            )
+
+    def _place(self, search: _Search) -> None:
+        """Solve for a robot that joined."""
+        joiner = search.joiner
+        held = self._placed()
         self._kept.add(joiner)
         near = {n: each for n, each in held.items() if n in search.step or self._is_current(n)}
         near[joiner] = self.known[joiner]

@@ -37,6 +37,12 @@ COUNT = 8
 CHECK = 15
 """Bits of the checksum by which a robot knows that what another one holds of it is current."""
 
+_WALK = 3
+"""Bits of a walk's number."""
+
+WALKS = 2**_WALK
+"""Walks after which numbers begin anew; even ones are of first walks of a review."""
+
 _ANGLE = 10
 """Bits of a part of a quaternion that suffice: the step is a tenth of a degree."""
 
@@ -291,18 +297,18 @@ def read_pair(content: bytes) -> tuple[int, int]:
     return source.number(NUMBER), source.number(NUMBER)
 
 
-def write_walk(count: int, turn: int) -> bytes:
-    """Write how many robots a walk has come to, and whether it is the second one."""
+def write_walk(count: int, walk: int) -> bytes:
+    """Write how many robots a walk has come to, and its number."""
     to = Writer(None)
     to.number(count, NUMBER + 1)
-    to.number(turn, 1)
+    to.number(walk, _WALK)
     return to.to_bytes()
 
 
 def read_walk(content: bytes) -> tuple[int, int]:
     """Read what `write_walk` wrote."""
     source = Reader(content, None)
-    return source.number(NUMBER + 1), source.number(1)
+    return source.number(NUMBER + 1), source.number(_WALK)
 
 
 def write_span(to: Writer, span: tuple[int, int] | None) -> None:
