@@ -170,7 +170,8 @@ class RunData:
         failed, count = sum(not case.done for case in self.cases), len(self.cases)
         lost = int((self.summary.get(DISCONNECTED.column, pd.Series(dtype=float)) > 0).sum())
         notes = [f"{failed} of {count} cases failed and are left out"] * (failed > 0)
-        notes += [f"{lost} of {count} cases have disconnected robots"] * (lost > 0)
+        have = "has" if lost == 1 else "have"
+        notes += [f"{lost} of {count} cases {have} disconnected robots"] * (lost > 0)
         return "; ".join(notes)
 
     def choose(self, name: str | None) -> StoredCase:

@@ -1,6 +1,6 @@
 """Draws figures of robots: what they send, errors as they join, and a scored estimate."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 _MOST_PANELS = 9
 _SENT, _ERROR = SENT.column, RMSE.column
 _TICKS = {"x": (1.0, 3.0), "y": (1.0, 2.0, 5.0)}
-_CLEAR = 8.0
-"""Distance of a number from markers and other numbers at which it is easy to read [pt]."""
-_DIRECTIONS, _RINGS = 12, 5
-"""Places that are tried for a number: in each direction, farther and farther from its marker."""
-_LABEL = 6.0
-"""Size of a number [pt]."""
+_CLEAR = 4.5
+"""Distance of a name from markers at which it is easy to read [pt]."""
+_DIRECTIONS, _RINGS = 12, 8
+"""Places that are tried for a name: in each direction, farther and farther from its marker."""
+_LABEL, _LETTER = 6.0, 3.4
+"""Height of a name, and width of its letters [pt]."""
+_TICK_ROOM = 24.0
+"""Room of a number along the horizontal axis [pt]."""
 
 
 CAPTIONS = {
@@ -34,9 +36,10 @@ CAPTIONS = {
     "structure, against the number of robots by then. Lines are conditions; methods that place "
     "robots as they join have a second, dashed line for the same robots once all have joined.",
     "traffic": "RMSE against the bytes that a robot sends in the mean, those that it passes on for "
-    "others included, both logarithmic. Markers with numbers, joined by a gray line, are "
-    "conditions that no other beats in both. Horizontal lines are conditions that have the log of "
-    "all robots in one place. Bars and bands are 95 % CI. Farther left and lower is better.",
+    "others included, both logarithmic. A gray line joins the conditions that no other beats in "
+    "both. They have names, and so have the first conditions of the scenario; others are gray. "
+    "Horizontal lines are conditions that have the log of all robots in one place. Bars and bands "
+    "are 95 % CI. Farther left and lower is better.",
     "sd": "True structure, each robot colored by the standard deviation of its position that the "
     "method reports. It should resemble the errors.",
     "color": "True structure, each robot colored by a column of a table of yours; gray robots have "
@@ -70,18 +73,15 @@ def _traffic_painters(run: RunData) -> dict[str, figure_style.Painter]:
 def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     """Draw RMSE against the bytes that a robot sends, a panel for each point of the sweep.
 
-    Conditions that no other beats in both have a marker with a number, which the legend explains,
-    and a line along them; the rest is gray.
+    Names have those conditions that no other beats in both, joined by a line, and as many others as
+    there is room for, in the order of the scenario; the rest is gray.
     """
     done = run.summary[run.summary["status"] == "done"]
     titles = done["point"].where(done["point"].fillna("") != "", done["kind"])
     every_point = [*done.groupby(titles, sort=False)]
     groups, left = every_point[:_MOST_PANELS], len(every_point[_MOST_PANELS:])
     fronts = [_front(cases) for _, cases in groups]
-    silent = done.groupby("condition", sort=False)[_SENT].count() == 0
-    wanted = {*silent[silent].index, *(name for front in fronts for name in front)}
-    every = list(dict.fromkeys(done["condition"]))
-    names = [name for name in every if name in wanted]
+    names = _named(done, fronts)
     columns = figure_style.columns_of(len(groups))
     rows = -(-len(groups) // columns)
     height = 1.0 + (6.0 / columns if columns > 1 else 3.0) * rows
@@ -89,7 +89,7 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     for axes, ((title, cases), front) in panels.each(zip(groups, fronts, strict=True)):
         axes.plot(*np.array(list(front.values())).reshape(-1, 2).T, color="0.8", linewidth=0.8)
         means = cases.groupby("condition")[[_SENT, _ERROR]].mean()
-        rest = means.loc[[name for name in means.index if name not in wanted]]
+        rest = means.loc[[name for name in means.index if name not in names]]
         if len(rest):
             look: dict[str, Any] = {
                 "linestyle": "",
@@ -97,20 +97,36 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
                 "markersize": 2.5,
                 "color": "0.7",
             }
-            axes.plot(rest[_SENT], rest[_ERROR], label="others", **look)
+            label = counted(len({*done["condition"]} - {*names}), "other condition")
+            axes.plot(rest[_SENT], rest[_ERROR], label=label, **look)
         for place, name in enumerate(names):
             _draw_condition(axes, cases[cases["condition"] == name], name, place)
         figure_style.set_title(axes, str(title))
         axes.set_xlabel(SENT.axis)
     panels.label_left(RMSE.axis)
     _set_scale(panels.first)
-    panels.legend(entries=panels.entries())
+    rest_only = {label: each for label, each in panels.entries().items() if label not in names}
+    if rest_only:
+        panels.legend(entries=rest_only)
     figure = panels.finish(f"{counted(left, 'more panel')} not drawn" * (left > 0), run.note)
-    # Numbers keep apart on paper, so panels need their final size.
+    # Names keep apart on paper, so panels need their final size.
     figure_style.lay_out(figure)
     for axes in panels.axes:
-        _number_markers(axes)
+        _space_ticks(axes)
+        _name_markers(axes, names)
     return figure
+
+
+def _named(done: pd.DataFrame, fronts: Sequence[Mapping[str, object]]) -> list[str]:
+    """Choose the conditions that have names, in the order of the scenario."""
+    every = list(dict.fromkeys(done["condition"]))
+    silent = done.groupby("condition", sort=False)[_SENT].count() == 0
+    # The first one that sends is the default that others are changes of.
+    first = [name for name in every if not silent[name]][:1]
+    beaten_by_none = [name for name in every if any(name in front for front in fronts)]
+    order = dict.fromkeys([*first, *beaten_by_none, *silent[silent].index, *every])
+    chosen = [*order][: figure_style.MOST_SERIES]
+    return [name for name in every if name in chosen]
 
 
 def _front(cases: pd.DataFrame) -> dict[str, tuple[float, float]]:
@@ -122,22 +138,47 @@ def _front(cases: pd.DataFrame) -> dict[str, tuple[float, float]]:
     return {str(name): (row.iloc[0], row.iloc[1]) for name, row in front.iterrows()}
 
 
-def _number_markers(axes: "Axes") -> None:
-    """Write beside each marker its number, which begins its label in the legend."""
+def _space_ticks(axes: "Axes") -> None:
+    """Number decades alone where there is no room for more numbers."""
+    from matplotlib.ticker import LogLocator
+
+    low, high = axes.get_xlim()
+    room = axes.get_window_extent().width * 72.0 / axes.figure.dpi / np.log10(high / low)
+    if room < _TICK_ROOM * len(_TICKS["x"]):
+        axes.xaxis.set_major_locator(LogLocator())
+
+
+def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
+    """Write the name of each condition beside its marker or line."""
     handles, labels = axes.get_legend_handles_labels()
-    drawn = [
-        (handle[0], label.split()[0])
+    drawn: list[tuple[Any, str]] = [
+        (handle[0] if isinstance(handle, tuple) else handle, label)
         for handle, label in zip(handles, labels, strict=True)
-        if isinstance(handle, tuple)
+        if label in names
     ]
     if not drawn:
         return
-    data = np.array([marker.get_xydata()[0] for marker, _ in drawn])
-    points = axes.transData.transform(data) * 72.0 / axes.figure.dpi
-    offsets = label_offsets(points)
-    for (marker, number), at, offset in zip(drawn, data, offsets, strict=True):
+    box, points_per_pixel = axes.get_window_extent(), 72.0 / axes.figure.dpi
+    low, high = np.array([[box.x0, box.y0], [box.x1, box.y1]]) * points_per_pixel
+    paper = axes.transData.transform
+    points = np.array([paper(each.get_xydata()[0]) for each, _ in drawn]) * points_per_pixel
+    dots = np.concatenate([
+        paper(each.get_xydata()) for each in axes.lines if each.get_marker() not in ("", "None")
+    ] or [np.empty((0, 2))]) * points_per_pixel  # fmt: skip
+    is_line = np.array([len(each.get_xydata()) > 1 for each, _ in drawn])
+    # A line is named at its left end.
+    points[is_line, 0] = low[0]
+    sizes = np.array([[_LETTER * len(label), _LABEL] for _, label in drawn])
+    middle = np.column_stack([np.full(is_line.sum(), low[0]), points[is_line, 1]])
+    taken = np.array([
+        *((at, (0.5 * _CLEAR, 0.5 * _CLEAR)) for at in dots),
+        *((at, (high[0] - low[0], 0.5)) for at in middle),
+    ]).reshape(-1, 2, 2)  # fmt: skip
+    offsets = label_offsets(points, sizes, np.array([low, high]), taken)
+    places = axes.transData.inverted().transform(points / points_per_pixel)
+    for (marker, label), at, offset in zip(drawn, places, offsets, strict=True):
         axes.annotate(
-            number,
+            label,
             at,
             offset,
             textcoords="offset points",
@@ -154,27 +195,34 @@ def _number_markers(axes: "Axes") -> None:
         )
 
 
-def label_offsets(points: Reals) -> Reals:
-    """Choose where to write beside each of some points, apart from all points and labels.
+def label_offsets(points: Reals, sizes: Reals, panel: Reals, taken: Reals) -> Reals:
+    """Choose where to write beside each of some points, apart from what is there and other labels.
 
     Args:
         points: Points on paper [pt], shape (K, 2).
+        sizes: Widths and heights of labels [pt], shape (K, 2).
+        panel: Left lower and right upper corner of the panel [pt], shape (2, 2).
+        taken: Centers and half widths of boxes with something in them [pt], shape (M, 2, 2).
 
     Returns:
-        Offset of each label from its point [pt], shape (K, 2).
+        Offset of the center of each label from its point [pt], shape (K, 2).
     """
     angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-    ring = _CLEAR * np.arange(1, _RINGS + 1)
     around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    offsets = (ring[:, None, None] * around).reshape(-1, 2)
+    ring = np.arange(_RINGS)[:, None, None]
     chosen = np.empty_like(points)
-    taken = points
-    for k, point in enumerate(points):
-        apart = np.linalg.norm(point + offsets[:, None] - taken, axis=2).min(axis=1)
+    for k, (point, size) in enumerate(zip(points, sizes, strict=True)):
+        half = 0.5 * size
+        # A label begins where its marker ends, in whatever direction it is.
+        offsets = (around * (half + _CLEAR) + ring * around * _LABEL).reshape(-1, 2)
+        there = point + offsets
+        gap = np.abs(there[:, None] - taken[:, 0]) - (half + taken[:, 1])
+        crossed = (gap.prod(axis=2) * (gap < 0.0).all(axis=2)).sum(axis=1)
+        beyond = np.maximum(panel[0] - there + half, 0.0) + np.maximum(there + half - panel[1], 0.0)
         # The nearest place that is clear, or the clearest one.
-        best = int(np.minimum(apart, _CLEAR - 0.1).argmax())
+        best = int((crossed + size.sum() * beyond.sum(axis=1)).argmin())
         chosen[k] = offsets[best]
-        taken = np.concatenate([taken, [point + offsets[best]]])
+        taken = np.concatenate([taken, [[there[best], half]]])
     return chosen
 
 
@@ -194,8 +242,7 @@ def _draw_condition(axes: "Axes", cases: pd.DataFrame, name: str, place: int) ->
     ]
     up = [[min(half, 0.5 * mean)], [half]]
     look = {**figure_style.dot_style(place, 3.0), "elinewidth": 0.6}
-    label = f"{place + 1} {name}"
-    axes.errorbar(cases[_SENT].mean(), mean, xerr=across, yerr=up, label=label, **look)
+    axes.errorbar(cases[_SENT].mean(), mean, xerr=across, yerr=up, label=name, **look)
 
 
 def _set_scale(axes: "Axes") -> None:
