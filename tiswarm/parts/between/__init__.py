@@ -111,7 +111,8 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     """Rounds that a transmission takes beyond the next one [1]."""
 
     retries: Annotated[int, Field(ge=0, le=100)] = 5
-    """Times at most that a transmission without an answer is repeated [1]."""
+    """Times at most that a transmission or a question without an answer is repeated, each after a
+    pause twice as long as the one before [1]."""
 
     bits: Annotated[int, Field(ge=8, le=32)] | None = 16
     """Bits of each number that is sent, in a range that its message states; all 64 if null."""
