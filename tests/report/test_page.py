@@ -282,6 +282,21 @@ def test_intervals_need_some_structures():
     assert "fewer than 5 structures" in shown.note
 
 
+def test_the_first_table_has_what_a_question_asks_for():
+    """Towers have heights, and bridges a share that closed; without the question neither."""
+    table = pd.DataFrame({"condition": ["a", "a"], "structure.kind": ["tower", "bridge"]})
+    table = table.assign(cases=[1, 2], rmse_R_mean=[1.0, 2.0], kind=["tower", "bridge"])
+    table = table.assign(height_R_mean=[30.0, 9.0], crossed_mean=[np.nan, 0.5], sent_B_mean=[7, 8])
+
+    shown = headline_table(table, "reached")
+    sent = headline_table(table, "traffic")
+
+    assert shown.frame["reached"].tolist() == ["30", "0.500"]
+    assert "of bridges, the share that closed" in shown.note
+    assert sent.frame["sent by a robot [B]"].tolist() == ["7", "8"]
+    assert "reached" not in headline_table(table).frame
+
+
 def test_measurements_beyond_those_of_all_have_a_column():
     """A reader sees which conditions can be compared; one that failed measures nothing."""
     table = pd.DataFrame(

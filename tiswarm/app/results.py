@@ -127,12 +127,13 @@ class Run:
 
     def _accuracy(self) -> "PageTable":
         from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import stated_scenario  # noqa: PLC0415 - slow to import
 
         table = self._data().table("table.csv", ["condition"], ["cases"], after="cases")
         if not table["cases"].any():
             problem = "no case of this run is done; correct the scenario and run it again"
             raise InputError(problem, path=self.folder)
-        return headline_table(table)
+        return headline_table(table, stated_scenario(self.folder).get("question", ""))
 
     def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
         """Read another table of the run, or one of a case.

@@ -261,15 +261,13 @@ def _as_setting(error: Any, arguments: list[str]) -> str:  # noqa: ANN401 - type
     section = "localization." if context.command.name in {"localize", "track"} else ""
     name, schema = option.lstrip("-").replace("-", "_"), scenario_schema()
     paths = sorted(_keys(schema, schema), key=lambda path: path.count("."))
-    found = [
-        each.removeprefix(section) for each in paths
-        if each.startswith(section) and each.rpartition(".")[2] in {name, f"{name}s"}
-    ]  # fmt: skip
+    ends = (f".{name}", f".{name}s")
+    found = [p for p in paths if p.startswith(section) and f".{p}".endswith(ends)]
     words = [part for each in arguments for part in each.split("=", 1)]
     if not found or option not in words:
         return ""
     value = [*words[words.index(option) + 1 :], "VALUE"][0]
-    return f"No such option: {option}; use --set {found[0]}={value}"
+    return f"No such option: {option}; use --set {found[0].removeprefix(section)}={value}"
 
 
 def _keys(section: Any, schema: Any, path: str = "") -> Iterator[str]:  # noqa: ANN401 - JSON

@@ -325,7 +325,7 @@ def _gather(run: RunData) -> Page:
     words = ["condition", "suite", "way", "needs"]
     suites = run.table("suites.csv", words, [RMSE.mean], after="cases", optional=True)
     tables = page_tables.result_tables(table, pairs, suites)
-    headline = page_tables.headline_table(table)
+    headline = page_tables.headline_table(table, stated.get("question", ""))
     arch = manifest.backend.get("arch", "cpu")
     return Page(
         name=stated.get("name", run.folder.name),

@@ -10,6 +10,7 @@ import pandas as pd
 
 from tiswarm.measurements.verdicts import describe_misfit
 from tiswarm.records.measures import (
+    BUILT_FOR,
     CONSISTENT,
     CONVERGED,
     DISCONNECTED,
@@ -20,6 +21,7 @@ from tiswarm.records.measures import (
     PAGE,
     RMSE,
     SD_FACTOR,
+    SENT,
     SPARE,
     TESTABLE,
 )
@@ -95,21 +97,20 @@ def paper_text(table: PageTable, form: str) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
-def headline_table(table: pd.DataFrame) -> PageTable:
-    """Format the accuracy of each condition, the best one of each sweep point first."""
+def headline_table(table: pd.DataFrame, question: str = "") -> PageTable:
+    """Format accuracy, and what a question asks for; the best condition of each point is first."""
     place = with_points(table).groupby("point", sort=False).ngroup()
     order = ["place", *({RMSE.mean} & set(table))]
     rows = table.assign(place=place).sort_values(order, kind="stable")
-    columns = _means(rows, "accuracy")
+    columns = _means(rows, "accuracy") | _asked(rows, question)
     if DISCONNECTED.mean in rows and (rows[DISCONNECTED.mean] > 0.0).any():
         columns["robots disconnected"] = _mean(rows, DISCONNECTED.column)
     shared, further = _measurements(rows)
     least, most = rows["cases"].min(), rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
-    notes = [
-        f"Means over {counted(most, 'structure')}." if least == most else "Means over structures."
-    ]
+    over = counted(most, "structure") if least == most else "structures"
+    notes = [f"Means over {over}."]
     if most >= FEWEST:
         notes.append("± is the half width of the 95 % CI.")
     if most > 1 and least < FEWEST:
@@ -117,6 +118,8 @@ def headline_table(table: pd.DataFrame) -> PageTable:
     if shared:
         notes.append(f"All conditions use {shared}.")
     notes.append("Conditions are ways to localize. R: a dock's radius. Disparity 0: right shape.")
+    if "reached" in columns:
+        notes.append("Reached: height, reach or depth [R]; of bridges, the share that closed.")
     if "robots disconnected" in columns:
         notes.append("No method can place robots that are disconnected from the anchor.")
     words = _names(rows)
@@ -124,6 +127,17 @@ def headline_table(table: pd.DataFrame) -> PageTable:
         columns["also uses"] = pd.Series(further, rows.index, dtype=str)
     shown = _labeled(words, columns, "Accuracy", " ".join(notes))
     return replace(shown, words=[*words, "also uses"]) if any(further) else shown
+
+
+def _asked(rows: pd.DataFrame, question: str) -> dict[str, pd.Series]:
+    """Format what a question asks for beside accuracy, by label."""
+    if question == "traffic" and SENT.mean in rows:
+        return {"sent by a robot [B]": _mean(rows, SENT.column)}
+    built = {kind: m for kind, m in BUILT_FOR.items() if m.mean in rows and "kind" in rows}
+    if question != "reached" or not built:
+        return {}
+    parts = [_mean(rows[rows["kind"] == kind], m.column) for kind, m in built.items()]
+    return {"reached": pd.concat(parts)}
 
 
 def _measurements(rows: pd.DataFrame) -> tuple[str, list[str]]:
@@ -219,11 +233,8 @@ def _measured_suites(suites: pd.DataFrame) -> PageTable:
         "their rows mean FireAntV3 robots whose docks know the pose of a connection."
     )
     prices = [name for name in map(str, suites) if name.startswith("usd_")]
-    columns = {
-        f"{int(name.removeprefix('usd_')):,} robots [USD]": _numbers(suites[name])
-        for name in prices
-    }
-    columns |= {**_means(suites, "suites"), "needs": suites["needs"]}
+    costs = {f"{int(n.removeprefix('usd_')):,} robots [USD]": _numbers(suites[n]) for n in prices}
+    columns = {**costs, **_means(suites, "suites"), "needs": suites["needs"]}
     words = _names(suites)
     shown = _labeled(words, columns, "Table I, measured", note)
     return replace(shown, words=[*words, "needs"], is_first=True)
@@ -281,12 +292,9 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
     if in_words:
         words["case"] = words["case"].str.replace(r"-.*", "", regex=True)
         words["case"] = shown["series"] + ", seed " + words["case"]
-    measures = PAGE["cases"] | PAGE["own"]
-    headings = {m.column: heading for m, heading in measures.items()}
+    headings = {m.column: heading for m, heading in (PAGE["cases"] | PAGE["own"]).items()}
     headings = {RMSE.column: headings[RMSE.column], "robots": "robots"} | headings
-    numbers = {
-        heading: _numbers(shown[name]) for name, heading in headings.items() if name in shown
-    }
+    numbers = {label: _numbers(shown[name]) for name, label in headings.items() if name in shown}
     reasons = shown["reason"].fillna("").astype(str)
     reason = {"reason": reasons} if reasons.any() else {}
     left_out = len(summary) - len(shown)
@@ -413,8 +421,7 @@ def notes_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
             f"Growth ended before all robots joined in {counted(len(ended), 'case')}: {why}."
         )
     if FLOPPY_MODES.column in done and ((modes := done[FLOPPY_MODES.column]) > 0).any():
-        least, most = f"{modes.min():.0f}", f"{modes.max():.0f}"
-        count = least if least == most else f"{least} to {most}"
+        count = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (modes.min(), modes.max())))
         found.append(
             f"The measurements that the method uses leave {count} floppy modes a case: motions "
             "that change no measurement. No method can remove errors along them."
