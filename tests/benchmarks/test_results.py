@@ -431,3 +431,45 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
     assert ended.value.code == 2
     assert "this is no finished run; give the folder of one" in capsys.readouterr().err
     assert [*tmp_path.iterdir()] == []
+
+
+CHANNELS = {
+    "touch": "touch",
+    "touch, 30 % lost": "touch-loss-30",
+    "touch, 30 % lost in bursts of 8 rounds": "touch-bursts",
+    "touch, delay of 5 rounds": "touch-delay",
+    "radio, all in reach": "radio",
+    "radio, 8 R": "radio-8-R",
+    "radio, 8 R, 30 % lost": "radio-8-R-loss-30",
+    "radio, 8 R, 30 % lost in bursts of 8 rounds": "radio-8-R-bursts",
+    "radio, 8 R, 16 slots": "radio-8-R-slots",
+    "radio, all in reach, poses of all at each join": "algorithm-1",
+    "the same, 30 % lost": "algorithm-1-loss-30",
+    "the same, 30 % lost in bursts of 8 rounds": "algorithm-1-bursts",
+    "the same, 16 slots": "algorithm-1-slots",
+    "radio, 8 R, poses if asked": "algorithm-1-asked",
+    "that, 30 % lost": "algorithm-1-asked-loss-30",
+    "that, 30 % lost in bursts of 8 rounds": "algorithm-1-asked-bursts",
+    "that, 16 slots": "algorithm-1-asked-slots",
+    "touch, no undocked repulsion": "algorithm-1-touch",
+}
+"""Conditions of `channels`, by the first cells of rows in docs/guides/distributed.md."""
+
+
+@pytest.mark.parametrize("start", CHANNELS)
+def test_the_page_of_messages_has_the_file_s_channels(start):
+    """Errors with their intervals, bytes and rounds."""
+    cells = _cells(_page("docs", "guides", "distributed.md"), start)[1:]
+    if CHANNELS[start].startswith("algorithm-1"):
+        del cells[1]  # p
+    table = results.read_results()
+    rows = table[(table["scenario"] == "channels") & (table["condition"] == CHANNELS[start])]
+    found = rows.set_index("measure")
+
+    error, half = _numbers(cells[0])
+    assert _is_rounded(error, found.loc["rmse_R", "value"])
+    assert _is_rounded(half, (found.loc["rmse_R", "high"] - found.loc["rmse_R", "low"]) / 2)
+    for name, cell in (("sent_B", cells[1]), ("worst_sent_B", cells[2])):
+        assert _is_rounded(cell, found.loc[name, "value"] / 1e3), name
+    for cell in filter(None, cells[3:]):
+        assert abs(float(cell.replace(",", "")) - found.loc["rounds", "value"]) <= 5.0
