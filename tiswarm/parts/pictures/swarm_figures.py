@@ -150,6 +150,8 @@ def _space_ticks(axes: "Axes") -> None:
 
 def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
     """Write the name of each condition beside its marker or line."""
+    from matplotlib.container import ErrorbarContainer
+
     handles, labels = axes.get_legend_handles_labels()
     drawn: list[tuple[Any, str]] = [
         (handle[0] if isinstance(handle, tuple) else handle, label)
@@ -170,9 +172,17 @@ def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
     points[is_line, 0] = low[0]
     sizes = np.array([[_LETTER * len(label), _LABEL] for _, label in drawn])
     middle = np.column_stack([np.full(is_line.sum(), low[0]), points[is_line, 1]])
+    bars = [
+        paper(ends) * points_per_pixel
+        for handle in handles
+        if isinstance(handle, ErrorbarContainer)
+        for lines in handle[2]
+        for ends in lines.get_segments()
+    ]
     taken = np.array([
         *((at, (0.5 * _CLEAR, 0.5 * _CLEAR)) for at in dots),
         *((at, (high[0] - low[0], 0.5)) for at in middle),
+        *((ends.mean(axis=0), np.abs(ends[1] - ends[0]) / 2.0 + 0.5) for ends in bars),
     ]).reshape(-1, 2, 2)  # fmt: skip
     offsets = label_offsets(points, sizes, np.array([low, high]), taken)
     places = axes.transData.inverted().transform(points / points_per_pixel)
