@@ -2,18 +2,25 @@
 
     python -m benchmarks.joining                                  # 25 towers, 25 cantilevers
     python -m benchmarks.joining --kinds tower --robots 1000 --seeds 1 --at 1000
+    python -m benchmarks.joining --messages --seeds 16 --first-seed 100010
 
 Each structure of noisy robots (1 deg tilt, 2 deg yaw) is fed to a `Tracker` robot by robot, on one
 thread. `joint` has the whole log, and the logs of the first robots, of each number in `--at`: of
 these, errors of the robot that joined last are compared. Times are those of the processor.
 Structures that are in the table already are not measured again.
+
+With `--messages`, robots localize themselves by `distributed` instead. The table has their errors,
+those of the nearest minimum of all rows, and the shares of what they send by kind of message.
 """
 
 import argparse
 import json
 import time
 import warnings
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,8 +29,14 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.evaluation.tables import MOST_WITHIN
-from tiswarm.localization.methods import localize
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.cost import ROBUST_SD
+from tiswarm.localization.methods import centered, localize
+from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.settings import JointParams
+from tiswarm.parts.between import DistributedParams
+from tiswarm.parts.between.channel import ACKNOWLEDGMENT, Channel
+from tiswarm.parts.between.method import PeerSwarm
 from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import SensingLogBuilder, lines_of, log_entries
 from tiswarm.records.sensing_log import SensingLog
@@ -42,7 +55,7 @@ def main() -> None:
     """Measure, store and print a table."""
     options = _options()
     backend.start(threads=1)
-    file = options.out / "joining.csv"
+    file = options.out / ("messages.csv" if options.messages else "joining.csv")
     options.out.mkdir(parents=True, exist_ok=True)
     table = pd.read_csv(file) if file.exists() else pd.DataFrame({"kind": [], "seed": []})
     _tracked(observe(_grown("tower", WARM_UP, options.first_seed), NOISY))
@@ -53,11 +66,14 @@ def main() -> None:
             if (sizes[is_there] == options.robots).any():
                 continue
             history = _grown(kind, options.robots, seed)
-            row = {"kind": kind, "seed": seed, **measure(history, options.at)}
+            found = by_messages(history) if options.messages else measure(history, options.at)
+            row = {"kind": kind, "seed": seed, **found}
             table = pd.concat([table, pd.DataFrame([row])], ignore_index=True)
             table.to_csv(file, index=False, float_format="%.5g")
     # As it is stored, so that a second call prints the same.
-    print(summary(pd.read_csv(file)).to_string(float_format="{:.3g}".format))
+    stored = pd.read_csv(file)
+    means = stored.groupby(["kind", "robots"]).mean().T if options.messages else summary(stored)
+    print(means.to_string(float_format="{:.3g}".format))
 
 
 def _options() -> argparse.Namespace:
@@ -70,6 +86,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--at", type=int, nargs="+", default=[20, 40, 60, 80, 100], metavar="N",
                         help="numbers of robots at which joint has the same log")  # fmt: skip
+    parser.add_argument("--messages", action="store_true", help="robots localize themselves")
     parser.add_argument("--out", type=Path, default=Path("reports/joining"))
     return parser.parse_args()
 
@@ -106,6 +123,52 @@ def measure(history: History, at: list[int]) -> dict[str, float]:
         "join_ms": float(cpu_ms.mean()),
         "worst_ms": float(cpu_ms.max()),
         "annealed": int(annealed.sum()),
+    }
+
+
+class _Counting(Channel):
+    """A channel that counts bytes by kind of message."""
+
+    counted: Counter[str]
+
+    def _heard(
+        self, hops: Sequence[Any], reached: Sequence[Sequence[int]], sizes: Sequence[int]
+    ) -> list[list[int]]:
+        for hop, size in zip(hops, sizes, strict=False):  # acknowledgments have none
+            self.counted[hop.message.kind] += size
+        if not sizes:
+            self.counted["acknowledgment"] += ACKNOWLEDGMENT * sum(map(len, reached))
+        return super()._heard(hops, reached, sizes)
+
+
+def by_messages(history: History) -> dict[str, float]:
+    """Let the robots of a structure localize themselves; errors in R, and shares of what is sent.
+
+    From where they take themselves to be, all rows at once go to the nearest minimum.
+    """
+    log, params = centered(observe(history, NOISY)), DistributedParams()
+    header, lines = lines_of(log)
+    swarm = PeerSwarm(header, params)
+    swarm.channel = channel = _Counting(params, swarm._hear)  # noqa: SLF001 - counts for it
+    channel.counted = Counter()
+    for line in lines:
+        swarm.join(line)
+    for _ in range(params.reviews):
+        swarm.review()
+    position = swarm.found().position
+    true = (history.position - history.position[0]) / log.dock_radius
+    posed = Posed(log, params, pose_problem(log, params))
+    cost = posed.cost(posed.problem.rows, links=posed.problem.connections, robust_sd=ROBUST_SD)
+    nearest = cost.refine(cost.at(position, np.zeros(len(position))))[0].position
+    total = sum(channel.counted.values())
+    assert total == sum(channel.sent)  # noqa: S101 - nothing is left out
+    return {
+        "robots": len(lines),
+        "messages_R": _rms(np.linalg.norm(position - true, axis=1)),
+        "nearest_R": _rms(np.linalg.norm(nearest - true, axis=1)),
+        "sent_B": float(np.mean(channel.sent)),
+        "worst_sent_B": max(channel.sent),
+        **{f"{kind}_share": size / total for kind, size in sorted(channel.counted.items())},
     }
 
 

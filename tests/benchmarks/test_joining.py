@@ -30,3 +30,19 @@ def test_joins_are_compared_with_joint_on_the_same_robots(tmp_path):
     ratio = table["final_R"].mean() / table["joint_R"].mean()
     [printed] = [line for line in done.stdout.splitlines() if line.startswith("final_of_joint")]
     assert float(printed.split()[-1]) == pytest.approx(ratio, rel=0.01)
+
+
+@pytest.mark.trial
+def test_what_robots_send_is_shared_out_by_kind(tmp_path):
+    """Positions are near the truth, also where all rows lead; shares sum to one."""
+    options = ["--messages", "--kinds", "tower", "--robots", 12, "--seeds", 2]
+    done = call("joining", *options, "--out", tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    table = pd.read_csv(tmp_path / "messages.csv")
+    assert table["seed"].tolist() == [0, 1]
+    assert table["messages_R"].between(0.0, 3.0).all()
+    assert table["nearest_R"].between(0.0, 3.0).all()
+    shares = table.filter(like="_share")
+    assert shares.sum(axis=1).to_numpy() == pytest.approx(1.0, abs=1e-3)
+    assert {"answer_share", "lines_share", "acknowledgment_share"} <= {*shares}
