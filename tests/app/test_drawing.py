@@ -9,10 +9,12 @@ import pytest
 from tests.runs import assert_same_results
 from tiswarm.app import drawing
 from tiswarm.app.drawing import draw_all
+from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.parts.pictures import pictures
 from tiswarm.parts.pictures.pictures import Rendered
 from tiswarm.records.run_folder import read_manifest
+from tiswarm.report.run_data import load_run
 from tiswarm.study.run import RunResult
 
 
@@ -91,3 +93,17 @@ def test_the_same_command_restores_all_drawings(small_run, result, monkeypatch):
     assert len(read_manifest(result.folder).renders) == 5
     monkeypatch.delattr(drawing, "draw")
     draw_all(result, Progress())
+
+
+@pytest.mark.parametrize(
+    ("chosen", "problem"), [({"case": "0-b"}, "no case '0-b'"), ({"renderer": "x"}, "unknown rend")]
+)
+def test_a_wrong_choice_is_refused_before_anything_is_drawn(result, monkeypatch, chosen, problem):
+    """Figures were drawn again until then."""
+    drawn = []
+    monkeypatch.setattr(drawing, "draw_figures", lambda *_, **__: drawn.append("figures") or [])
+
+    with pytest.raises(InputError, match=problem):
+        drawing.draw(load_run(result.folder), Progress(), figures=True, renders=True, **chosen)
+
+    assert drawn == []

@@ -80,6 +80,9 @@ def draw(
         EnvironmentTroubleError: the folder is not writable, or the renderer does not work.
     """
     manifest = read_manifest(run.folder)
+    if renders or movie:  # mistakes are found before anything is drawn
+        find("command", "renderer").check_renderer(renderer)
+        run.choose(case)
     render_run = find("command", "render").render_run if renders else None
     animate_run = find("command", "render").animate_run if movie else None
     with ThreadPoolExecutor(1) as pool:  # renders leave the interpreter to figures for long

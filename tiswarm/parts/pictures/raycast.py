@@ -241,10 +241,7 @@ def _drawn_by_first(
         InputError: the renderer is unknown.
         EnvironmentTroubleError: the renderer does not work on this machine.
     """
-    if renderer is not None and renderer not in TRACERS:
-        gone = "open3d casts rays now; " if renderer == "open3d-raycast" else ""
-        problem = f"unknown renderer: {renderer}; {gone}use one of {', '.join(TRACERS)}"
-        raise InputError(problem, argument="renderer")
+    check_renderer(renderer)
     reason = ""
     for name in TRACERS if renderer is None else (renderer,):
         done = 0.0
@@ -260,6 +257,18 @@ def _drawn_by_first(
             advance(-done)
             reason = f"{name}: {error}; `tiswarm doctor` names what to install"
     raise EnvironmentTroubleError(f"cannot draw with {reason}")
+
+
+def check_renderer(renderer: str | None) -> None:
+    """Refuse the name of a renderer that there is not.
+
+    Raises:
+        InputError: the renderer is unknown.
+    """
+    if renderer is not None and renderer not in TRACERS:
+        gone = "open3d casts rays now; " if renderer == "open3d-raycast" else ""
+        problem = f"unknown renderer: {renderer}; {gone}use one of {', '.join(TRACERS)}"
+        raise InputError(problem, argument="renderer")
 
 
 def _alike(scenes: list[Scene]) -> list[list[int]]:
