@@ -286,7 +286,7 @@ def test_a_table_is_no_scenario(tmp_path):
 
 
 def test_all_mistakes_are_found_at_once(scenario):
-    """They come in file order; loading reports the first, and the number of the others."""
+    """They come in file order; loading names a wrong key first, and the number of the others."""
     path = scenario(
         "name: tower\nrobots: 1\nstructure: {kind: tower, goal: 3}\nsensing: {tilt_noise_deg: -1}\n"
         "conditions:\n  bad: {localization.iterations: 0}\nsweep: {precision: [f64, f8]}\n"
@@ -296,10 +296,35 @@ def test_all_mistakes_are_found_at_once(scenario):
 
     assert [mistake.line for mistake in mistakes] == [2, 3, 4, 6, 7]
     with pytest.raises(
-        InputError, match=r":2: robots: 1 should .* \(and 4 more mistakes; check lists all\)$"
+        InputError,
+        match=r":3: structure.goal: unk.* \(and 4 more mistakes; check lists all\)$",
     ) as refusal:
         load_scenario(path)
-    assert (refusal.value.line, refusal.value.key) == (2, "robots")
+    assert (refusal.value.line, refusal.value.key) == (3, "structure.goal")
+
+
+def test_options_that_cannot_be_read_hide_no_other_mistake(scenario):
+    """Each is named, and an empty value gets no advice on files."""
+    path = scenario(f"{SMALL}seeds: 0\n")
+
+    mistakes = find_mistakes(path, ["robots", "robots=", "name.x=1"])
+
+    assert [str(mistake).removeprefix(f"{path}:") for mistake in mistakes] == [
+        "3: seeds: 0 should be greater than or equal to 1",
+        "overrides: robots: is not KEY=VALUE; write it like robots=20",
+        "overrides: robots=: is empty; write a value",
+        "overrides: name.x=1: name is a single value, not a section; correct the key",
+    ]
+
+
+def test_a_wrong_key_is_the_first_mistake_of_settings():
+    """The value of another key is not what hides it."""
+    with pytest.raises(InputError, match=r"steps=x: .* should be") as alone:
+        localization_params("joint", ["steps=x"])
+    with pytest.raises(InputError, match=r"stepz=3: .* mean steps\? \(and 1 more mistake\)$"):
+        localization_params("joint", ["steps=x", "stepz=3"])
+
+    assert "more" not in str(alone.value)
 
 
 def test_a_bad_item_does_not_make_its_list_too_short(scenario):

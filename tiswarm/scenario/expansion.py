@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load_plugins, watch
-from tiswarm.records.messages import Part, counted, dotted
+from tiswarm.records.messages import Part, dotted
 from tiswarm.records.run_folder import LABEL, variant_name
 from tiswarm.scenario.labels import swept_keys, without_label
 from tiswarm.scenario.model import Scenario, from_plain, to_plain
@@ -27,6 +27,7 @@ from tiswarm.scenario.validation import (
     Setting,
     blame,
     find_culprit,
+    first_of,
     parse_setting,
     set_key,
 )
@@ -62,17 +63,12 @@ def load_scenario(given: Path | Plain, overrides: Sequence[str] = ()) -> Scenari
         overrides: Texts `KEY=VALUE`: a dotted key and a YAML value that replaces the file's.
 
     Raises:
-        InputError: for the first mistake in the file, with the number of further mistakes.
+        InputError: for the first wrong key, or else the first mistake, with the number of others.
     """
     scenario, mistakes = _examine(given, overrides)
     if scenario is not None and not mistakes:
         return scenario
-    first, more = mistakes[0], len(mistakes) - 1
-    if not more:
-        raise first
-    problem = f"{first.problem} (and {counted(more, 'more mistake')}; check lists all)"
-    places = {name: getattr(first, name) for name in ("path", "line", "column", "argument", "key")}
-    raise InputError(problem, **places)
+    raise first_of(mistakes, "; check lists all")
 
 
 def find_mistakes(given: Path | Plain, overrides: Sequence[str] = ()) -> list[InputError]:
@@ -81,7 +77,8 @@ def find_mistakes(given: Path | Plain, overrides: Sequence[str] = ()) -> list[In
     Of mistakes in one place, wrong keys come first.
     """
     try:
-        return _examine(given, overrides)[1]
+        errors = _examine(given, overrides)[1]
+        return sorted(errors, key=lambda error: (error.line is None, error.line))
     except InputError as error:
         return [error]
 
@@ -100,6 +97,7 @@ def variants(scenario: Scenario) -> list[Variant]:
 def _examine(
     given: Path | Plain, overrides: Sequence[str]
 ) -> tuple[Scenario | None, list[InputError]]:
+    """Check a scenario, and list all mistakes: wrong keys first, options last of either."""
     load_plugins()
     path = find_scenario(given) if isinstance(given, Path) else None
     source = read_yaml(path) if path else YamlSource(deepcopy(given), {(): NOWHERE})
@@ -108,19 +106,25 @@ def _examine(
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
         problem += ", or give a table to tiswarm import" * bool(path and path.suffix == ".csv")
         raise InputError(problem, path=path, line=source.place_of(()).line)
-    settings = [parse_setting(text) for text in overrides]
+    settings: list[Setting] = []
+    unread: list[InputError] = []
+    for text in overrides:
+        try:
+            settings.append(parse_setting(text))
+        except InputError as error:
+            unread.append(error)
     swept = any(setting.path[0] == "sweep" for setting in settings)
     for setting in settings:
         if problem := set_key(data, setting.path, setting.value):
-            raise setting.error(problem)
+            unread.append(setting.error(problem))
         if isinstance(sweep := data.get("sweep"), dict):  # the option replaces it
             for key in setting.values:
                 sweep.pop(key, None)
     outcome = from_plain(data)
     mistakes = _mistakes(data) or ([] if swept else _swept_over(data))
-    mistakes.sort(key=lambda mistake: not mistake.about_key)
-    errors = [_placed(mistake, path, source, settings) for mistake in mistakes]
-    errors.sort(key=lambda error: (error.line is None, error.line))
+    placed = [(m.about_key, _placed(m, path, source, settings)) for m in mistakes]
+    placed.sort(key=lambda each: (not each[0], each[1].line is None, each[1].line))
+    errors = [*(error for _, error in placed), *unread]
     return (outcome if isinstance(outcome, Scenario) else None), errors
 
 

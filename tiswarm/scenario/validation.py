@@ -17,7 +17,15 @@ from tiswarm.base.params import STRICT
 from tiswarm.base.parts import PARTS, load_plugins, watch
 from tiswarm.localization.methods import LocalizationParams, all_params, settings_of
 from tiswarm.localization.settings import SWITCHES
-from tiswarm.records.messages import MISSING_KEY, UNKNOWN_KEY, Part, dotted, explain, shown
+from tiswarm.records.messages import (
+    MISSING_KEY,
+    UNKNOWN_KEY,
+    Part,
+    counted,
+    dotted,
+    explain,
+    shown,
+)  # fmt: skip
 from tiswarm.scenario.yaml_source import parse_yaml
 
 Plain = dict[str, Any]
@@ -144,7 +152,18 @@ def parse_setting(text: str, *section: str) -> Setting:
         path = (*section, *_setting_path(key.strip()))
         return Setting(text, path, parse_yaml(value).data)
     except InputError as error:
-        raise InputError(error.problem, argument="overrides", key=text) from error
+        problem = error.problem.partition(", or a scenario")[0]
+        raise InputError(problem, argument="overrides", key=text) from error
+
+
+def first_of(errors: Sequence[InputError], where: str = "") -> InputError:
+    """Return the first of some errors, with the number of the others and where these are listed."""
+    first, more = errors[0], len(errors) - 1
+    if not more:
+        return first
+    problem = f"{first.problem} (and {counted(more, 'more mistake')}{where})"
+    places = {name: getattr(first, name) for name in ("path", "line", "column", "argument", "key")}
+    return InputError(problem, **places)
 
 
 def find_culprit(mistake: Mistake, changes: Sequence[_AnyChange]) -> _AnyChange | None:
@@ -181,7 +200,7 @@ def localization_params(
         values: Settings by key, as plain data.
 
     Raises:
-        InputError: for an unknown method or cue, or for the first bad setting.
+        InputError: for an unknown method or cue, or for bad settings, a wrong key first.
     """
     load_plugins()
     switches = {} if cues is None else _switches(method, cues)
@@ -194,8 +213,11 @@ def localization_params(
     outcome = validate(_LOCALIZATION, data)
     if isinstance(outcome, _LocalizationSection):
         return outcome.localization
-    first = outcome[0]
-    raise blame(first, settings) or InputError(first.problem, argument=dotted(first.path[1:]))
+    outcome.sort(key=lambda mistake: not mistake.about_key)
+    raise first_of([
+        blame(each, settings) or InputError(each.problem, argument=dotted(each.path[1:]))
+        for each in outcome
+    ])  # fmt: skip
 
 
 def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
