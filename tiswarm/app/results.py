@@ -15,7 +15,7 @@ from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.parts import find, has
-from tiswarm.records.measures import DISPARITY, MAIN, MEASURES, PAGE, RMSE
+from tiswarm.records.measures import MAIN, MEASURES, PAGE
 from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
@@ -38,9 +38,6 @@ Overrides = Mapping[str, object] | Sequence[str]
 
 Color: TypeAlias = "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]"
 """Values that color robots: columns `FILE:COLUMN` of tables, or series of pandas by robot."""
-
-_ERRORS = [RMSE.mean, RMSE.ci95, DISPARITY.mean]
-"""Columns of errors that a table shows by default; `frame` has all."""
 
 _FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888; box-sizing: border-box"'
 """Look of a page within a notebook."""
@@ -246,16 +243,6 @@ class Run:
         link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.is_file() else name
         answer = f"<p>{html.escape(self.answer)}</p>"
         return link + answer + self.paper_table().to_html(index=False)
-
-
-def short_table(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Return what stands before the cases of a table, their number, and the errors that it has.
-
-    Numbers have three digits, and a column that no row fills is left out.
-    """
-    head = table.loc[:, :"cases"]
-    errors = table.filter(_ERRORS).map(lambda value: float(f"{value:.3g}"))
-    return head.dropna(axis="columns", how="all").join(errors)
 
 
 def open_run(folder: File) -> Run:

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.app.results import Figure as Picture
-from tiswarm.app.results import short_table
 from tiswarm.base.errors import InputError
 from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame, write_frame
@@ -27,6 +26,9 @@ from tiswarm.study.store import CaseRecord, RunFolder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_ERRORS = [RMSE.mean, RMSE.ci95, DISPARITY.mean]
+"""Columns of errors that a table shows by default; `frame` has all."""
 
 _COMPARED = ["run", "series", "against_run", "against_series", "measure"]
 
@@ -68,7 +70,7 @@ class Comparison:
 
     def _short(self) -> pd.DataFrame:
         swept = self.shown["point"].any()
-        return short_table(self.shown if swept else self.shown.drop(columns="point"))
+        return _short_table(self.shown if swept else self.shown.drop(columns="point"))
 
     def _frame(self, name: str) -> pd.DataFrame:
         return read_frame(self.folder / f"{name}.csv", empty=True)
@@ -174,3 +176,13 @@ def draw_rows(table: pd.DataFrame) -> "Figure":
     panels.legend(figure_style.mean_words(table["cases"]), loc="outside upper right")
     left = len(table) - len(seen)
     return panels.finish(f"{left} more rows are in comparison.csv" if left else "")
+
+
+def _short_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Return what stands before the cases of a table, their number, and the errors that it has.
+
+    Numbers have three digits, and a column that no row fills is left out.
+    """
+    head = table.loc[:, :"cases"]
+    errors = table.filter(_ERRORS).map(lambda value: float(f"{value:.3g}"))
+    return head.dropna(axis="columns", how="all").join(errors)

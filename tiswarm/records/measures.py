@@ -13,6 +13,7 @@ Plug-ins register a function, whose numbers stand in the tables alone:
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import Any, Literal, TypeVar
 
 from tiswarm.base.errors import InputError
@@ -86,6 +87,9 @@ class Measure:
         return f"{self.column}_{name}"
 
 
+# Measures whose smaller, or larger, values are better.
+_smaller, _larger = partial(Measure, better="smaller"), partial(Measure, better="larger")
+
 _STRUCTURE, _BOTH, _ESTIMATE = "structure", "structure, estimate", "estimate"
 _LOG, _WALKS, _TRAFFIC = "log, cues", "walks", "messages"
 
@@ -95,8 +99,8 @@ LEFT, FELL, DIED = (
     Measure(name, "1", _STRUCTURE, f"robots that {event}; empty where all stayed")
     for name, event in (("left", "left"), ("fell", "fell as others left"), ("died", "died"))
 )
-DISCONNECTED = Measure(
-    "disconnected", "1", _ESTIMATE, "robots that no measurement ties to an anchor", better="smaller"
+DISCONNECTED = _smaller(
+    "disconnected", "1", _ESTIMATE, "robots that no measurement ties to an anchor"
 )
 CONTACTS = Measure(
     "contacts_per_robot", "1", _STRUCTURE, "contacts of a robot with earlier ones, in the mean",
@@ -119,22 +123,19 @@ BEYOND_EDGE = Measure(
 CROSSED = Measure(
     "crossed", "1", _STRUCTURE, "whether a bridge joins both sides of its gap", label="Closed"
 )
-FLIPS_AS_PLANNED = Measure(
+FLIPS_AS_PLANNED = _larger(
     "flips_as_planned", "1", _WALKS,
     "share of all flips tried that ended at the robot, or on the ground, as planned; the way back "
-    "does not count; empty where robots know the truth",
-    label="Flips as planned", better="larger",
+    "does not count; empty where robots know the truth", label="Flips as planned",
 )  # fmt: skip
-FAILED_FLIPS = Measure(
+FAILED_FLIPS = _smaller(
     "failed_flips", "1", _WALKS,
     "flips that met nothing, or where the robot had been, for each flip taken; empty where robots "
     "know the truth",
-    better="smaller",
 )  # fmt: skip
-TRIES = Measure(
+TRIES = _smaller(
     "tries_per_robot", "1", _WALKS,
     "flips of a robot in the mean, the way back to its best stance and failed ones included",
-    better="smaller",
 )  # fmt: skip
 BELIEF_BUILDING, BELIEF_NEWEST, BELIEF_FINAL, BELIEF_PER_CONTACT = (
     Measure(
@@ -151,21 +152,19 @@ BELIEF_BUILDING, BELIEF_NEWEST, BELIEF_FINAL, BELIEF_PER_CONTACT = (
         ("per_contact", "the same, of the vector between two robots in contact"),
     )
 )
-BELIEF_SENT = Measure(
+BELIEF_SENT = _smaller(
     "belief_sent_B", "B", _WALKS,
     "sent by a robot in the mean for the places that robots build by; empty where they send none",
-    label="Sent by a robot", better="smaller",
+    label="Sent by a robot",
 )  # fmt: skip
-BELIEF_WORST_SENT = Measure(
-    "belief_worst_sent_B", "B", _WALKS, "most that a robot sent for these", better="smaller"
-)
+BELIEF_WORST_SENT = _smaller("belief_worst_sent_B", "B", _WALKS, "most that a robot sent for these")
 PEAK_STRESS = Measure(
     "peak_stress", "dock weights/R^2", _STRUCTURE, "largest stress in any contact"
 )
-FLOPPY_MODES = Measure(
+FLOPPY_MODES = _smaller(
     "floppy_modes", "1", _LOG,
     "motions that change no measurement that the method uses; empty where they were not counted",
-    label="Floppy modes", better="smaller",
+    label="Floppy modes",
 )  # fmt: skip
 COVERAGE_50 = Measure(
     "coverage_50", "1", _BOTH, "share of robots, without anchors, in their 50 % interval"
@@ -173,18 +172,14 @@ COVERAGE_50 = Measure(
 COVERAGE_90 = Measure(
     "coverage_90", "1", _BOTH, "share of robots, without anchors, in their 90 % interval"
 )
-PRECISION = Measure(
-    "outlier_precision", "1", _BOTH, "wrong contacts among those reported as outliers",
-    better="larger",
-)  # fmt: skip
-RECALL = Measure(
-    "outlier_recall", "1", _BOTH, "reported outliers among wrong contacts", better="larger"
+PRECISION = _larger(
+    "outlier_precision", "1", _BOTH, "wrong contacts among those reported as outliers"
 )
-CONVERGED = Measure("converged", "1", _ESTIMATE, "whether the method converged", better="larger")
-CONSISTENT = Measure(
-    "consistent", "1", _ESTIMATE, "whether noise as stated explains the measurements",
-    better="larger",
-)  # fmt: skip
+RECALL = _larger("outlier_recall", "1", _BOTH, "reported outliers among wrong contacts")
+CONVERGED = _larger("converged", "1", _ESTIMATE, "whether the method converged")
+CONSISTENT = _larger(
+    "consistent", "1", _ESTIMATE, "whether noise as stated explains the measurements"
+)
 TESTABLE = Measure(
     "testable", "1", _ESTIMATE,
     "whether the log could be found not consistent: it was, or its spare measurements are at least "
@@ -220,61 +215,41 @@ STEPS = Measure(
     "steps of a robot in the mean, those in rounds of back-propagation included",
     label="Steps per robot",
 )  # fmt: skip
-LOCATED = Measure(
+LOCATED = _larger(
     "located", "1", _ESTIMATE,
     "share of robots located, without anchors, if the method places robots one by one",
-    better="larger",
 )  # fmt: skip
-RMSE_LOCATED = Measure(
-    "rmse_located_R",
-    "R",
-    _BOTH,
-    "RMSE of the robots located; empty if there are none",
-    better="smaller",
+RMSE_LOCATED = _smaller(
+    "rmse_located_R", "R", _BOTH, "RMSE of the robots located; empty if there are none"
 )
-RMSE_AT_JOIN = Measure(
-    "rmse_at_join_R", "R", _BOTH, "RMSE of robots as they joined, if the method places them then",
-    better="smaller",
-)  # fmt: skip
-WITHIN_DOCK = Measure(
-    "within_dock", "1", _BOTH, "share of robots, without anchors, whose error is at most 2 R",
-    better="larger",
-)  # fmt: skip
-CONTACTS_WITHIN_DOCK = Measure(
-    "contacts_within_dock", "1", _BOTH,
-    "share of pairs in contact whose vector errs by at most 2 R", better="larger",
-)  # fmt: skip
+RMSE_AT_JOIN = _smaller(
+    "rmse_at_join_R", "R", _BOTH, "RMSE of robots as they joined, if the method places them then"
+)
+WITHIN_DOCK = _larger(
+    "within_dock", "1", _BOTH, "share of robots, without anchors, whose error is at most 2 R"
+)
+CONTACTS_WITHIN_DOCK = _larger(
+    "contacts_within_dock", "1", _BOTH, "share of pairs in contact whose vector errs by at most 2 R"
+)
 DOUBTFUL = Measure(
-    "doubtful",
-    "1",
-    _ESTIMATE,
+    "doubtful", "1", _ESTIMATE,
     "robots that do not trust their own positions, if robots localize themselves",
-)
-SENT = Measure(
-    "sent_B", "B", _TRAFFIC, "sent by a robot in the mean, what it passes on for others included",
-    label="Sent by a robot", better="smaller",
 )  # fmt: skip
-WORST_SENT = Measure("worst_sent_B", "B", _TRAFFIC, "most that a robot sent", better="smaller")
-HEARD = Measure("heard_B", "B", _TRAFFIC, "heard by a robot in the mean", better="smaller")
-WORST_HEARD = Measure("worst_heard_B", "B", _TRAFFIC, "most that a robot heard", better="smaller")
-MEMORY = Measure("memory_B", "B", _TRAFFIC, "stored by a robot in the mean", better="smaller")
-WORST_MEMORY = Measure(
-    "worst_memory_B", "B", _TRAFFIC, "most that a robot stored", better="smaller"
-)
-MESSAGES = Measure(
-    "messages", "1", _TRAFFIC, "messages that a robot sent, in the mean", better="smaller"
-)
-ROUNDS = Measure(
-    "rounds", "1", _TRAFFIC, "rounds with messages, which all robots share", better="smaller"
-)
-OPERATIONS = Measure(
-    "operations", "1", _TRAFFIC, "operations of a robot, in the mean", better="smaller"
-)
-WORST_OPERATIONS = Measure(
-    "worst_operations", "1", _TRAFFIC, "most operations of a robot", better="smaller"
-)
-SOLVED_SHARE = Measure(
-    "solved_share", "1", _TRAFFIC, "largest share of joins that one robot solves", better="smaller"
+SENT = _smaller(
+    "sent_B", "B", _TRAFFIC, "sent by a robot in the mean, what it passes on for others included",
+    label="Sent by a robot",
+)  # fmt: skip
+WORST_SENT = _smaller("worst_sent_B", "B", _TRAFFIC, "most that a robot sent")
+HEARD = _smaller("heard_B", "B", _TRAFFIC, "heard by a robot in the mean")
+WORST_HEARD = _smaller("worst_heard_B", "B", _TRAFFIC, "most that a robot heard")
+MEMORY = _smaller("memory_B", "B", _TRAFFIC, "stored by a robot in the mean")
+WORST_MEMORY = _smaller("worst_memory_B", "B", _TRAFFIC, "most that a robot stored")
+MESSAGES = _smaller("messages", "1", _TRAFFIC, "messages that a robot sent, in the mean")
+ROUNDS = _smaller("rounds", "1", _TRAFFIC, "rounds with messages, which all robots share")
+OPERATIONS = _smaller("operations", "1", _TRAFFIC, "operations of a robot, in the mean")
+WORST_OPERATIONS = _smaller("worst_operations", "1", _TRAFFIC, "most operations of a robot")
+SOLVED_SHARE = _smaller(
+    "solved_share", "1", _TRAFFIC, "largest share of joins that one robot solves"
 )
 FIRST_ON_ANCHOR, SECOND_ON_ANCHOR, THIRD_ON_ANCHOR = (
     Measure(
@@ -284,36 +259,30 @@ FIRST_ON_ANCHOR, SECOND_ON_ANCHOR, THIRD_ON_ANCHOR = (
     )
     for place in ("first", "second", "third")
 )  # fmt: skip
-RMSE = Measure(
+RMSE = _smaller(
     "rmse_R", "R", _BOTH, "root mean square position error of all robots", label="RMSE",
-    better="smaller", paired=True, published="paper_rmse_radii",
+    paired=True, published="paper_rmse_radii",
 )  # fmt: skip
-RMSE_RHO = Measure(
-    "rmse_rho", "rho", _BOTH, "RMSE in distances from a robot's center to a dock",
-    better="smaller", paired=True,
-)  # fmt: skip
-RMSE_YAW_ALIGNED = Measure(
-    "rmse_yaw_aligned_R", "R", _BOTH, "RMSE after alignment by yaw and translation",
-    better="smaller", paired=True,
-)  # fmt: skip
-RMSE_RIGID_ALIGNED = Measure(
+RMSE_RHO = _smaller(
+    "rmse_rho", "rho", _BOTH, "RMSE in distances from a robot's center to a dock", paired=True
+)
+RMSE_YAW_ALIGNED = _smaller(
+    "rmse_yaw_aligned_R", "R", _BOTH, "RMSE after alignment by yaw and translation", paired=True
+)
+RMSE_RIGID_ALIGNED = _smaller(
     "rmse_rigid_aligned_R", "R", _BOTH, "RMSE after alignment by rotation and translation",
-    better="smaller", paired=True,
+    paired=True,
 )  # fmt: skip
-RMSE_PER_CONTACT = Measure(
+RMSE_PER_CONTACT = _smaller(
     "rmse_per_contact_R", "R", _BOTH,
-    "RMSE of the vector between two robots in contact, one hop apart",
-    better="smaller", paired=True,
+    "RMSE of the vector between two robots in contact, one hop apart", paired=True,
 )  # fmt: skip
-DISPARITY = Measure(
+DISPARITY = _smaller(
     "procrustes_disparity", "1", _BOTH,
     "squared error after rigid alignment, relative to the squared extent of the structure",
-    label="Procrustes disparity", better="smaller", paired=True,
-    published="paper_procrustes_disparity",
+    label="Procrustes disparity", paired=True, published="paper_procrustes_disparity",
 )  # fmt: skip
-SSE = Measure(
-    "sse_R2", "R^2", _BOTH, "sum of squared position errors", better="smaller", averaged=False
-)
+SSE = _smaller("sse_R2", "R^2", _BOTH, "sum of squared position errors", averaged=False)
 CHAINS = Measure(
     "chains", "1", _ESTIMATE, "chains, or starts, that enter the estimate", averaged=False
 )
@@ -325,9 +294,8 @@ WRONG_CONTACTS = Measure(
 )
 OUTLIERS = Measure("outliers", "1", _ESTIMATE, "contacts reported as outliers", averaged=False)
 SENSED_MAX = Measure(
-    "sensed_max", "dock weights", _STRUCTURE, "largest load that any robot senses",
-    averaged=False,
-)  # fmt: skip
+    "sensed_max", "dock weights", _STRUCTURE, "largest load that any robot senses", averaged=False
+)
 RECRUITED = Measure(
     "recruited", "1", _STRUCTURE, "robots that others called to their aid", averaged=False
 )
