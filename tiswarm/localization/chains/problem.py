@@ -191,6 +191,11 @@ class Problem:
     """Robots that move, the anchor by its turn alone; all others are constants, shape (N,)."""
 
     @property
+    def is_chained(self) -> bool:
+        """Whether robots learned their orientations from their connections."""
+        return self.connections is not None and len(self.connections.robot) > 0
+
+    @property
     def is_gone(self) -> Bools:
         """Whether each robot has left, shape (N,)."""
         return np.isin(np.arange(len(self.part)), self.gone)

@@ -110,8 +110,7 @@ def disregard(fit: Fit, estimate: Estimate) -> Disregarded | None:
     if is_explained and not len(stuck):
         return None
     # The error of an orientation that was chained is that of many robots.
-    is_chained = problem.connections is not None and len(problem.connections.robot)
-    if not fit.is_refined or is_chained:
+    if not fit.is_refined or problem.is_chained:
         return None
     position = estimate.solutions[0].position / log.dock_radius
     yaw = np.zeros(log.robot_count) if estimate.yaw is None else estimate.yaw
