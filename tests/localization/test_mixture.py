@@ -17,7 +17,8 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.mixture import MIXTURE, SD_CALIBRATION
-from tiswarm.localization.mixture.ends import Fit, aligned, ranked
+from tiswarm.localization.mixture import ends as ends_module
+from tiswarm.localization.mixture.ends import Fit, aligned, gathered, ranked
 from tiswarm.localization.mixture.mixture import deviation, minimum, mixed
 from tiswarm.localization.settings import JointParams
 from tiswarm.sensing import SensingParams, observe
@@ -306,15 +307,17 @@ def test_the_factor_of_sd_is_the_birge_ratio():
     assert verdict.sd_factor == pytest.approx(np.sqrt(1.0 + excess))
 
 
-def test_a_least_cost_that_one_chain_alone_found_is_said():
+def test_a_least_cost_that_one_chain_alone_found_is_said(monkeypatch):
     """Other chains would have found it, too, if the search could."""
+    monkeypatch.setattr(ends_module, "MIXTURE", replace(MIXTURE, rounds=0))  # they are trapped
     log, place = fixed()
     position = np.tile(place, (4, 1, 1))
     position[1:, 1, 0] += [3.0, 4.0, 5.0]
-    known = pose_problem(log, AS_ENDED)
+    params = replace(AS_ENDED, refine=True)
+    known = pose_problem(log, params)
 
     alone, agreed = (
-        mixed(Fit(log, AS_ENDED, known, chains_at(ends), SOUND)).convergence
+        mixed(Fit(log, params, known, chains_at(ends), SOUND)).convergence
         for ends in (position, position[[0, 0, 1, 2]])
     )
 
@@ -446,24 +449,47 @@ def test_refined_robots_end_nearer_and_sd_says_how_near(robots):
     assert 0.6 < np.sqrt(np.mean(np.square(np.array(near) / sd))) < 1.4
 
 
-def test_structures_that_are_not_refined_are_as_their_chains_leave_them(towers):
-    """One solution: the mean of all chains, by their weights, with their sd."""
+def test_of_structures_that_are_not_refined_the_mean_of_chains_is_moved(towers):
+    """To the one minimum of the cost, however far chains are from it; its curvature says the sd."""
     log = observe(towers[0], NOISY)
     known = pose_problem(log, AS_ENDED)
     rng = np.random.default_rng(0)
-    position = towers[0].position + 0.05 * rng.normal(size=(4, log.robot_count, 3))
+    # A strain that all chains share, and noise of each.
+    position = 1.02 * towers[0].position + 0.05 * rng.normal(size=(4, log.robot_count, 3))
     position[:, 0] = towers[0].position[0]
+    chains = chains_at(position)
 
-    ends = ranked(Fit(log, AS_ENDED, known, chains_at(position), SOUND))
-    mixture = mixed(Fit(log, AS_ENDED, known, chains_at(position), SOUND))
+    mixture = mixed(Fit(log, AS_ENDED, known, chains, SOUND))
 
-    mean = np.tensordot(ends.weight, position, 1)
-    np.testing.assert_allclose(mixture.position, mean, atol=1e-12)
+    cost = Fit(log, AS_ENDED, known, chains, SOUND).cost(
+        known.rows, are_independent=True, further_variance=(MIXTURE.tepid * SIGMA) ** 2
+    )
+    least, linear = cost.refine(cost.at(towers[0].position, np.zeros(log.robot_count)))
+    off = np.linalg.norm(mixture.position / log.dock_radius - least.position, axis=1)
+    sd = np.sqrt(linear.variance(draws=1000))
+    assert mixture.convergence.converged
+    # A robot that overlaps of others alone hold may stay with its chains.
+    assert np.mean(off[1:] <= 0.1 * sd[1:]) > 0.9
+    ratio = mixture.sd[1:] / log.dock_radius / sd[1:]
+    assert np.mean(np.abs(ratio - 1.0) < 0.4) > 0.9
     (only,) = mixture.solutions
     assert only.weight == 1.0
     assert not mixture.mirrored.any()
-    factor = mixture.convergence.sd_factor
-    np.testing.assert_allclose(mixture.sd, factor * only.sd, rtol=1e-9)
+
+
+def test_chains_of_many_robots_that_differ_make_no_outlier():
+    """Their mean tears what each of them meets: that is no wrong measurement."""
+    log, place = fixed()
+    known = pose_problem(log, AS_ENDED)
+    position = np.array([place] * 4)
+    position[:, 1, 0] += [-0.4, -0.4, 0.4, 0.4]
+    ends = ranked(Fit(log, AS_ENDED, known, chains_at(position), SOUND))
+
+    met = gathered(replace(ends, missed=np.zeros_like(ends.missed)))
+
+    assert not met.missed.any()
+    np.testing.assert_array_equal(met.position, met.position[:1].repeat(4, axis=0))
+    np.testing.assert_array_equal(met.weight, ends.weight)
 
 
 @settings(max_examples=10)

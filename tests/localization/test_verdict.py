@@ -49,6 +49,17 @@ def known() -> Evidence:
     )
 
 
+@pytest.mark.parametrize("robots", [ROBOTS, 2000])
+def test_of_a_large_swarm_a_few_robots_may_overlap(known, robots):
+    """As many as may miss contacts: half a percent, each with what one alone must not exceed."""
+    many = replace(known, is_guess=np.zeros(robots, np.bool_))
+    most = 25.0 * max(1.0, 0.005 * robots)
+
+    found = [judge(replace(many, overlap=share * most)).converged for share in (0.99, 1.01)]
+
+    assert found == [True, False]
+
+
 @pytest.mark.parametrize(
     ("what", "reason"),
     [

@@ -354,9 +354,10 @@ class JointParams(ChiSquareParams):
     """Name of the method."""
 
     refine: bool | None = None
-    """Fit once more at the end, with errors that steps of a walk share counted once; never where a
-    bias of yaw of more than 0.2 rad is to be solved for. If null up to 3,000 robots, beyond which
-    it would take longer than the chains."""
+    """Move the end of each chain to a minimum, and count errors that steps of a walk share once;
+    never where a bias of yaw of more than 0.2 rad is to be solved for. Otherwise only the mean of
+    the chains is moved, as if errors were independent. If null up to 3,000 robots, beyond which
+    the former would take longer than the chains."""
 
     chains: Annotated[int, Field(ge=1, le=1000)] | None = None
     """Annealings from different starts; their ends, weighed by fit, make the estimate. If null 8,

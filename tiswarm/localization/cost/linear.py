@@ -11,8 +11,8 @@ from scipy.sparse.linalg import SuperLU, splu
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 
-_DRAWS = 64
-"""Draws of all errors from which the variance of the result is computed."""
+DRAWS, FEW_DRAWS = 64, 16
+"""Draws of all errors from which the variance of the result is computed, of few and many robots."""
 
 _BLOCK = 1024
 """Rows whose draws are kept together, 0.5 MB: many problems take the same ones."""
@@ -277,7 +277,7 @@ class Linear:
         is_checked = value > _CHECKED
         return float((part[is_checked] ** 2 / value[is_checked]).sum()), int(is_checked.sum())
 
-    def variance(self, free: Reals | None = None, draws: int = _DRAWS) -> Reals:
+    def variance(self, free: Reals | None = None, draws: int = DRAWS) -> Reals:
         """Compute the mean square error of positions from draws of all errors [R^2], shape (N,).
 
         Args:
@@ -303,7 +303,7 @@ class Linear:
 
     def left_of_draws(self) -> tuple[Reals, Reals]:
         """Draw all errors as stated: residuals that a fit leaves, and `square`, (E, draws) both."""
-        error, off = self._drawn(_DRAWS)
+        error, off = self._drawn(DRAWS)
         left, count = error - self.jacobian @ off, self.noise.shape[0]
         return left[:count], (left * self._weighted(left))[:count]
 

@@ -14,7 +14,7 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost import ROBUST_SD
-from tiswarm.localization.cost.cost import WholeCost, grouped, weights
+from tiswarm.localization.cost.cost import WholeCost, grouped, moments, weights
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE
 from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.settings import ChiSquareParams
@@ -129,7 +129,7 @@ def ranked(fit: Fit) -> Ends:
     """Move each chain to a minimum of the cost, and weigh it.
 
     The cost is that at `MIXTURE.tempered` times the temperature of the chains: they end
-    where it lets measurements be missed.
+    where it lets measurements be missed. Of many robots they stay: see `gathered`.
     """
     annealed = fit.annealed
     position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
@@ -140,6 +140,17 @@ def ranked(fit: Fit) -> Ends:
         start = position[k], yaw[k]
         position[k], yaw[k], cost[k] = _descended(fit, start, annealed.sigma, rounds)
     return _ends(fit, position, yaw, cost)
+
+
+def gathered(ends: Ends) -> Ends:
+    """Put all ends of many robots at the minimum that the mean of their chains leads to."""
+    fit, weight, annealed = ends.fit, ends.weight, ends.fit.annealed
+    start = moments(weight, annealed.mean)[0], weight @ annealed.mean_yaw
+    position, yaw, cost = _descended(fit, start, annealed.sigma, MIXTURE.rounds)
+    least = np.where(np.isfinite(ends.cost), cost, np.inf)
+    met = _ends(fit, np.array([position] * len(weight)), np.array([yaw] * len(weight)), least)
+    # Between chains that differ, the mean misses what each of them meets.
+    return replace(met, weight=weight, missed=np.minimum(met.missed, ends.missed))
 
 
 def _descended(

@@ -23,11 +23,18 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED, grouped, moments
-from tiswarm.localization.cost.linear import Linear
+from tiswarm.localization.cost.linear import DRAWS, FEW_DRAWS, Linear
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
-from tiswarm.localization.mixture.ends import Ends, Fit, aligned, ranked
+from tiswarm.localization.mixture.ends import Ends, Fit, aligned, gathered, ranked
 from tiswarm.localization.mixture.frames import PartImages
-from tiswarm.localization.mixture.verdict import Evidence, judge, misfit_by_robot, rms, widened
+from tiswarm.localization.mixture.verdict import (
+    Evidence,
+    extent,
+    judge,
+    misfit_by_robot,
+    rms,
+    widened,
+)
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import stuck_robots
 from tiswarm.records.estimate import Estimate, Solution
@@ -65,7 +72,7 @@ class Minimum(NamedTuple):
     """Squared residuals in variances, and priors of turns, without overlaps [1]."""
 
     freedom: int
-    """Measurements beyond the unknowns that they determine; all where these were not counted."""
+    """Measurements beyond the unknowns that they determine."""
 
     square: Reals
     """Part of the chi-square that each measurement carries [1], shape (E,)."""
@@ -95,6 +102,7 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
             of the chains if None.
     """
     ends = aligned(ranked(fit))
+    ends = ends if fit.is_refined else gathered(ends)
     log, problem, annealed = fit.log, fit.problem, ends.fit.annealed
     outlier = _outliers(ends)
     open_sd = _open_sd(ends, ~outlier) if prior_sd is None else prior_sd
@@ -199,7 +207,7 @@ def _traced(fit: Fit, position: Reals, yaw: Reals) -> Mapping[str, Any]:
 def _minima(ends: Ends, inlier: Bools, open_sd: Reals) -> tuple[list[Minimum], Reals]:
     """Find the minimum of each solution, the likeliest first, and their weights."""
     if not ends.fit.is_refined:
-        return [_unrefined(ends, inlier, open_sd)], np.ones(1)
+        return [minimum(ends, ends.weight, inlier, open_sd)], np.ones(1)
     solution = np.where(ends.weight > 0.0, ends.solution, -1)
     members = [np.flatnonzero(solution == n) for n in range(solution.max() + 1)]
     minima = [_least(ends, each, inlier, open_sd) for each in members]
@@ -276,27 +284,6 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
     return found[len(minima) :]
 
 
-def _unrefined(ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
-    """Take the mean of all chains of a structure that is too large to be refined."""
-    annealed = ends.fit.annealed
-    square = np.where(inlier, ends.missed[int(ends.cost.argmin())], 0.0)
-    position = np.asarray(np.tensordot(ends.weight, annealed.mean, 1), np.float64)
-    return Minimum(
-        configuration=position,
-        position=position,
-        yaw=ends.weight @ annealed.mean_yaw,
-        sd=sd,
-        is_held=np.zeros(len(sd), np.bool_),
-        aside=np.zeros(len(sd)),
-        cost=float(square.sum()),
-        chi_square=float(square.sum()),
-        freedom=int(inlier.sum()),
-        square=square,
-        log_volume=0.0,
-        chains=int((ends.weight > 0.0).sum()),
-    )
-
-
 def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]:
     """Weigh solutions, and sort those that count by descending weight.
 
@@ -364,7 +351,6 @@ def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evi
         found=best.found,
         unknowns=3 * (len(problem.part) - 1),
         freedom=best.freedom,
-        is_counted=ends.fit.is_refined,
         chains=int((ends.weight > 0.0).sum()),
         all_failed=bool(ends.fit.has_failed.all()),
         is_alone=len(alike) > 1 and int(alike.sum()) == 1,
@@ -393,18 +379,21 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         rows,
         links=problem.connections,
         # A bias that is not solved for is in all stances of a robot.
-        are_independent=problem.rows.odometry.bias > 0.0,
+        are_independent=problem.rows.odometry.bias > 0.0 or not ends.fit.is_refined,
         further_variance=(MIXTURE.tepid * annealed.sigma) ** 2,
     )
-    prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * sd, REFINEMENT.least_prior)
+    # Chains do not know the errors that chained orientations share.
+    loose = np.hypot(sd, extent(position)) if problem.is_chained else sd
+    prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * loose, REFINEMENT.least_prior)
     state, linear = cost.held(prior).refine(cost.at(position, yaw), REFINEMENT.rounds)
     free, mean, swept = None, state.position, np.zeros(sd.shape)
     if ends.turns:
         free, (mean, swept) = ends.turns.motions(mean), ends.turns.swept(mean)
-    left = REFINEMENT.sd_scale * np.sqrt(linear.variance(free))
+    draws = DRAWS if ends.fit.is_refined else FEW_DRAWS
+    left = REFINEMENT.sd_scale * np.sqrt(linear.variance(free, draws))
     is_biased = 0.0 < problem.yaw_precision < REFINEMENT.most_yaw_bias**-2
     is_biased &= bool(annealed.within.any())  # only chains say better
-    small = np.maximum(REFINEMENT.open_sd * sd, REFINEMENT.linear_sd)
+    small = np.maximum(REFINEMENT.open_sd * loose, REFINEMENT.linear_sd)
     is_held = ((left <= small) | (swept > 0.0)) & ~problem.untied & (not is_biased)
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
@@ -421,7 +410,7 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         square=square,
         log_volume=linear.log_volume,
         chains=int(members.sum()),
-        found=(used, linear),
+        found=(used, linear) if ends.fit.is_refined else None,
     )
 
 
