@@ -18,8 +18,8 @@ from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.mixture import MIXTURE, SD_CALIBRATION
 from tiswarm.localization.mixture import ends as ends_module
-from tiswarm.localization.mixture.ends import Fit, aligned, gathered, ranked
-from tiswarm.localization.mixture.mixture import deviation, minimum, mixed
+from tiswarm.localization.mixture.ends import Fit, aligned, ranked
+from tiswarm.localization.mixture.mixture import deviation, gathered, minimum, mixed
 from tiswarm.localization.settings import JointParams
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow

@@ -220,8 +220,7 @@ class Cue:
     """Function for earlier stances, used beside the cue `walk_contacts`."""
 
     switch: str = ""
-    """Description of the setting that is on unless a user says otherwise; a cue without one is
-    always used."""
+    """Description of the setting that is on by default; a cue without one is always used."""
 
     place: int = 0
     """Place of the setting among those of all cues."""
@@ -316,8 +315,7 @@ CUES: list[Cue] = [
         words="displacements", said=3,
     ),
 ]  # fmt: skip
-"""The table of cues. To add one, write its function and an entry here: settings, analyses and pages
-follow."""
+"""The table of cues. To add one, write its function and an entry here: settings follow."""
 
 
 def cue_names() -> tuple[str, ...]:

@@ -65,8 +65,7 @@ class Annealed:
     """Square root of the end temperature [R]."""
 
     temperature: Reals
-    """Mean kinetic temperature of each chain once docks are grown, relative to its target,
-    shape (chains,)."""
+    """Mean kinetic temperature of each chain with grown docks, over its target, shape (chains,)."""
 
     iteration: Ints
     """Steps at which the trace was recorded, shape (K,)."""

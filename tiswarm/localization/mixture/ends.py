@@ -14,7 +14,7 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost import ROBUST_SD
-from tiswarm.localization.cost.cost import WholeCost, grouped, moments, weights
+from tiswarm.localization.cost.cost import WholeCost, grouped, weights
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE
 from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.settings import ChiSquareParams
@@ -129,7 +129,7 @@ def ranked(fit: Fit) -> Ends:
     """Move each chain to a minimum of the cost, and weigh it.
 
     The cost is that at `MIXTURE.tempered` times the temperature of the chains: they end
-    where it lets measurements be missed. Of many robots they stay: see `gathered`.
+    where it lets measurements be missed. Of many robots ends stay where they are.
     """
     annealed = fit.annealed
     position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
@@ -138,22 +138,11 @@ def ranked(fit: Fit) -> Ends:
     # Where every chain failed, the least bad one has to do; the verdict says so.
     for k in np.flatnonzero(fit.has_failed.all() | ~fit.has_failed).tolist():
         start = position[k], yaw[k]
-        position[k], yaw[k], cost[k] = _descended(fit, start, annealed.sigma, rounds)
-    return _ends(fit, position, yaw, cost)
+        position[k], yaw[k], cost[k] = descended(fit, start, annealed.sigma, rounds)
+    return ends_of(fit, position, yaw, cost)
 
 
-def gathered(ends: Ends) -> Ends:
-    """Put all ends of many robots at the minimum that the mean of their chains leads to."""
-    fit, weight, annealed = ends.fit, ends.weight, ends.fit.annealed
-    start = moments(weight, annealed.mean)[0], weight @ annealed.mean_yaw
-    position, yaw, cost = _descended(fit, start, annealed.sigma, MIXTURE.rounds)
-    least = np.where(np.isfinite(ends.cost), cost, np.inf)
-    met = _ends(fit, np.array([position] * len(weight)), np.array([yaw] * len(weight)), least)
-    # Between chains that differ, the mean misses what each of them meets.
-    return replace(met, weight=weight, missed=np.minimum(met.missed, ends.missed))
-
-
-def _descended(
+def descended(
     posed: Posed, start: tuple[Reals, Reals], sigma: float, rounds: int
 ) -> tuple[Reals, Reals, float]:
     """Move a configuration to a minimum of the cost nearby: positions, yaw, and the cost."""
@@ -168,7 +157,7 @@ def _descended(
     return state.position, state.yaw, linear.cost
 
 
-def _ends(fit: Fit, position: Reals, yaw: Reals, cost: Reals) -> Ends:
+def ends_of(fit: Fit, position: Reals, yaw: Reals, cost: Reals) -> Ends:
     """Weigh ends, and sort them into solutions."""
     rows = fit.problem.rows
     weight = _weights(cost, len(rows))
@@ -184,12 +173,12 @@ def _ends(fit: Fit, position: Reals, yaw: Reals, cost: Reals) -> Ends:
 
 
 def settled(posed: Posed, position: Reals, sigma: float, rounds: int) -> tuple[Reals, Reals, float]:
-    """Move positions that no chain led to: first warm, then to a minimum as `_descended` does."""
+    """Move positions that no chain led to: first warm, then to a minimum as `descended` does."""
     length = posed.problem.length[~posed.problem.is_offset]
     warm = MIXTURE.unfolding * float(np.median(length)) if len(length) else sigma
     start = position, np.zeros(len(position))
-    position, yaw, _ = _descended(posed, start, warm, MIXTURE.warm_rounds)
-    return _descended(posed, (position, yaw), sigma, rounds)
+    position, yaw, _ = descended(posed, start, warm, MIXTURE.warm_rounds)
+    return descended(posed, (position, yaw), sigma, rounds)
 
 
 def further_starts(posed: Posed) -> list[Reals]:

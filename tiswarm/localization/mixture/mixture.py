@@ -25,7 +25,7 @@ from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED, grouped, moments
 from tiswarm.localization.cost.linear import DRAWS, FEW_DRAWS, Linear
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
-from tiswarm.localization.mixture.ends import Ends, Fit, aligned, gathered, ranked
+from tiswarm.localization.mixture.ends import Ends, Fit, aligned, descended, ends_of, ranked
 from tiswarm.localization.mixture.frames import PartImages
 from tiswarm.localization.mixture.verdict import (
     Evidence,
@@ -139,6 +139,17 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
         **_traced(fit, placed[0], yaw),
         **motions,
     )
+
+
+def gathered(ends: Ends) -> Ends:
+    """Put all ends of many robots at the minimum that the mean of their chains leads to."""
+    fit, weight, annealed = ends.fit, ends.weight, ends.fit.annealed
+    start = moments(weight, annealed.mean)[0], weight @ annealed.mean_yaw
+    position, yaw, cost = descended(fit, start, annealed.sigma, MIXTURE.rounds)
+    least = np.where(np.isfinite(ends.cost), cost, np.inf)
+    met = ends_of(fit, np.array([position] * len(weight)), np.array([yaw] * len(weight)), least)
+    # Between chains that differ, the mean misses what each of them meets.
+    return replace(met, weight=weight, missed=np.minimum(met.missed, ends.missed))
 
 
 def _open_sd(ends: Ends, inlier: Bools) -> Reals:
