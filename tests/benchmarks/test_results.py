@@ -354,12 +354,14 @@ def test_the_page_of_closed_loops_has_the_file_s_bridges_by_kind_of_error():
         assert _is_rounded(tries, stored(error, "tries_per_robot"))
 
 
+OF_LOSSES = "AMD EPYC family 25 model 17"
+"""Kind of processor of the table of losses."""
+
 MESSAGES = {
     "`joint`, whole log": "joint",
     "default, by touch": "touch",
     "`base`, by touch": "base",
     "by radio, seeds 0 to 9": "radio",
-    "by touch, 30 % lost, seeds 0 to 9": "touch-loss-30",
     "Algorithm 1 by radio, poses at each join": "algorithm-1",
     "Algorithm 1 by touch, no undocked repulsion": "algorithm-1-local",
 }
@@ -433,6 +435,27 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
     assert ended.value.code == 2
     assert "this is no finished run; give the folder of one" in capsys.readouterr().err
     assert [*tmp_path.iterdir()] == []
+
+
+LOSSES = {f"{lost} %, towers": f"touch-loss-{lost}" for lost in (10, 20, 30)}
+"""Conditions by the first cells of rows in docs/guides/distributed.md."""
+
+
+@pytest.mark.parametrize("start", LOSSES)
+def test_the_page_of_messages_has_the_file_s_losses(start):
+    """Errors and bytes with their intervals, of the kind of processor that the page names."""
+    cells = _cells(_page("docs", "guides", "distributed.md"), start)[1:]
+    names = ["rmse_R", "rmse_per_contact_R", "sent_B", "worst_sent_B", "rounds"]
+    for name, cell in zip(names, cells, strict=False):  # then come robots that doubt
+        found = _stored(LOSSES[start], "tower", name, scenario="between").loc[OF_LOSSES]
+        if name == "rounds":
+            assert abs(float(cell.replace(",", "")) - found["value"]) <= 5.0
+            continue
+        unit = 1000.0 if name.endswith("_B") else 1.0
+        mean, *half = _numbers(cell)
+        assert _is_rounded(mean, found["value"] / unit), name
+        for each in half:
+            assert _is_rounded(each, (found["high"] - found["low"]) / 2 / unit), name
 
 
 CHANNELS = {

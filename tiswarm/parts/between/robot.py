@@ -13,6 +13,8 @@ A robot reads its own memory and the bytes that it hears. It has no other way to
 5. In a review a message walks along first contacts, from robot to robot and back. Whom it reaches
    solves again for all that it solved for. What hangs on these robots moves as one: otherwise
    those that are not asked would hold a structure that is to shift as a whole.
+   Who waits for the return of the message sends it again. A robot that heard of no partner solves
+   for itself when it comes.
 6. A robot that touches none, and all that hang on it, are a body of their own, in which they know
    where they are. Who touches two bodies joins them: its keeper solves for it in one of them, then
    for the shift of the other as one. A message around lets that one hang on the new robot.
