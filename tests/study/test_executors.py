@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import re
 import signal
 import socket
 import textwrap
@@ -15,6 +16,7 @@ from tests.runs import REPOSITORY, assert_same_results, run_tower
 from tiswarm.base.errors import CasesFailedError, EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress, ignore
 from tiswarm.compute import backend
+from tiswarm.scenario.expansion import load_scenario, plan
 from tiswarm.study import Execution, runner
 
 SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")
@@ -26,7 +28,7 @@ class _Watcher(Recorder):
 
     def __init__(self) -> None:
         super().__init__()
-        self.total, self.steps = 0, []
+        self.total, self.steps, self.beside = 0, [], set()
 
     @contextmanager
     def task(self, name, total, note=lambda: ""):
@@ -34,7 +36,7 @@ class _Watcher(Recorder):
             yield ignore
             return
         self.total = total
-        yield lambda steps: steps and self.steps.append((steps, note()))
+        yield lambda steps: self.steps.append((steps, note())) if steps else self.beside.add(note())
 
 
 @pytest.fixture(scope="module")
@@ -86,26 +88,30 @@ def test_cases_are_reported_wherever_they_are_computed(
     assert watcher.lines[0] == f"to watch: tiswarm view --live '{result.folder}'"
     assert watcher.total == cases == sum(steps for steps, _ in watcher.steps)
     assert len(watcher.steps) >= least_jobs
-    assert {note for _, note in watcher.steps} == {""}
+    if not execution.keys() & {"workers", "case_limit_s"}:
+        assert {note for _, note in watcher.steps} == {""}
 
 
-def test_failed_cases_are_counted_while_others_are_computed(tmp_path, monkeypatch):
-    """A user who sees most of them fail need not wait for the end."""
+@pytest.mark.trial
+def test_processes_report_what_they_do_before_a_job_ends(tmp_path):
+    """Cases of large jobs end after minutes: users saw `0 of 1100` until then."""
+    watcher = _Watcher()
 
-    def fail(history, params):
-        if history.seed == 1:
-            raise ZeroDivisionError
-        return observe(history, params)
+    run_tower(tmp_path, SMALL, progress=watcher, workers=1)
 
-    observe, watcher = runner.observe, _Watcher()
-    monkeypatch.setattr(runner, "observe", fail)
+    assert any(re.fullmatch(r"[a-z ]+ \d+ of \d+", note) for note in watcher.beside)
 
-    result = run_tower(tmp_path, SMALL, progress=watcher)
 
-    assert len(result.failed) == 2
-    assert sum(steps for steps, _ in watcher.steps) == 8
-    assert watcher.steps[0] == (2, "")
-    assert watcher.steps[-1][1] == "2 failed"
+def test_each_process_begins_with_one_structure(whole):
+    """Their cases are stored early: a run that is stopped keeps them."""
+    scenario = load_scenario(REPOSITORY / "tests/tower.yaml", ["robots=8", "seeds=20"])
+
+    jobs = runner.batch(plan(scenario).structures, whole, arch="cpu", threads=1, width=2)
+
+    sizes = [len(job.structures) for job in jobs]
+    assert sizes[:2] == [1, 1]
+    assert sum(sizes) == 20
+    assert max(sizes) > 1
 
 
 @pytest.mark.parametrize(

@@ -248,8 +248,7 @@ def import_(
         Option(metavar="CSV", help="All contacts: robot,dock,other,other_dock (default: found)."),
     ] = None,
     anchor: Annotated[
-        str,
-        Option(metavar="ID,...", help="Anchor, and further robots at known positions."),
+        str, Option(metavar="ID,...", help="Anchor, and further robots at known positions.")
     ] = "",
     up: Annotated[
         str, Option(metavar="AXIS", help="Axis that is up: x, y, z, -x, -y, -z; it becomes z.")

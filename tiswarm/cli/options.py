@@ -120,8 +120,7 @@ Animate = Annotated[
 Movie = Annotated[
     AnyMovie | None,
     Option(
-        help="Animate into this file format (default: mp4, or else webp).",
-        rich_help_panel=PICTURES,
+        help="Animate into this file format (default: mp4, or else webp).", rich_help_panel=PICTURES
     ),
 ]
 

@@ -55,8 +55,7 @@ def run(
     ] = None,
     shard: Annotated[str, _computing(metavar="I/N", help="Compute part I of N only.")] = "1/1",
     case_limit: Annotated[
-        float | None,
-        _computing(min=0.001, metavar="SECONDS", help="Abort a case after this time."),
+        float | None, _computing(min=0.001, metavar="SECONDS", help="Abort a case after this time.")
     ] = None,
     fail_fast: Annotated[
         bool, _computing("--fail-fast", help="Stop at the first failed case.")

@@ -364,10 +364,7 @@ class Measured:
         used = self._used(cues)
         with_rows = {name for name, produce in self._produced(cues) if produce in used}
         names = cue_names()
-        return (
-            *(name for name in names if name in with_rows),
-            *sorted(set(cues) - set(names)),
-        )
+        return (*(name for name in names if name in with_rows), *sorted(set(cues) - set(names)))
 
     def count(self, cues: Collection[str]) -> int:
         """Count the rows of some cues."""

@@ -27,12 +27,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
-from tiswarm.measurements.equations import (
-    components,
-    missed_along,
-    missed_distance,
-    slope_by_turn,
-)
+from tiswarm.measurements.equations import components, missed_along, missed_distance, slope_by_turn
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.records.sensing_log import KNOWN_SD
 

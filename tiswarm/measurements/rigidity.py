@@ -315,11 +315,7 @@ def _from(center: Reals) -> Reals:
     return change
 
 
-def _seen_from(
-    center: Reals,
-    stiffness: Reals,
-    other: Reals | None = None,
-) -> Reals:
+def _seen_from(center: Reals, stiffness: Reals, other: Reals | None = None) -> Reals:
     """Express stiffness by motions of bodies about their own centers, not the anchor's axis."""
     if stiffness.shape[1] == _SHIFTS:  # the same from everywhere
         return stiffness

@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from tiswarm.records.measures import (
-    CONTACTS,
-    FEWEST,
-    FLOPPY_MODES,
-    HEIGHT,
-    MAIN,
-    RMSE,
-    Measure,
-)
+from tiswarm.records.measures import CONTACTS, FEWEST, FLOPPY_MODES, HEIGHT, MAIN, RMSE, Measure
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, with_points

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.base.parts import find
 from tiswarm.base.process import child_command
-from tiswarm.base.progress import Progress
+from tiswarm.base.progress import Advance, Note, Progress
 from tiswarm.compute import backend, kernel_cache
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.runner import Job, Outcome, run_job
@@ -35,6 +35,7 @@ START_S = 600.0  # time that a process has to start and to compile the kernels o
 END_S = 10.0  # time that an idle process has to store its kernels and end
 _LONGEST_POLL_S = 1e6  # the system counts milliseconds in 32 bits
 _READY = "ready"
+_STAGE_EVERY_S = 1.0  # least time between two messages on a stage
 _CRASHES = {"SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV"}
 
 
@@ -97,6 +98,11 @@ class Executor(NamedTuple):
     submit: Callable[[Job], "Future[Outcome]"]
     width: int
     threads: int | None
+
+    @property
+    def stage(self) -> str:
+        """What one of the processes does that compute jobs; empty without any."""
+        return next((process.stage for process in list(_running) if process.stage), "")
 
 
 @contextmanager
@@ -180,11 +186,38 @@ def _attempt(job: Job, limit_s: float | None) -> Outcome:
     return outcome
 
 
+class _Stage(str):
+    """What a process does, and how far it is."""
+
+    __slots__ = ()
+
+
+class _Sent(Progress):
+    """Sends the stages of a job to the process that waits for it."""
+
+    def __init__(self, send: Callable[[object], None]) -> None:
+        self.send = send
+
+    @contextmanager
+    def task(self, name: str, total: int, note: Note = lambda: "") -> Iterator[Advance]:  # noqa: ARG002
+        done, sent_s = 0.0, -math.inf
+
+        def advance(steps: float) -> None:
+            nonlocal done, sent_s
+            done += steps
+            if (now_s := time.monotonic()) - sent_s >= _STAGE_EVERY_S:
+                sent_s = now_s
+                self.send(_Stage(f"{name} {done:.0f} of {total}"))
+
+        advance(0.0)
+        yield advance
+
+
 class _Process:
     """A process that runs one job after another."""
 
     def __init__(self) -> None:
-        self.is_idle = True
+        self.is_idle, self.stage = True, ""
         self.output = TemporaryFile()  # noqa: SIM115 - closed as the process ends
         self.connection, theirs = Pipe()
         code = "from tiswarm.study.executors import main; main({}, {})"
@@ -207,6 +240,7 @@ class _Process:
         if found == _READY:
             total_s = None if limit_s is None else limit_s * len(job.cases)
             found = self._receive(total_s, "took longer than {:g} s; raise --case-limit")
+        self.stage = ""
         if isinstance(found, TiswarmError):
             raise found
         if not isinstance(found, Outcome):
@@ -233,10 +267,14 @@ class _Process:
     def _receive(self, limit_s: float | None, problem: str) -> object:
         end_s = math.inf if limit_s is None else time.monotonic() + limit_s
         try:
-            while not self.connection.poll(min(_LONGEST_POLL_S, left := end_s - time.monotonic())):
-                if left <= _LONGEST_POLL_S:
+            while True:
+                left = end_s - time.monotonic()
+                if self.connection.poll(max(0.0, min(_LONGEST_POLL_S, left))):
+                    if not isinstance(found := self.connection.recv(), _Stage):
+                        return found
+                    self.stage = found
+                elif left <= _LONGEST_POLL_S:
                     raise _JobError(problem.format(limit_s))
-            return self.connection.recv()
         except (EOFError, OSError) as error:
             raise self._cause_of_death() from error
 
@@ -272,7 +310,8 @@ def main(descriptor: int, parent: int) -> None:
             job = connection.recv()
             found: Outcome | TiswarmError | str
             try:
-                found = run_job(job, Progress(), on_ready=lambda: connection.send(_READY))
+                progress = _Sent(connection.send)
+                found = run_job(job, progress, on_ready=lambda: connection.send(_READY))
             except TiswarmError as error:
                 found = error
             except Exception as error:  # noqa: BLE001 - the parent decides what to do

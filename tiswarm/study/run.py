@@ -173,7 +173,8 @@ def compute(
 ) -> list[Outcome]:
     """Compute jobs; one that fails is split until the failing case is alone.
 
-    `progress` receives a task whose steps are cases, with the number of those that failed.
+    `progress` receives a task whose steps are cases, with the number of those that failed and what
+    a process does.
 
     Raises:
         CasesFailedError: a case failed, and `fail_fast` stops at failures.
@@ -186,7 +187,10 @@ def compute(
     # A user can watch the cases from now on, wherever they are computed.
     progress.info(f"to watch: tiswarm view --live {shlex.quote(str(jobs[0].folder.path))}")
     total = sum(len(job.cases) for job in jobs)
-    with progress.task("cases", total, lambda: f"{failed} failed" if failed else "") as advance:
+    with progress.task(
+        "cases", total,
+        lambda: ", ".join(filter(None, (f"{failed} failed" * (failed > 0), executor.stage))),
+    ) as advance:  # fmt: skip
         while waiting or running:
             while waiting and len(running) < executor.width:
                 job = waiting.popleft()

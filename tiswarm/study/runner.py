@@ -80,14 +80,15 @@ def batch(
     if width > 1:
         robots = sum(group[0].settings.robots for group in structures)
         robots_at_once = min(ROBOTS_AT_ONCE, robots // (_JOBS_EACH * width) + 1)
-    jobs = []
+    jobs: list[list[Group]] = []
     for _, alike in groupby(structures, key=lambda group: group[0].structure_key[:-1]):
         gathered: list[Group] = []
         robots = 0
         for group in alike:
             gathered.append(group)
             robots += group[0].settings.robots
-            if alone or robots >= robots_at_once:
+            starts = width > 1 and len(jobs) < width  # small jobs are soon stored
+            if alone or starts or robots >= robots_at_once:
                 jobs.append(gathered)
                 gathered, robots = [], 0
         jobs += [gathered] if gathered else []
