@@ -493,14 +493,14 @@ def test_grades_of_a_sensor_are_a_curve(run_folder):
         for name, error in [
             ("neither", 2.0),
             *((f"range-{grade}", float(grade)) for grade in grades),
-            *((f"tilt-{grade}", 2.0 * float(grade)) for grade in reversed(grades)),
+            *((f"tilt ({grade} deg)", 2.0 * float(grade)) for grade in reversed(grades)),
         ]
     ]
     measures = "rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,procrustes_disparity_ci95"
     write_table(run_folder / "table.csv", f"condition,structure.kind,cases,{measures}", rows)
     (run_folder / "scenario.yaml").write_text(
         "conditions:\n"
-        + "".join(f"  tilt-{g}: {{sensing.tilt_noise_deg: {g}}}\n" for g in grades)
+        + "".join(f"  tilt ({g} deg): {{sensing.tilt_noise_deg: {g}}}\n" for g in grades)
         + "".join(f"  range-{g}: {{sensing.range_reach: 8, sensing.range: {g}}}\n" for g in grades)
     )
 

@@ -503,7 +503,7 @@ def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
             if {*map(type, values)} <= {int, float} and len({*values}) == 1:
                 grades[values[0]] = name
         if len(grades) == len(members) >= _FEWEST_GRADES:
-            title = commonprefix([*members]).rstrip("-_ .0123456789")  # noqa: RUF071 - no paths
+            title = commonprefix([*members]).rstrip("-_ (.0123456789")  # noqa: RUF071 - no paths
             families.append(_Family(title, varied, dict(sorted(grades.items()))))
     return families
 

@@ -204,7 +204,8 @@ class Panels:
         entries = entries_of(self.first) if entries is None else entries
         width, height = map(float, self.figure.get_size_inches())
         columns = legend_columns([*entries], width)
-        title = f"{title}, {counted(structures, 'structure')}" if structures else title
+        many = f"{title}, {counted(structures, 'structure')}".removeprefix(", ")
+        title = many if structures else title
         title = _filled(title, width, _TITLE_SIZE)
         lines = -(-len(entries) // columns) + title.count("\n")
         self.figure.set_size_inches(width, height + _LEGEND_LINE * max(0, lines - 1))
