@@ -366,8 +366,8 @@ class JointParams(ChiSquareParams):
     steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape. If null
     1,000, and 2 for each robot, up to 3,000, and again in 3,000 if these do not converge; or 2,000
-    for more than 3,000 robots. Chosen on training structures of 100 and 1,000 robots, see
-    `docs/notes/measurements.md`."""
+    for more than 3,000 robots, and more beyond 30,000, as N^(3/4), since a whole tower moves ever
+    more slowly. Chosen on training structures, see `docs/notes/measurements.md`."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 900
     """Steps at the end temperature, over which positions are averaged."""
@@ -402,7 +402,8 @@ class JointParams(ChiSquareParams):
 
     def steps_for(self, robots: int) -> int:
         """Steps of each annealing."""
-        return self.steps or (min(1000 + 2 * robots, MOST_STEPS) if robots <= LARGE else 2000)
+        many = round(2000 * max(1.0, robots / 30_000) ** 0.75)
+        return self.steps or (min(1000 + 2 * robots, MOST_STEPS) if robots <= LARGE else many)
 
     def refines(self, robots: int) -> bool:
         """Whether to refine what chains of a structure of so many robots come to."""
