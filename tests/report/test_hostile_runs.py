@@ -230,7 +230,7 @@ def test_a_page_leaves_out_measures_that_it_does_not_know(run, measure):
 @pytest.mark.parametrize("command", [figures, renders, movie("gif"), movie("mp4"), page, export])
 def test_a_full_disk_ends_in_one_line(run, monkeypatch, command):
     """Pictures and tables appear whole or not at all, and cases stay as they are."""
-    drawn = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    drawn = np.random.default_rng(0).integers(0, 255, (64, 64, 4), np.uint8)
     for name in ("draw_scenes", "draw_growth"):
         monkeypatch.setattr(pictures, name, lambda of, *_: ([drawn] * len(of), "none", ""))
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
