@@ -437,7 +437,9 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
     assert [*tmp_path.iterdir()] == []
 
 
-LOSSES = {f"{lost} %, towers": f"touch-loss-{lost}" for lost in (10, 20, 30)}
+LOSSES = {
+    "0 %, towers": "touch", **{f"{k} %, towers": f"touch-loss-{k}" for k in (10, 20, 30)}
+}  # fmt: skip
 """Conditions by the first cells of rows in docs/guides/distributed.md."""
 
 
