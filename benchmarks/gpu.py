@@ -54,9 +54,9 @@ FIRST_STEPS, TIMED_STEPS = 5, 20
 LARGEST_DEVIATION = 1e-3
 """Of robots after the first steps of `joint`, from the processor in f64 [R]."""
 UNTIL = {
-    "doctor": 0.06, "bandwidth": 0.08, "tests": 0.1, "swarm_step": 0.7, "joint": 0.8, "study": 0.9
+    "doctor": 0.06, "bandwidth": 0.08, "swarm_step": 0.4, "joint": 0.5, "study": 0.6, "tests": 0.9
 }  # fmt: skip
-"""Share of the time by which the last row of a part has to begin."""
+"""Share of the time by which the last row of a part has to begin, most telling parts first."""
 COPIED = 2**25
 """Numbers of 4 B that are copied to measure the bandwidth."""
 MOST_LONG = 50
@@ -114,12 +114,12 @@ def _jobs(options: argparse.Namespace, folder: Path) -> dict[str, list[Job]]:
     jobs: dict[str, list[Job]] = {
         "doctor": [(arch, lambda: {"line": str(doctor.try_backend(arch))})],
         "bandwidth": [("copy", rest(measure_bandwidth, arch))],
-        "tests": [(arch, rest(run_tests, arch, 0.5 * options.seconds))],
         "swarm_step": [(f"{e}, {n:,}", rest(time_swarm, e, n, folder)) for n, e in engines],
         "joint": [(f"{n:,}", rest(time_joint, arch, n)) for n in sorted(options.joint_sizes)],
         "study": [
             (f"{n:,}", rest(study, arch, n, brief=options.brief)) for n in options.study_sizes
         ],
+        "tests": [(arch, rest(run_tests, arch, 0.4 * options.seconds))],
     }
     return {part: jobs[part] for part in options.parts or jobs}
 
@@ -163,9 +163,9 @@ def faults(report: Mapping[str, Any]) -> list[str]:
 
 
 def run_tests(arch: str, seconds: float) -> dict[str, Any]:
-    """Run the tests of devices on this card."""
-    # An empty -m takes tests at full size, too: those of devices are.
-    options = ["-q", "-n", "0", "-m", "", "tests/compute/test_devices.py"]
+    """Run the tests of devices that compute on this card, by the library that computes here."""
+    only = ["-m", "trial", "-k", backend.LIBRARY]
+    options = ["-q", "-n", "0", *only, "tests/compute/test_devices.py"]
     try:
         done = subprocess.run(  # noqa: S603 - our own tests
             [sys.executable, "-m", "pytest", *options],
@@ -306,38 +306,38 @@ def time_joint(arch: str, robots: int) -> dict[str, Any]:
 
 
 def study(arch: str, robots: int, *, brief: bool) -> dict[str, Any]:
-    """Run `together` and `joint` of a scenario on the processor and twice on a device.
+    """Run `together` and `joint` of a study that sweeps `arch`, then once more on the device.
 
     Returns:
         Time of localization [s] and RMSE [R] by device and method; whether structures are the same
-        on both, and whether the device gives the same bytes again.
+        in both runs, and whether the device gives the same bytes again.
     """
     joint = "chains: 2, steps: 20, hold_steps: 10" if brief else "chains: 4"
     joint = f"localization: {{method: joint, {joint}}}"
     settings = [
-        f"sweep={{robots: [{robots}]}}", f"structure.movers={max(robots // 100, 1)}",
+        f"structure.movers={max(robots // 100, 1)}",
         f"structure.solve_every={max(robots // 50, 1)}", "seeds=1",
         f"conditions={{together: {{localization.schedule: together}}, joint: {{{joint}}}}}",
     ]  # fmt: skip
-    cases = []
-    for name in ("cpu", arch, arch):
+    runs: list[dict[tuple[str, str], dict[str, Any]]] = []
+    for archs in (dict.fromkeys(("cpu", arch)), (arch,)):
+        swept = f"sweep={{robots: [{robots}], arch: [{', '.join(archs)}]}}"
         with tempfile.TemporaryDirectory() as out:
-            command = ["run", "scenarios/scaling.yaml", "--no-pictures", "--quiet", "--arch", name]
-            command += ["--out", out, *(part for text in settings for part in ("--set", text))]
+            command = ["run", "scenarios/scaling.yaml", "--no-pictures", "--quiet", "--out", out]
+            command += [part for text in (swept, *settings) for part in ("--set", text)]
             subprocess.run(  # noqa: S603 - our own command
                 [sys.executable, "-m", "tiswarm", *command], check=True
             )
             folders = sorted(Path(out).glob("*/cases/*"))
-            cases.append({f.name.split(",")[1]: _case(f) for f in folders})
+            named = {folder: folder.name.split(",")[1:] for folder in folders}
+            runs.append({(on[5:], method): _case(f) for f, (on, method) in named.items()})
     row: dict[str, Any] = {"robots": robots}
-    for key, place in (("equal_truth", 0), ("repeats", 1)):
-        file = ("truth.csv", "estimate.csv")[place]
-        pairs = zip(cases[place].values(), cases[place + 1].values(), strict=True)
-        row[key] = all(one["files"][file] == other["files"][file] for one, other in pairs)
-    for name, found in zip(("cpu", "card"), cases, strict=False):
-        for method, case in found.items():
-            row[f"{name}_{method}_s"] = case["localize_s"]
-            row[f"{name}_{method}_rmse_R"] = case["scores"]["rmse_R"]
+    for key, file in (("equal_truth", "truth.csv"), ("repeats", "estimate.csv")):
+        files = [{place: case["files"][file] for place, case in run.items()} for run in runs]
+        row[key] = all(files[0][place] == found for place, found in files[1].items())
+    for (on, method), case in runs[0].items():
+        row[f"{on}_{method}_s"] = case["localize_s"]
+        row[f"{on}_{method}_rmse_R"] = case["scores"]["rmse_R"]
     return row
 
 
