@@ -5,6 +5,8 @@ import pytest
 from benchmarks.growth import PARTS
 from tests.benchmarks.commands import call
 
+SMALL_STUDY = ["--set", "sweep={robots: [12]}", "--set", "conditions={paper: {}}"]
+
 
 @pytest.mark.parametrize("part", PARTS)
 def test_every_part_exists(part):
@@ -21,6 +23,7 @@ def test_every_part_exists(part):
         ("growth", ["--quick"], "| 100 robots, 25 structures"),
         ("growth", ["--robots", "100"], "100 robots: loads differ by "),
         ("million", ["--towers", "1", "--robots", "12"], "joint"),
+        ("kernels", [*SMALL_STUDY, "--set", "seeds=1"], "| grow | climb |"),
     ],
 )
 def test_the_command_prints_its_table(name, arguments, row):
