@@ -22,6 +22,7 @@ def bare_machine(monkeypatch):
             raise ImportError(message)
         return imported(name, *rest, **named)
 
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
     monkeypatch.setattr(builtins, "__import__", refuse)
     monkeypatch.setattr(doctor.sys, "platform", "linux")
     monkeypatch.setattr(doctor, "_loads", lambda library: library == "libgomp.so.1")

@@ -249,6 +249,11 @@ def _pivot(log: SensingLog, turn: OpenTurn) -> str:
     return f"the {'vertical' if abs(turn.axis[2]) > _VERTICAL else 'axis'} through {where}"
 
 
+def says_open(estimate: Estimate) -> bool:
+    """Whether the verdict says that measurements leave open where most robots are."""
+    return any(_undetermined(estimate))
+
+
 def _undetermined(estimate: Estimate) -> Iterator[str]:
     """State that measurements leave open where more than half of the robots are."""
     known, is_open = estimate.observability, estimate.is_open

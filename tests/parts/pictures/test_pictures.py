@@ -90,6 +90,7 @@ def broken_open3d(monkeypatch):
             raise ImportError(message)
         return imported(name, *rest)
 
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
     monkeypatch.setattr(builtins, "__import__", refuse)
 
 

@@ -30,8 +30,7 @@ _ROUNDS = 8
 """Steps toward the minimum."""
 
 _ASIDE, _TURNED = 0.05, 15
-"""Random errors that move an estimate aside, in the median distance [1], and rounds in which it
-moves to a minimum."""
+"""Random errors that move an estimate aside, in the median distance [1], and rounds back."""
 
 _STAYS = 1e-6
 """Width of the prior that leaves robots where they are [R]."""
