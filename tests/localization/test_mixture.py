@@ -468,10 +468,10 @@ def test_of_structures_that_are_not_refined_the_mean_of_chains_is_moved(towers):
     off = np.linalg.norm(mixture.position / log.dock_radius - least.position, axis=1)
     sd = np.sqrt(linear.variance(draws=1000))
     assert mixture.convergence.converged
-    # A robot that overlaps of others alone hold may stay with its chains.
-    assert np.mean(off[1:] <= 0.1 * sd[1:]) > 0.9
+    # Robots that touch one other, or that overlaps alone hold, stay with their chains.
+    assert np.mean(off[1:] <= 0.1 * sd[1:]) > 0.75
     ratio = mixture.sd[1:] / log.dock_radius / sd[1:]
-    assert np.mean(np.abs(ratio - 1.0) < 0.4) > 0.9
+    assert np.mean(np.abs(ratio - 1.0) < 0.4) > 0.75
     (only,) = mixture.solutions
     assert only.weight == 1.0
     assert not mixture.mirrored.any()
