@@ -107,7 +107,7 @@ def test_angles_of_flips_that_gain_enough_are_those_of_all_obstacles(seed, count
         met = np.minimum(met, _meeting(arm, axis, each))
     gain = np.cos(met) * gains[0, 0] + np.array([1.0, -1.0]) * np.sin(met) * gains[0, 1]
     counts = (met >= limits.min_flip) & (gain >= least)
-    is_same = np.isclose(angles[0], met, rtol=0.0, atol=1e-7)
+    is_same = np.isclose(angles[0], met, rtol=0.0, atol=1e-9)
     assert is_same[counts].all()
     assert (is_same | (angles[0] == 0.0)).all()
 

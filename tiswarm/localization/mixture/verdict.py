@@ -251,8 +251,9 @@ def _trapped(known: Evidence, misfits: list[str]) -> Iterator[str]:
         yield "all chains ended out of reach of their contacts, or ran hot"
     if known.is_alone:
         yield "no two chains ended at the same least cost"
-    # Of a large swarm a few robots may be in the way of others, as a few may miss contacts.
-    room = max(1.0, CONVERGENCE.most_torn * len(known.is_guess))
+    # Of many robots a few may be in the way of others, as a few may miss contacts.
+    robots = len(known.is_guess)
+    room = CONVERGENCE.most_torn * robots if robots > LARGE else 1.0
     if known.overlap > room * CONVERGENCE.outlier_sd**2:
         yield "docks overlap at the least cost found, which no measurement error explains"
     if known.is_single and misfits:

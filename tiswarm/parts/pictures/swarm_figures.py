@@ -223,7 +223,7 @@ def label_offsets(points: Reals, sizes: Reals, panel: Reals, taken: Reals) -> Re
     chosen = np.empty_like(points)
     for k, (point, size) in enumerate(zip(points, sizes, strict=True)):
         half = 0.5 * size
-        # A label begins where its marker ends, in whatever direction it is.
+        # A label starts at the edge of its marker, in any direction.
         offsets = (around * (half + _CLEAR) + ring * around * _LABEL).reshape(-1, 2)
         there = point + offsets
         gap = np.abs(there[:, None] - taken[:, 0]) - (half + taken[:, 1])
