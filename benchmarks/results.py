@@ -120,7 +120,11 @@ def merged(old: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
 
 def read_results(path: Path = RESULTS) -> pd.DataFrame:
     """Read the file of results; without rows if there is none."""
-    return pd.read_csv(path, keep_default_na=False) if path.exists() else pd.DataFrame()
+    if not path.exists():
+        return pd.DataFrame()
+    # Rows of few structures have no interval; all other empty cells are texts.
+    without = {"low": [""], "high": [""]}
+    return pd.read_csv(path, keep_default_na=False, na_values=without)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -427,6 +427,22 @@ def test_the_command_takes_means_of_finished_cases_and_replaces_rows(run, tmp_pa
     assert table["high"][0] - 2.0 == pytest.approx(2.776 / 5.0**0.5, abs=0.002)
 
 
+def test_a_row_of_too_few_structures_has_no_interval(run, tmp_path):
+    """Numbers stay numbers in the file, whose other rows do not change."""
+    out = tmp_path / "results.csv"
+    table = pd.read_csv(run / "summary.csv")
+    table[(table["condition"] == "a") | (table["seed"] < 6)].to_csv(run / "summary.csv")
+
+    for _ in range(2):
+        assert results.main([str(run), "--out", str(out)]) == 0
+
+    many, few = results.read_results(out).itertuples()
+    assert (many.value, few.value, few.structures) == (2.0, 0.5, 2)
+    assert math.isnan(few.low)
+    assert math.isnan(few.high)
+    assert many.high - 2.0 == pytest.approx(2.776 / 5.0**0.5, abs=0.002)
+
+
 def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
     """Nothing is written."""
     with pytest.raises(SystemExit) as ended:
