@@ -285,7 +285,11 @@ def _built(kind, by, measure):
     point = f"structure={BUILT[kind]}, structure.navigate_by={navigate}"
     found = results.read_results()
     keys = {"scenario": "closed-loop", "condition": condition, "point": point, "measure": measure}
-    [row] = found[(found[list(keys)] == pd.Series(keys)).all(axis=1)].to_dict("records")
+    # Final answers of bridges by own messages are of another kind of processor.
+    [row, *_] = sorted(
+        found[(found[list(keys)] == pd.Series(keys)).all(axis=1)].to_dict("records"),
+        key=lambda row: row["kind"] != KIND,
+    )
     return row
 
 
@@ -313,6 +317,7 @@ def test_the_page_of_closed_loops_has_tries_errors_and_bytes(kind):
     tries, errors = note.split("| structures, by what robots go by")[1:]
     flips = [("tries_per_robot", 1.0), ("failed_flips", 1.0), ("flips_as_planned", 100.0)]
     beliefs = [(f"belief_{name}_R", 1.0) for name in ("building", "newest", "final", "per_contact")]
+    beliefs += [("rmse_R", 1.0)]
     beliefs += [(f"belief_{name}_B", 1e-3) for name in ("sent", "worst_sent")]
     for table, measures in ((tries, flips), (errors, beliefs)):
         for by in BY:
