@@ -185,7 +185,7 @@ def _written(element: ET.Element) -> Iterator[str]:
     given = {name.rpartition("}")[2]: value for name, value in element.attrib.items()}
     kept = {name: value for name, value in given.items() if _is_kept(tag, name, value)}
     if style := re.sub(r"font-family:[^;]*;? ?", "", kept.pop("style", "")):
-        kept["style"] = re.sub(r"#[0-9a-f]{6}\b", _on_page, style)
+        kept["style"] = re.sub(r"#[0-9a-f]{6}\b", lambda hit: _COLORS.get(hit[0], hit[0]), style)
     if given.get("id", "").startswith("PathCollection"):
         kept["class"] = "dots"
     attributes = [f' {name}="{escape(value)}"' for name, value in kept.items()]
@@ -204,11 +204,6 @@ def _is_kept(tag: str, name: str, value: str) -> bool:
     if name == "id":
         return tag in {"path", "clipPath"}
     return name not in patterns or patterns[name].fullmatch(value) is not None
-
-
-def _on_page(color: re.Match[str]) -> str:
-    """Return the color on the page of one in a file."""
-    return _COLORS.get(color[0], color[0])
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:

@@ -107,17 +107,16 @@ def _labeled_rows(values: _Values) -> _Values:
     return values
 
 
-def _count_or_list(seeds: object) -> str:
-    return "list" if isinstance(seeds, (list, tuple)) else "count"
-
-
 _Slug = Annotated[str, AfterValidator(_slug)]
 _Seed = Annotated[int, Field(ge=0, lt=2**63)]
 _SeedCount = Annotated[int, Field(ge=1, le=1_000_000), Tag("count")]
 _SeedList = Annotated[
     tuple[_Seed, ...], Field(min_length=1), AfterValidator(_distinct), Tag("list")
 ]
-_Seeds = Annotated[_SeedCount | _SeedList, Discriminator(_count_or_list)]
+_Seeds = Annotated[
+    _SeedCount | _SeedList,
+    Discriminator(lambda seeds: "list" if isinstance(seeds, (list, tuple)) else "count"),
+]
 _Overrides = dict[Annotated[str, AfterValidator(_condition_key)], JsonValue]
 _SweepValues = Annotated[
     tuple[JsonValue, ...],

@@ -9,12 +9,9 @@ any company and on any number of threads.
 After the joins of a round robots may leave or die. Those that reach the ground only by way of
 robots that left fall, and count as gone, too; robots that climb and have touched one of them are
 spawned again. Then the structure's mechanics are solved anew.
-
-Robots under great load call others to their aid (`walks.py`).
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +31,8 @@ from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
+_DRAWN = 64
+"""Robots whose first place is drawn at once: a draw of one costs as much."""
 
 
 @backend.exclusive()
@@ -149,7 +148,7 @@ class _GrowthBatch:
         for slot in movers[~goes_on]:
             structure = self.structures[self.structure_of[slot]]
             if walks.joined[slot] >= 0:
-                walk = replace(walks.walk(slot), round=self.rounds)
+                walk = walks.walk(slot, self.rounds)
                 structure.join(walk, self.arrays.dock[structure.number])
             elif not wants[slot]:
                 structure.turn_away()
@@ -256,8 +255,7 @@ class GrowingStructure:
         settles = climb.settle > 0.0 and not params.plane
         settles = settles and bool(uniform(self.seed, "settle", index, 0) < climb.settle)
         for trial in range(_MAX_TRIES):
-            # Numbered by robot and trial: no draw depends on how many others were made.
-            draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
+            draw = self._draw(index, trial)
             x, y = params.start(side, rim, draw[:2]) if put is None else put
             center, orientation = self._pose(x, y, np.pi * draw[2])
             if self._is_free(center):
@@ -271,6 +269,14 @@ class GrowingStructure:
                 )
         self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
         return None
+
+    def _draw(self, robot: int, trial: int) -> Reals:
+        """Draw three numbers, which depend on no other draw; robots come one after the other."""
+        if trial == robot % _DRAWN == 0:
+            robots = robot + np.arange(_DRAWN)[:, None]
+            self.first_draws = uniform(self.seed, "spawn", robots, np.arange(3))
+        draw: Reals = self.first_draws[robot % _DRAWN]
+        return uniform(self.seed, "spawn", robot, 3 * trial + np.arange(3)) if trial else draw
 
     def _pose(self, x: float, y: float, half: float) -> tuple[Reals, Reals]:
         """Turn a robot by twice `half` [rad]: centered at x and y, or upright on one dock there."""
@@ -346,7 +352,7 @@ class GrowingStructure:
             docks[self.docks * j : self.docks * (j + 1)],
             contacts,
             standing,
-            self.terrain.foot(docks[standing]),
+            self.terrain.foot(docks[standing]) if len(standing) else docks[:0],
         )
         self.unsolved += 1
         self.loads.append(LoadSummary())

@@ -203,13 +203,11 @@ class Walks:
         self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots
     ) -> None:
         cells, *docks = structures
-        believed_cells, believed_dock = believed
         is_own = hasattr(self.rule, "score")
-        score = _score_of(self.rule) if is_own else climb_kernels.goal_distance
         climb_kernels.climb(
             self.limits, movers, self.state, self.flips, *cells, *docks,
-            *believed_cells, believed_dock, self.turn, *self.climbers, *self.stances,
-            score,
+            *believed.cells, believed.dock, self.turn, *self.climbers, *self.stances,
+            _score_of(self.rule) if is_own else climb_kernels.goal_distance,
         )  # fmt: skip
 
     def join(self, structures: StructureArrays, movers: _Slots, wants: NDArray[np.int32]) -> None:
@@ -243,8 +241,8 @@ class Walks:
         robots: AnyInts = items[items >= 0] // self.docks
         return robots
 
-    def walk(self, slot: int) -> Walk:
-        """Copy one walk out, with the way back to where the robot stays at its end."""
+    def walk(self, slot: int, number: int) -> Walk:
+        """Copy one walk of a round out, with the way back to where the robot stays at its end."""
         stances = self.stances
         last, best = int(stances.last[slot]), int(stances.best[slot])
         order = np.concatenate([np.arange(last + 1), np.arange(last - 1, best - 1, -1)])
@@ -257,19 +255,19 @@ class Walks:
         # Docks are found cell by cell: sorted, contacts do not depend on the cells.
         touching = np.sort(stances.touching[slot, order], axis=2)
         stance, own, place = np.nonzero(touching >= 0)
-        item = touching[stance, own, place]
-        contacts = np.column_stack([stance, own, item // self.docks, item % self.docks])
+        others = np.divmod(touching[stance, own, place], self.docks)
         on_ground = stances.on_ground[slot, order]
         return Walk(
             center=stances.center[slot, order],
             orientation_wxyz=stances.orientation[slot, order],
             pivot_dock=pivot,
-            contacts=contacts.astype(np.int32),
-            ground_docks=np.argwhere(on_ground == FLAT).astype(np.int32),
-            edge_docks=np.argwhere(on_ground == EDGE).astype(np.int32),
+            contacts=np.array([stance, own, *others], np.int32).T,
+            ground_docks=np.array((on_ground == FLAT).nonzero(), np.int32).T,
+            edge_docks=np.array((on_ground == EDGE).nonzero(), np.int32).T,
             planned_robot=planned // self.docks,  # and GROUND, -1, stays what it is
             failed_flips=self.flips[slot, : last + 1, 1].copy(),
             recruited=bool(self.state[slot] == climb_kernels.RECRUITED),
+            round=number,
         )
 
 
@@ -307,8 +305,10 @@ def relay(
     Returns:
         Shape (docks N,).
     """
-    one, other = np.concatenate([contacts, contacts[:, ::-1]]).T
     out = own = np.repeat(call, docks)
+    if not call.any():
+        return out
+    one, other = np.concatenate([contacts, contacts[:, ::-1]]).T
     while True:
         incoming = np.zeros_like(out)
         np.maximum.at(incoming, one, out[other])
