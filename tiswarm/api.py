@@ -470,6 +470,7 @@ def advise(
     Raises:
         InputError: the budget is not positive, a kind is unknown, or the log has too many robots.
     """
+    find("command", "advise").require_set(budget, kinds)
     return open_log(log).with_estimate(estimate, quiet=quiet).findings.advise(budget, kinds)
 
 

@@ -75,8 +75,8 @@ def test_check_names_a_turn_about_the_only_dock_of_the_anchor(log, tmp_path):
     write_sensing_log(two, path)
 
     assert inspect(path).summary.endswith(
-        "1 floppy mode of 3 unknowns, 1 floppy robot; in 1 of them, all robots tied to the anchor "
-        "move as one about its dock 2, the only one in contact"
+        "1 floppy mode (free motion) of 3 unknowns, which move 1 robot; in 1 of them, all robots "
+        "tied to the anchor move as one about its dock 2, the only one in contact"
     )
 
 

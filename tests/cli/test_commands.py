@@ -49,7 +49,18 @@ def test_version_is_printed(tiswarm):
     ("arguments", "printed"),
     [
         (("fly",), "No such command"),
-        (("run",), "Missing argument"),
+        (("run",), "Missing argument 'SCENARIO'; give it as in tiswarm run scenarios/tower.yaml"),
+        (("compare",), "'RUN RUN ...'; give it as in tiswarm compare reports/tower-1a2b3c4d "),
+        (("import", "p.csv"), "Missing option '--out'; give it as in tiswarm import poses.csv "),
+        (("import", "scenarios/tower.yaml", "--out", "z"), "give a scenario to tiswarm run"),
+        (("run", "notes.jsonl"), "give a log to tiswarm localize"),
+        (("localize", "scenarios/tower.yaml"), "give a scenario to tiswarm run"),
+        (("run", "tower", "--set", "arch=gpu"), "did you mean cuda?"),
+        (("advise", "log.jsonl", "--budget", "0"), "--budget: 0 should be at least 1"),
+        (
+            ("advise", "log.jsonl", "--budget", "1", "--kinds", "compass"),
+            "--kinds: 'compass' should",
+        ),
         (("run", "nowhere.yaml"), "nowhere.yaml"),
         (("run", "scenarios/tower.yaml", "--arch", "abacus"), "abacus"),
         (("run", "scenarios/tower.yaml", "--set", "robots=-3"), "--set robots=-3"),
@@ -105,6 +116,7 @@ def test_version_is_printed(tiswarm):
 def test_bad_commands_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, printed):
     """Status 2, one line that names the trouble, nothing written; in this process, to be quick."""
     (tmp_path / "scenarios").symlink_to(REPOSITORY / "scenarios")
+    (tmp_path / "notes.jsonl").write_text('{"robot": 0}\n{"robot": 1}\n')
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["tiswarm", *arguments])
 
@@ -115,7 +127,7 @@ def test_bad_commands_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, 
     line, empty = capsys.readouterr().err.split("\n")
     assert printed in line
     assert empty == ""
-    assert [path.name for path in tmp_path.iterdir()] == ["scenarios"]
+    assert {path.name for path in tmp_path.iterdir()} == {"scenarios", "notes.jsonl"}
 
 
 def test_a_mistake_in_a_scenario_is_reported_with_its_line(tiswarm, tmp_path):
@@ -156,7 +168,7 @@ def test_check_reads_logs_too(tiswarm, small_run, tmp_path):
     assert "12 robots" in printed
     assert "contacts: " in printed
     assert "contacts, ground, height, walk contacts: " in printed
-    assert "floppy modes of 33 unknowns" in printed
+    assert "floppy modes (free motions) of 33 unknowns" in printed
     done = tiswarm("check", damaged)
     assert done.returncode == 2
     assert f"{damaged}:6" in _only_line(done)

@@ -88,10 +88,10 @@ def test_an_estimate_is_not_called_consistent_where_nothing_could_show_that_it_i
     few = replace(GOOD, testable=False, spare=28)
 
     assert headline(log, replace(estimate, convergence=few)) == (
-        "converged; consistency not testable (28 spare measurements)"
+        "converged; consistency not testable (28 spare measurements: too few to disagree)"
     )
     assert headline(log, replace(estimate, convergence=replace(few, spare=1))).endswith(
-        "(1 spare measurement)"
+        "(1 spare measurement: too few to disagree)"
     )
     assert distrust(log, replace(estimate, convergence=few)) == ""
 

@@ -246,7 +246,8 @@ def test_what_structures_reached_is_counted_by_row():
     assert text == (
         "Means of 4 structures: tower, by truth: height 32 R; "
         "bridge gap 20 R, by truth: bridges closed 3 of 4; "
-        "bridge gap 20 R, by estimate: bridges closed 4 of 4 (online), 1 of 4 (first)"
+        "bridge gap 20 R, by estimate: bridges closed 4 of 4 (online), 1 of 4 (first); "
+        "RMSE online 1.0 R, first 1.0 R"
     )
 
 
@@ -258,7 +259,8 @@ def test_what_structures_reached_at_many_points_is_a_range_of_each_kind():
 
     text = answer("reached", Results(table, NONE, NONE))
 
-    assert text == "Means of 2 structures: depth of chains 4.0 to 9.0 R, bridges closed 50 %"
+    head = "Means of 2 structures: depth of chains 4.0 to 9.0 R, bridges closed 50 %"
+    assert text == f"{head}; RMSE 1.0 R"
 
 
 def test_rmse_at_a_budget_names_what_robots_send():
@@ -341,8 +343,8 @@ def test_the_question_of_a_run_is_that_of_its_scenario(tmp_path):
     )
     shown = headline(tmp_path).splitlines()[-1]
 
-    assert last == "Means of 2 structures: height 12 R (a), 13 R (b)."
-    assert shown == "Means of 2 structures: height 12 R (A), 13 R (b)."
+    assert last == "Means of 2 structures: height 12 R (a), 13 R (b); RMSE a 0.50 R, b 1.3 R."
+    assert shown == "Means of 2 structures: height 12 R (A), 13 R (b); RMSE A 0.50 R, b 1.3 R."
 
 
 def test_methods_under_one_condition_have_no_common_traffic():

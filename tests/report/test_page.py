@@ -79,6 +79,16 @@ def test_pictures_have_captions(name, case, caption):
     assert re.fullmatch(caption, caption_of(name, case))
 
 
+@pytest.mark.parametrize("name", ["accuracy", "shape", "grades", "building", "traffic"])
+def test_captions_of_few_structures_name_no_interval(name):
+    """Captions said "Bars are 95 % CI." of two structures, which have none."""
+    of_many, of_few = caption_of(name), caption_of(name, few=True)
+
+    assert " are 95 % CI. " in f"{of_many} "
+    assert "CI" not in of_few
+    assert len(of_few) > len(of_many) - len(" Bars and bands are 95 % CI.") - 1
+
+
 def test_every_picture_of_a_run_has_a_caption(run_folder):
     """A file name alone explains nothing; the structure comes first, as the overview."""
     view = read_case_view(load_run(run_folder).cases[0])
@@ -225,7 +235,7 @@ def test_cases_that_did_not_converge_are_named():
     (warning,) = warnings_of(lost.assign(distrust=["chains disagree", None, None]))
 
     assert warning.startswith(
-        "1 of 3 cases did not converge (seed 0 of a): chains disagree. All tables"
+        "1 of 3 cases did not converge (seed 0 of a): chains disagree. The search settled"
     )
     assert "148 sd" not in warning
     assert warnings_of(lost.assign(converged=[True, True, None])) == []
@@ -242,7 +252,7 @@ def test_reasons_that_differ_in_numbers_are_one():
 
     (warning,) = warnings_of(lost)
 
-    assert "is 9 to 722 less, and noise explains 153; 2 of 3 {are} outliers. All" in warning
+    assert "is 9 to 722 less, and noise explains 153; 2 of 3 {are} outliers. The" in warning
 
 
 def test_cases_that_are_not_consistent_are_named_with_the_reason():

@@ -106,7 +106,7 @@ class Findings:
         Raises:
             InputError: the budget is not positive, a kind is unknown, or there are too many robots.
         """
-        tabulate = find("command", "advise")
+        tabulate = find("command", "advise").tabulate
         return tabulate(self.log, self._cues or cue_names(), self.estimate, budget, kinds)
 
     @property
@@ -175,9 +175,10 @@ def _left_open(log: SensingLog, known: Observability) -> str:
         return (
             f"{cues}: too many robots or loops to count floppy modes of {known.unknowns} unknowns"
         )
-    text = f"{cues}: {counted(modes, 'floppy mode')} of {known.unknowns} unknowns"
-    if known.floppy is not None:
-        text += f", {counted(known.floppy.sum(), 'floppy robot')}"
+    meaning = f"free motion{'s' * (modes != 1)}"
+    text = f"{cues}: {counted(modes, 'floppy mode')} ({meaning}) of {known.unknowns} unknowns"
+    if known.floppy is not None and modes:
+        text += f", which move {counted(known.floppy.sum(), 'robot')}"
     common, docks = common_modes(log, known)
     if common:
         text += f"; in {common} of them, all robots tied to the anchor move as one{_about(docks)}"

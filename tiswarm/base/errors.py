@@ -110,5 +110,5 @@ def did_you_mean(name: object, names: Collection[str]) -> str:
     """Return the name that is nearest to a wrong one as the end of a message, or nothing."""
     import difflib  # noqa: PLC0415 - few need it
 
-    near = difflib.get_close_matches(str(name), names, n=1)
+    near = difflib.get_close_matches({"gpu": "cuda"}.get(str(name), str(name)), names, n=1)
     return f"; did you mean {near[0]}?" if near else ""

@@ -135,7 +135,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "log_format": {"mcap": "tiswarm.parts.formats.mcap:sensing_lines"},
     "command": {
-        "advise": "tiswarm.parts.advice.further:tabulate",
+        "advise": "tiswarm.parts.advice.further",
         "check units": "tiswarm.parts.units:doubts",
         "check contacts": "tiswarm.parts.units:impossible",
         "color": "tiswarm.parts.formats.columns",

@@ -89,9 +89,8 @@ class RobotGeometry:
             closest = float(pdist(SHAPES[shape]).min())
             if rho * closest < _SPACING - _MAX_OVERLAP:
                 least = math.ceil(1e4 * (_SPACING - _MAX_OVERLAP) / closest) / 1e4
-                raise ValueError(
-                    f"at {rho:g} the docks of a {shape} overlap; use {least:g} or more"
-                )
+                problem = f"at {rho:g} the docks of a {shape} overlap; use {least:g} or more"
+                raise ValueError(problem)
         return rho
 
     @field_validator("docks")

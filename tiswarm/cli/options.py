@@ -236,6 +236,8 @@ def _status(arguments: list[str]) -> int:
         return lack.exit_status
     except TyperException as error:
         text = _as_setting(error, arguments) or error.format_message()
+        if text.startswith("Missing ") and (context := error.ctx):  # type: ignore[attr-defined]
+            text = f"{text.rstrip('.')}; give it as in {context.command.epilog.partition(': ')[2]}"
         fail(" ".join(text.replace("Value error, ", "").split()))
         return InputError.exit_status
     except OSError as error:

@@ -422,14 +422,12 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks
         with naming_shortage():
             _start_program(cache, arch=wanted, log_level=ti.CRITICAL, **options)
     except RuntimeError as error:
-        raise EnvironmentTroubleError(
-            f"backend {arch} is not available on this machine; use --arch cpu"
-        ) from error
+        problem = f"device {arch} is not on this machine; use cpu, or one that tiswarm doctor lists"
+        raise EnvironmentTroubleError(problem) from error
     running = ti.lang.impl.current_cfg()
     if running.arch != wanted or running.default_fp != real:
-        raise EnvironmentTroubleError(
-            f"asked for {arch} in {precision}, got {running.arch}; use --arch cpu"
-        )
+        problem = f"asked for {arch} in {precision}, got {running.arch}; use cpu"
+        raise EnvironmentTroubleError(problem)
 
 
 def faulty_driver() -> EnvironmentTroubleError:

@@ -40,9 +40,8 @@ def find_folder(library: str) -> Path:
     try:
         temporary = Path(tempfile.mkdtemp(prefix="tiswarm-kernels-"))
     except OSError as error:
-        raise EnvironmentTroubleError(
-            "no folder can be written, not even a temporary one; set XDG_CACHE_HOME to one"
-        ) from error
+        problem = "no folder can be written, not even a temporary one; set XDG_CACHE_HOME to one"
+        raise EnvironmentTroubleError(problem) from error
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
     return temporary / library
 

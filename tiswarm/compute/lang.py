@@ -71,9 +71,8 @@ def load_library() -> tuple[str, Any]:
     """
     asked = os.environ.get("TISWARM_BACKEND")
     if asked is not None and asked not in LIBRARIES:
-        raise EnvironmentTroubleError(
-            f"TISWARM_BACKEND={asked}: unknown; set it to {' or '.join(LIBRARIES)}"
-        )
+        problem = f"TISWARM_BACKEND={asked}: unknown; set it to {' or '.join(LIBRARIES)}"
+        raise EnvironmentTroubleError(problem)
     if "HOME" not in os.environ:  # the library aborts the process at import without one
         os.environ["HOME"] = os.path.expanduser("~").replace("~", "/nonexistent")  # noqa: PTH111
     trouble, flags = "", sys.getdlopenflags()

@@ -82,9 +82,8 @@ class Swarm:
         orientation = _shaped("orientation_wxyz", orientation_wxyz, (robots, 4))
         norm = np.linalg.norm(orientation, axis=1)
         if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < _NORM_SLACK).all()):
-            raise InputError(
-                "positions must be finite and orientations unit quaternions (w, x, y, z)"
-            )
+            problem = "positions must be finite and orientations unit quaternions (w, x, y, z)"
+            raise InputError(problem)
         ids: Ints = np.zeros(robots, np.int64)
         if structure is not None:
             named = _shaped("structure", structure, (robots,))
@@ -107,9 +106,8 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals
     try:
         array = np.array(values, np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{name} is no table of numbers; give an array of shape {expected}"
-        ) from error
+        problem = f"{name} is no table of numbers; give an array of shape {expected}"
+        raise InputError(problem) from error
     if array.size == 0:
         array = array.reshape(0, *(int(length) for length in shape[1:]))
     wanted = tuple(len(array) if isinstance(n, str) else n for n in shape) if array.ndim else None

@@ -55,7 +55,8 @@ def headline(log: SensingLog, estimate: Estimate) -> str:
 def _untestable(found: Convergence) -> Iterator[str]:
     """State that too few measurements are spare to find that the log is not consistent."""
     if not found.testable:
-        yield f"consistency not testable ({counted(found.spare or 0, 'spare measurement')})"
+        spare = counted(found.spare or 0, "spare measurement")
+        yield f"consistency not testable ({spare}: too few to disagree)"
 
 
 def verdict(estimate: Estimate) -> str:

@@ -566,7 +566,8 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
     for axes, (column, (kind, label)) in panels.each(shown.items()):
         _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
         axes.set_xlabel(label)
-        axes.set_xlim(left=-0.03 * axes.get_xlim()[1])  # markers at 0 are whole
+        top = axes.get_xlim()[1]
+        axes.set_xlim(-0.03 * top, 1.03 * top)  # markers at the ends are whole
     figure_style.label_rows(panels.first, names)
     panels.first.invert_yaxis()
     structures = int(rows.groupby(["by", "structure"]).size().max())

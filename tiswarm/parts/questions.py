@@ -11,7 +11,7 @@ import pandas as pd
 
 from tiswarm.records.measures import BUILT_FOR, CROSSED, FEWEST, RMSE, SENT, Measure
 from tiswarm.records.messages import counted
-from tiswarm.report import answers
+from tiswarm.report import answers, run_data
 from tiswarm.report.answers import METHOD, Results, Row
 
 BUDGET_B = 1_000
@@ -28,11 +28,22 @@ def reached(results: Results) -> str:
     texts = [_reached_at(of_point, _point_words(of_point[0])) for of_point in points.values()]
     if not any(texts):
         return ""
-    head = f"Means of {answers.structures_of(rows)}: "
-    full = head + "; ".join(filter(None, texts))
+    head, errors = f"Means of {answers.structures_of(rows)}: ", _errors(rows)
+    full = head + "; ".join(filter(None, texts)) + errors
     if len(full) <= answers.MOST_LETTERS:
         return full
-    return head + "; ".join(f"{part}{_by_kind(of_part)}" for part, of_part in _parts(rows).items())
+    parts = (f"{part}{_by_kind(of_part)}" for part, of_part in _parts(rows).items())
+    return head + "; ".join(parts) + errors
+
+
+def _errors(rows: Sequence[Row]) -> str:
+    """State the mean RMSE of each condition, or of all where they are many."""
+    names = [*dict.fromkeys(row["condition"] for row in rows)]
+    names = names if 1 < len(names) <= _MOST_PARTS else [""]
+    of_names = ([row for row in rows if row["condition"] == name or not name] for name in names)
+    spans = (answers.range_of(answers.errors_of(of_name)) for of_name in of_names)
+    texts = (f"{name} {span}".strip() for name, span in zip(names, spans, strict=True))
+    return f"; RMSE {', '.join(texts)}"
 
 
 def _parts(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -106,7 +117,7 @@ def _swept(row: Row) -> list[str]:
 
 def traffic(results: Results) -> str:
     """State the errors of methods whose robots send little, and the least ones of all others."""
-    if METHOD in answers.swept(results.table):
+    if METHOD in run_data.swept_columns(results.table):
         return ""  # one condition has methods of all kinds
     rows = _by_condition(results.table)
     sent = {

@@ -274,7 +274,7 @@ def parse_header(line: Line | HeaderLine) -> HeaderLine:
     text = _text(line)
     if text.strip() and text.lstrip()[0] not in "{[":
         problem = "the first line is no JSON object; start a log with its header, or make a log of "
-        raise InputError(f"{problem}a table by tiswarm import")
+        raise InputError(f"{problem}a table by tiswarm import; give a scenario to tiswarm run")
     entries = parse_json(text)
     if entries.get("format") != FORMAT:
         problem = f'the first line is not a header; start it with {{"format": "{FORMAT}", ...'

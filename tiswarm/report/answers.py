@@ -31,6 +31,7 @@ from tiswarm.records.measures import (
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import run_data
+from tiswarm.report.run_data import swept_columns
 
 METHOD = "localization.method"
 """Key of a sweep whose values are compared under each condition."""
@@ -88,7 +89,7 @@ def conclusion(table: pd.DataFrame, pairs: pd.DataFrame) -> str:
     are_apart = len(found) > _MOST_GROUPS and all(len(group.members) == 1 for group in found)
     texts = [_apart(found)] if are_apart else [*_by_measurements(found, points)]
     first, *more = texts
-    by_condition = swept(table) == ["condition", METHOD]
+    by_condition = swept_columns(table) == ["condition", METHOD]
     head = mean_of(rows, points, by_condition=by_condition)
     return ". ".join([f"{head}: {first}", *(text[:1].upper() + text[1:] for text in more)])
 
@@ -102,7 +103,7 @@ def _brief(table: pd.DataFrame, *, is_small: bool) -> str:
     for row in every:
         rows.setdefault(str(row[key]), []).append(row)
     ordered = sorted(rows, key=lambda name: least_error(rows[name]))
-    head = mean_of(every, len(points), by_condition=swept(table) == ["condition", METHOD])
+    head = mean_of(every, len(points), by_condition=swept_columns(table) == ["condition", METHOD])
     differ = len({_measurements(row) for row in every}) > 1
     note = "; measurements differ" if differ else ""
 
@@ -147,18 +148,13 @@ def groups(table: pd.DataFrame, pairs: pd.DataFrame) -> list[Group]:
 
 def at_points(table: pd.DataFrame, key: str = "condition") -> dict[str, list[Row]]:
     """List the rows with an RMSE by the point of the sweep, in words, without the compared key."""
-    names = [name for name in swept(table) if name != key]
+    names = [name for name in swept_columns(table) if name != key]
     points: dict[str, list[Row]] = {}
     if RMSE.mean not in table:
         return points
     for row in table[(table["cases"] > 0) & table[RMSE.mean].notna()].to_dict("records"):
         points.setdefault(_text(row, names), []).append(row)
     return points
-
-
-def swept(table: pd.DataFrame) -> list[str]:
-    """List the columns that identify a row."""
-    return [*table.columns[: table.columns.get_loc("cases")]]
 
 
 def least_error(rows: Iterable[Row]) -> float:
@@ -336,7 +332,7 @@ def _measurements(row: Row) -> str:
 
 
 def _compared(table: pd.DataFrame) -> str:
-    return METHOD if METHOD in swept(table) else "condition"
+    return METHOD if METHOD in swept_columns(table) else "condition"
 
 
 def _text(row: Row, names: Any) -> str:  # noqa: ANN401 - any collection of column names
@@ -366,14 +362,20 @@ def answer(question: str, results: Results) -> str:
 def mean_errors(results: Results) -> str:
     """State mean RMSE by groups of conditions with equal measurements, or in brief."""
     table, text = results.table, conclusion(results.table, results.pairs)
-    is_small = len(table) <= _FEW and swept(table) == ["condition"]
+    is_small = len(table) <= _FEW and swept_columns(table) == ["condition"]
     most = _TWO_LINES if is_small else MOST_LETTERS
     return text if len(text) <= most else _brief(table, is_small=is_small)
 
 
 _NEEDED = [RMSE.mean, RMSE.ci95, RMSE.least, RMSE.most, DISPARITY.mean]
 
-_UNITS = "(R: radius of a dock; disparity: squared error over squared extent of the shape)"
+_MEANINGS = {
+    "RMSE": "(R: radius of a dock; disparity: squared error over squared extent of the shape)",
+    "not converged": "(not converged: the search settled on no one best fit; errors may be large)",
+    "not consistent": "(not consistent: measurements disagree by more than their stated noise)",
+    "disconnected": "(disconnected: no measurement ties the robot to the anchor)",
+}
+"""What a word of an answer means, by the word."""
 
 
 def headline(folder: Path) -> str:
@@ -387,9 +389,9 @@ def headline(folder: Path) -> str:
     labels = run_data.read_labels(folder)
     table = labels.put(table, before="cases")
     last = result_of(folder, table, labels) if len(table) > 1 else ""
-    units = [_UNITS] if table["cases"].any() else []
-    rows = map(_in_words, table.to_dict("records"))
-    return "\n".join([*units, *rows, *([last] if last else [])])
+    rows = [*map(_in_words, table.to_dict("records"))]
+    meanings = [text for word, text in _MEANINGS.items() if any(word in row for row in rows)]
+    return "\n".join([*meanings, *rows, *([last] if last else [])])
 
 
 def read_pairs(folder: Path, labels: run_data.Labels) -> pd.DataFrame:

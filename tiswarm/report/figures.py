@@ -1,6 +1,7 @@
 """Draws the figures of a run; their kinds have modules of their own, with captions of pictures."""
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -142,10 +143,11 @@ def _modules() -> Iterator[Any]:
             yield find("figure", name)
 
 
-def caption_of(name: str, case: str = "") -> str:
+def caption_of(name: str, case: str = "", *, few: bool = False) -> str:
     """Describe a picture by the longest known part of its name.
 
-    The rest of the name is a sweep point or a case; without a rest, the picture shows `case`.
+    The rest of the name is a sweep point or a case; without a rest, the picture shows `case`. Few
+    structures have no intervals, so that the caption names none.
     """
     captions: dict[str, str] = {}
     for module in _modules():
@@ -153,4 +155,5 @@ def caption_of(name: str, case: str = "") -> str:
     known = max((key for key in captions if f"{name}-".startswith(f"{key}-")), key=len, default="")
     rest = name.removeprefix(known).strip("-")
     shown = f"Case {case}." if case and not rest else f"Shown: {rest}." if known and rest else rest
-    return " ".join(filter(None, [captions.get(known, ""), shown]))
+    text = re.sub(r" B[a-z ]+ are 95 % CI\." if few else "$^", "", captions.get(known, ""))
+    return " ".join(filter(None, [text, shown]))

@@ -21,7 +21,7 @@ from PIL import Image
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records.io import run_file, write_bytes
-from tiswarm.records.measures import RMSE
+from tiswarm.records.measures import FEWEST, RMSE
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report import page_tables
@@ -89,10 +89,12 @@ class Shown(NamedTuple):
         return len(self.source) + len(self.drawing) + len(self.narrow)
 
 
-def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[Shown]:
+def show_pictures(
+    folder: Path, room: int = LARGEST, *, case: str = "", few: bool = False
+) -> list[Shown]:
     """Embed the pictures of a folder that fit into the room [bytes]; link the others.
 
-    `case` is what pictures show whose names do not say it.
+    `case` is what pictures show whose names do not say it. Figures of few structures have no bars.
     """
     pictures = []
     paths = sorted([path for path in folder.glob("*") if path.suffix in _SUFFIXES], key=_place)
@@ -100,15 +102,11 @@ def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         shown = list(pool.map(_shown, paths))
     for path, picture in zip(paths, shown, strict=True):
-        file, caption = f"{folder.name}/{path.name}", caption_of(path.stem, case)
+        file, caption = f"{folder.name}/{path.name}", caption_of(path.stem, case, few=few)
         room -= picture.size
-        if room <= 0:
-            caption = f"{caption} Separate file {file}: page size limit."
-            pictures.append(
-                picture._replace(source=file, drawing="", narrow="", file=file, caption=caption)
-            )
-        else:
-            pictures.append(picture._replace(file=file, caption=caption))
+        caption += f" Separate file {file}: page size limit." * (room <= 0)
+        linked = picture._replace(source=file, drawing="", narrow="")
+        pictures.append((picture if room > 0 else linked)._replace(file=file, caption=caption))
     return pictures
 
 
@@ -298,7 +296,8 @@ def write_page(run: RunData, progress: Progress) -> Path:
     """Write `report.html` into the folder of a run."""
     page = _gather(run)
     room = LARGEST - len(page.html().encode())
-    page = replace(page, figures=show_pictures(run.folder / "figures", room))
+    few = max(map(len, run.series.values()), default=0) < FEWEST
+    page = replace(page, figures=show_pictures(run.folder / "figures", room, few=few))
     room -= sum(picture.size for picture in page.figures)
     chosen = run.choose(None) if run.series else None
     case = f"{chosen.series}, seed {chosen.name.partition('-')[0]}" if chosen else ""

@@ -403,10 +403,8 @@ def warnings_of(summary: pd.DataFrame) -> list[str]:
     found += _untrusted(done)
     if DISCONNECTED.column in done and (lost := done[DISCONNECTED.column].fillna(0)).any():
         robots, cases = counted(int(lost.sum()), "robot"), counted(int((lost > 0).sum()), "case")
-        found.append(
-            f"No measurement that was used ties {robots} in {cases} to the anchor; their positions "
-            "are guesses."
-        )
+        text = f"No measurement that was used ties {robots} in {cases} to the anchor"
+        found.append(f"{text}; their positions are guesses.")
     return found
 
 
@@ -460,8 +458,8 @@ def _untrusted(done: pd.DataFrame) -> Iterator[str]:
     found = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
     lost = found[CONVERGED.column].eq(False)  # noqa: FBT003 - other methods leave it empty
     if lost.any():
-        text = f"{_share(found, lost, 'did not converge')}. All tables include their errors."
-        yield f"{text} Try more steps or chains."
+        text = f"{_share(found, lost, 'did not converge')}. The search settled on no one best fit."
+        yield f"{text} All tables include their errors. Try more steps or chains."
     at_odds = found[CONSISTENT.column].eq(False) & ~lost  # noqa: FBT003
     if at_odds.any():
         misfit, factor = (

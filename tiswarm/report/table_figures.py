@@ -33,11 +33,11 @@ _OF_SHAPES = (RMSE, FLOPPY_MODES, CONTACTS, HEIGHT)
 
 CAPTIONS = {
     "accuracy": "Errors of each condition, and point of the sweep: mean RMSE and mean Procrustes "
-    "disparity over the structures. Bars are 95 % CI; of few structures, each has a small dot. "
+    "disparity over the structures. Bars are 95 % CI. "
     "Hollow markers, where there are any, are published numbers. Farther left is better.",
     "shape": "Accuracy and structure by the robots: mean RMSE, floppy modes (motions that change "
     "no measurement in use), contacts with earlier robots, and height of the structure. Bars are "
-    "95 % CI; gray stands for all conditions.",
+    "95 % CI. Gray stands for all conditions.",
 }
 """What the figures show, by file name."""
 

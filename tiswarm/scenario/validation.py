@@ -145,9 +145,8 @@ def parse_setting(text: str, *section: str) -> Setting:
     """Parse `KEY=VALUE`, the key being one of a section if that is given, or raise InputError."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
-        raise InputError(
-            "is not KEY=VALUE; write it like robots=20", argument="overrides", key=text
-        )
+        problem = "is not KEY=VALUE; write it like robots=20"
+        raise InputError(problem, argument="overrides", key=text)
     try:
         path = (*section, *_setting_path(key.strip()))
         return Setting(text, path, parse_yaml(value).data)

@@ -155,7 +155,9 @@ def _syntax(error: yaml.MarkedYAMLError) -> str:
         return "a second document starts here; keep one in a file"
     if "\\t" in found:
         return "a tab cannot stand here; indent with spaces"
-    return f"not YAML: {found}; check indentation, colons and quotes"
+    is_log = "'<document start>', but found '{'" in found  # the second of lines of JSON
+    remedy = "give a log to tiswarm localize" if is_log else "check indentation, colons and quotes"
+    return f"not YAML: {found}; {remedy}"
 
 
 def _value(node: yaml.Node, at: tuple[Part, ...], places: dict[tuple[Part, ...], Place]) -> object:

@@ -183,9 +183,8 @@ class SensingParams:
         if not self.senses("compass") and (self.drift or self.stuck):
             raise ValueError("drift and stuck are failures of compasses; set both to 0")
         if self.fix_bias and self.beacon_kind == "plan":
-            raise ValueError(
-                "fix_bias is an error of planes; set beacon_kind to sweep or remove it"
-            )
+            problem = "fix_bias is an error of planes; set beacon_kind to sweep or remove it"
+            raise ValueError(problem)
         if self.range_bias and self.range_reach is None:
             raise ValueError("range_bias is an error of ranges; set range_reach or remove it")
         is_named = not self.direction_noise_deg is self.connection_noise_deg is None

@@ -55,9 +55,8 @@ class Execution:
         if not 1 <= number <= count:
             raise InputError(f"invalid shard {number}/{count}: use I/N with 1 <= I <= N")
         if self.workers is not None and self.scheduler is not None:
-            raise InputError(
-                "a scheduler has workers of its own; leave one out", argument="workers"
-            )
+            problem = "a scheduler has workers of its own; leave one out"
+            raise InputError(problem, argument="workers")
         limit = self.case_limit_s
         if limit is not None and not 0.0 < limit < math.inf:
             problem = f"{limit:g} should be a number of seconds above 0; leave it out for no limit"

@@ -195,9 +195,8 @@ class Walks:
         else:
             self._climb_by_score(structures, believed, movers)
         if (self.state[movers] == climb_kernels.SCRATCH_FULL).any():
-            raise TiswarmError(
-                "more docks than fit stand within one flip of a robot: the structure overlaps"
-            )
+            problem = "more docks than fit stand within one flip of a robot: the structure overlaps"
+            raise TiswarmError(problem)
 
     def _climb_by_score(
         self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots

@@ -175,13 +175,11 @@ class Localizer:
                 f"{chosen.method} needs the log of all robots; localize it once they have joined"
             )
         if chosen.schedule == "together":
-            raise InputError(
-                "schedule together moves all robots at once; set it to join-order to join"
-            )
+            problem = "schedule together moves all robots at once; set it to join-order to join"
+            raise InputError(problem)
         if chosen.back_propagation is not None:
-            raise InputError(
-                "back_propagation moves robots that have been placed; switch it off to join"
-            )
+            problem = "back_propagation moves robots that have been placed; switch it off to join"
+            raise InputError(problem)
         head = sensing_format.parse_header(header)
         self._params = chosen
         self._unit = head.dock_radius
@@ -225,9 +223,8 @@ class Localizer:
             InputError: the line is malformed, or there is no more room.
         """
         if self._count == len(self._height):
-            raise InputError(
-                f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
-            )
+            problem = f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
+            raise InputError(problem)
         line = sensing_format.parse_robot(robot)
         if line.orientation_wxyz is None:
             problem = "null follows from the lines of later robots, too; localize the whole log"

@@ -471,6 +471,7 @@ def tabulate(
     Raises:
         InputError: the budget is not positive, a kind is unknown, or there are too many robots.
     """
+    require_set(budget, kinds)
     together = None if budget is None else _together(log, cues, estimate, budget, kinds)
     found = advise(log, cues, *_images(log, cues, estimate))
     table = AdviceTable(_advice_rows(log, found or [], "with it"))
@@ -478,14 +479,18 @@ def tabulate(
     return table
 
 
-def _together(
-    log: SensingLog, cues: Collection[str], estimate: Estimate, budget: int, kinds: Sequence[Kind]
-) -> AdviceTable:
-    if budget < 1:
+def require_set(budget: int | None, kinds: Sequence[str]) -> None:
+    """Raise InputError if a set is to have no measurement, or an unknown kind of these."""
+    if budget is not None and budget < 1:
         raise InputError(f"{budget} should be at least 1; correct it", argument="budget")
     known = get_args(Kind)
     if unknown := [kind for kind in kinds if kind not in known]:
         raise InputError(f"{unknown[0]!r} should be one of {', '.join(known)}", argument="kinds")
+
+
+def _together(
+    log: SensingLog, cues: Collection[str], estimate: Estimate, budget: int, kinds: Sequence[Kind]
+) -> AdviceTable:
     at, images = _images(log, cues, estimate)
     found = advise_together(log, cues, at, images, budget=budget, kinds=kinds)
     if found is None:

@@ -288,6 +288,8 @@ def refuse_other_files(path: Path) -> None:
     if path.is_file():
         with path.open("rb") as file:
             start = file.read(64).lstrip()
+        if path.suffix in {".yaml", ".yml"}:
+            raise InputError("this is YAML, no table; give a scenario to tiswarm run", path=path)
         for first, problem in _OTHER_FILES.items():
             if start.startswith(first):
                 raise InputError(f"this is {problem}", path=path)
