@@ -9,8 +9,9 @@ thread. `joint` has the whole log, and the logs of the first robots, of each num
 these, errors of the robot that joined last are compared. Times are those of the processor.
 Structures that are in the table already are not measured again.
 
-With `--messages`, robots localize themselves by `distributed` instead. The table has their errors,
-those of the nearest minimum of all rows, and the shares of what they send by kind of message.
+With `--messages`, robots localize themselves by `distributed` instead. The table has their errors
+and bytes after 0 to `--reviews` reviews, the errors of `joint` and of the nearest minimum of all
+rows, and the shares of what they send by kind of message.
 """
 
 import argparse
@@ -28,6 +29,7 @@ import pandas as pd
 from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
+from tiswarm.evaluation.metrics import mean_std_ci95
 from tiswarm.evaluation.tables import MOST_WITHIN
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost import ROBUST_SD
@@ -66,14 +68,18 @@ def main() -> None:
             if (sizes[is_there] == options.robots).any():
                 continue
             history = _grown(kind, options.robots, seed)
-            found = by_messages(history) if options.messages else measure(history, options.at)
-            row = {"kind": kind, "seed": seed, **found}
-            table = pd.concat([table, pd.DataFrame([row])], ignore_index=True)
+            if options.messages:
+                params = DistributedParams(hops=options.hops)
+                found = by_messages(history, params, options.reviews)
+            else:
+                found = measure(history, options.at)
+            row = pd.DataFrame([{"kind": kind, "seed": seed, **found}])
+            table = pd.concat([table, row], ignore_index=True) if len(table) else row
             table.to_csv(file, index=False, float_format="%.5g")
     # As it is stored, so that a second call prints the same.
     stored = pd.read_csv(file)
-    means = stored.groupby(["kind", "robots"]).mean().T if options.messages else summary(stored)
-    print(means.to_string(float_format="{:.3g}".format))
+    printed = summary_of_messages(stored) if options.messages else summary(stored)
+    print(printed.to_string(float_format="{:.3g}".format))
 
 
 def _options() -> argparse.Namespace:
@@ -87,6 +93,11 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--at", type=int, nargs="+", default=[20, 40, 60, 80, 100], metavar="N",
                         help="numbers of robots at which joint has the same log")  # fmt: skip
     parser.add_argument("--messages", action="store_true", help="robots localize themselves")
+    defaults = DistributedParams()
+    parser.add_argument("--reviews", type=int, default=defaults.reviews, metavar="N",
+                        help="times that they solve again")  # fmt: skip
+    parser.add_argument("--hops", type=int, default=defaults.hops, metavar="N",
+                        help="steps within which they ask others; give another --out")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("reports/joining"))
     return parser.parse_args()
 
@@ -127,49 +138,68 @@ def measure(history: History, at: list[int]) -> dict[str, float]:
 
 
 class _Counting(Channel):
-    """A channel that counts bytes by kind of message."""
+    """A channel that counts bytes by kind of message, and those that robots pass on."""
 
     counted: Counter[str]
+    passed: Counter[int]
 
     def _heard(
         self, hops: Sequence[Any], reached: Sequence[Sequence[int]], sizes: Sequence[int]
     ) -> list[list[int]]:
         for hop, size in zip(hops, sizes, strict=False):  # acknowledgments have none
             self.counted[hop.message.kind] += size
+            self.passed[hop.sender] += size * (hop.sender != hop.message.sender)
         if not sizes:
             self.counted["acknowledgment"] += ACKNOWLEDGMENT * sum(map(len, reached))
         return super()._heard(hops, reached, sizes)
 
 
-def by_messages(history: History) -> dict[str, float]:
+def by_messages(history: History, params: DistributedParams, reviews: int) -> dict[str, float]:
     """Let the robots of a structure localize themselves; errors in R, and shares of what is sent.
 
-    From where they take themselves to be, all rows at once go to the nearest minimum.
+    From where they take themselves to be by default, all rows at once go to the nearest minimum.
+
+    Args:
+        history: The structure.
+        params: Settings of the robots.
+        reviews: Times that robots solve again at the end; errors and bytes are those after each.
     """
-    log, params = centered(observe(history, NOISY)), DistributedParams()
+    log = centered(observe(history, NOISY))
     header, lines = lines_of(log)
     swarm = PeerSwarm(header, params)
     swarm.channel = channel = _Counting(params, swarm._hear)  # noqa: SLF001 - counts for it
-    channel.counted = Counter()
+    channel.counted, channel.passed = Counter(), Counter()
     for line in lines:
         swarm.join(line)
-    for _ in range(params.reviews):
-        swarm.review()
-    position = swarm.found().position
     true = (history.position - history.position[0]) / log.dock_radius
+    found = {"robots": len(lines), "joint_R": _error(_by_joint(log, len(lines)), true)}
+    for times in range(max(reviews, params.reviews) + 1):
+        if times:
+            swarm.review()
+        position = swarm.found().position
+        found[f"reviewed_{times}_R"] = _error(position, true)
+        found[f"sent_{times}_B"] = float(np.mean(channel.sent))
+        found[f"worst_sent_{times}_B"] = max(channel.sent)
+        if times == params.reviews:
+            found["nearest_R"] = _error(_nearest(log, params, position), true)
+            found["worst_robot"] = worst = int(np.argmax(channel.sent))
+            found["worst_passes_on"] = channel.passed[worst] / channel.sent[worst]
+            total = sum(channel.counted.values())
+            assert total == sum(channel.sent)  # noqa: S101 - nothing is left out
+            for kind, size in sorted(channel.counted.items()):
+                found[f"{kind}_share"] = size / total
+    return found
+
+
+def _nearest(log: SensingLog, params: DistributedParams, position: Reals) -> Reals:
+    """Move robots to the nearest minimum of all rows, from some places [R], shape (N, 3)."""
     posed = Posed(log, params, pose_problem(log, params))
     cost = posed.cost(posed.problem.rows, links=posed.problem.connections, robust_sd=ROBUST_SD)
-    nearest = cost.refine(cost.at(position, np.zeros(len(position))))[0].position
-    total = sum(channel.counted.values())
-    assert total == sum(channel.sent)  # noqa: S101 - nothing is left out
-    return {
-        "robots": len(lines),
-        "messages_R": _rms(np.linalg.norm(position - true, axis=1)),
-        "nearest_R": _rms(np.linalg.norm(nearest - true, axis=1)),
-        "sent_B": float(np.mean(channel.sent)),
-        "worst_sent_B": max(channel.sent),
-        **{f"{kind}_share": size / total for kind, size in sorted(channel.counted.items())},
-    }
+    return cost.refine(cost.at(position, np.zeros(len(position))))[0].position
+
+
+def _error(position: Reals, true: Reals) -> float:
+    return _rms(np.linalg.norm(position - true, axis=1))
 
 
 def _tracked(log: SensingLog) -> tuple[Tracker, Reals, Reals, Reals, np.ndarray]:
@@ -214,6 +244,18 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
         mean["last_of_joint"] = mean["last_R"] / mean["last_joint_R"]
         mean["worst_ms"] = group["worst_ms"].max()
         columns[name] = mean
+    return pd.DataFrame(columns)
+
+
+def summary_of_messages(table: pd.DataFrame) -> pd.DataFrame:
+    """Average structures by kind and size, with half the width of 95 % confidence intervals."""
+    columns = {}
+    for (kind, robots), group in table.groupby(["kind", "robots"]):
+        # Not every structure has every kind of message.
+        numbers = group.drop(columns=["kind", "seed", "robots"]).fillna(0.0)
+        means = {name: mean_std_ci95(values.to_numpy(float)) for name, values in numbers.items()}
+        for part in ("mean", "ci95"):
+            columns[kind, robots, part] = {name: found[part] for name, found in means.items()}
     return pd.DataFrame(columns)
 
 

@@ -459,9 +459,15 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
 
 
 LOSSES = {
-    "0 %, towers": "touch", **{f"{k} %, towers": f"touch-loss-{k}" for k in (10, 20, 30)}
-}  # fmt: skip
-"""Conditions by the first cells of rows in docs/guides/distributed.md."""
+    f"{lost}, {structure}s": (condition, structure)
+    for structure in ("tower", "cantilever")
+    for lost, condition in {
+        "0 %": "touch",
+        **{f"{k} %": f"touch-loss-{k}" for k in (10, 20, 30)},
+        "30 % in bursts": "touch-bursts",
+    }.items()
+}
+"""Conditions and structures by the first cells of rows in docs/guides/distributed.md."""
 
 
 @pytest.mark.parametrize("start", LOSSES)
@@ -470,7 +476,7 @@ def test_the_page_of_messages_has_the_file_s_losses(start):
     cells = _cells(_page("docs", "guides", "distributed.md"), start)[1:]
     names = ["rmse_R", "rmse_per_contact_R", "sent_B", "worst_sent_B", "rounds"]
     for name, cell in zip(names, cells, strict=False):  # then come robots that doubt
-        found = _stored(LOSSES[start], "tower", name, scenario="between").loc[OF_LOSSES]
+        found = _stored(*LOSSES[start], name, scenario="between").loc[OF_LOSSES]
         if name == "rounds":
             assert abs(float(cell.replace(",", "")) - found["value"]) <= 5.0
             continue
