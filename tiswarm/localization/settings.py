@@ -78,7 +78,7 @@ _TOGETHER_S = 5e-7
 """Processor time of a step of a robot under the schedule `together` [s]."""
 
 _CHAIN_STEP_S = 4e-7
-"""Processor time of a step of a robot in one chain [s]."""
+"""Processor time of a step of a robot in one chain [s]; of 40,000 robots each takes twice that."""
 
 _ONE_BY_ONE = (
     "back_propagation",
@@ -391,7 +391,7 @@ class JointParams(ChiSquareParams):
 
     def seconds(self, robots: int) -> float:
         """Estimate the processor time of one structure [s]."""
-        steps = self.steps_for(robots) + self.hold_steps
+        steps = (self.steps_for(robots) + self.hold_steps) * (1.0 + robots / 40_000)
         return _CHAIN_STEP_S * robots * self.chains_for(robots) * steps
 
     def chains_for(self, robots: int) -> int:
