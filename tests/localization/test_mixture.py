@@ -492,6 +492,28 @@ def test_chains_of_many_robots_that_differ_make_no_outlier():
     np.testing.assert_array_equal(met.weight, ends.weight)
 
 
+@pytest.mark.parametrize("chains", [1, 2, 3])
+def test_robots_that_few_chains_tear_stay_where_these_put_them(chains):
+    """A chain alone tears measurements that are right; three that agree find wrong ones."""
+    log, place = fixed(5)
+    log = replace(
+        log,
+        fixes=log.fixes[log.fixes[:, 0] < 4],
+        ranges=np.array([[4.0, 1.0, 3.0, 0.01, -1.0], [4.0, 1.0, 9.0, 0.01, -1.0]]),
+    )
+    position = np.array([place] * chains)
+    position[:, 4] = position[:, 1] + [60.0, 0.0, 0.0]  # between both lengths
+
+    mixture = mixed(
+        Fit(log, AS_ENDED, pose_problem(log, AS_ENDED), chains_at(position), SOUND[:chains])
+    )
+
+    assert mixture.disconnected.tolist() == [False] * 4 + [True]
+    stays = np.allclose(mixture.position[4] / log.dock_radius, position[0, 4])
+    assert stays == (chains < 3)
+    assert mixture.sd[4] > 2.0 * log.dock_radius  # as a guess in any case
+
+
 @settings(max_examples=10)
 @given(seed=st.integers(0, 99), angle=st.floats(-3.0, 3.0), hand=st.booleans())
 def test_chains_that_differ_by_a_free_motion_are_one_solution(seed, angle, hand):

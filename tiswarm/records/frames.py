@@ -126,7 +126,8 @@ def _check_numbers(
     """
     for column in columns:
         if table[column].dtype == object:  # as pandas reads True beside an empty cell
-            table[column] = table[column].map(_truth_as_number).infer_objects()
+            cells = table[column].map(lambda cell: float(cell) if isinstance(cell, bool) else cell)
+            table[column] = cells.infer_objects()
     if not (_are_usual(table[[*columns]]) and _are_usual(table[[*known]], gaps=False)):
         for column in columns:  # where it is takes a hundred times as long
             _check_column(table[column], path, gaps=column not in known)
@@ -143,11 +144,6 @@ def _check_column(cells: pd.Series, path: Path, *, gaps: bool) -> None:
         text = "an empty cell" if pd.isna(cell) else repr(str(cell)[:40])
         problem = f"{text} is not a number up to {_GREATEST:g}; {way_back(path)}"
         raise InputError(problem, path=path, line=int(wrong.index[0]) + 2, key=str(cells.name))
-
-
-def _truth_as_number(cell: object) -> object:
-    """Replace True by 1 and False by 0."""
-    return float(cell) if isinstance(cell, bool) else cell
 
 
 def _as_number(cell: object) -> float:

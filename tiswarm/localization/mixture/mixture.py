@@ -118,6 +118,9 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
     whole = [position, *(each.configuration for each in minima)]
     tied = problem.without(outlier)
     placed, loose = place_disconnected(np.array(whole), tied)
+    if len(ends.weight) < CONVERGENCE.jury:  # few chains tear contacts that are right
+        torn = tied.untied & ~problem.untied
+        placed[:, torn] = np.array(whole)[:, torn]
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
     verdict = judge(_evidence(ends, outlier, tied.untied, minima[0]))
     sd = np.sqrt(widened(sd, verdict.sd_factor, placed[0]) ** 2 + loose[0])
