@@ -73,6 +73,49 @@ def test_a_signal_ends_a_study_in_one_line(tmp_path, number, options):
     assert not [*tmp_path.rglob(".*.part"), *tmp_path.rglob(".*.tmp")]
 
 
+MANY = ("robots=10", "seeds=4000", "conditions={a: {}, b: {}}")
+"""Settings of a study whose forecast is minutes, and whose cases take a fraction of a second."""
+
+
+@pytest.mark.trial
+@pytest.mark.parametrize("presses", [1, 2])
+def test_ctrl_c_keeps_cases_and_the_same_command_goes_on(tmp_path, presses):
+    """A terminal interrupts the processes of a group, workers too; impatient users press twice."""
+    settings = [part for text in MANY for part in ("--set", text)]
+    command = [sys.executable, "-m", "tiswarm", "run", "tests/tower.yaml", *settings]
+    command += ["--out", str(tmp_path), "--workers", "2", "--threads", "2", "--no-pictures"]
+    kept: dict[Path, int] = {}
+    for _ in range(2):
+        with interruptible():
+            process = subprocess.Popen(
+                command, cwd=REPOSITORY, env=environment(), text=True,
+                stderr=subprocess.PIPE, start_new_session=True,
+            )  # fmt: skip
+        with process:
+            while len([*tmp_path.glob("*/cases/*/case.json")]) < len(kept) + 2:
+                assert process.poll() is None
+                time.sleep(0.05)
+            workers = psutil.Process(process.pid).children()
+            for _ in range(presses):
+                os.killpg(process.pid, signal.SIGINT)
+                time.sleep(0.3)
+            _, said = process.communicate(timeout=60)
+
+        assert process.returncode == 128 + signal.SIGINT
+        assert len(workers) == 2
+        assert psutil.wait_procs(workers, timeout=1.0)[1] == []
+        assert "Traceback" not in said
+        assert said.splitlines()[-1].startswith("tiswarm: error: interrupted; the same command")
+        assert all(path.stat().st_mtime_ns == written for path, written in kept.items())
+        before, kept = (
+            kept,
+            {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/cases/*/case.json")},
+        )
+        assert len(kept) > len(before)
+        assert not [*tmp_path.rglob(".*.part"), *tmp_path.rglob(".*.tmp")]
+    assert len([*tmp_path.iterdir()]) == 1
+
+
 def _said(monkeypatch, capsys, *arguments: str) -> tuple[int, str]:
     """Run a command in this process; return its status and what it wrote to standard error."""
     monkeypatch.setattr(sys, "argv", ["tiswarm", *arguments])

@@ -26,7 +26,7 @@ def test_a_missing_device_is_refused_not_replaced():
     if sys.platform == "darwin":
         pytest.skip("this machine has metal")
 
-    with pytest.raises(EnvironmentTroubleError, match="use --arch cpu"):
+    with pytest.raises(EnvironmentTroubleError, match="use cpu"):
         backend.start("metal")
 
 

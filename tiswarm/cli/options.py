@@ -223,6 +223,8 @@ def _status(arguments: list[str]) -> int:
     gc.set_threshold(50_000, 20, 100)  # most objects of a command live until it ends
     atexit.register(gc.freeze)  # and the search at its end would take half a second
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # nohup ignores it
+        signal.signal(signal.SIGINT, _interrupt_once)
     try:
         with naming_shortage():
             status: Any = app(arguments, standalone_mode=False)
@@ -250,6 +252,12 @@ def _status(arguments: list[str]) -> int:
     if status in _INTERRUPTED:
         fail("interrupted; the same command starts anew, and a run goes on from its finished cases")
     return status if isinstance(status, int) else 0
+
+
+def _interrupt_once(*_: object) -> None:
+    """End the command; a second Ctrl-C would cut the end short that stores kernels and tables."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def _as_setting(error: Any, arguments: list[str]) -> str:  # noqa: ANN401 - typer's own click

@@ -446,7 +446,9 @@ def _disconnected_somewhere(rows: pd.DataFrame) -> str:
 
 
 def _in_words(row: Row) -> str:
-    name = ", ".join(str(row[key]) for key in [*_swept(row), "condition"] if row[key])
+    names = [*row]
+    keys = [*names[names.index("condition") + 1 : names.index("cases")], "condition"]
+    name = ", ".join(str(row[key]) for key in keys if row[key])
     if not row["cases"]:
         return f"{name}: no case was finished"
     text = (
@@ -470,11 +472,6 @@ def _disconnected(row: Row) -> str:
     joined = row.get(JOINED.mean, math.nan)
     of_all = "" if math.isnan(joined) else f" of {joined:.3g}"
     return f", {lost:.3g}{of_all} robots disconnected{mean}"
-
-
-def _swept(row: Row) -> list[Hashable]:
-    names = list(row)
-    return names[names.index("condition") + 1 : names.index("cases")]
 
 
 def _spread(row: Row) -> str:
