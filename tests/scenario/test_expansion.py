@@ -89,7 +89,7 @@ def test_keys_of_one_entry_change_together():
             "{'robots, structure.movers': [[10, 1], [20, 0]]}",
             "should be greater than or equal to 1",
         ),
-        ("{robots: [10], 'structure.movers, robots': [[1, 20]]}", "robots is swept already"),
+        ("{robots: [10], 'structure.movers, robots': [[1, 20]]}", "or set sweep={robots: [...]}"),
         ("{'robots, question': [[10, 1]]}", "cannot be swept"),
         ("{'robots, threads': [[10, 0]]}", "should be greater than or equal to 1"),
         ("{'robots, arch': [[10, auto]]}", "should be 'cpu', 'cuda', 'vulkan' or 'metal'"),

@@ -459,7 +459,7 @@ def test_an_option_without_effect_is_refused(scenario, section, option):
     with pytest.raises(InputError) as refusal:
         load_scenario(scenario(SMALL.replace("robots: 8\n", "") + section), [option])
 
-    problem = f"has no effect, as the sweep sets {key}; leave it out"
+    problem = f"has no effect, as sweep sets {key}; leave out or set sweep={{{key}: [...]}}"
     assert str(refusal.value) == f"overrides: {option}: {problem}"
 
 
@@ -605,7 +605,8 @@ def test_a_value_that_the_sweep_replaces_is_refused(scenario, text, line, key):
         load_scenario(path)
 
     assert str(refusal.value) == (
-        f"{path}:{line}: {key}: has no effect, as the sweep sets {key}; leave it out"
+        f"{path}:{line}: {key}: has no effect, as sweep sets {key}; leave out or set "
+        f"sweep={{{key}: [...]}}"
     )
     assert load_scenario(path, ["sweep={}"]).sweep == {}
 

@@ -139,7 +139,7 @@ def _swept_over(data: Plain) -> list[Mistake]:
         selects = rest == [DISCRIMINATORS.get(section)]
         value, default = _value_at(data, key), _value_at(_default_of(data), key)
         if not selects and value is not None and not isinstance(value, dict) and value != default:
-            problem = f"has no effect, as the sweep sets {key}; leave it out"
+            problem = f"has no effect, as sweep sets {key}; leave out or set sweep={{{key}: [...]}}"
             mistakes.append(Mistake((section, *rest), problem, about_key=True))
     return mistakes
 
@@ -262,7 +262,7 @@ def _malformed(sweep: _Sweep) -> list[Mistake]:
     for entry, values in sweep.items():
         keys = swept_keys(entry)
         if twice := [key for n, key in enumerate(keys) if key in seen or key in keys[:n]]:
-            problem = f"{twice[0]} is swept already; keep one of its places"
+            problem = f"{twice[0]} is swept already; keep one, or set sweep={{{twice[0]}: [...]}}"
             mistakes.append(Mistake(("sweep", entry), problem))
         seen.update(keys)
         problem = f"should be a row of {len(keys)} values, one for each key of {entry}"
