@@ -127,7 +127,8 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
         raise InputError(problem, path=path, argument="contacts")
     found = {run: _import_run(path, poses, assumed) for run, poses in runs.items()}
     for imported in found.values():
-        imported.notes[:0] = table.notes
+        advised = f"--up {assumed.up}"  # what the user did needs no advice
+        imported.notes[:0] = [note for note in table.notes if not note.endswith(advised)]
     return found
 
 
