@@ -34,7 +34,7 @@ _SOLVE_S = {  # solve of the mechanics: at all, for each robot, for each pair of
 }
 _REST_S = 5e-4  # sensing, evaluation and storage of a robot
 _BASE_MB = 270.0  # memory of the program
-_ROBOT_MB = 0.09  # memory of each robot of a batch, most of all in `joint`
+_ROBOT_MB = 0.1  # memory of each robot of a batch, most of all in `joint`
 
 _HERE = Execution()
 
