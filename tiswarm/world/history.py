@@ -183,8 +183,9 @@ class History:
 
     def table(self, name: str) -> NDArray[np.int32]:
         """Gather the rows that all walks have in a table: (robot, stance, ...)."""
-        rows = [np.insert(getattr(walk, name), 0, j, axis=1) for j, walk in enumerate(self.walks)]
-        return np.concatenate(rows)
+        rows = [getattr(walk, name) for walk in self.walks]
+        robot = np.repeat(np.arange(len(rows), dtype=np.int32), [*map(len, rows)])
+        return np.column_stack([robot, np.concatenate(rows)])
 
     def _at_rest(self, name: str) -> NDArray[np.int32]:
         """Gather a table's rows of the last stance of every walk: (robot, ...)."""
