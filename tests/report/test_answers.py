@@ -309,7 +309,7 @@ def test_exponents_are_those_of_the_table():
     without = answer("scaling", Results(table, pairs, scaling.assign(exponent=np.nan)))
 
     assert text == (
-        "From 100 to 1000 robots, 3 structures each, RMSE of b 0.50 to 0.60 R as N^0.08, "
+        "From 100 to 1,000 robots, 3 structures each, RMSE of b 0.50 to 0.60 R as N^0.08, "
         "a 2.0 to 4.0 R as N^0.30; CPU time of localization of b as N^1.20, a as N^1.00"
     )
     assert without.startswith("Mean RMSE of 3 structures: ")  # two sizes have no exponent

@@ -191,7 +191,7 @@ def test_the_figure_shows_every_series(scaled):
 
     assert names == ["paper", "together", "joint"]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["Algorithm 1", "Algorithm 1, all at once", "joint", "all series"]
+    assert legend == ["Algorithm 1", "Algorithm 1 (all at once)", "joint", "all series"]
     for axes, measure in zip(figure.axes, SCALING_PANELS, strict=True):
         wanted = [means[measure, n].to_numpy() for n in names if (measure, n) in means.index]
         if all(np.array_equal(mean, wanted[0]) for mean in wanted):

@@ -225,7 +225,7 @@ def scaling(results: Results) -> str:
     times = {str(name): rows for name, rows in time.groupby("series", sort=False)}
     of_time = [f"{name}{_power(times[name])}" for name in ordered if name in times]
     seeds = answers.structures_of(results.table.to_dict("records"))
-    text = f"From {sizes.min():.0f} to {sizes.max():.0f} robots, {seeds} each, RMSE of "
+    text = f"From {sizes.min():,.0f} to {sizes.max():,.0f} robots, {seeds} each, RMSE of "
     text += ", ".join(of_rmse)
     return f"{text}; CPU time of localization of {', '.join(of_time)}" if of_time else text
 

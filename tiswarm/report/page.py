@@ -350,7 +350,7 @@ def _in_words(run: RunData, manifest: Manifest) -> str:
     if "robots" in run.summary:
         least, most = run.summary["robots"].min(), run.summary["robots"].max()
         equal = counted(int(least), "robot") if least == most else ""
-        counts += [equal or f"{least:g} to {most:g} robots"]
+        counts += [equal or f"{least:,.0f} to {most:,.0f} robots"]
     spent = sum(stage.wall_s for stage in manifest.stages.values())
     time = f", computed in {spent:.1f} s" if spent else ""
     each = " each" if len(run.summary) > 1 else ""
