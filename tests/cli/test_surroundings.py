@@ -63,8 +63,8 @@ def test_a_signal_ends_a_study_in_one_line(tmp_path, number, options):
         assert process.returncode == 128 + number
         assert psutil.wait_procs(children, timeout=0.0)[1] == []
     assert said.splitlines()[-1] == (
-        "tiswarm: error: interrupted; the same command starts anew, "
-        "and a run goes on from its finished cases"
+        "tiswarm: error: interrupted; "
+        "the same command again lets a run go on from its finished cases"
     )
     assert "Traceback" not in said
     [lock] = tmp_path.glob("*/.lock")

@@ -135,10 +135,7 @@ class _Cell:
 
 
 def _paced(show: Callable[[float, str], None], total: int, begun: float, every_s: float) -> Advance:
-    """Return what shows the steps done and the time left, not more often than every so long.
-
-    The time left is unknown, and empty, while no step is done.
-    """
+    """Return what shows the steps done, and the time left once a twentieth is done, so often."""
     done, shown = 0.0, begun
 
     def advance(steps: float) -> None:
@@ -146,7 +143,8 @@ def _paced(show: Callable[[float, str], None], total: int, begun: float, every_s
         done += steps
         now = time.perf_counter()
         if now - shown >= every_s and done < total:
-            show(done, f"{(now - begun) * (total - done) / done:.0f} s left" if done else "")
+            left = f"{(now - begun) * (total - done) / done:.0f} s left"
+            show(done, left if done >= total / 20 else "")
             shown = now
 
     return advance

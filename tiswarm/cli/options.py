@@ -250,7 +250,7 @@ def _status(arguments: list[str]) -> int:
     except SystemExit as end:  # of SIGTERM, or because nobody reads the output
         status = end.code
     if status in _INTERRUPTED:
-        fail("interrupted; the same command starts anew, and a run goes on from its finished cases")
+        fail("interrupted; the same command again lets a run go on from its finished cases")
     return status if isinstance(status, int) else 0
 
 

@@ -106,9 +106,9 @@ CAPTIONS = {
     "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
     "between two robots. Of many series, each has a small panel with RMSE by hops alone.",
     "scaling": "Accuracy, size, time to build and cost against the number of robots N (or of "
-    "threads, processes or climbing robots), on logarithmic axes. Numbers above state the power of "
-    "N that fits all sizes, and the last two. Bands of the best and the worst series cover all "
-    "structures. A round of growth takes as long as the longest of its walks.",
+    "threads, processes or climbing robots), on logarithmic axes, unless they begin at 0. Numbers "
+    "above state the power of N that fits all sizes, and the last two. Bands of the best and the "
+    "worst series cover all structures. A round of growth takes as long as its longest walk.",
 }
 """What the figures show, by file name."""
 

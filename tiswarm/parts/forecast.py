@@ -61,7 +61,8 @@ class Forecast(NamedTuple):
         return (
             f"{counted(self.cases, 'case')}, {counted(self.robots, 'robot')} in all; estimate: "
             f"{_time(total)} of processor time (start {_time(self.start_s)}, growth "
-            f"{_time(self.grow_s)}, localization {_time(self.localize_s)}), {self.memory_mb:.0f} MB"
+            f"{_time(self.grow_s)}, localization {_time(self.localize_s)}, scores "
+            f"{_time(self.rest_s)}), {self.memory_mb:.0f} MB"
         )
 
 
