@@ -99,10 +99,12 @@ $(bin)/python:
 
 # The build tool comes from constraints.txt too, hence no isolated build.
 pip_install = $(bin)/python -m pip --disable-pip-version-check install -c "$(CONSTRAINTS)"
+# Beside a clone, Python takes the clone's folder for the package unless its place is in a .pth file.
+findable = --config-settings editable_mode=compat
 # Of pip's report only the large downloads are shown; errors are.
 define install
 	@echo "installing $(2) into .venv; the first time that takes minutes"
-	@{ $(pip_install) --quiet setuptools && $(pip_install) --no-build-isolation --editable $(1); \
+	@{ $(pip_install) --quiet setuptools && $(pip_install) --no-build-isolation $(findable) --editable $(1); \
 		echo $$? > .venv/.pip-status; } \
 		| sed -n -e 's/^ *\(Downloading .* MB)\).*/  \1/p' \
 			-e 's/^Installing collected packages.*/  Installing/p'; \

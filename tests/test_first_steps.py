@@ -39,7 +39,7 @@ def clone(tmp_path_factory):
     """
     place = tmp_path_factory.mktemp("fresh")
     (place / "home").mkdir()
-    folder = place / "clone"
+    folder = place / "tiswarm"
     for name in _git(REPOSITORY, "ls-files", "-z", "-co", "--exclude-standard").split("\0"):
         if name and (REPOSITORY / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -58,7 +58,8 @@ def _typed(page):
     before, start, after = text.partition("\n## Start\n")
     for lang, block in BLOCK.findall(after + before if start else before):
         if lang == "python":
-            yield f"python - <<'END'\n{block}END\n"
+            # From beside the clone, whose name is that of the package.
+            yield f"(cd .. && python - <<'END'\n{block}END\n)\n"
             continue
         for line in block.splitlines():
             command = line.partition(" #")[0].strip()
