@@ -60,8 +60,11 @@ def test_only_bare_names_are_looked_up(path):
 
 
 def test_an_unknown_name_says_where_names_are():
-    """The message leads to the list."""
-    with pytest.raises(InputError, match=r"^towr: .*; tiswarm scenarios --all lists these$"):
+    """The message leads to the list, and to the nearest name."""
+    meant = "did you mean tower\\?"
+    with pytest.raises(
+        InputError, match=rf"^towr: .*; tiswarm scenarios --all lists these; {meant}$"
+    ):
         find_scenario(Path("towr"))
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.records.io import decode, unreadable
 from tiswarm.records.messages import Part, dotted
 
@@ -233,7 +233,7 @@ def find_scenario(path: Path) -> Path:
     if os.path.exists(path):  # noqa: PTH110
         return path
     problem = "neither a file nor a scenario of tiswarm's; tiswarm scenarios --all lists these"
-    raise InputError(problem, path=path)
+    raise InputError(problem + did_you_mean(path, shipped_scenarios()), path=path)
 
 
 def describe_scenarios(*, every: bool = False) -> list[str]:
