@@ -300,8 +300,8 @@ def test_exponents_are_those_of_the_table():
     scaling = pd.DataFrame({"series": ["a"] * 4 + ["b"] * 4, "robots": robots * 2})
     scaling["measure"] = ["rmse_R", "rmse_R", "localize_cpu_s", "localize_cpu_s"] * 2
     scaling = scaling.assign(
-        mean=[2.0, 4.0, 1.0, 10.0, 0.5, 0.6, 2.0, 30.0],
-        exponent=[0.3, 0.3, 1, 1, 0.08, 0.08, 1.2, 1.2],
+        mean=[2.0, 4.0, 1.0, 10.0, 0.6, 0.5, 2.0, 30.0],
+        exponent=[0.3, 0.3, 1, 1, -0.08, -0.08, 1.2, 1.2],
     )
     table, pairs = compared(0.5, 2.0, structures=3)
 
@@ -309,7 +309,7 @@ def test_exponents_are_those_of_the_table():
     without = answer("scaling", Results(table, pairs, scaling.assign(exponent=np.nan)))
 
     assert text == (
-        "From 100 to 1,000 robots, 3 structures each, RMSE of b 0.50 to 0.60 R as N^0.08, "
+        "From 100 to 1,000 robots, 3 structures each, RMSE of b 0.60 to 0.50 R as N^-0.08, "
         "a 2.0 to 4.0 R as N^0.30; CPU time of localization of b as N^1.20, a as N^1.00"
     )
     assert without.startswith("Mean RMSE of 3 structures: ")  # two sizes have no exponent

@@ -219,15 +219,19 @@ def scaling(results: Results) -> str:
         return ""
     errors = {str(name): rows for name, rows in rmse.groupby("series", sort=False)}
     ordered = sorted(errors, key=lambda name: float(errors[name]["mean"].min()))
-    of_rmse = [
-        f"{name} {answers.range_of(errors[name]['mean'])}{_power(errors[name])}" for name in ordered
-    ]
+    of_rmse = [f"{name} {_from_to(errors[name])}{_power(errors[name])}" for name in ordered]
     times = {str(name): rows for name, rows in time.groupby("series", sort=False)}
     of_time = [f"{name}{_power(times[name])}" for name in ordered if name in times]
     seeds = answers.structures_of(results.table.to_dict("records"))
     text = f"From {sizes.min():,.0f} to {sizes.max():,.0f} robots, {seeds} each, RMSE of "
     text += ", ".join(of_rmse)
     return f"{text}; CPU time of localization of {', '.join(of_time)}" if of_time else text
+
+
+def _from_to(rows: pd.DataFrame) -> str:
+    """Write the RMSE of the smallest structures, and of the largest."""
+    first, *_, last = map(answers.two_digits, rows.sort_values("robots")["mean"])
+    return f"{first} to {last} R"
 
 
 def _power(rows: pd.DataFrame) -> str:
