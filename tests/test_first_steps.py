@@ -41,9 +41,9 @@ def clone(tmp_path_factory):
     (place / "home").mkdir()
     folder = place / "tiswarm"
     for name in _git(REPOSITORY, "ls-files", "-z", "-co", "--exclude-standard").split("\0"):
-        if name and (REPOSITORY / name).is_file():
+        if name and os.path.lexists(REPOSITORY / name):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(REPOSITORY / name, folder / name)
+            shutil.copy(REPOSITORY / name, folder / name, follow_symlinks=False)
     _git(folder, "init", "--quiet")
     _git(folder, "add", "--all")
     venv.create(folder / ".venv", with_pip=False)
