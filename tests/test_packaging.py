@@ -166,11 +166,12 @@ def test_an_environment_that_make_installed_has_the_pinned_versions():
     }
 
 
-@pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13", "3.14"])
+@pytest.mark.parametrize("version", ["3.10.0", "3.11.2", "3.11.5", "3.12.0", "3.13.0", "3.14.0"])
 @pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
 def test_each_python_has_one_pin_that_fits(version, machine):
     """Whatever an installation asks for, one version is pinned, and the requirement allows it."""
-    here = {"python_version": version, "platform_machine": machine, "platform_system": "Linux"}
+    here = {"platform_machine": machine, "platform_system": "Linux"}
+    here |= {"python_version": version.rpartition(".")[0], "python_full_version": version}
     pins = _pinned_for(here)
     wanted = sum(PROJECT["optional-dependencies"].values(), PROJECT["dependencies"])
     needed = [
@@ -183,7 +184,15 @@ def test_each_python_has_one_pin_that_fits(version, machine):
     for each in needed:
         [pinned] = pins[_normal(each.name)]
         assert pinned in each.specifier, each.name
-    assert SpecifierSet(PROJECT["requires-python"]).contains(f"{version}.0")
+    assert SpecifierSet(PROJECT["requires-python"]).contains(version)
+
+
+def test_pythons_before_3_11_5_have_a_soupsieve_for_them():
+    """Debian 12 has 3.11.2, on which `make test` found no version of soupsieve to install."""
+    here = {"python_version": "3.11", "platform_machine": "x86_64", "platform_system": "Linux"}
+    old, new = (_pinned_for({**here, "python_full_version": f"3.11.{k}"}) for k in (2, 5))
+
+    assert (old["soupsieve"], new["soupsieve"]) == (["2.10"], ["4.1.3"])
 
 
 def test_every_import_is_a_dependency():
