@@ -59,6 +59,22 @@ def test_lines_come_before_the_first_step_is_done(capsys, monkeypatch):
     ]
 
 
+def test_the_time_left_is_named_once_a_twentieth_is_done(capsys, monkeypatch):
+    """The first steps compile kernels: they make hours of minutes."""
+    clock = itertools.count(0.0, 60.0)
+    monkeypatch.setattr(console.time, "perf_counter", lambda: next(clock))
+
+    with console.ConsoleProgress().task("grow", 100) as advance:
+        for steps in (4, 1, 95):
+            advance(steps)
+
+    assert capsys.readouterr().err.splitlines() == [
+        "grow: 4 of 100",
+        "grow: 5 of 100, about 2280 s left",
+        "grow: 100 in 240.0 s",
+    ]
+
+
 def test_a_terminal_shows_a_task_within_another(monkeypatch):
     """One display has both bars; a library that draws may refuse a second display."""
     output = io.StringIO()

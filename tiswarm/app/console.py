@@ -143,8 +143,8 @@ def _paced(show: Callable[[float, str], None], total: int, begun: float, every_s
         done += steps
         now = time.perf_counter()
         if now - shown >= every_s and done < total:
-            left = f"{(now - begun) * (total - done) / done:.0f} s left"
-            show(done, left if done >= total / 20 else "")
+            left = (now - begun) * (total - done) / max(done, total / 20)
+            show(done, f"{left:.0f} s left" if done >= total / 20 else "")
             shown = now
 
     return advance
