@@ -135,7 +135,7 @@ class _Cell:
 
 
 def _paced(show: Callable[[float, str], None], total: int, begun: float, every_s: float) -> Advance:
-    """Return what shows the steps done, and the time left once a twentieth is done, so often."""
+    """Return what shows the steps done every so long, and the time left from a twentieth on."""
     done, shown = 0.0, begun
 
     def advance(steps: float) -> None:

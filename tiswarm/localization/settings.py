@@ -177,7 +177,8 @@ class BackPropagation:
     """Steps that every robot takes in a round; 0 switches rounds off."""
 
     gain: Annotated[float, Field(gt=0.0, le=1.0)] = 0.35
-    """Share of the forces that a step in a round follows; whole ones overshoot in busy robots."""
+    """Share of the forces that a step in a round follows; whole ones make robots that hold on to
+    many others overshoot."""
 
     repulsion_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.025
     """1 - alpha_t as a round begins; it falls to 0 linearly. At full strength repulsion would
@@ -282,7 +283,8 @@ class VirtualForceParams(MethodParams):
     """Direction of that offset: world up, or the robot's own z axis."""
 
     max_step: Annotated[float, Field(gt=0.0)] = 2.1
-    """A robot moves no farther than this in one iteration [R]; our addition: gains diverge else."""
+    """A robot moves no farther than this in one iteration [R]; our addition, without which
+    useful gains diverge."""
 
     iterations: Annotated[int, Field(ge=1, le=1_000_000)] = 300
     """T: most refinement steps of each robot."""

@@ -118,7 +118,7 @@ def _read_stored(
     stored = [record for record in folder.read_cases(cases).values() if record.is_done]
     current = {record.case: record for record in stored if record.is_current}
     if found := len(current):
-        progress.info(f"{found} of {len(cases)} cases are already stored; the others remain")
+        progress.info(f"{found} of {len(cases)} cases are already stored")
     if outdated := len(stored) - found:
         were, them = ("was", "it") if outdated == 1 else ("were", "them")
         many = counted(outdated, "case")
