@@ -740,22 +740,6 @@ def test_a_rule_of_a_plugin_grows_structures(tiswarm, files, workers):
     assert np.diff(log.stances.start)[1:].min() >= 4
 
 
-def test_a_stranger_adds_a_rule_or_structure_in_so_many_lines():
-    """The page on architecture counts the lines of code of the first examples."""
-    page = (REPOSITORY / "docs" / "architecture.md").read_text()
-    stated = re.search(
-        r"rule of growth in 1 file of (\d+) .*? structure in 1 file of (\d+)", page, re.DOTALL
-    )
-
-    lines = []
-    for code in (RANDOM, LEANING):
-        text = re.sub(r'""".*?"""', "", code, flags=re.DOTALL)
-        lines.append(sum(bool(line.strip()) for line in text.splitlines()))
-
-    assert stated is not None
-    assert [*map(int, stated.groups())] == lines
-
-
 def test_an_edit_of_a_rule_computes_its_cases_again(files):
     """Those of other rules are kept."""
     (files / "own.py").write_text(RANDOM)
