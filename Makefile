@@ -10,7 +10,7 @@ CONSTRAINTS = constraints.txt
 ARCH = cuda
 GPU_OPTIONS =
 # Rooms whose tests `make check` runs: those without kernels and whole runs.
-ROOMS = base evaluation measurements parts/advice parts/suites records scenario sensing
+ROOMS = base evaluation formats measurements records scenario sensing
 # Roundings, and rooms or files of tests, of `make roundings`; all if empty.
 KINDS =
 TESTS =
@@ -121,7 +121,7 @@ $(installed_dev): $(inputs) | $(bin)/python
 	@touch $(installed) $@
 
 # Taichi, open3d and the tests of devices need libraries that pip cannot bring.
-.venv/.system-checked: tiswarm/parts/doctor.py $(installed)
+.venv/.system-checked: tiswarm/app/doctor.py $(installed)
 	@missing=$$($(bin)/tiswarm doctor --missing-packages) \
 		|| { echo "warning: could not look for system libraries" >&2; exit 0; }; \
 	if test -z "$$missing"; then \

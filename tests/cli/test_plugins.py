@@ -15,7 +15,7 @@ import pytest
 
 import tiswarm as library
 from tests.runs import REPOSITORY
-from tiswarm.base import parts as plugins
+from tiswarm.base import registry as plugins
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.localization.methods import all_params
 from tiswarm.scenario.model import scenario_schema
@@ -289,7 +289,7 @@ def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
     with pytest.raises(InputError, match=problem):
         library.check("own.yaml", plugins=["own.py"])
 
-    assert [plugins.registered(kind) for kind in plugins.PARTS] == [{}] * len(plugins.PARTS)
+    assert [plugins.registered(kind) for kind in plugins.BUILT_IN] == [{}] * len(plugins.BUILT_IN)
 
 
 def test_a_plugin_that_is_missing_is_a_line(tiswarm, files):

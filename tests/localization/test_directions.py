@@ -8,8 +8,8 @@ import pytest
 from tests.localization.test_problem import true_yaw
 from tests.structures import NOISY, with_directions
 from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiswarm.base.parts import PARTS
+from tiswarm.base.registry import BUILT_IN
 from tiswarm.localization.settings import all_cues
 from tiswarm.measurements import cues
 from tiswarm.records.measures import FEWEST
@@ -88,7 +88,7 @@ def test_a_sentence_contains_the_least_error_of_all(study):
     rmse, used = study
     table, pairs = tables(rmse, used)
 
-    texts = [answer(question, Results(table, pairs, NONE)) for question in PARTS["question"]]
+    texts = [answer(question, Results(table, pairs, NONE)) for question in BUILT_IN["question"]]
 
     least = two_digits(rmse.mean(axis=2).min())
     assert all(re.search(rf"\b{re.escape(least)} (?:R|to)", text) for text in texts)
@@ -215,11 +215,11 @@ def test_swept_methods_are_compared_under_each_condition():
     assert "best" not in others
 
 
-@pytest.mark.parametrize("question", PARTS["question"])
+@pytest.mark.parametrize("question", BUILT_IN["question"])
 def test_without_the_part_there_are_errors_alone(monkeypatch, question):
     """A copy that cannot answer a question has the sentence on errors, which is in the core."""
     results = Results(*compared(0.5, 1.3, structures=2), NONE)
-    monkeypatch.setitem(sys.modules, "tiswarm.parts.questions", None)
+    monkeypatch.setitem(sys.modules, "tiswarm.report.questions", None)
 
     assert answer(question, results) == conclusion(results.table, results.pairs)
 
@@ -315,7 +315,7 @@ def test_exponents_are_those_of_the_table():
     assert without.startswith("Mean RMSE of 3 structures: ")  # two sizes have no exponent
 
 
-@pytest.mark.parametrize("question", [*PARTS["question"], "nonsense", "None"])
+@pytest.mark.parametrize("question", [*BUILT_IN["question"], "nonsense", "None"])
 def test_a_question_without_its_results_has_the_answer_on_errors(question):
     """A run that was made smaller than its study, or by an older version, has a sentence too."""
     table, pairs = compared(0.5, 1.3, structures=2)

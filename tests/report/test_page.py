@@ -13,7 +13,6 @@ from tests.browser import probe
 from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.parts.pictures.pictures import build_pictures
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import swarm_view
 from tiswarm.report.answers import result_of
@@ -27,6 +26,7 @@ from tiswarm.report.page_tables import (
     result_tables,
     warnings_of,
 )
+from tiswarm.report.pictures.pictures import build_pictures
 from tiswarm.report.run_data import Labels, load_run
 from tiswarm.report.swarm_view import build_view, first_series, read_case_view
 

@@ -21,17 +21,17 @@ from tiswarm.app.formats import export_view
 from tiswarm.app.inspection import inspect
 from tiswarm.app.logs import Log
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import PARTS
 from tiswarm.base.progress import Progress
+from tiswarm.base.registry import BUILT_IN
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
-from tiswarm.parts.formats.mcap import SENSING, encode_messages
-from tiswarm.parts.suites import STATIONS
+from tiswarm.records.mcap import SENSING, encode_messages
 from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing.suites import STATIONS
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
@@ -136,7 +136,7 @@ def _assert_exported(folder, log, estimate):
     """Every format takes what a method made of the log."""
     true = np.where(np.isfinite(estimate.position), estimate.position + 0.5, 0.0)
     for shown in (view_log(log, estimate), view_log(log, estimate, true)):
-        for form in PARTS["export_format"]:
+        for form in BUILT_IN["export_format"]:
             export_view(shown, form, folder, Progress())
     assert all(file.stat().st_size for file in folder.iterdir())
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.runs import REPOSITORY
 from tiswarm import study
-from tiswarm.parts.comparison import compare
+from tiswarm.app.comparison import compare
 from tiswarm.records.frames import write_frame
 from tiswarm.records.measures import MEASURES
 from tiswarm.report.answers import headline

@@ -12,9 +12,8 @@ from urllib.parse import quote
 import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
-from tiswarm.base.errors import InputError, did_you_mean
+from tiswarm.base.errors import InputError, require_name
 from tiswarm.base.params import AnyMovie
-from tiswarm.base.parts import find, has
 from tiswarm.records.measures import MAIN, MEASURES, PAGE
 from tiswarm.records.messages import counted
 
@@ -41,9 +40,6 @@ Color: TypeAlias = "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]"
 
 _FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888; box-sizing: border-box"'
 """Look of a page within a notebook."""
-
-_MOST_NAMED = 9
-"""Names that an error lists."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,7 @@ class Figures(dict[str, Figure]):
 
     def __missing__(self, name: str) -> Figure:
         """Refuse a name that is not among these."""
-        choose(name, [*self], "name")
+        require_name(name, [*self], "name")
         raise KeyError(name)
 
 
@@ -142,9 +138,9 @@ class Run:
 
         cases = [path.name for path in sorted(self.folder.glob("cases/*"))]
         if case is not None:
-            choose(case, cases, "case")
+            require_name(case, cases, "case")
         folder = self.folder if case is None else self.folder / "cases" / case
-        choose(name, [path.stem for path in sorted(folder.glob("*.csv"))], "name")
+        require_name(name, [path.stem for path in sorted(folder.glob("*.csv"))], "name")
         return read_frame(folder / f"{name}.csv", empty=True)
 
     @property
@@ -188,7 +184,7 @@ class Run:
         progress = ConsoleProgress(quiet=quiet)
         study.tabulate(self.folder, progress)
         data = self._data(color, case)
-        renders = has("command", "render") and any(each.done for each in data.cases)
+        renders = any(each.done for each in data.cases)
         draw(
             data, progress, figures=True, renders=renders, pdf=pdf, movie=movie, renderer=renderer,
             case=case,
@@ -217,10 +213,11 @@ class Run:
         return folder
 
     def _data(self, color: Color = (), case: str | None = None) -> "RunData":
+        from tiswarm.formats.colors import colored  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
         run = load_run(self.folder)
-        return find("command", "color").colored(run, color, case) if len(color) else run
+        return colored(run, color, case) if len(color) else run
 
     @property
     def answer(self) -> str:
@@ -268,14 +265,6 @@ def as_path(file: File, argument: str) -> Path:
     except TypeError as error:
         problem = f"a value of type {type(file).__name__} is no file; give the path of one"
         raise InputError(problem, argument=argument) from error
-
-
-def choose(name: str, names: Sequence[str], argument: str) -> None:
-    """Refuse a name that is not among some."""
-    if name not in names:
-        some = ", ".join([*names[:_MOST_NAMED], *["..."] * (len(names) > _MOST_NAMED)])
-        problem = f"there is no {name!r}; choose one of {some}" if some else f"there is no {name!r}"
-        raise InputError(f"{problem}{did_you_mean(name, names)}", argument=argument)
 
 
 def plain(values: Mapping[str, object]) -> dict[str, object]:

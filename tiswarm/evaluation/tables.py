@@ -12,7 +12,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import PluginError, guarded, registered
+from tiswarm.base.registry import PluginError, guarded, registered
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
 from tiswarm.evaluation.metrics import by_hops_apart

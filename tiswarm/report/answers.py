@@ -1,6 +1,6 @@
 """The results of a run in words: a line for each row of `table.csv`, and the answer.
 
-What answers questions of scenarios beyond the least error is a part, `tiswarm/parts/questions.py`.
+What answers questions of scenarios beyond the least error is a part, `tiswarm/report/questions.py`.
 
 A method that is given more measurements errs less, which says nothing of the method. So conditions
 stand side by side only if robots sense alike and the methods use the same measurements. One of them
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import PARTS, find, has
+from tiswarm.base.registry import BUILT_IN, get
 from tiswarm.records.frames import read_frame
 from tiswarm.records.measures import (
     CONSISTENT,
@@ -354,8 +354,8 @@ def answer(question: str, results: Results) -> str:
     they answer `least-error`.
     """
     kind = "question"
-    can_answer = question in PARTS[kind] and has(kind, question)
-    text = find(kind, question)(results) if can_answer else ""
+    can_answer = question in BUILT_IN[kind]
+    text = get(kind, question)(results) if can_answer else ""
     return text or mean_errors(results)
 
 

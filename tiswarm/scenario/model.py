@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET, Arch
-from tiswarm.base.parts import names
+from tiswarm.base.registry import names
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import LocalizationParams, all_params
 from tiswarm.records.run_folder import LABEL

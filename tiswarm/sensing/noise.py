@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.base.parts import find
 from tiswarm.compute.math import dock_offsets, normal, uniform
 from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.sensing.params import Failure, SensingParams
@@ -85,17 +84,6 @@ def sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int32
     sensed = sensed[draw("missed contact", 0) >= params.missed_contacts]
     rows: NDArray[np.int32] = np.unique(np.concatenate([sensed, false]), axis=0)
     return rows
-
-
-def named_contacts(whole: History, history: History, params: SensingParams) -> NDArray[np.int32]:
-    """Return the contacts of the part that senses, with names by vibration if set, shape (K, 5)."""
-    found = sensed_contacts(history, params)
-    if params.vibration is None:
-        return found
-    named: NDArray[np.int32] = find("command", "sense").named_contacts(
-        whole, found, params.vibration
-    )
-    return named
 
 
 def spawn_position(history: History, params: SensingParams) -> Reals:

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.base.parts import find, registered
+from tiswarm.base.registry import registered
 from tiswarm.records.sensing_log import LISTS, SensingLog, Stances
-from tiswarm.sensing import noise
+from tiswarm.sensing import noise, senses
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History
 
@@ -42,15 +42,14 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     sensed = noise.sensed_orientation(history, length, params)
     sensed = noise.failed_orientation(history, length, sensed, params)
     lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
-    lists["contacts"] = noise.named_contacts(whole, history, params)
+    lists["contacts"] = noise.sensed_contacts(history, params)
+    if params.vibration is not None:
+        lists["contacts"] = senses.named_contacts(whole, lists["contacts"], params.vibration)
     lists["ground_docks"] = history.table("ground_docks")
     lists["fixes"] = np.unique(
         np.concatenate([noise.planes(history), noise.anchors(history)]), axis=0
     )
-    added = (
-        (name, getattr(find("command", "sense"), f"sense_{name}")(history, params))
-        for name in params.added
-    )
+    added = ((name, getattr(senses, f"sense_{name}")(history, params)) for name in params.added)
     own = [found.value for name, found in registered("sensor").items() if name == params.suite]
     filled_by_own = ((each.fills, each.rows(history, params)) for each in own)
     for filled, every in chain(added, filled_by_own):

@@ -27,6 +27,7 @@ from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_doc
 from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
 from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
 from tiswarm.world.params import ReactiveBuild, StructureParams, anchor_places
+from tiswarm.world.rules import climb_by_choice
 from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_belief, recruit
 
 _MAX_TRIES = 64
@@ -134,7 +135,11 @@ class _GrowthBatch:
     def round(self) -> int:
         """Let all movers climb, and those that can join; return how many did."""
         walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
-        walks.climb(self.arrays, self.believed, movers, self.sensed, self.present)
+        if hasattr(walks.rule, "choose"):
+            climb_by_choice(walks, self.arrays, movers, self.sensed, self.present)
+        else:
+            walks.climb_by_score(self.arrays, self.believed, movers)
+        walks.refuse_overlaps(movers)
         wants = np.zeros(len(self.structure_of), np.int32)
         founding = np.array([structure.founding for structure in self.structures])
         touching = walks.stances.touching[movers, walks.stances.stay[movers], :, 0].max(axis=1) >= 0

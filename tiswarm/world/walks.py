@@ -19,7 +19,6 @@ from scipy.spatial.distance import pdist
 
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import TiswarmError
-from tiswarm.base.parts import find
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
 from tiswarm.world import climb_kernels
@@ -178,29 +177,10 @@ class Walks:
         self.climbers.first_stance[slot] = 0
         self.robot[slot] = spawn.robot
 
-    def climb(
-        self,
-        structures: StructureArrays,
-        believed: BelievedDocks,
-        movers: _Slots,
-        *robots: NDArray[Any],
-    ) -> None:
-        """Let the robots in the slots `movers` walk on from their first stance.
-
-        What rules see of the `robots` of each structure is what they sensed at the last solve and
-        whether they are present, shape (S, N) each.
-        """
-        if hasattr(self.rule, "choose"):
-            find("command", "rule")(self, structures, movers, *robots)
-        else:
-            self._climb_by_score(structures, believed, movers)
-        if (self.state[movers] == climb_kernels.SCRATCH_FULL).any():
-            problem = "more docks than fit stand within one flip of a robot: the structure overlaps"
-            raise TiswarmError(problem)
-
-    def _climb_by_score(
+    def climb_by_score(
         self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots
     ) -> None:
+        """Let the robots in the slots `movers` walk on from their first stance, by a score."""
         cells, *docks = structures
         is_own = hasattr(self.rule, "score")
         climb_kernels.climb(
@@ -208,6 +188,12 @@ class Walks:
             *believed.cells, believed.dock, self.turn, *self.climbers, *self.stances,
             _score_of(self.rule) if is_own else climb_kernels.goal_distance,
         )  # fmt: skip
+
+    def refuse_overlaps(self, movers: _Slots) -> None:
+        """Raise an error if a robot met more docks than fit around it."""
+        if (self.state[movers] == climb_kernels.SCRATCH_FULL).any():
+            problem = "more docks than fit stand within one flip of a robot: the structure overlaps"
+            raise TiswarmError(problem)
 
     def join(self, structures: StructureArrays, movers: _Slots, wants: NDArray[np.int32]) -> None:
         """Let movers join whose walks no earlier one disturbs; see `join_undisturbed`.
