@@ -210,6 +210,11 @@ class Coordinates(NamedTuple):
         )
         return cls._make(column[is_known] for column in every)
 
+    @property
+    def rank(self) -> int:
+        """Number of independent directions that were measured, 0 of no coordinates."""
+        return int(np.linalg.matrix_rank(self.direction)) if len(self.direction) else 0
+
 
 def _frames(along: Reals) -> Reals:
     """Complete unit vectors to orthonormal axes, they themselves first, shape (n, 3, 3)."""
@@ -412,10 +417,29 @@ class Measurements:
         variance: Reals = np.append(self.shared_sd, 0.0)[self.source] ** 2  # -1 is the last
         return variance
 
+    @property
+    def vector_rows(self) -> slice:
+        """Rows of `offsets` among all: three of each vector, one after another."""
+        return slice(len(self.distances.stance), len(self.other))
+
+    def any_of_vector(self, flag: Bools) -> Bools:
+        """Extend flags of rows, shape (E,), to all three rows of their vectors."""
+        extended = flag.copy()
+        of_vector = flag[self.vector_rows].reshape(-1, _AXES)
+        extended[self.vector_rows] = np.repeat(of_vector.any(axis=1), _AXES)
+        return extended
+
     def select(self, chosen: Bools) -> "Measurements":
-        """Keep rows chosen by an array of shape (E,)."""
+        """Keep rows chosen by an array of shape (E,).
+
+        Raises:
+            ValueError: some rows of a vector are chosen, and not all three.
+        """
         if chosen.all():
             return self
+        if not np.array_equal(self.any_of_vector(chosen), chosen):
+            message = "the three rows of a vector are one measurement; choose all or none"
+            raise ValueError(message)
         tables = np.split(chosen, [len(self.distances.stance), len(self.other)])
         return self.ordered(*map(np.flatnonzero, tables))
 
@@ -639,7 +663,7 @@ class Measurements:
         arm = turned(self.arm, None if yaw is None else yaw[i]).copy()
         its = turned(self.other_arm, None if yaw is None else yaw[j])
         # A vector turns with its axes: the derivative is that of an arm to the other dock.
-        offset = slice(len(self.distances.stance), count)
+        offset = self.vector_rows
         arm[offset] = position[j[offset]] + its[offset] - position[i[offset]]
         toward = direction[:count]
         of_turn = -slope_by_turn(components(direction), components(arm))[2]

@@ -305,11 +305,6 @@ class Problem:
         total: Reals = np.add.reduceat(square, self.link, axis=-1) if square.size else square
         return total
 
-    def any_of_link(self, flag: Bools) -> Bools:
-        """Extend flags of rows, shape (P,), to all rows of their links."""
-        flagged = self.by_link(flag.astype(np.float64)) > 0.0
-        return np.repeat(flagged, np.diff(self.link, append=len(flag)))
-
     def sensed_place(self) -> tuple[Reals, Bools]:
         """Return centers [R] and which coordinates are measured, both (N, 3); `Planes.centers`."""
         return self._sensed_place

@@ -429,7 +429,7 @@ class WholeCost(Cost[Linear]):
         missed = residual**2 / (square * self.variance)
         missed[self.is_known] = 0.0
         # The three rows of a vector give way together: they are one measurement.
-        offset = slice(len(self.rows.distances.stance), len(self.rows.other))
+        offset = self.rows.vector_rows
         missed[offset] = np.repeat(missed[offset].reshape(-1, 3).sum(axis=1), 3)
         excess = equations.loss_beyond(missed, np.log1p(missed), square)
         excess[offset] /= 3.0

@@ -254,8 +254,9 @@ class LocalSwarm:
         given = layers.sd.copy()
         # A robot that has a place keeps it, unless those near it move.
         layers.solve_near(k, layers.place(k) if anew else None)
-        if self._program.params.chains:
-            moving = np.arange(len(self.numbers)) if everywhere else self.layers.near(k)
+        moving = np.arange(len(self.numbers)) if everywhere else layers.near(k)
+        # Chains need a row that pulls.
+        if self._program.params.chains and layers.blocks_about(moving):
             found = annealed(layers, moving, self._program.params, number)
             layers.state = found.state
             self._revise_sd(given, moving, found.sd)
@@ -403,7 +404,7 @@ class LocalSwarm:
     def is_floating(self, number: int) -> bool:
         """Judge whether the rows of a robot tie it neither to the world nor to one that is held."""
         rows = self.layers.blocks[self._index[number]].rows
-        return not len(rows.other) and int(np.linalg.matrix_rank(rows.places.direction)) < _AXES
+        return not len(rows.other) and rows.places.rank < _AXES
 
     def _sd(self, linear: NearLinear, basis: Reals, stays: Bools) -> Reals:
         """Compute the standard deviation of each robot that moved [R], shape (N,).

@@ -230,7 +230,7 @@ def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) ->
     """Take an estimate for the minimum."""
     variance = rows.variance()
     square = rows.residual(*estimate) ** 2 / variance
-    outlier = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    outlier = _outliers(rows, square, variance)
     square[outlier] = 0.0
     freedom = int((~outlier).sum()) - unknowns
     return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, 0.0, square)
@@ -250,7 +250,7 @@ def _minimum(
     state, least = robust.refine(begin, _ROUNDS)
     variance = rows.variance()
     missed = rows.residual(state.position, state.yaw) ** 2 / variance
-    outlier = (missed > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    outlier = _outliers(rows, missed, variance)
     within = posed.cost(rows.select(~outlier), links=links)
     _, linear = within.refine(within.at(state.position, state.yaw), _ROUNDS)
     square = np.zeros(len(rows))
@@ -261,6 +261,12 @@ def _minimum(
         moved, excess, outlier, linear.chi_square, linear.freedom(),
         linear.overlap, square, linear,
     )  # fmt: skip
+
+
+def _outliers(rows: Measurements, square: Reals, variance: Reals) -> Bools:
+    """Find outliers by squared residuals in variances (E,); a vector is one measurement, (E,)."""
+    is_missed = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    return rows.any_of_vector(is_missed)
 
 
 def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:

@@ -103,7 +103,7 @@ def failed(problem: Problem, annealed: Annealed) -> Bools:
     missed = squares(problem, annealed)[:, : len(problem.variance)]
     # A wrong contact bounds no distance; most chains tear it.
     torn = (missed > CONVERGENCE.outlier_sd**2).mean(axis=0) >= CONVERGENCE.most_chains
-    torn = problem.any_of_link(torn)[problem.link]
+    torn = problem.by_link(torn.astype(np.float64)) > 0.0
     # Nothing measures how far a part without the anchor is away: count from its own first robot.
     first = np.unique(problem.part, return_index=True)[1][problem.part]
     distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
@@ -204,7 +204,8 @@ def aligned(ends: Ends) -> Ends:
     """Move all ends by rigid motions that nothing resists to where the best one is."""
     problem, annealed = ends.fit.problem, ends.fit.annealed
     least = int(ends.cost.argmin())
-    rows = problem.rows.select(ends.missed[least] <= CONVERGENCE.outlier_sd**2)
+    is_missed = ends.missed[least] > CONVERGENCE.outlier_sd**2
+    rows = problem.rows.select(~problem.rows.any_of_vector(is_missed))
     if not rows.is_central.any():
         return ends
     turns = rows.free_turns(ends.position[least])

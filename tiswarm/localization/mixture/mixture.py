@@ -342,10 +342,7 @@ def _outliers(ends: Ends) -> Bools:
     order = np.argsort(np.argsort(ends.cost, kind="stable"))
     jury = (ends.weight > 0.0) | ((order < CONVERGENCE.jury) & np.isfinite(ends.cost))
     missed = (ends.missed[jury] > CONVERGENCE.outlier_sd**2).all(axis=0)
-    outlier: Bools = missed & ~problem.known
-    links = len(problem.variance)
-    outlier[:links] = problem.any_of_link(outlier[:links])
-    return outlier
+    return problem.rows.any_of_vector(missed & ~problem.known)
 
 
 def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evidence:

@@ -311,7 +311,7 @@ class LocalLayers:
 def _by_coordinates(block: Block, start: Reals) -> Reals:
     """Place a robot where its coordinates say [R], at the start if they leave that open, (3,)."""
     rows = block.rows
-    if len(rows) < _AXES or np.linalg.matrix_rank(rows.places.direction) < _AXES:
+    if rows.places.rank < _AXES:
         return start
     weight = 1.0 / np.sqrt(rows.variance())
     missed = weight * rows.residual(np.tile(start, (rows.robots, 1)))
@@ -321,8 +321,9 @@ def _by_coordinates(block: Block, start: Reals) -> Reals:
 
 def turns_at(rows: Measurements, position: Reals, loose: Ints) -> Turns:
     """Find how loose robots turn freely at a minimum (N, 3), without rows that it misses."""
-    met = rows.residual(position) ** 2 <= CONVERGENCE.outlier_sd**2 * rows.variance()
-    return rows.select(met).free_turns(position, np.isin(np.arange(len(position)), loose))
+    is_missed = rows.residual(position) ** 2 > CONVERGENCE.outlier_sd**2 * rows.variance()
+    met = rows.select(~rows.any_of_vector(is_missed))
+    return met.free_turns(position, np.isin(np.arange(len(position)), loose))
 
 
 def refuse_header(head: HeaderLine) -> None:
