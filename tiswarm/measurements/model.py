@@ -20,19 +20,22 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
-from tiswarm.measurements.equations import components, missed_along, missed_distance, slope_by_turn
+from tiswarm.measurements.equations import (
+    AXES,
+    components,
+    missed_along,
+    missed_distance,
+    slope_by_turn,
+)
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.records.sensing_log import KNOWN_SD
-
-if TYPE_CHECKING:
-    from tiswarm.measurements.turns import Turns
 
 SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""
@@ -45,8 +48,6 @@ _MOST_PAIRS = 4_000_000
 
 KNOWN = KNOWN_SD**2 * (1.0 + 1e-9)
 """Variance of a coordinate up to which it never gives way, as that of an anchor [R^2]."""
-
-_AXES = 3
 
 
 class Distances(NamedTuple):
@@ -156,11 +157,11 @@ class Offsets(NamedTuple):
         axis = _frames(vector / np.linalg.norm(vector, axis=1, keepdims=True))
         along, across = (np.broadcast_to(sd, len(vector)) for sd in (along_sd, across_sd))
         number = np.stack([stance, dock, other_stance, other_dock]).astype(np.int64)
-        i, a, j, b = np.repeat(number, _AXES, axis=1)
+        i, a, j, b = np.repeat(number, AXES, axis=1)
         return cls(
             i, a, j, b,
-            vector=np.repeat(vector, _AXES, axis=0),
-            axis=axis.reshape(-1, _AXES),
+            vector=np.repeat(vector, AXES, axis=0),
+            axis=axis.reshape(-1, AXES),
             own_variance=np.column_stack([along, across, across]).ravel() ** 2,
         )  # fmt: skip
 
@@ -203,7 +204,7 @@ class Coordinates(NamedTuple):
         every = cls(
             stance.astype(np.int64),
             dock.astype(np.int64),
-            np.broadcast_to(direction, (len(value), _AXES)),
+            np.broadcast_to(direction, (len(value), AXES)),
             value,
             np.broadcast_to(variance, len(value)),
             np.broadcast_to(source, len(value)),
@@ -219,17 +220,17 @@ class Coordinates(NamedTuple):
 def _frames(along: Reals) -> Reals:
     """Complete unit vectors to orthonormal axes, they themselves first, shape (n, 3, 3)."""
     # The coordinate axis that is least parallel: its cross product is never near 0.
-    least = np.eye(_AXES)[np.abs(along).argmin(axis=1)]
+    least = np.eye(AXES)[np.abs(along).argmin(axis=1)]
     across = np.cross(along, least)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     return np.stack([along, across, np.cross(along, across)], axis=1)
 
 
 _NONE = np.empty(0, np.int64)
-_NO_VECTOR = np.empty((0, _AXES))
+_NO_VECTOR = np.empty((0, AXES))
 NO_DISTANCES = Distances.of(_NONE, _NONE, _NONE, _NONE, length=SPACING, sd=0.0)
 NO_OFFSETS = Offsets.of(_NONE, _NONE, _NONE, _NONE, _NO_VECTOR, along_sd=0.0, across_sd=0.0)
-NO_COORDINATES = Coordinates.of(_NONE, _NONE, np.eye(_AXES)[2], np.empty(0), variance=0.0)
+NO_COORDINATES = Coordinates.of(_NONE, _NONE, np.eye(AXES)[2], np.empty(0), variance=0.0)
 NO_SOURCES = np.empty(0)
 
 
@@ -237,7 +238,7 @@ def ends(d: Distances, o: Offsets, p: Coordinates = NO_COORDINATES) -> tuple[Int
     """Stance and dock where the arm of each row begins, and its vector beyond the dock [R]."""
     stance = np.concatenate([d.stance, o.stance, p.stance])
     dock = np.concatenate([d.dock, o.dock, p.dock])
-    beyond = np.zeros((len(stance), _AXES))
+    beyond = np.zeros((len(stance), AXES))
     beyond[len(d.stance) : len(d.stance) + len(o.stance)] = o.vector
     return stance, dock, beyond
 
@@ -270,9 +271,6 @@ def weighted_means(
     first = order[start]
     in_order = np.argsort(first)
     return first[in_order], mean[in_order], 1.0 / total[in_order]
-
-
-_AXES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -425,8 +423,8 @@ class Measurements:
     def any_of_vector(self, flag: Bools) -> Bools:
         """Extend flags of rows, shape (E,), to all three rows of their vectors."""
         extended = flag.copy()
-        of_vector = flag[self.vector_rows].reshape(-1, _AXES)
-        extended[self.vector_rows] = np.repeat(of_vector.any(axis=1), _AXES)
+        of_vector = flag[self.vector_rows].reshape(-1, AXES)
+        extended[self.vector_rows] = np.repeat(of_vector.any(axis=1), AXES)
         return extended
 
     def select(self, chosen: Bools) -> "Measurements":
@@ -457,12 +455,6 @@ class Measurements:
             arm=self.arm[row],
             other_arm=self.other_arm[pair],
         )
-
-    def free_turns(self, position: Reals, among: Bools | None = None) -> "Turns":
-        """Find sets of robots that may turn at centers (N, 3), as `Turns.of` does."""
-        from tiswarm.measurements.turns import Turns  # noqa: PLC0415 - for logs with ranges alone
-
-        return Turns.of(self, position, among)
 
     @property
     def quantity(self) -> Ints:
@@ -528,7 +520,7 @@ class Measurements:
         if len(touch := self.touch):
             noise[touch] = sum(side[1].mean(axis=1) for side in self.touch_arms)
         # The mean of n n^T over all directions n is a third of the identity.
-        every = np.full((len(d.stance), _AXES), _AXES**-0.5)
+        every = np.full((len(d.stance), AXES), AXES**-0.5)
         direction = np.concatenate([every, p.direction])
         variance = (direction**2 * noise).sum(axis=1)
         of_offsets: Reals = np.empty(0)
@@ -610,7 +602,7 @@ class Measurements:
         """Turn the final arms of all docks by yaw, shape (N,) [R], shape (N, docks, 3)."""
         arm = self.odometry.arm[self.odometry.final]
         of_dock = None if yaw is None else np.repeat(yaw, arm.shape[1])
-        return turned(arm.reshape(-1, _AXES), of_dock).reshape(arm.shape)
+        return turned(arm.reshape(-1, AXES), of_dock).reshape(arm.shape)
 
     def axes(self, yaw: Reals | None = None) -> Reals:
         """Compute the unit vectors along which `offsets` measures, shape (..., O, 3)."""
@@ -668,18 +660,18 @@ class Measurements:
         toward = direction[:count]
         of_turn = -slope_by_turn(components(direction), components(arm))[2]
         of_its_turn = -slope_by_turn(components(toward), components(its))[2]
-        every, axis = np.arange(len(i)), np.arange(_AXES)
-        thrice = np.repeat(every, _AXES)
-        row = [thrice, thrice[: _AXES * count], every, every[:count]]
+        every, axis = np.arange(len(i)), np.arange(AXES)
+        thrice = np.repeat(every, AXES)
+        row = [thrice, thrice[: AXES * count], every, every[:count]]
         column = [
-            (_AXES * i[:, None] + axis).ravel(),
-            (_AXES * j[:, None] + axis).ravel(),
-            _AXES * self.robots + i,
-            _AXES * self.robots + j,
+            (AXES * i[:, None] + axis).ravel(),
+            (AXES * j[:, None] + axis).ravel(),
+            AXES * self.robots + i,
+            AXES * self.robots + j,
         ]
         value = [direction.ravel(), -toward.ravel(), of_turn, -of_its_turn]
         entries = (np.concatenate(value), (np.concatenate(row), np.concatenate(column)))
-        return csc_array(entries, shape=(len(i), (_AXES + 1) * self.robots))
+        return csc_array(entries, shape=(len(i), (AXES + 1) * self.robots))
 
 
 def turned(arm: Reals, yaw: Reals | None) -> Reals:

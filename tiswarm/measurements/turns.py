@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.contacts import disconnected, parts, spans
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import OpenTurn
 
@@ -42,8 +43,6 @@ sets that turn are looked for at all: both take time."""
 
 _MOST_UNKNOWNS = 20_000
 """Unknowns of configurations that are solved at once; more take memory."""
-
-_AXES = 3
 
 
 class Turn(NamedTuple):
@@ -100,10 +99,10 @@ class Turn(NamedTuple):
             place = np.interp((order + 0.5) / _DRAWS, level / level[-1], np.arange(len(level)))
             return self.turned(position, _motions(axes[:, 0], place))
         each = normal(stream, "turns", np.arange(_DRAWS // 4)[:, None], np.arange(4))
-        turns = 2.0 * np.eye(_AXES)[:, :, None] * np.eye(_AXES) - np.eye(_AXES)
-        half = np.concatenate([np.eye(_AXES)[None], turns])
+        turns = 2.0 * np.eye(AXES)[:, :, None] * np.eye(AXES) - np.eye(AXES)
+        half = np.concatenate([np.eye(AXES)[None], turns])
         matrices = half[:, None] @ Rotation.from_quat(each).as_matrix()
-        return self.turned(position, matrices.reshape(-1, _AXES, _AXES))
+        return self.turned(position, matrices.reshape(-1, AXES, AXES))
 
 
 class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
@@ -120,7 +119,7 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
         part, near = parts(rows), np.zeros((rows.robots, rows.robots), np.bool_)
         tied, of_pair = part == part[0], rows.robot[: len(rows.other)]
         measured = spans(rows.robot[len(rows.other) :], rows.places.direction, rows.robots)
-        known = np.linalg.matrix_rank(measured, hermitian=True) == _AXES
+        known = np.linalg.matrix_rank(measured, hermitian=True) == AXES
         known[0] = True
         frame = free_frame(rows, position, tied & (among is None))
         # Nothing of the world but the anchor is known, and robots that move have a shape.
@@ -204,15 +203,15 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools, about: int = 0
         moves: Robots that move, shape (N,).
         about: Robot about which they turn.
     """
-    held = Turn(moves, np.array([about]), np.empty((0, _AXES)), is_hand_free=False)
+    held = Turn(moves, np.array([about]), np.empty((0, AXES)), is_hand_free=False)
     arm = (position - position[about]) * moves[:, None]
     extent = np.linalg.norm(arm)
     if not extent:
         return held
-    turns = _turning(np.eye(_AXES), arm)
+    turns = _turning(np.eye(AXES), arm)
     changed = rows.jacobian(position)[:, : turns.shape[0]] @ turns
     _, size, axes = np.linalg.svd(np.linalg.qr(np.asarray(changed), mode="r"))
-    size = np.pad(size, (0, _AXES - len(size)))
+    size = np.pad(size, (0, AXES - len(size)))
     moved = np.linalg.norm(turns @ axes.T, axis=0)
     axes = axes[(size <= _UNRESISTED * extent) & (moved > _UNRESISTED * extent)]
 
@@ -231,8 +230,8 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools, about: int = 0
 
 def _sets(near: Bools, robots: Ints) -> list[Ints]:
     """List sets of some robots that hang together by `near` (N, N), the largest first."""
-    most = _AXES if len(robots) <= _MOST_CUT else 1
-    found = {(i,) for i in robots.tolist() if near[i].sum() <= _AXES - 1}
+    most = AXES if len(robots) <= _MOST_CUT else 1
+    found = {(i,) for i in robots.tolist() if near[i].sum() <= AXES - 1}
     for cut in chain(*(combinations(robots.tolist(), count) for count in range(most))):
         rest = np.setdiff1d(robots, cut)
         _, label = connected_components(near[np.ix_(rest, rest)], directed=False)
@@ -279,7 +278,7 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     """
     members = np.flatnonzero(turn.moves)
     column = np.cumsum(turn.moves) * turn.moves - 1  # -1 of robots that stay
-    sd, (count, size) = np.sqrt(rows.variance()), (len(position), _AXES * len(members))
+    sd, (count, size) = np.sqrt(rows.variance()), (len(position), AXES * len(members))
     residual, way = rows.linearized(position)
     residual, way = residual / sd, way / sd[:, None]
     center, axes = turn.pivot(position)
@@ -288,7 +287,7 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     entries, each = [], np.arange(count)[:, None, None]
     for robot, slope in ((rows.robot, way), (rows.other, -way[:, : len(rows.other)])):
         row = np.flatnonzero(turn.moves[robot])
-        place = (_AXES * column[robot[row], None] + np.arange(_AXES)) + size * each
+        place = (AXES * column[robot[row], None] + np.arange(AXES)) + size * each
         line = row[:, None] + len(rows) * each
         entries.append([slope[:, row], np.broadcast_to(line, place.shape), place])
     value, line, place = (
@@ -319,7 +318,7 @@ def align(position: Reals, other: Reals, turn: Turn) -> Reals:
     Returns:
         Orthogonal matrices that rows of arms from the pivot are multiplied by, shape (K, 3, 3).
     """
-    matrices = np.tile(np.eye(_AXES), (len(position), 1, 1))
+    matrices = np.tile(np.eye(AXES), (len(position), 1, 1))
     if not len(turn.axes):
         return matrices
     there = (other - turn.pivot(other)[0])[turn.moves]
@@ -327,7 +326,7 @@ def align(position: Reals, other: Reals, turn: Turn) -> Reals:
         center, axes = turn.pivot(centers)
         here = (centers - center)[turn.moves]
         images = [here, _mirrored(here, axes)] if turn.is_hand_free else [here]
-        mirror = [np.eye(_AXES), _mirrored(np.eye(_AXES), axes)]
+        mirror = [np.eye(AXES), _mirrored(np.eye(AXES), axes)]
         turns = [_turn(image, there, axes) for image in images]
         off = [
             np.linalg.norm(image @ turn - there) for image, turn in zip(images, turns, strict=True)
@@ -344,7 +343,7 @@ def _motions(axis: Reals, place: Reals) -> Reals:
     """
     matrices = Rotation.from_rotvec(-2.0 * np.pi / _ANGLES * place[:, None] * axis).as_matrix()
     for k in np.flatnonzero(place >= _ANGLES).tolist():
-        matrices[k] = _mirrored(np.eye(_AXES), axis[k : k + 1]) @ matrices[k]
+        matrices[k] = _mirrored(np.eye(AXES), axis[k : k + 1]) @ matrices[k]
     return matrices
 
 
@@ -357,7 +356,7 @@ def _turning(axes: Reals, arm: Reals) -> Reals:
 def _mirrored(arm: Reals, axes: Reals) -> Reals:
     """Mirror arms in a plane that contains the axis of free turns, or in any if all are free."""
     along = axes[0]
-    across = np.cross(along, np.eye(_AXES)[np.abs(along).argmin()])
+    across = np.cross(along, np.eye(AXES)[np.abs(along).argmin()])
     across /= np.linalg.norm(across)
     mirrored: Reals = arm - 2.0 * (arm @ across)[..., None] * across
     return mirrored

@@ -61,12 +61,12 @@ from tiswarm.localization.online.kernels import (
 from tiswarm.localization.online.layers import Joiner, LocalLayers, measured
 from tiswarm.localization.online.neighborhood import Block, NearCost, NearLinear
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import LISTS
 
-_AXES = 3
 _TEMPERED = 4.0
 """Divisor of costs by which ends of chains weigh in standard deviations [1]: few chains meet few of
 the likely minima. Chosen on towers and cantilevers of the seeds 1000 to 1007, which no result is

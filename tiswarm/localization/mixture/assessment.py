@@ -23,6 +23,7 @@ from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.mixture.verdict import Evidence, extent, judge, misfit_by_robot, widened
 from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
 from tiswarm.measurements.model import Measurements, are_known
+from tiswarm.measurements.turns import Turns
 from tiswarm.records.estimate import MOST_WITHIN, Convergence
 from tiswarm.records.sensing_log import SensingLog
 
@@ -302,7 +303,7 @@ def _opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals
     rows = rows.associated(position)
     cost = WholeCost(log, rows, robust_sd=ROBUST_SD, non_overlap=False, are_independent=True)
     state, linear = cost.refine(cost.at(start, nowhere), _TURNED)
-    turns = rows.free_turns(state.position)
+    turns = Turns.of(rows, state.position)
     if not turns:
         return nowhere, {}
     square = turns.off(state.position, position)

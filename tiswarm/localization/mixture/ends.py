@@ -4,7 +4,7 @@ A chain failed if it put a robot farther away than its contacts reach, or if its
 ran away. Lengths in R.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from tiswarm.localization.mixture import CONVERGENCE, MIXTURE
 from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.turns import Turns
 from tiswarm.records.sensing_log import SensingLog
 
 
@@ -88,8 +89,8 @@ class Ends:
     solution: Ints
     """Solution of each, counted by descending weight, shape (K,)."""
 
-    turns: Any = ()
-    """`Turns`, rigid motions that nothing resists, by which ends are aligned."""
+    turns: Turns = field(default_factory=Turns)
+    """Rigid motions that nothing resists, by which ends are aligned."""
 
     def at(self, position: Reals, yaw: Reals) -> "Ends":
         """Return one end at a configuration, (N, 3) and (N,), in place of all."""
@@ -208,7 +209,7 @@ def aligned(ends: Ends) -> Ends:
     rows = problem.rows.select(~problem.rows.any_of_vector(is_missed))
     if not rows.is_central.any():
         return ends
-    turns = rows.free_turns(ends.position[least])
+    turns = Turns.of(rows, ends.position[least])
     if not turns:
         return ends
     position, mean, last = turns.aligned(ends.position, annealed.mean, annealed.last, to=least)

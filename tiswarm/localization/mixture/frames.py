@@ -21,10 +21,10 @@ from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.mixture import MIXTURE
 from tiswarm.measurements.contacts import close_docks, spans
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Measurements, turned
 from tiswarm.records.sensing_log import SensingLog
 
-_AXES = 3
 MOST_ROBOTS = 1000
 """Robots beyond which the matrix of all distances takes too long."""
 
@@ -46,7 +46,7 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
         Two mirror images, shape (N, 3) each; none without ranges, or beyond `MOST_ROBOTS`.
     """
     robots, rows = problem.rows.robots, problem.rows
-    if rows.is_contact.all() or not _AXES <= robots <= MOST_ROBOTS:
+    if rows.is_contact.all() or not AXES <= robots <= MOST_ROBOTS:
         return []
     length = np.where(
         problem.is_offset,
@@ -68,7 +68,7 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
     # Double centering turns squared distances into products of arms from the mean.
     square -= square.mean(axis=0)
     square -= square.mean(axis=1)[:, None]
-    value, vector = eigh(square, subset_by_index=(robots - _AXES, robots - 1))
+    value, vector = eigh(square, subset_by_index=(robots - AXES, robots - 1))
     shape = vector * np.sqrt(np.maximum(value, 0.0))
     shape -= shape[0]
     return [_fitted(image, problem, anchor) for image in (shape, shape * [1.0, 1.0, -1.0])]
@@ -80,9 +80,9 @@ def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
     robot, direction = rows.robot[links:], rows.places.direction
     value = -rows.residual(np.tile(anchor, (rows.robots, 1)))[links:]
     # n . A x = value, with nine unknowns
-    matrix = (direction[:, :, None] * shape[robot][:, None, :]).reshape(-1, _AXES**2)
-    ridge = _RIDGE * max(float((matrix**2).sum()), 1.0) * np.eye(_AXES**2)
-    affine = np.linalg.solve(matrix.T @ matrix + ridge, matrix.T @ value).reshape(_AXES, _AXES)
+    matrix = (direction[:, :, None] * shape[robot][:, None, :]).reshape(-1, AXES**2)
+    ridge = _RIDGE * max(float((matrix**2).sum()), 1.0) * np.eye(AXES**2)
+    affine = np.linalg.solve(matrix.T @ matrix + ridge, matrix.T @ value).reshape(AXES, AXES)
     u, _, vt = np.linalg.svd(affine)
     # The nearest proper rotation to the map (Kabsch 1976): no mirror image.
     turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -179,7 +179,7 @@ class PartImages:
         if not self._non_overlap:
             return 0.0
         arm = self._rows.odometry.arm[self._rows.odometry.final]
-        docks = turned(arm.reshape(-1, _AXES), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
+        docks = turned(arm.reshape(-1, AXES), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
         point = position[:, None] + docks
         close = close_docks(self._log, point, SPACING)
         apart = point[close[:, 0], close[:, 1]] - point[close[:, 2], close[:, 3]]

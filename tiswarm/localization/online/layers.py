@@ -29,13 +29,13 @@ from tiswarm.localization.online.neighborhood import (
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.cues import CUES
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.turns import Turns
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 
-_AXES = 3
 _LEAST_SD = 1e-9
 """The anchor has no sd to divide by [R]."""
 
@@ -323,7 +323,7 @@ def turns_at(rows: Measurements, position: Reals, loose: Ints) -> Turns:
     """Find how loose robots turn freely at a minimum (N, 3), without rows that it misses."""
     is_missed = rows.residual(position) ** 2 > CONVERGENCE.outlier_sd**2 * rows.variance()
     met = rows.select(~rows.any_of_vector(is_missed))
-    return met.free_turns(position, np.isin(np.arange(len(position)), loose))
+    return Turns.of(met, position, np.isin(np.arange(len(position)), loose))
 
 
 def refuse_header(head: HeaderLine) -> None:

@@ -40,9 +40,9 @@ from tiswarm.localization.online.kernels import (
     sum_equations,
 )
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.measurements.model import SPACING, Measurements
 
-_AXES = 3
 _HELD = 1e-4
 """Standard deviation of motions that do not count [R]: no error of a measurement is as small."""
 

@@ -21,6 +21,7 @@ from tiswarm.compute.math import normal
 from tiswarm.measurements.advice.expected_error import Images, Posterior
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Coordinates, Distances, Measurements
 from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
 from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
@@ -53,9 +54,6 @@ _DECISIVE = 5.0
 
 _NO_WEIGHT = 1e-12
 """Weight of a solution that only shows what a measurement would change [1]."""
-
-_AXES = 3
-"""Rows of a known position."""
 
 Kind = Literal["contact", "height", "position", "range", "anchor"]
 
@@ -197,7 +195,7 @@ class _Question(NamedTuple):
         """Count the floppy modes that some further rows remove together."""
         jacobian = csc_array(vstack([rows.jacobian(self.center) for rows in further]))
         modes = int(_rank(jacobian, self.motions.of_robots(), jacobian.shape[0])[0])
-        fixed = [self.fixes_gauge[rows.robot[0]] for rows in further if len(rows) == _AXES]
+        fixed = [self.fixes_gauge[rows.robot[0]] for rows in further if len(rows) == AXES]
         return modes - any(fixed)
 
     def determined(self, further: Sequence[Measurements]) -> Ints:
@@ -241,7 +239,7 @@ def advise(
         jacobian, variance = further.jacobian(center), further.variance()
         change = question.change(further)
         modes = _rank(jacobian, question.motions.of_robots(), size)
-        if size == _AXES:
+        if size == AXES:
             modes -= question.fixes_gauge[further.robot[::size]]
         before, after = np.nan, modes * np.nan
         apart = np.sqrt((change**2 / variance).reshape(-1, size).sum(axis=1))
@@ -519,7 +517,7 @@ def _images(
     rows = measure(log, cues).associated(center)
     if not estimate.solutions and not estimate.turns and estimate.sd is not None:
         # A table of positions may have means of circles, where robots fit no range.
-        way = normal(0, "aside", np.arange(len(center))[:, None], np.arange(_AXES))
+        way = normal(0, "aside", np.arange(len(center))[:, None], np.arange(AXES))
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         center += way * (estimate.sd / unit)[:, None]
     found = Turns.of(rows, center)
