@@ -350,7 +350,7 @@ def _peel(bodies: Bodies) -> tuple[int, Bodies]:
         held = _rank(
             _seen_from(center, _by_row(end, np.tile(constraints.stiffness, (2, 1, 1)), bodies.size))
         )
-        # Ranks that add up to that of the sum belong to constraints of which none repeats another.
+        # Where the ranks of the parts add up to that of the sum, no constraint repeats another.
         peels = rests & (total == held)
         peels[bodies.fixed] = False
         if not peels.any():
