@@ -6,12 +6,11 @@ for each step. Kernels are compiled for functions, not for numbers.
 """
 
 import inspect
-import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from numbers import Integral, Real
 from pathlib import Path
 from types import FunctionType
@@ -26,6 +25,13 @@ from tiswarm.base.robot import Robot
 from tiswarm.compute import backend
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, Ref, ti
 from tiswarm.compute.math_kernels import vector_at
+from tiswarm.compute.user_functions import (
+    is_of_library,
+    mistake_of_user,
+    problem_of,
+    reads,
+    undecorated,
+)
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import (
     FREE,
@@ -161,7 +167,8 @@ class MovingSwarm(PreparedSwarm):
         if not (hasattr(robot, "spacing") and hasattr(robot, "dock_offset_body")):
             problem = f"{robot!r} has no spacing and dock_offset_body; give a RobotGeometry"
             raise InputError(problem, argument="robot")
-        self.law = _chosen(force, integrator, is_guided=mobility is not None)
+        self.choose = partial(_chosen, force, integrator, is_guided=mobility is not None)
+        self.law = self.choose()
         super().__init__(
             position, orientation_wxyz, contacts, dynamics=self.law.dynamics, cutoff=cutoff,
             mobility=mobility, **options,
@@ -185,6 +192,7 @@ class MovingSwarm(PreparedSwarm):
             raise InputError(
                 f"{seed!r} is not 0 to {_LARGEST_SEED}, whole; correct it", argument="seed"
             )
+        self._follow_functions()
         numbers = self.law.numbers(dict(parameters or {}), steps)
         given = {name: options.get(f"{name}_gain") for name in FREE.names}
         for name, gain in given.items():
@@ -207,6 +215,13 @@ class MovingSwarm(PreparedSwarm):
         finally:  # a robot that NaN would move stays, so that steps may end well
             self._refuse_nan(kept, kept if options.get("resume") else self.first)
         return replace(found, force_error=np.nan) if self.dynamics.is_cut else found
+
+    def _follow_functions(self) -> None:
+        """Compile the functions anew if what they read has changed since the last call."""
+        self.law = self.choose()
+        self.dynamics = self.law.dynamics
+        if self.stepper is not None:
+            self.stepper.dynamics = self.dynamics
 
     def _refuse_nan(self, kept: RelaxState, start: RelaxState) -> None:
         """Name the function that returned NaN, unless the forces diverged before."""
@@ -273,11 +288,16 @@ def _chosen(
         return _Law(ours, (), dict.fromkeys(ours.names), {})
     pull = None if force is None else _checked(force, "force", FORCE)
     move = None if integrator is None else _checked(integrator, "integrator", INTEGRATOR)
-    return _compiled(pull, move, ours)
+    return _compiled(pull, move, ours, tuple(reads(each) for each in (pull, move) if each))
 
 
-@cache  # kernels are compiled anew for each new function
-def _compiled(force: FunctionType | None, integrator: FunctionType | None, ours: Dynamics) -> _Law:
+@cache  # kernels are compiled anew for each new function, and for each change of what it reads
+def _compiled(
+    force: FunctionType | None,
+    integrator: FunctionType | None,
+    ours: Dynamics,
+    _reads: tuple[object, ...],
+) -> _Law:
     """Make functions callable by kernels."""
     # Those of the engine read the first columns.
     is_ours = force is None or (integrator is None and bool(ours.asks))
@@ -388,7 +408,7 @@ def _of_motion(
 
 def _checked(function: Callable[..., Any], kind: str, known: tuple[str, ...]) -> FunctionType:
     """Return the function that a decorator may hide."""
-    bare = inspect.unwrap(function)
+    bare = undecorated(function)
     if not isinstance(bare, FunctionType) or bare.__name__ == "<lambda>":
         raise InputError(f"{function!r} is no function; define one by def", argument=kind)
     others = [name for name in LIBRARIES if hasattr(function, f"_is_{name}_function")]
@@ -417,10 +437,6 @@ def _error(problem: str, function: FunctionType | None, line: int | None = None)
     return InputError(problem, path=Path(code.co_filename), line=line or code.co_firstlineno)
 
 
-_PLACE = re.compile(r'File "(.*?)", line (\d+), in (.*):$', re.MULTILINE)
-_MARK = re.compile(r"^[ ~]*\^[ ~^]*$", re.MULTILINE)
-
-
 @contextmanager
 def _mistakes_named(law: _Law) -> Iterator[None]:
     """Say in a line what is wrong in a user's function, and where, if it does not compile."""
@@ -430,16 +446,12 @@ def _mistakes_named(law: _Law) -> Iterator[None]:
                 warnings.simplefilter("ignore", SyntaxWarning)
             yield
     except Exception as error:
-        if type(error).__module__.partition(".")[0] != LIBRARY or not law.functions:
+        if not (is_of_library(error) and law.functions):
             raise
-        text = str(error)
-        lines = _MARK.split(text)[-1].strip().splitlines()
-        # Where Python raised an error, its last line says which.
-        problem = " ".join(lines[-1:] if "Traceback" in text else lines).strip(".")
-        for file, line, name in reversed(_PLACE.findall(text)):
-            if not Path(file).is_relative_to(Path(__file__).parents[1]):
-                problem = f"{name}: {problem}; correct it"
-                raise InputError(problem, path=Path(file), line=int(line)) from error
+        mistake = mistake_of_user(error)
+        if mistake is not None:
+            raise mistake from error
+        problem = problem_of(error)
         names = " or ".join(f.__name__ for f in law.functions)
         problem = f"does not compile: {problem}; correct {names}"
         wrong = [f for f in law.functions if f"{f.__name__} has to return" in problem]

@@ -19,8 +19,9 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass as plain_dataclass
 from functools import cached_property, partial, wraps
-from inspect import isfunction, unwrap
+from inspect import isfunction
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from tiswarm.base import registry as door
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import uniform
+from tiswarm.compute.user_functions import is_kernel_function
 from tiswarm.records.terrain import Terrain
 from tiswarm.world.climb_kernels import (
     ENDED,
@@ -292,14 +294,21 @@ def rule(name: str) -> Callable[[_Class], _Class]:
 
 def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[..., Any]:
     """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
-    theirs, fault = unwrap(inherited), _FAULTS.get(method)
+    theirs = inherited
+    fault: Callable[..., str] = _FAULTS.get(method, lambda *_: "")
+    if isfunction(inherited):  # a rule may derive from another one, whose methods are wrapped
+        theirs = _unguarded.get(inherited, inherited)
 
     @wraps(theirs)
     def call(*given: Any) -> Any:  # noqa: ANN401 - as the method
         plugin, what = door.registered("rule")[name].plugin, f"{name}.{method}"
         shown = [_read_only(each) if isinstance(each, np.ndarray) else each for each in given]
-        found = door.guarded(plugin, what, lambda: theirs(*shown))
-        if fault is None:
+        found: Any = door.guarded(plugin, what, lambda: theirs(*shown))
+        if method == "score":
+            if not is_kernel_function(found):
+                advice = "return a function that ti.func decorates, and nothing else"
+                problem = f"{plugin.file}: {what} returned {_described(found)}; {advice}"
+                raise door.PluginError(problem, f"{problem}\n")
             return found
         found = np.asarray(found)
         if method == "choose" and not found.ndim:  # one choice of all
@@ -309,7 +318,18 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
             raise door.PluginError(problem, f"{problem}\n")
         return found.astype(np.int32)
 
+    _unguarded[call] = theirs
     return call
+
+
+_unguarded: WeakKeyDictionary[Callable[..., Any], Callable[..., Any]] = WeakKeyDictionary()
+"""Methods of users by the functions that `_guarded` made of them."""
+
+
+def _described(value: object) -> str:
+    """Name what a method returned in place of a function of the kernel language."""
+    name = getattr(value, "__name__", "")
+    return f"{name}, a function of Python" if name else f"a {type(value).__name__}"
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

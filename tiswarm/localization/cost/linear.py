@@ -306,7 +306,8 @@ class Linear:
         turns = self.noise.shape[1]
         sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
         # The inverse of a sparse matrix is dense; draws of all errors take one solve.
-        blocks = [_standard_errors(k, draws) for k in range(-(-int(sizes[-1]) // _BLOCK))]
+        count = max(1, -(-int(sizes[-1]) // _BLOCK))
+        blocks = [_standard_errors(k, draws) for k in range(count)]
         draw = np.concatenate(blocks)[: sizes[-1]]
         own, turn, prior = np.split(draw, sizes[:-1])
         error = np.sqrt(self.own_variance)[:, None] * own
