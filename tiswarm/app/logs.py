@@ -41,10 +41,15 @@ class Log(SensingLog):
     path: Path = Path("sensing log")
     """Name of the log in messages and on pages: its file, if it has one."""
 
+    structure: str = ""
+    """Digest of the grown structure that sensed it; empty for a log of a file."""
+
     @classmethod
-    def of(cls, log: SensingLog, path: Path = path) -> "Log":
+    def of(cls, log: SensingLog, path: Path = path, structure: str = structure) -> "Log":
         """Make a log of what was sensed, by its name in messages, unless it is one."""
-        return log if isinstance(log, Log) else cls(**_fields(SensingLog, log), path=path)
+        if isinstance(log, Log):
+            return log
+        return cls(**_fields(SensingLog, log), path=path, structure=structure)
 
     def write(self, out: File = "sensing.jsonl", *, overwrite: bool = False) -> Path:
         """Write the log to a file, which `tiswarm.read_log` reads; return its path.

@@ -11,6 +11,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, overload
 
@@ -107,6 +108,15 @@ class Structure:
     def name(self) -> str:
         """Kind and seed."""
         return f"{self.scenario.structure.kind}-seed-{self.seed}"
+
+    @cached_property
+    def digest(self) -> str:
+        """Sixteen hex digits of the seed and of where robots stand, which its logs state."""
+        content = [np.int64(self.seed), self.position, self.orientation_wxyz, self.contacts]
+        digest = sha256()
+        for array in content:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()[:16]
 
     @property
     def robot_count(self) -> int:
@@ -527,15 +537,18 @@ class Swarms(Sequence[Structure]):
         """Compare estimates with the structures.
 
         Args:
-            estimates: One for each structure, in their order: what `log.localize` returned, or
-                `log.with_estimate`.
+            estimates: One for each structure: what `log.localize` returned, or `log.with_estimate`.
+                Estimates of logs that structures sensed may have any order. Others, of files, are
+                matched by the contacts in their logs; those without contacts need the structures'
+                order.
 
         Returns:
             A row for each structure: its seed, RMSE and disparity, then the other measures of
             `summary.csv` of a run.
 
         Raises:
-            InputError: their number is another, one has no log, or is of another structure.
+            InputError: their number is another, one has no log, or is of another structure, or they
+                cannot be matched.
         """
         found = list(estimates)
         if len(found) != len(self):
@@ -543,7 +556,8 @@ class Swarms(Sequence[Structure]):
             raise InputError(
                 f"{problem}score a part of the batch by its slice", argument="estimates"
             )
-        scores = [{"seed": s.seed, **_score(s, e)} for s, e in zip(self, found, strict=True)]
+        ordered = _matched(self, found)
+        scores = [{"seed": s.seed, **_score(s, e)} for s, e in zip(self, ordered, strict=True)]
         table = pd.DataFrame(scores)
         first = ["seed", RMSE.column, DISPARITY.column]
         return table[[*first, *table.columns.difference(first, sort=False)]]
@@ -718,15 +732,70 @@ def _sensing(scenario: Scenario, settings: Mapping[str, object]) -> SensingParam
 
 
 def _sense(swarm: Structure, params: SensingParams) -> Log:
-    return Log.of(observe(swarm.history, params), Path(swarm.name))
+    return Log.of(observe(swarm.history, params), Path(swarm.name), swarm.digest)
 
 
-def _score(swarm: Structure, estimate: Localized) -> dict[str, float]:
+def _matched(swarms: Swarms, estimates: Sequence[Localized]) -> list[Localized]:
+    """Put estimates into the order of their structures.
+
+    Raises:
+        InputError: an estimate is of none of the structures, or two are of the same one.
+    """
+    estimate_of: dict[int, int] = {}
+    for number, estimate in enumerate(estimates):
+        structure = _structure_of(swarms, number, estimate)
+        if structure in estimate_of:
+            numbers = f"{estimate_of[structure]} and {number}"
+            problem = f"estimates {numbers} are both of {swarms[structure].name}; give one of each"
+            raise InputError(problem, argument="estimates")
+        estimate_of[structure] = number
+    return [estimates[estimate_of[structure]] for structure in range(len(swarms))]
+
+
+def _structure_of(swarms: Swarms, number: int, estimate: Localized) -> int:
+    """Return the index of the structure that an estimate is of; `number` is its place in a list."""
+    log = _log_of(estimate)
+    if log.structure:
+        digests = [swarm.digest for swarm in swarms]
+        if log.structure not in digests:
+            raise _other_structure(log)
+        return digests.index(log.structure)
+    shares = [_shared_contacts(swarm, log) for swarm in swarms]
+    largest = max(shares)
+    if shares[number] == largest:  # which of equal ones, only the order says
+        return number
+    if shares.count(largest) > 1:
+        problem = f"estimate {number} ({log.path}) may be of several structures, but not of "
+        problem += f"{swarms[number].name}; give estimates in the order of structures"
+        raise InputError(problem, argument="estimates")
+    return shares.index(largest)
+
+
+def _shared_contacts(swarm: Structure, log: Log) -> float:
+    """Return the share of the contacts of a log that a structure has; 0 where there are none."""
+    contacts = {*map(tuple, swarm.contacts.tolist())}
+    sensed = [tuple(contact) for contact in log.contacts.tolist()]
+    return sum(contact in contacts for contact in sensed) / max(len(sensed), 1)
+
+
+def _other_structure(log: Log) -> InputError:
+    problem = f"the estimate of {log.path} is of another structure; give that of one of these"
+    return InputError(problem, argument="estimates")
+
+
+def _log_of(estimate: Localized) -> Log:
     if not isinstance(estimate, Localized):
         problem = (
             f"a value of type {type(estimate).__name__} has no log; give what log.localize or "
         )
         raise InputError(f"{problem}log.with_estimate returned", argument="estimates")
+    return estimate.log
+
+
+def _score(swarm: Structure, estimate: Localized) -> dict[str, float]:
+    log = _log_of(estimate)
+    if log.structure not in ("", swarm.digest):
+        raise _other_structure(log)
     if estimate.robot_count != swarm.robot_count:
         robots, joined = estimate.robot_count, swarm.robot_count
         problem = f"{counted(robots, 'robot')}, but {joined} joined {swarm.name}; keep the order"

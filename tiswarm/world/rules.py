@@ -458,7 +458,11 @@ def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
     plugin, what = door.registered("structure")[name].plugin, f"{name}.terrain"
     theirs = getattr(settings.terrain, "fget", lambda _: settings.terrain)
     found = door.guarded(plugin, what, lambda: theirs(of))
-    if not isinstance(found, Terrain):
+    if type(found) is not Terrain:
         problem = f"{plugin.file}: {what} returned {type(found).__name__}; return a Terrain"
+        if isinstance(found, Terrain):  # kernels know the ground by the fields of Terrain alone
+            problem = (
+                f"{problem} itself: robots would not notice what a class derived from it changes"
+            )
         raise door.PluginError(problem, f"{problem}\n")
     return found
