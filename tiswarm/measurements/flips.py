@@ -13,7 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.chi_square import chi_square_limit
 from tiswarm.compute.math import dock_offsets
+from tiswarm.compute.normal_equations import inverted, solved
 from tiswarm.measurements.odometry import ASSUMED, stuck_robots
 from tiswarm.records.sensing_log import SensingLog
 
@@ -138,13 +140,13 @@ def _fitted(
         )  # fmt: skip
         off[:, :, 6:] = -arm[..., 2]
         matrix, right = rows.reshape(walks, -1, size), off.reshape(walks, -1, 1)
-        inverse = np.linalg.inv(matrix.swapaxes(1, 2) @ matrix)
+        inverse = inverted(matrix.swapaxes(1, 2) @ matrix)
         step = inverse @ (matrix.swapaxes(1, 2) @ right)
         found = Rotation.from_rotvec(step.reshape(-1, 3)) * found
     square = ((matrix @ step - right)[..., 0] ** 2).sum(axis=1)
     spare = 2 * is_known.sum(axis=1) + np.clip(on_ground.sum(axis=2) - 1, 0, 2).sum(axis=1)
     variance = np.diagonal(inverse, axis1=1, axis2=2).reshape(walks, stances, 3)
-    fits: Bools = square <= spare + _SDS * np.sqrt(2.0 * spare)
+    fits: Bools = square <= chi_square_limit(spare, _SDS)
     return found.as_quat(canonical=True, scalar_first=True).reshape(wxyz.shape), variance, fits
 
 
@@ -167,7 +169,7 @@ def _chosen(wxyz: Reals, axes: Reals, sd: Reals) -> tuple[Reals, Bools]:
     # The noise along the axis is 0: what is left there is of second order.
     off = after - before
     off -= (off * middle).sum(axis=-1, keepdims=True) * middle
-    square = (off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(axis=-1)
+    square = (off * solved(spread, off)).sum(axis=-1)
     best = square.argmin(axis=-1)[..., None]
     chosen = np.take_along_axis(axes, best[..., None], axis=2)[:, :, 0]
     return chosen, np.take_along_axis(square, best, axis=2)[..., 0] < _ODD

@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import breadth_first_order
-from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets, normal
+from tiswarm.compute.normal_equations import factored
 from tiswarm.records.sensing_log import LISTS, SensingLog, SensingNoise, Stances
 
 ASSUMED = SensingNoise(tilt_deg=1.0, yaw_deg=2.0)
@@ -117,7 +117,8 @@ def _averaged(log: SensingLog, is_chained: Bools) -> tuple[Reals, Reals]:
     ends = np.concatenate([links.robot, links.other])
     change: csc_array = csc_array((sign, (row, ends)), shape=(count, robots))
     hold = np.where(is_chained, 0.0, _HELD * weight)
-    factor = splu(csc_array(weight * (change.T @ change) + diags_array(hold)))
+    information = csc_array(weight * (change.T @ change) + diags_array(hold))
+    factor = factored(information, pivots="any")
     # The matrix depends on the graph alone: one factorization serves all rounds.
     for _ in range(_ROUNDS):
         step = factor.solve(weight * (change.T @ connections_of(log).residual))

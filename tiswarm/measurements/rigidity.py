@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import normal
+from tiswarm.compute.normal_equations import factored
 from tiswarm.measurements.model import Measurements
 
 _UNNOTICED = 1e-5
@@ -387,10 +388,4 @@ def _factors(bodies: Bodies) -> SuperLU | None:
     rows = np.broadcast_to(len(dof) * row[:, None, None] + dof[:, None], block.shape)
     columns = np.broadcast_to(len(dof) * column[:, None, None] + dof, block.shape)
     matrix = csc_array((block.ravel(), (rows.ravel(), columns.ravel())), shape=(unknowns, unknowns))
-    # Symmetric mode takes pivots from the diagonal: so theirs are the signs to count.
-    return splu(
-        csc_array(matrix - _UNNOTICED**2 * eye_array(unknowns)),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    return factored(csc_array(matrix - _UNNOTICED**2 * eye_array(unknowns)))

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
+from tiswarm.compute.normal_equations import factored
 from tiswarm.measurements.contacts import disconnected, parts, spans
 from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import Measurements
@@ -300,7 +300,7 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     most = information.diagonal().reshape(count, size).sum(axis=1)
     most -= (along * (information @ along.ravel()).reshape(count, size)).sum(axis=1)
     stiff = diags(np.repeat(_UNRESISTED * most, size), format="csc")
-    factor = splu(information + stiff, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    factor = factored(information + stiff, pivots="largest")
     step, held = (factor.solve(side.ravel()).reshape(count, size) for side in (pull, along))
     step -= held * ((along * step).sum(axis=1) / (along * held).sum(axis=1))[:, None]
     least: Reals = (residual**2).sum(axis=1) - (pull * step).sum(axis=1)

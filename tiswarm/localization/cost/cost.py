@@ -27,7 +27,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows
 from tiswarm.measurements import equations
-from tiswarm.measurements.contacts import close_docks
+from tiswarm.measurements.contacts import close_docks, overlaps
 from tiswarm.measurements.model import SPACING, Measurements, are_known
 from tiswarm.measurements.odometry import Connections
 from tiswarm.records.sensing_log import SensingLog
@@ -448,17 +448,14 @@ class WholeCost(Cost[Linear]):
         """Compute the overlaps of docks that do not touch, and their derivatives."""
         arm = self._docks_at(state)
         point = state.position[:, None] + arm
-        docks = self._close_docks(point)
-        apart = point[docks[:, 0], docks[:, 1]] - point[docks[:, 2], docks[:, 3]]
-        length = np.linalg.norm(apart, axis=1)
-        chosen = np.flatnonzero((length < SPACING) & (length > 0.0))
-        if not len(chosen):
+        docks, depth, direction = overlaps(point, self._close_docks(point))
+        if not len(docks):
             return _NO_ROWS
-        later, own, earlier, its = docks[chosen].T
-        way = apart[chosen] / length[chosen, None]
+        later, later_dock, earlier, earlier_dock = docks.T
         robot = np.concatenate([later, earlier])
-        pull = np.concatenate([way, -way])
-        across = _by_turns(pull, np.concatenate([arm[later, own], arm[earlier, its]]))
+        pull = np.concatenate([direction, -direction])
+        arms = np.concatenate([arm[later, later_dock], arm[earlier, earlier_dock]])
+        across = _by_turns(pull, arms)
         turn = across * self._turn_sd[self.walks.final][robot]
         robots = self.rows.robots
         column = np.concatenate(
@@ -470,11 +467,11 @@ class WholeCost(Cost[Linear]):
             axis=1,
         )
         return self._rows_of(
-            length[chosen] - SPACING,
-            np.repeat(np.tile(np.arange(len(chosen)), 2), column.shape[1]),
+            -depth,
+            np.repeat(np.tile(np.arange(len(docks)), 2), column.shape[1]),
             column.ravel(),
             np.concatenate([pull, turn, -across[:, 2:]], axis=1).ravel(),
-            np.full(len(chosen), OVERLAP_SD**2),
+            np.full(len(docks), OVERLAP_SD**2),
         )
 
     def _links_of(self, state: State, links: Connections) -> LinearRows:

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
+from tiswarm.compute.normal_equations import factored, inverted
 
 DRAWS, FEW_DRAWS = 64, 16
 """Draws of all errors from which the variance of the result is computed, of few and many robots."""
@@ -95,7 +96,7 @@ class RelatedRows:
         dense[block, place, place] = covariance.diagonal() + own_variance[self.rows]
         # Rows beyond the measured ones, such as overlaps, are on the diagonal, too.
         alone = np.concatenate([self._alone, np.arange(noise.shape[0], len(own_variance))])
-        value = np.concatenate([np.linalg.inv(dense)[self._entry], 1.0 / own_variance[alone]])
+        value = np.concatenate([inverted(dense)[self._entry], 1.0 / own_variance[alone]])
         row, column = (np.concatenate([k, alone]) for k in (self._row, self._column))
         return csr_array((value, (row, column)), shape=(len(own_variance),) * 2)
 
@@ -188,14 +189,7 @@ class Linear:
             total.data[diagonal] += further
         else:  # nothing measures some unknowns
             total = csc_array(known + diags_array(further))
-        # Symmetric mode takes pivots from the diagonal: their signs count eigenvalues, and their
-        # product is the determinant.
-        return splu(
-            total,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        return factored(total)
 
     @cached_property
     def undamped(self) -> SuperLU:
@@ -265,7 +259,7 @@ class Linear:
         covariance[:first, :first] = (
             np.diag(1.0 / self.inverse[rows])
             if isinstance(self.inverse, np.ndarray)
-            else np.linalg.inv(csc_array(self.inverse)[rows, :][:, rows].toarray())
+            else inverted(csc_array(self.inverse)[rows, :][:, rows].toarray())
         )
         covariance[prior, prior] = 1.0 / self.precision[columns]
         scale = 1.0 / np.sqrt(covariance.diagonal())

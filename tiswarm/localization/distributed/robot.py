@@ -36,6 +36,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.normal_equations import damped, inverted, solved
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import Planes, fewest_contacts
 from tiswarm.localization.chains.views import (
@@ -411,12 +412,11 @@ class LocalSwarm:
         Errors of those that stay, shape (N,), count as a shift that they share.
         """
         robots = len(stays)
-        known = basis.T @ linear.information @ basis
-        known[np.diag_indices(len(known))] += NEIGHBORS.open_precision
+        known = damped(basis.T @ linear.information @ basis, NEIGHBORS.open_precision)
         others = np.zeros((2, robots, _AXES, _AXES))
         sd = np.where(stays, self.layers.sd, 0.0)
         others[0] = sd[:, None, None] * np.eye(_AXES) / np.sqrt(_AXES)
-        inverse = np.linalg.inv(known)
+        inverse = inverted(known)
         shared = basis @ inverse @ (basis.T @ (linear.information @ others.reshape(-1, _AXES)))
         own = ((basis @ inverse) * basis).sum(axis=1)
         square = (own + (shared**2).sum(axis=1)).reshape(2, robots, _AXES)
@@ -472,9 +472,8 @@ class _MotionCost(Cost[NearLinear]):
     def moved(self, state: State, linear: NearLinear, radius: float) -> tuple[State, float]:
         """Step along the motions."""
         basis = self._basis
-        known = basis.T @ linear.information @ basis
-        known[np.diag_indices(len(known))] += radius**-2.0
-        step = (basis @ np.linalg.solve(known, -basis.T @ linear.slope)).reshape(2, -1, _AXES)
+        known = damped(basis.T @ linear.information @ basis, radius**-2.0)
+        step = (basis @ solved(known, -basis.T @ linear.slope)).reshape(2, -1, _AXES)
         share = min(1.0, NEIGHBORS.longest_step / max(np.abs(step[0]).max(), _SETTLED))
         other = State(state.position + share * step[0], state.turn + share * step[1])
         return other, float(-share * linear.slope @ step.ravel())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
@@ -197,7 +198,7 @@ def further_starts(posed: Posed) -> list[Reals]:
         found.append((cost, position))
     # By the cost alone: of equal costs, arrays would be compared, which fails.
     found.sort(key=lambda pair: pair[0])
-    chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(posed.problem.rows))
+    chance = CONVERGENCE.chance_sd * chi_square_sd(len(posed.problem.rows))
     return [position for cost, position in found if cost <= found[0][0] + chance]
 
 
@@ -228,7 +229,7 @@ def _weights(cost: Reals, measurements: int) -> Reals:
     up to the width of the chi-square, its cost says little about the whole: costs are divided by
     what leaves `MIXTURE.fewest` ends in the mixture, where that is in reach.
     """
-    hottest = max(1.0, np.sqrt(2.0 * measurements) / MIXTURE.chance)
+    hottest = max(1.0, chi_square_sd(measurements) / MIXTURE.chance)
     for heat in np.geomspace(1.0, hottest, MIXTURE.heats):
         weight = weights(cost, heat)
         if 1.0 / (weight**2).sum() >= MIXTURE.fewest:

@@ -17,12 +17,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.base.aliases import Bools, Reals
+from tiswarm.compute.normal_equations import damped, solved
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.mixture import MIXTURE
-from tiswarm.measurements.contacts import close_docks, spans
+from tiswarm.measurements.contacts import close_docks, overlaps, spans
 from tiswarm.measurements.equations import AXES
-from tiswarm.measurements.model import SPACING, Measurements, turned
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog
 
 MOST_ROBOTS = 1000
@@ -81,8 +82,8 @@ def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
     value = -rows.residual(np.tile(anchor, (rows.robots, 1)))[links:]
     # n . A x = value, with nine unknowns
     matrix = (direction[:, :, None] * shape[robot][:, None, :]).reshape(-1, AXES**2)
-    ridge = _RIDGE * max(float((matrix**2).sum()), 1.0) * np.eye(AXES**2)
-    affine = np.linalg.solve(matrix.T @ matrix + ridge, matrix.T @ value).reshape(AXES, AXES)
+    ridge = _RIDGE * max(float((matrix**2).sum()), 1.0)
+    affine = solved(damped(matrix.T @ matrix, ridge), matrix.T @ value).reshape(AXES, AXES)
     u, _, vt = np.linalg.svd(affine)
     # The nearest proper rotation to the map (Kabsch 1976): no mirror image.
     turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -178,13 +179,9 @@ class PartImages:
         """Sum the squares of all overlaps of docks [variances]."""
         if not self._non_overlap:
             return 0.0
-        arm = self._rows.odometry.arm[self._rows.odometry.final]
-        docks = turned(arm.reshape(-1, AXES), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
-        point = position[:, None] + docks
-        close = close_docks(self._log, point, SPACING)
-        apart = point[close[:, 0], close[:, 1]] - point[close[:, 2], close[:, 3]]
-        deep = (SPACING - np.linalg.norm(apart, axis=1)) / OVERLAP_SD
-        return float(deep @ deep)
+        point = position[:, None] + self._rows.docks(yaw)
+        depth = overlaps(point, close_docks(self._log, point, SPACING)).depth / OVERLAP_SD
+        return float(depth @ depth)
 
 
 def _plane(point: Reals, weight: Reals, basis: Reals) -> tuple[Reals, Reals]:

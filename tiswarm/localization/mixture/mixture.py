@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
@@ -306,7 +307,7 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     exceeds the least one by more than chance explains do not count.
     """
     cost = np.array([each.cost for each in minima])
-    chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(minima[0].square))
+    chance = CONVERGENCE.chance_sd * chi_square_sd(len(minima[0].square))
     share = np.where(cost <= cost.min() + chance, share, 0.0)
     # Laplace's approximation needs a minimum that is curved along every coordinate.
     if _are_held(minima):
@@ -352,7 +353,7 @@ def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evi
     """Gather what chains and the likeliest solution say of an estimate."""
     problem, links = ends.fit.problem, len(ends.fit.problem.variance)
     agreed = ends.cost <= (1.0 + MIXTURE.same) * ends.cost.min()
-    chance = MIXTURE.alike * np.sqrt(2.0 * len(problem.rows))
+    chance = MIXTURE.alike * chi_square_sd(len(problem.rows))
     alike = ends.cost <= ends.cost.min() + chance
     is_missed = ends.missed[int(ends.cost.argmin()), :links] > CONVERGENCE.outlier_sd**2
     return Evidence(

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.compute.chi_square import MEDIAN_SQUARE, chi_square_chance
 from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import DISREGARDED_SD, pose_problem
 from tiswarm.localization.cost import ROBUST_SD
@@ -247,9 +247,9 @@ def _significance(gain: Reals, freed: Ints, trial: _Trial) -> Reals:
     square = trial.linear.square
     spare = len(square) / max(trial.linear.freedom(), 1)
     # Where noise is stated too small, all squares are large, and the gain of one robot says little.
-    noise = max(1.0, float(np.median(square) / chdtri(1, 0.5)) * spare)
+    noise = max(1.0, float(np.median(square) / MEDIAN_SQUARE) * spare)
     with np.errstate(divide="ignore"):  # a gain beyond any chance is infinitely significant
-        significance = -np.log10(chdtrc(np.maximum(freed, 1), np.maximum(gain, 0.0) / noise))
+        significance = -np.log10(chi_square_chance(gain / noise, freed))
     return np.where(freed > 0, significance, 0.0)
 
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.chi_square import chi_square_chance, chi_square_excess, chi_square_limit
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
 from tiswarm.localization.settings import LARGE
@@ -95,7 +95,7 @@ class Evidence:
     @property
     def chance(self) -> float:
         """Excess of a chi-square that noise explains [1]."""
-        return float(self.unknowns + CONVERGENCE.chance_sd * np.sqrt(2.0 * self.unknowns))
+        return float(chi_square_limit(self.unknowns, CONVERGENCE.chance_sd))
 
 
 def judge(known: Evidence) -> Convergence:
@@ -110,7 +110,7 @@ def judge(known: Evidence) -> Convergence:
     spare = known.freedom - (0 if read is None else read.repeats)
     chi_square = known.chi_square - (0.0 if read is None else read.scatter)
     freedom = max(spare, int(MIXTURE.spare * known.unknowns))
-    misfit_sd = _misfit_sd(chi_square, freedom)
+    misfit_sd = chi_square_excess(chi_square, freedom)
     is_explained = misfit_sd <= MOST_MISFIT_SD
     misfits = [*_misfits(read, known.log, is_explained=is_explained)]
     trapped = [*_trapped(known, misfits)]
@@ -174,7 +174,7 @@ class _Readings(NamedTuple):
 def _misfits(read: _Readings | None, log: SensingLog, *, is_explained: bool) -> Iterator[str]:
     """Say which measurements noise does not explain: all, or those of a group."""
     group = "" if read is None else _worst_group(read, log)
-    is_steady = read is None or _misfit_sd(read.scatter, read.repeats) <= MOST_MISFIT_SD
+    is_steady = read is None or chi_square_excess(read.scatter, read.repeats) <= MOST_MISFIT_SD
     is_shared = read is not None and read.repeats > 0 and is_steady
     advice = "; readings of one pair share an error: state it as a source with shared_sd"
     if group or not is_explained:
@@ -182,11 +182,6 @@ def _misfits(read: _Readings | None, log: SensingLog, *, is_explained: bool) -> 
         yield f"noise as stated does not explain {what}{advice * is_shared}"
     elif not is_steady:
         yield "readings of one quantity scatter more than their stated noise"
-
-
-def _misfit_sd(chi_square: float, freedom: int) -> float:
-    """Compute how far a chi-square is from its expectation, in its standard deviations."""
-    return float((chi_square - freedom) / np.sqrt(2.0 * max(freedom, 1)))
 
 
 def _worst_group(read: _Readings, log: SensingLog) -> str:
@@ -213,7 +208,7 @@ def _worst_group(read: _Readings, log: SensingLog) -> str:
     suspects: Ints = np.empty(0, np.int64)
     for row, group, text in families:
         square, expected = (np.bincount(group, part[row]) for part in (read.square, read.expected))
-        chance = chdtrc(np.maximum(expected, 1.0), np.maximum(square, 0.0))
+        chance = chi_square_chance(square, expected)
         tests += len(np.unique(group))
         if len(chance) and chance.min() < least:
             least, worst = float(chance.min()), text(int(chance.argmin()))
@@ -221,7 +216,7 @@ def _worst_group(read: _Readings, log: SensingLog) -> str:
             suspects = np.argsort(chance, kind="stable").astype(np.int64)[:_TRIED]
     gain, freed = gains_without(rows, read.linear, suspects)
     # One or two rows that others hardly check are off by what the linear problem leaves out.
-    chance = np.where(freed > 2, chdtrc(np.maximum(freed, 1), gain), 1.0)  # noqa: PLR2004
+    chance = np.where(freed > 2, chi_square_chance(gain, freed), 1.0)  # noqa: PLR2004
     if len(chance) and chance.min() < least:
         robot = suspects[chance.argmin()]
         least, worst = float(chance.min()), f"the orientations of robot {name[robot]}"

@@ -11,6 +11,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, moments, weights
@@ -279,7 +280,7 @@ class LocalLayers:
         if not (rows := len(self.blocks[number])):
             return False
         square, overlap = problem.missed(linear, number)
-        chance = rows + NEIGHBORS.surprise_sd * (np.sqrt(2.0 * rows) + 1.0)
+        chance = rows + NEIGHBORS.surprise_sd * (chi_square_sd(rows) + 1.0)
         return bool(square > chance or overlap > NEIGHBORS.overlap_sd)
 
     def _exchanged(

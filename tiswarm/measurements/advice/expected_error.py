@@ -25,6 +25,7 @@ import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_array, kron
 
 from tiswarm.base.aliases import Reals
+from tiswarm.compute.normal_equations import inverted
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.estimate import Solution
 
@@ -106,7 +107,7 @@ class Posterior:
         # Without a bias yaws are no unknowns, and `free` leaves this block out.
         yaws = eye_array(self.robots) / (yaw_bias**2 or 1.0)
         precision = csc_array(measured + block_diag([kron(loose, eye_array(3)), yaws]))
-        self.covariance = np.linalg.inv(precision[self.free, self.free].toarray())
+        self.covariance = inverted(precision[self.free, self.free].toarray())
         square = np.trace(self.covariance[: self.coordinates, : self.coordinates])
         self.mean_square = float(square) / self.robots
         """Expected mean square error of the positions [R^2]."""

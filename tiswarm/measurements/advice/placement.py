@@ -13,7 +13,7 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
-from tiswarm.measurements.contacts import overlap
+from tiswarm.measurements.contacts import nearest_overlap
 from tiswarm.measurements.cues import Measured
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
@@ -134,6 +134,6 @@ def _is_free(log: SensingLog, arms: Reals, robot: int, position: Reals, places: 
         is_apart[tuple(touched[touched[:, 3] == dock, :2].T)] = False
         if is_apart.any():
             at = np.concatenate([position[robot, None], places]) + arms[robot, dock]
-            deep = overlap(at, others[is_apart])
+            deep = nearest_overlap(at, others[is_apart])
             free &= deep[1:] <= _WIDTH + deep[0]
     return free
