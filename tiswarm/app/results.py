@@ -200,7 +200,19 @@ class Run:
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
-        """Write a case for other programs; `tiswarm.export` explains the arguments."""
+        """Write structure, contacts and estimate of a case for other programs.
+
+        Args:
+            form: File format, as for `tiswarm.export`.
+            out: Folder to write to; `export` in the run's folder if None.
+            case: Case; the largest if None.
+            color: Values that color robots, as `tiswarm.view` takes them.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+            quiet: Whether to hide progress.
+
+        Returns:
+            The folder with the files.
+        """
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 

@@ -36,8 +36,10 @@ def localize_batch(
     """Localize structures side by side, and report the share that is done.
 
     Returns:
-        One estimate a log: the mean of the solutions that its chains lead to, by their weights.
-        `sd` is of the variance within and between them, or of the refined problem.
+        One estimate a log: the mean of the solutions that the ends of its chains lead to, each with
+        its weight. `sd` follows from the variance within and between chains, or from the refined
+        problem. The residual is the root mean square over the contacts of the distance of their
+        docks less D, or of the components of measured offsets.
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, problems, on_progress=lambda share: on_progress(share / 2))

@@ -220,7 +220,8 @@ class Cue:
     """Function for earlier stances, used beside the cue `walk_contacts`."""
 
     switch: str = ""
-    """Description of the setting that is on by default; a cue without one is always used."""
+    """Description of the setting that is on unless a user says otherwise; a cue without one is
+    always used."""
 
     place: int = 0
     """Place of the setting among those of all cues."""
@@ -315,7 +316,8 @@ CUES: list[Cue] = [
         words="displacements", said=3,
     ),
 ]  # fmt: skip
-"""The table of cues. To add one, write its function and an entry here: settings follow."""
+"""The table of cues. To add one, write its function and an entry here: settings, analyses and pages
+follow."""
 
 
 def cue_names() -> tuple[str, ...]:

@@ -612,6 +612,7 @@ class Measurements:
         # In the memory order of `apart`, configuration by configuration or row by row.
         residual = np.empty_like(apart[..., 0])
         distance, component = np.split(residual, [len(d.stance)], axis=-1)
+        # A hinge is missed while it is too short: docks may be apart, but not overlap.
         distance[...], slope = missed_distance(components(line), d.length, d.is_hinge)
         component[...] = missed_along(components(offset), components(self.axes(yaw)), 0.0)
         away, axis = self.points(position, yaw), self.places.direction

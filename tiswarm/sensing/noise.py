@@ -146,7 +146,8 @@ def split_touches(contacts: NDArray[np.int32], params: SensingParams) -> dict[st
 def failing(history: History, params: SensingParams, name: Failure) -> Bools:
     """Choose the robots that fail in one way, shape (N,).
 
-    The draw of a robot depends on the seed and the robot alone: a larger share adds robots.
+    The draw of a robot depends on the seed and the robot alone: a larger share adds robots, and
+    those of a structure fail as its first robots did before more joined.
     """
     robot = np.arange(history.robot_count)
     fails: Bools = uniform(history.seed, name, robot, 0) < getattr(params, name)
@@ -170,10 +171,19 @@ def sensed_part(history: History, params: SensingParams) -> History:
 def failed_orientation(
     history: History, length: Ints, sensed: Reals, params: SensingParams
 ) -> Reals:
-    """Return orientations where some sensors drift or are stuck, shape (all stances, 4).
+    """Return orientations where some sensors drift or are stuck.
 
-    One that drifts turns by the same angle at each flip, about an axis of its own; a stuck one
-    repeats its first value. Others report `sensed`. `length` counts stances of robots, shape (N,).
+    One that drifts turns by the same angle at each flip, about an axis of the robot's own: from the
+    second stance on it is off. One that is stuck repeats its first value.
+
+    Args:
+        history: True history of the structure.
+        length: Stances of each robot, shape (N,).
+        sensed: Orientations that working sensors report, shape (all stances, 4).
+        params: Settings.
+
+    Returns:
+        Orientations, shape (all stances, 4).
     """
     drifts, is_stuck = (failing(history, params, name) for name in ("drift", "stuck"))
     first = np.cumsum(length) - length

@@ -50,7 +50,8 @@ class Belief(NamedTuple):
 
 
 Believe = Callable[[Sequence[History]], Sequence[Belief]]
-"""Returns what robots of some structures believe."""
+"""Returns what the robots of structures that have grown so far believe: of each structure where
+their docks are."""
 
 Turn = Callable[[int, int, int], Reals]
 """Returns the turns from the orientations of a robot to those that it senses, at as many stances:
@@ -180,7 +181,13 @@ class Walks:
     def climb_by_score(
         self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots
     ) -> None:
-        """Let the robots in the slots `movers` walk on from their first stance, by a score."""
+        """Let the robots in the slots `movers` walk on from their first stance, by a score.
+
+        Args:
+            structures: Structures that they climb.
+            believed: Where robots believe the docks of these.
+            movers: Slots of the robots, shape (M,).
+        """
         cells, *docks = structures
         is_own = hasattr(self.rule, "score")
         climb_kernels.climb(

@@ -65,7 +65,8 @@ class Annealed:
     """Square root of the end temperature [R]."""
 
     temperature: Reals
-    """Mean kinetic temperature of each chain with grown docks, over its target, shape (chains,)."""
+    """Mean kinetic temperature of each chain once docks are grown, relative to its target [1],
+    shape (chains,)."""
 
     iteration: Ints
     """Steps at which the trace was recorded, shape (K,)."""

@@ -67,8 +67,22 @@ def _pull_of_offset(
         sigma^2 c^2 / 2 log(1 + sum_k e_k^2 / (c^2 w_k)).
 
     The measured vector, and with it the axes, turn with the robot that measured it: the force on
-    that robot acts at the partner's dock. `apart` leads from the partner's dock to the robot's,
-    `arm` from the center of the robot to its dock, without its vertical part. `square` is sigma^2.
+    that robot acts at the partner's dock.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry of the offset.
+        apart: From the partner's dock to the robot's [R].
+        arm: From the center of the robot to its dock, horizontal part [R].
+        turning: Whether any robot turns.
+        square: Temperature sigma^2 [R^2].
+        robust: One over the squared width of the robust loss [1].
+        contacts: Contacts.
+        swarm: State of the copies.
+
+    Returns:
+        Force with its torque, stiffness and inertia.
     """
     vector = part_at(contacts.value, slot, LinkValue.VECTOR)
     lever = arm
@@ -98,8 +112,16 @@ def _pull_of_offset(
 def _nearest_docks(r, partner, slot, between, variant: Static, contacts: Ref, swarm: Ref):
     """Find which docks of copy r and its partner touch: those whose distance is nearest to D.
 
-    Of equally near pairs the first is taken. `between` leads from the partner's center to the
-    robot's.
+    Of equally near pairs the first is taken.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry of the touch.
+        between: From the partner's center to the robot's [R].
+        variant: What this is compiled for.
+        contacts: Contacts.
+        swarm: State of the copies.
 
     Returns:
         From the partner's dock to the robot's, and the horizontal arm of the robot's dock [R].
@@ -127,7 +149,24 @@ def _nearest_docks(r, partner, slot, between, variant: Static, contacts: Ref, sw
 
 @ti.func
 def _docks_of(r, partner, slot, between, turns, variant: Static, contacts: Ref, swarm: Ref):
-    """Find the offset of the docks of an entry, and the robot's arm; see `_nearest_docks`."""
+    """Find the offset of the docks of an entry, and the robot's arm.
+
+    Docks of a touch are unknown: `_nearest_docks` chooses them.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry.
+        between: From the partner's center to the robot's [R].
+        turns: Whether the robot turns.
+        variant: What this is compiled for.
+        contacts: Contacts.
+        swarm: State of the copies.
+
+    Returns:
+        From the partner's dock to the robot's, and the horizontal arm of the robot's dock, 0 if it
+        does not turn [R].
+    """
     apart = between + part_at(contacts.value, slot, LinkValue.ARMS)
     arm = 0.0 * between
     if ti.static(variant.turning) and turns:
@@ -182,9 +221,15 @@ def _push_of_extension(between, apart, arm, length, inverse, pushed):
     Robots extend outward: the farther apart their centers would be if their docks just touched, the
     likelier. This prior has the energy -sigma^2 `extension` times that distance, which only the
     direction between the docks decides. The push is perpendicular to the contact: along it, it
-    would lengthen uncertain contacts. Where a contact gives way, so does the push: its size
-    `pushed` is sigma^2 `extension` as far as the contact holds. `between` leads from the partner's
-    center to the robot's, `apart` from dock to dock; `inverse` is 1 / `length` of the latter.
+    would lengthen uncertain contacts. Where a contact gives way, so does the push.
+
+    Args:
+        between: From the partner's center to the robot's [R].
+        apart: From the partner's dock to the robot's [R].
+        arm: Horizontal arm of the robot's dock [R].
+        length: Distance of the docks [R].
+        inverse: 1 / `length` [R^-1].
+        pushed: Size of the push, sigma^2 `extension` as far as the contact holds [R].
     """
     # h = b + l a, l = D / d - 1: from center to center if the docks just touched
     lacking = SPACING * inverse - 1.0
@@ -204,7 +249,17 @@ def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts
     """Sum the forces of the contacts of copy r of robot i, their torque, stiffness and inertia.
 
     Docks in contact at the end do not repel each other as all others do: this function subtracts
-    the push that `push_docks` gives them, with `slope` for 1 / (2 D^2). `square` is sigma^2.
+    the push that `push_docks` gives them.
+
+    Args:
+        r: Copy of the robot.
+        i: The robot.
+        slope: 1 / (2 D^2) of overlaps [R^-2].
+        square: Temperature sigma^2 [R^2].
+        variant: What this is compiled for.
+        robots: Robots.
+        contacts: Contacts.
+        swarm: State of the copies.
     """
     base = r - i
     turns, robust = (

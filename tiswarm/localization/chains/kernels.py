@@ -74,7 +74,7 @@ def _thermostat(table: Ref, i, column, force, mobility, kick):
     """
     # v' = v + F h / m
     speed = table[i, column] + force * mobility
-    # v <- a v' + s xi
+    # v <- a v' + s xi, s = sigma sqrt((1 - a^2) / m): `kick` is s xi
     kept = MEMORY * speed + kick
     table[i, column] = kept
     # x = h (v' + v) / 2
@@ -151,6 +151,13 @@ def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
     """Write the shift of copy k of a subtree, without that of the subtrees it grows out of.
 
     `gather_shifts` follows on cards, `spread_shifts` on processors.
+
+    Args:
+        k: Copy of the subtree.
+        on_card: Whether `gather_shifts` follows.
+        step: The step.
+        robots: Robots.
+        trees: Subtrees.
     """
     count = trees.table.shape[0]
     n = k % count
@@ -186,6 +193,8 @@ def spread_shifts(b, blocks: Ref, trees: Ref):
 @ti.func
 def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: Ref, swarm: Ref):
     """Move copy r by itself and with its subtree, and turn it if robots turn; anchors stay.
+
+    Where the step counts for the averages, the position is added to their sums.
 
     Returns:
         Its squared distance from where its Verlet row was built.
@@ -261,9 +270,20 @@ def _take_step(
     """Take one step of some blocks that stand in a row in memory.
 
     At the top of a kernel, all threads share each of these loops; within a loop of the kernel, one
-    thread runs them all. `span` is a struct of the first block, the one after the last, and the
-    same of copies of robots and of subtrees. `grid` is that of `neighbor_kernels`, with `near`, the
-    largest distance of robots whose docks overlap [R].
+    thread runs them all.
+
+    Args:
+        span: Struct of the first block, the one after the last, and the same of copies of robots
+            and of subtrees.
+        variant: What this is compiled for.
+        step: The step.
+        measured: All that is known of robots.
+        trees: Subtrees.
+        grid: Struct of `neighbor_kernels`, with `near`, the largest distance of robots whose docks
+            overlap [R].
+        rows: Verlet rows.
+        blocks: Progress of the blocks.
+        swarm: State of the copies.
 
     Returns:
         The largest squared distance of a robot from where its row was built [R^2].

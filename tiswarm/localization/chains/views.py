@@ -45,14 +45,16 @@ class AnnealSchedule:
     less of what is not measured."""
 
     underdetermined: float = 0.05
-    """Underdetermination from which on to end at `warmest` [1]: colder chains gain nothing."""
+    """Underdetermination from which on to end at `warmest` [1]: too little is measured to gain from
+    colder chains."""
 
     ranged: float = 2.0
     """Least square root of the start temperature where ranges alone tie robots to each other [R]:
     they leave more minima to escape from."""
 
     growing: float = 0.1
-    """Share of the steps in which docks grow [1]: robots pass through each other at first."""
+    """Share of the steps in which docks grow to their full size [1], so that robots pass through
+    each other at first."""
 
     smallest: float = 0.1
     """Size of docks in the first step, as a part of their full size [1]. Docks that are solid at
@@ -62,10 +64,12 @@ class AnnealSchedule:
     """Share of the steps after which lost robots are initialized anew [1]."""
 
     lost: float = 4.0
-    """A contact whose docks are farther apart than D + this is lost [R]: they no longer meet."""
+    """A contact whose docks are farther than D + this apart is lost [R]: docks that far apart no
+    longer find each other."""
 
     lost_sd: float = 3.0
-    """Least miss of a lost contact [standard deviations]: uncertain ones may be missed by more."""
+    """Least miss of a lost contact [standard deviations]: uncertain ones may be missed by more than
+    `lost`."""
 
     frames: int = 24
     """Frames of the trace [1], between which lost robots are looked for."""

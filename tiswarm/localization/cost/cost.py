@@ -56,7 +56,8 @@ _FALLING = 0.3
 """Share of the cost by which a round must lower it for more rounds than asked for [1]."""
 
 _SMALLER, _LEAST_RADIUS = 0.4, 1e-4
-"""Radius of trust relative to one that raised the cost [1], and the least radius [R]."""
+"""Radius within which a step is trusted, relative to one that raised the cost [1], and the least
+radius [R]."""
 
 _AXES = np.arange(3)
 _NO_ROWS = LinearRows(*(np.empty(0, kind) for kind in (float, int, int, float, float)))

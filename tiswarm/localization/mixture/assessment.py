@@ -31,7 +31,8 @@ _ROUNDS = 8
 """Steps toward the minimum."""
 
 _ASIDE, _TURNED = 0.05, 15
-"""Random errors that move an estimate aside, in the median distance [1], and rounds back."""
+"""Random errors that move an estimate aside, in the median distance [1], and rounds in which it
+moves to a minimum."""
 
 _STAYS = 1e-6
 """Width of the prior that leaves robots where they are [R]."""
@@ -281,7 +282,12 @@ def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
 
 
 def _opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals, dict[str, Any]]:
-    """Find how far free turns move robots from centers (N, 3) of one configuration, or the mean.
+    """Find how far free turns move robots from an estimate: one configuration, or the mean.
+
+    Args:
+        log: What was sensed.
+        rows: Measurements.
+        position: Centers [R], shape (N, 3).
 
     Returns:
         Standard deviation of the estimate, 0 of robots that do not turn [R], shape (N,), and the

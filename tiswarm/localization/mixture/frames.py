@@ -202,7 +202,13 @@ def hanging_parts(rows: Measurements) -> Bools:
     """List the parts that lose their way to the world without one robot, or without two.
 
     The world is the anchor, and all robots whose coordinates are measured along all axes. Each
-    other robot is a part, too. Parts have rows, small ones first, and robots columns, (K, N).
+    other robot is a part, too.
+
+    Args:
+        rows: Measurements of N robots.
+
+    Returns:
+        Robots of each part, small parts first, shape (K, N).
     """
     robots, pairs = rows.robots, len(rows.other)
     place = rows.robot[pairs:], rows.places.direction

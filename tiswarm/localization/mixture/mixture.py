@@ -181,7 +181,15 @@ def _open_sd(ends: Ends, inlier: Bools) -> Reals:
 
 
 def _solution(fit: Fit, minimum: Minimum, share: float, position: Reals, loose: Reals) -> Solution:
-    """Describe a minimum, with its centers as placed, (N, 3), and their further variance, (N,)."""
+    """Describe a minimum with its share in the mixture, in the unit of the log.
+
+    Args:
+        fit: Chains.
+        minimum: The minimum.
+        share: Its weight [1].
+        position: Its centers, those of disconnected robots as placed [R], shape (N, 3).
+        loose: Variance of these [R^2], shape (N,).
+    """
     unit = fit.log.dock_radius
     gap = fit.problem.residual(position[None], minimum.yaw[None])
     width = np.sqrt(fit.problem.variance + fit.annealed.sigma**2)
