@@ -5,20 +5,32 @@ on the tail of the distribution, as in a ranking, we count standard deviations; 
 are tested, the distribution itself says how rare one of them is.
 """
 
+from typing import overload
+
 import numpy as np
 from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import AnyInts, Reals
 
 
-def chi_square_sd(freedom: float | AnyInts) -> Reals:
+@overload
+def chi_square_sd(freedom: int) -> float: ...
+@overload
+def chi_square_sd(freedom: AnyInts) -> Reals: ...
+def chi_square_sd(freedom: int | AnyInts) -> float | Reals:
     """Return the standard deviation of a chi-square with these degrees of freedom [1]."""
-    return np.sqrt(2.0 * freedom)
+    sd: float | Reals = np.sqrt(2.0 * freedom)
+    return sd
 
 
-def chi_square_limit(freedom: float | AnyInts, most_sd: float) -> Reals:
+@overload
+def chi_square_limit(freedom: int, most_sd: float) -> float: ...
+@overload
+def chi_square_limit(freedom: AnyInts, most_sd: float) -> Reals: ...
+def chi_square_limit(freedom: int | AnyInts, most_sd: float) -> float | Reals:
     """Return the chi-square that exceeds its mean by this many standard deviations [1]."""
-    return freedom + most_sd * chi_square_sd(freedom)
+    limit: float | Reals = np.add(freedom, most_sd * chi_square_sd(freedom))
+    return limit
 
 
 def chi_square_excess(square: float, freedom: int) -> float:
@@ -31,7 +43,7 @@ def chi_square_excess(square: float, freedom: int) -> float:
     return float((square - freedom) / chi_square_sd(max(freedom, 1)))
 
 
-def chi_square_chance(square: Reals, freedom: AnyInts | Reals) -> Reals:
+def chi_square_chance(square: Reals | AnyInts, freedom: AnyInts | Reals) -> Reals:
     """Compute the chance that a chi-square is at least as large.
 
     Args:

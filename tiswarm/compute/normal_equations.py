@@ -42,8 +42,8 @@ def solved(information: Reals, slope: Reals) -> Reals:
     Raises:
         LinAlgError: an information is singular.
     """
-    unknowns: Reals = np.linalg.solve(information, slope[..., None])[..., 0]
-    return unknowns
+    unknowns = np.linalg.solve(information, slope[..., None])[..., 0]
+    return np.asarray(unknowns, np.float64)
 
 
 def inverted(information: Reals) -> Reals:
@@ -52,8 +52,7 @@ def inverted(information: Reals) -> Reals:
     Raises:
         LinAlgError: a matrix is singular.
     """
-    covariance: Reals = np.linalg.inv(information)
-    return covariance
+    return np.asarray(np.linalg.inv(information), np.float64)
 
 
 Pivots = Literal["diagonal", "largest", "any"]

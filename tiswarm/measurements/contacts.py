@@ -179,7 +179,8 @@ def nearest_overlap(dock: Reals, obstacles: Reals) -> Reals:
     Returns:
         Overlaps, shape (...).
     """
-    return overlap_depth(cKDTree(obstacles).query(dock)[0])
+    distance: Reals = np.asarray(cKDTree(obstacles).query(dock)[0])
+    return overlap_depth(distance)
 
 
 def dock_pairs(point: Reals, within: float) -> Ints:

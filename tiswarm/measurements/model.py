@@ -368,9 +368,10 @@ class Measurements:
     @property
     def touch_arms(self) -> tuple[tuple[Reals, Reals], tuple[Reals, Reals]]:
         """Arms of the docks of each touch, and the others, as `Odometry.candidates` has them."""
-        d, touch = self.distances, self.touch
-        own = self.odometry.candidates(d.stance[touch], d.dock[touch])
-        return own, self.odometry.candidates(d.other_stance[touch], d.other_dock[touch])
+        d = self.distances
+        touch = self.touch
+        arms = self.odometry.candidates(d.stance[touch], d.dock[touch])
+        return arms, self.odometry.candidates(d.other_stance[touch], d.other_dock[touch])
 
     @property
     def sensed_contacts(self) -> Ints:
@@ -387,7 +388,8 @@ class Measurements:
     @property
     def sensed_places(self) -> Ints:
         """Robot, its stance, and dock or CENTER of each coordinate, shape (K, 3)."""
-        p, robot = self.places, self.robot[len(self.other) :]
+        p = self.places
+        robot = self.robot[len(self.other) :]
         return np.column_stack([robot, p.stance - self.odometry.first[robot], p.dock])
 
     @property
@@ -459,7 +461,9 @@ class Measurements:
     @property
     def quantity(self) -> Ints:
         """Number of what each row reads: equal where a source reads one quantity again, (E,)."""
-        d, o, p = self.distances, self.offsets, self.places
+        d = self.distances
+        o = self.offsets
+        p = self.places
         read = [d.stance, d.dock, d.other_stance, d.other_dock, d.is_hinge, d.source]
         along = [p.stance, p.dock, *p.direction.T, p.source]
         pair, place = (
@@ -478,7 +482,8 @@ class Measurements:
         Args:
             as_precise_as_one: Whether a mean has the variance of its first reading.
         """
-        d, p = self.distances, self.places
+        d = self.distances
+        p = self.places
         ends = [d.stance, d.dock, d.other_stance, d.other_dock, d.is_hinge, d.source]
         one, length, variance = weighted_means(ends, d.length, d.own_variance)
         if as_precise_as_one:
@@ -499,9 +504,9 @@ class Measurements:
 
     def noisy_arms(self) -> tuple[tuple[Ints, Ints, Reals], tuple[Ints, Ints, Reals]]:
         """Split the arms of all rows, and the other arms, as `Odometry.noisy_arms` does."""
-        own = ends(self.distances, self.offsets, self.places)
-        its = other_ends(self.distances, self.offsets)
-        return self.odometry.noisy_arms(*own), self.odometry.noisy_arms(*its)
+        arm_ends = ends(self.distances, self.offsets, self.places)
+        other_arm_ends = other_ends(self.distances, self.offsets)
+        return self.odometry.noisy_arms(*arm_ends), self.odometry.noisy_arms(*other_arm_ends)
 
     def variance(self) -> Reals:
         """Sum each row's variances: its own, that of its source, and the noise of orientations.
@@ -513,11 +518,15 @@ class Measurements:
         Returns:
             Variance of each row [R^2], shape (E,).
         """
-        d, o, p = self.distances, self.offsets, self.places
-        stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
+        d = self.distances
+        o = self.offsets
+        p = self.places
+        stance = np.concatenate([d.stance, p.stance])
+        dock = np.concatenate([d.dock, p.dock])
         noise = self.odometry.arms(stance, dock)[1]
         noise[: len(d.stance)] += self.odometry.arms(d.other_stance, d.other_dock)[1]
-        if len(touch := self.touch):
+        touch = self.touch
+        if len(touch):
             noise[touch] = sum(side[1].mean(axis=1) for side in self.touch_arms)
         # The mean of n n^T over all directions n is a third of the identity.
         every = np.full((len(d.stance), AXES), AXES**-0.5)
@@ -541,10 +550,11 @@ class Measurements:
         Returns:
             Vectors [R], shape (..., P, 3).
         """
-        i, j = self.robot[: len(self.other)], self.other
+        i = self.robot[: len(self.other)]
+        j = self.other
         arm = turned(self.arm[: len(j)], None if yaw is None else yaw[..., i])
-        its = turned(self.other_arm, None if yaw is None else yaw[..., j])
-        apart: Reals = position[..., i, :] + (arm - its) - position[..., j, :]
+        other_arm = turned(self.other_arm, None if yaw is None else yaw[..., j])
+        apart: Reals = position[..., i, :] + (arm - other_arm) - position[..., j, :]
         if len(self.touch):
             apart[..., self.touch, :] = self._nearest_docks(position, yaw)[0]
         return apart
@@ -553,12 +563,14 @@ class Measurements:
         """Replace unknown docks by those that touch at one configuration; as in `vectors`."""
         if not len(self.touch):
             return self
-        d, docks = self.distances, self.odometry.arm.shape[1]
-        dock, other_dock = d.dock.copy(), d.other_dock.copy()
+        d = self.distances
+        docks = self.odometry.arm.shape[1]
+        dock = d.dock.copy()
+        other_dock = d.other_dock.copy()
         pair = np.divmod(self.association(position, yaw), docks)
-        for column, found in zip((dock, other_dock), pair, strict=True):
-            known = column[self.touch]
-            column[self.touch] = np.where(known == UNKNOWN, found, known)
+        for column, nearest in zip((dock, other_dock), pair, strict=True):
+            stated = column[self.touch]
+            column[self.touch] = np.where(stated == UNKNOWN, nearest, stated)
         distances = d._replace(dock=dock, other_dock=other_dock)
         return Measurements.gather(
             self.odometry, [distances], [self.places], [self.offsets], shared_sd=self.shared_sd
@@ -575,19 +587,26 @@ class Measurements:
             Vectors between them [R], shape (..., T, 3), and their `association`.
         """
         touch = self.touch
-        i, j = self.robot[touch], self.other[touch]
-        (own, _), (its, _) = self.touch_arms
+        i = self.robot[touch]
+        j = self.other[touch]
+        (arms, _), (other_arms, _) = self.touch_arms
         between = position[..., i, :] - position[..., j, :]
-        of_own = [turned(arm, None if yaw is None else yaw[..., i]) for arm in own.swapaxes(0, 1)]
-        of_its = [turned(arm, None if yaw is None else yaw[..., j]) for arm in its.swapaxes(0, 1)]
-        apart, pair = np.empty_like(between), np.zeros(between.shape[:-1], np.int64)
+        turned_arms = [
+            turned(arm, None if yaw is None else yaw[..., i]) for arm in arms.swapaxes(0, 1)
+        ]
+        other_turned_arms = [
+            turned(arm, None if yaw is None else yaw[..., j]) for arm in other_arms.swapaxes(0, 1)
+        ]
+        apart = np.empty_like(between)
+        pair = np.zeros(between.shape[:-1], np.int64)
         least = np.full(pair.shape, np.inf)
         # One pair of docks at a time: all at once would take docks^2 times the memory.
-        for number, (arm, other) in enumerate(product(of_own, of_its)):
-            vector = between + arm - other
+        for number, (arm, other_arm) in enumerate(product(turned_arms, other_turned_arms)):
+            vector = between + arm - other_arm
             off = np.abs(np.linalg.norm(vector, axis=-1) - self.distances.length[touch])
             is_nearer = off < least
-            least, pair = np.where(is_nearer, off, least), np.where(is_nearer, number, pair)
+            least = np.where(is_nearer, off, least)
+            pair = np.where(is_nearer, number, pair)
             apart = np.where(is_nearer[..., None], vector, apart)
         return apart, pair
 
@@ -631,7 +650,8 @@ class Measurements:
 
     def _missed(self, position: Reals, yaw: Reals | None) -> tuple[Reals, Reals]:
         """Compute residuals, shape (..., E), and the directions of distances, (..., C, 3)."""
-        d, apart = self.distances, self.vectors(position, yaw)
+        d = self.distances
+        apart = self.vectors(position, yaw)
         line, offset = np.split(apart, [len(d.stance)], axis=-2)
         # In the memory order of `apart`, configuration by configuration or row by row.
         residual = np.empty_like(apart[..., 0])
@@ -639,7 +659,8 @@ class Measurements:
         # A hinge is missed while it is too short: docks may be apart, but not overlap.
         distance[...], slope = missed_distance(components(line), d.length, d.is_hinge)
         component[...] = missed_along(components(offset), components(self.axes(yaw)), 0.0)
-        away, axis = self.points(position, yaw), self.places.direction
+        away = self.points(position, yaw)
+        axis = self.places.direction
         place = missed_along(components(away), components(axis), self.places.value)
         return np.concatenate([residual, place], axis=-1), slope[..., None] * line
 
@@ -652,16 +673,19 @@ class Measurements:
             Derivatives by x, y and z of each center [1], then by each yaw [R], shape (E, 4 N).
         """
         direction = self.linearized(position, yaw)[1]
-        count, i, j = len(self.other), self.robot, self.other
+        count = len(self.other)
+        i = self.robot
+        j = self.other
         arm = turned(self.arm, None if yaw is None else yaw[i]).copy()
-        its = turned(self.other_arm, None if yaw is None else yaw[j])
+        other_arm = turned(self.other_arm, None if yaw is None else yaw[j])
         # A vector turns with its axes: the derivative is that of an arm to the other dock.
-        offset = self.vector_rows
-        arm[offset] = position[j[offset]] + its[offset] - position[i[offset]]
+        offset = slice(len(self.distances.stance), count)
+        arm[offset] = position[j[offset]] + other_arm[offset] - position[i[offset]]
         toward = direction[:count]
         of_turn = -slope_by_turn(components(direction), components(arm))[2]
-        of_its_turn = -slope_by_turn(components(toward), components(its))[2]
-        every, axis = np.arange(len(i)), np.arange(AXES)
+        of_other_turn = -slope_by_turn(components(toward), components(other_arm))[2]
+        every = np.arange(len(i))
+        axis = np.arange(AXES)
         thrice = np.repeat(every, AXES)
         row = [thrice, thrice[: AXES * count], every, every[:count]]
         column = [
@@ -670,7 +694,7 @@ class Measurements:
             AXES * self.robots + i,
             AXES * self.robots + j,
         ]
-        value = [direction.ravel(), -toward.ravel(), of_turn, -of_its_turn]
+        value = [direction.ravel(), -toward.ravel(), of_turn, -of_other_turn]
         entries = (np.concatenate(value), (np.concatenate(row), np.concatenate(column)))
         return csc_array(entries, shape=(len(i), (AXES + 1) * self.robots))
 
@@ -715,19 +739,20 @@ def inconsistent_places(rows: Measurements, variance: Reals | None = None) -> Bo
         Rows that disagree with the one that most rows agree with, shape (E,); distances never do.
     """
     contacts = len(rows.other)
-    found = np.zeros(len(rows), np.bool_)
-    robot, direction = rows.robot[contacts:], rows.places.direction
+    inconsistent = np.zeros(len(rows), np.bool_)
+    robot = rows.robot[contacts:]
+    direction = rows.places.direction
     value = rows.places.value - (direction * rows.arm[contacts:]).sum(axis=1)
-    own = (rows.own_variance + rows.shared_variance)[contacts:]
-    walked = (rows.variance() if variance is None else variance)[contacts:] - own
+    own_variance = (rows.own_variance + rows.shared_variance)[contacts:]
+    walked = (rows.variance() if variance is None else variance)[contacts:] - own_variance
     _, group = np.unique(np.column_stack([robot, direction]), axis=0, return_inverse=True)
     order = np.argsort(group, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
-    for mine in groups if len(order) else []:
-        some = mine[:: math.ceil(len(mine) ** 2 / _MOST_PAIRS)]
+    for members in groups if len(order) else []:
+        some = members[:: math.ceil(len(members) ** 2 / _MOST_PAIRS)]
         # Both arms share the noise of all stances after the later one.
-        between = np.abs(walked[some, None] - walked[mine])
-        allowed = ALLOWED_SD**2 * (between + own[some, None] + own[mine])
-        agrees = (value[some, None] - value[mine]) ** 2 <= allowed
-        found[contacts + mine] = ~agrees[agrees.sum(axis=1).argmax()]
-    return found
+        between = np.abs(walked[some, None] - walked[members])
+        allowed = ALLOWED_SD**2 * (between + own_variance[some, None] + own_variance[members])
+        agrees = (value[some, None] - value[members]) ** 2 <= allowed
+        inconsistent[contacts + members] = ~agrees[agrees.sum(axis=1).argmax()]
+    return inconsistent

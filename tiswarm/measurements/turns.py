@@ -27,19 +27,27 @@ from tiswarm.records.estimate import OpenTurn
 _UNRESISTED = 1e-6
 """Change of a measurement for each R of motion below which it does not resist [1]."""
 
-_ANGLES, _DRAWS = 48, 256
-"""Angles about a line at which measurements are compared, and draws of all turns together."""
+_ANGLES = 48
+"""Angles about a line at which measurements are compared."""
 
-_BROAD, _RARE = 0.1, 1e-3
+_DRAWS = 256
+"""Draws of all turns together."""
+
+_BROAD = 0.1
 """Mean likelihood of these angles, relative to the best one, from which on a turn is free [1]: the
-linear problem knows the width of smaller arcs. Share of mirror images up to which none counts."""
+linear problem knows the width of smaller arcs."""
+
+_RARE = 1e-3
+"""Share of mirror images in the likelihood, up to which none counts [1]."""
 
 _STRAIGHT = 0.25
 """Width of a line of robots up to which others may turn about it, in its length [1]."""
 
-_MOST_CUT, _MOST_ROBOTS = 16, 1000
-"""Robots of unknown place up to which each two of them are tried as an axis, and robots up to which
-sets that turn are looked for at all: both take time."""
+_MOST_CUT = 16
+"""Robots of unknown place up to which each two of them are tried as an axis: that takes time."""
+
+_MOST_ROBOTS = 1000
+"""Robots up to which sets that turn are looked for at all: that takes time, too."""
 
 _MOST_UNKNOWNS = 20_000
 """Unknowns of configurations that are solved at once; more take memory."""
@@ -98,10 +106,10 @@ class Turn(NamedTuple):
             level = np.concatenate([[0.0], np.cumsum(self.chance)])
             place = np.interp((order + 0.5) / _DRAWS, level / level[-1], np.arange(len(level)))
             return self.turned(position, _motions(axes[:, 0], place))
-        each = normal(stream, "turns", np.arange(_DRAWS // 4)[:, None], np.arange(4))
+        quaternion = normal(stream, "turns", np.arange(_DRAWS // 4)[:, None], np.arange(4))
         turns = 2.0 * np.eye(AXES)[:, :, None] * np.eye(AXES) - np.eye(AXES)
         half = np.concatenate([np.eye(AXES)[None], turns])
-        matrices = half[:, None] @ Rotation.from_quat(each).as_matrix()
+        matrices = half[:, None] @ Rotation.from_quat(quaternion).as_matrix()
         return self.turned(position, matrices.reshape(-1, AXES, AXES))
 
 
@@ -116,34 +124,36 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
         Sets are what hangs together once one or two robots, or none, are taken away.
         No frame is found if only those `among` robots may turn, shape (N,).
         """
-        part, near = parts(rows), np.zeros((rows.robots, rows.robots), np.bool_)
-        tied, of_pair = part == part[0], rows.robot[: len(rows.other)]
+        part = parts(rows)
+        near = np.zeros((rows.robots, rows.robots), np.bool_)
+        tied = part == part[0]
+        of_pair = rows.robot[: len(rows.other)]
         measured = spans(rows.robot[len(rows.other) :], rows.places.direction, rows.robots)
-        known = np.linalg.matrix_rank(measured, hermitian=True) == AXES
-        known[0] = True
+        is_placed = np.linalg.matrix_rank(measured, hermitian=True) == AXES
+        is_placed[0] = True
         frame = free_frame(rows, position, tied & (among is None))
         # Nothing of the world but the anchor is known, and robots that move have a shape.
-        is_frame = bool(frame.names) and not (known & tied)[1:].any()
+        is_frame = bool(frame.names) and not (is_placed & tied)[1:].any()
         is_frame &= bool((tied[of_pair] & (of_pair > 0) & (rows.other > 0)).any())
-        found = [frame._replace(is_frame=True)] if is_frame else []
-        known |= among is not None and ~among
+        turns = [frame._replace(is_frame=True)] if is_frame else []
+        is_placed |= among is not None and ~among
         if rows.robots > _MOST_ROBOTS or not rows.is_central.any():
-            return cls(found)
+            return cls(turns)
         near[of_pair, rows.other] = near[rows.other, of_pair] = True
-        for members in _sets(near, np.flatnonzero(~known & ~disconnected(rows))):
+        for members in _sets(near, np.flatnonzero(~is_placed & ~disconnected(rows))):
             moves = np.isin(np.arange(rows.robots), members)
             about = np.flatnonzero(near[members].any(axis=0) & ~moves)
             if len(about) and not (is_frame and tied.sum() == len(members) + len(about)):
                 turn = _turn_about(rows, position, moves, about)
-                found += [turn] if turn.names else []
-        return cls(found)
+                turns += [turn] if turn.names else []
+        return cls(turns)
 
     def aligned(self, *chains: Reals, to: int) -> Iterator[Reals]:
         """Turn K configurations (K, N, 3), and others like them, to be nearest to one of them."""
         goal = chains[0][to]
         for turn in self:
             matrices = align(chains[0], goal, turn)
-            chains = tuple(turn.turned(each, matrices) for each in chains)
+            chains = tuple(turn.turned(chain, matrices) for chain in chains)
         return iter(chains)
 
     def motions(self, position: Reals) -> Reals:
@@ -176,22 +186,23 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
     def stated(self, position: Reals, unit: float) -> dict[str, Any]:
         """Write them as fields of an estimate, for positions (N, 3) and R in the log's unit."""
         frame: tuple[str, ...] = ()
-        found: dict[tuple[int, ...], OpenTurn] = {}
+        open_turns: dict[tuple[int, ...], OpenTurn] = {}
         for turn in self:
             if turn.is_frame:
                 frame = turn.names
                 continue
-            (center, axes), key = turn.pivot(position), tuple(turn.about.tolist())
+            (center, axes) = turn.pivot(position)
+            key = tuple(turn.about.tolist())
             robots = np.flatnonzero(turn.moves)
-            if key in found:
-                robots = np.union1d(robots, found[key].robots)
+            if key in open_turns:
+                robots = np.union1d(robots, open_turns[key].robots)
             # Noise has put robots beside their line, where they would resist the turn.
             along = (position[turn.about] - center) @ axes[0]
             line = center + along[:, None] * axes[0]
             place = unit * np.concatenate([position[robots], line])
             axis = axes[0] if len(axes) == 1 else None
-            found[key] = OpenTurn(robots=robots, about=turn.about, axis=axis, place=place)
-        return {"free_frame": frame, "turns": tuple(found.values())}
+            open_turns[key] = OpenTurn(robots=robots, about=turn.about, axis=axis, place=place)
+        return {"free_frame": frame, "turns": tuple(open_turns.values())}
 
 
 def free_frame(rows: Measurements, position: Reals, moves: Bools, about: int = 0) -> Turn:
@@ -215,9 +226,9 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools, about: int = 0
     moved = np.linalg.norm(turns @ axes.T, axis=0)
     axes = axes[(size <= _UNRESISTED * extent) & (moved > _UNRESISTED * extent)]
 
-    def is_free(there: Reals) -> bool:
+    def is_free(moved_arm: Reals) -> bool:
         """Whether robots with these arms meet the measurements as well."""
-        image = np.where(moves[:, None], position[about] + there, position)
+        image = np.where(moves[:, None], position[about] + moved_arm, position)
         change = rows.residual(image) - rows.residual(position)
         return bool(np.abs(change).max(initial=0.0) <= _UNRESISTED * extent)
 
@@ -231,12 +242,14 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools, about: int = 0
 def _sets(near: Bools, robots: Ints) -> list[Ints]:
     """List sets of some robots that hang together by `near` (N, N), the largest first."""
     most = AXES if len(robots) <= _MOST_CUT else 1
-    found = {(i,) for i in robots.tolist() if near[i].sum() <= AXES - 1}
+    sets = {(i,) for i in robots.tolist() if near[i].sum() <= AXES - 1}
     for cut in chain(*(combinations(robots.tolist(), count) for count in range(most))):
         rest = np.setdiff1d(robots, cut)
         _, label = connected_components(near[np.ix_(rest, rest)], directed=False)
-        found |= {tuple(rest[label == k].tolist()) for k in np.unique(label)}
-    return [np.array(each) for each in sorted(found, key=lambda each: (-len(each), each))]
+        sets |= {tuple(rest[label == k].tolist()) for k in np.unique(label)}
+    return [
+        np.array(members) for members in sorted(sets, key=lambda members: (-len(members), members))
+    ]
 
 
 def _turn_about(rows: Measurements, position: Reals, moves: Bools, about: Ints) -> Turn:
@@ -260,7 +273,8 @@ def _turn_about(rows: Measurements, position: Reals, moves: Bools, about: Ints) 
     place = np.arange(2 * _ANGLES, dtype=np.float64) + 0.5
     every: Reals = np.tile(position, (len(place), 1, 1))
     every = turn.turned(every, _motions(np.tile(axes[0], (len(place), 1)), place))
-    every, few = np.concatenate([every, position[None]]), max(1, _MOST_UNKNOWNS // (3 * len(arm)))
+    every = np.concatenate([every, position[None]])
+    few = max(1, _MOST_UNKNOWNS // (3 * len(arm)))
     pieces = (every[k : k + few] for k in range(0, len(every), few))
     square = np.concatenate([_least_squares(rows, piece, turn) for piece in pieces])
     chance = np.exp(0.5 * (square.min() - square[:-1]))
@@ -278,17 +292,21 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     """
     members = np.flatnonzero(turn.moves)
     column = np.cumsum(turn.moves) * turn.moves - 1  # -1 of robots that stay
-    sd, (count, size) = np.sqrt(rows.variance()), (len(position), AXES * len(members))
+    sd = np.sqrt(rows.variance())
+    count = len(position)
+    size = AXES * len(members)
     residual, way = rows.linearized(position)
-    residual, way = residual / sd, way / sd[:, None]
+    residual = residual / sd
+    way = way / sd[:, None]
     center, axes = turn.pivot(position)
     along = np.cross(axes, (position - center[:, None])[:, members]).reshape(count, size)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    entries, each = [], np.arange(count)[:, None, None]
+    entries = []
+    number = np.arange(count)[:, None, None]
     for robot, slope in ((rows.robot, way), (rows.other, -way[:, : len(rows.other)])):
         row = np.flatnonzero(turn.moves[robot])
-        place = (AXES * column[robot[row], None] + np.arange(AXES)) + size * each
-        line = row[:, None] + len(rows) * each
+        place = (AXES * column[robot[row], None] + np.arange(AXES)) + size * number
+        line = row[:, None] + len(rows) * number
         entries.append([slope[:, row], np.broadcast_to(line, place.shape), place])
     value, line, place = (
         np.concatenate([a.ravel() for a in parts]) for parts in zip(*entries, strict=True)
@@ -307,12 +325,12 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     return least
 
 
-def align(position: Reals, other: Reals, turn: Turn) -> Reals:
+def align(position: Reals, goal: Reals, turn: Turn) -> Reals:
     """Move robots by free motions so that they are nearest to where others are (Kabsch 1976).
 
     Args:
         position: Centers of K configurations [R], shape (K, N, 3).
-        other: Centers to be near to [R], shape (N, 3).
+        goal: Centers to be near to [R], shape (N, 3).
         turn: Free motions.
 
     Returns:
@@ -321,15 +339,16 @@ def align(position: Reals, other: Reals, turn: Turn) -> Reals:
     matrices = np.tile(np.eye(AXES), (len(position), 1, 1))
     if not len(turn.axes):
         return matrices
-    there = (other - turn.pivot(other)[0])[turn.moves]
+    goal_arm = (goal - turn.pivot(goal)[0])[turn.moves]
     for k, centers in enumerate(position):
         center, axes = turn.pivot(centers)
-        here = (centers - center)[turn.moves]
-        images = [here, _mirrored(here, axes)] if turn.is_hand_free else [here]
+        arm = (centers - center)[turn.moves]
+        images = [arm, _mirrored(arm, axes)] if turn.is_hand_free else [arm]
         mirror = [np.eye(AXES), _mirrored(np.eye(AXES), axes)]
-        turns = [_turn(image, there, axes) for image in images]
+        turns = [_turn(image, goal_arm, axes) for image in images]
         off = [
-            np.linalg.norm(image @ turn - there) for image, turn in zip(images, turns, strict=True)
+            np.linalg.norm(image @ turn - goal_arm)
+            for image, turn in zip(images, turns, strict=True)
         ]
         best = int(np.argmin(off))
         matrices[k] = mirror[best] @ turns[best]
@@ -362,17 +381,19 @@ def _mirrored(arm: Reals, axes: Reals) -> Reals:
     return mirrored
 
 
-def _turn(here: Reals, there: Reals, axes: Reals) -> Reals:
+def _turn(arm: Reals, goal_arm: Reals, axes: Reals) -> Reals:
     """Find the free turn that brings arms (n, 3) nearest to others: a matrix to multiply by."""
     if len(axes) == 1:
         basis = np.linalg.svd(axes)[2]  # the axis first
-        (_, a, b), (_, c, d) = (here @ basis.T).T, (there @ basis.T).T
+        (_, a, b) = (arm @ basis.T).T
+        (_, c, d) = (goal_arm @ basis.T).T
         angle = np.arctan2((a * d - b * c).sum(), (a * c + b * d).sum())
-        cos, sin = np.cos(angle), np.sin(angle)
+        cos = np.cos(angle)
+        sin = np.sin(angle)
         inner = np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]])
         turn: Reals = basis.T @ inner @ basis
         return turn
-    u, _, vt = np.linalg.svd(here.T @ there)
+    u, _, vt = np.linalg.svd(arm.T @ goal_arm)
     sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     proper: Reals = u @ sign @ vt
     return proper

@@ -96,9 +96,11 @@ def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     heading[r, Heading.YAW] = yaw
     heading[r, Heading.COS] = ti.cos(yaw)
     heading[r, Heading.SIN] = ti.sin(yaw)
-    c, s = ti.cos(turn), ti.sin(turn)
+    c = ti.cos(turn)
+    s = ti.sin(turn)
     for k in range(swarm.arm.shape[1]):
-        x, y = swarm.arm[r, k, 0], swarm.arm[r, k, 1]
+        x = swarm.arm[r, k, 0]
+        y = swarm.arm[r, k, 1]
         swarm.arm[r, k, 0] = c * x - s * y
         swarm.arm[r, k, 1] = s * x + c * y
     if step.number >= step.hold:
@@ -137,7 +139,8 @@ def note_pull(k, pull, mass, trees: Ref):
 def gather_pulls(b, blocks: Ref, trees: Ref):
     """Add to the force on each subtree of block b those on all that grow out of it."""
     count = trees.table.shape[0]
-    first, last = blocks.progress[b, BlockProgress.TREE], blocks.progress[b, BlockProgress.TREE_END]
+    first = blocks.progress[b, BlockProgress.TREE]
+    last = blocks.progress[b, BlockProgress.TREE_END]
     chain = first // count
     for back in range(1, last - first):
         k = last - back
@@ -182,7 +185,8 @@ def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
 def spread_shifts(b, blocks: Ref, trees: Ref):
     """Add to the shift of each subtree of block b that of the subtree it grows out of."""
     count = trees.table.shape[0]
-    first, last = blocks.progress[b, BlockProgress.TREE], blocks.progress[b, BlockProgress.TREE_END]
+    first = blocks.progress[b, BlockProgress.TREE]
+    last = blocks.progress[b, BlockProgress.TREE_END]
     chain = first // count
     for k in range(first + 1, last):
         parent = chain * count + trees.table[k - chain * count, SubtreeLabel.PARENT]
@@ -201,7 +205,8 @@ def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: R
     """
     motion, position = ti.static(swarm.motion, swarm.position)
     count = robots.label.shape[0]
-    i, chain = r % count, r // count
+    i = r % count
+    chain = r // count
     strayed = 0.0 * motion[r, BodyMotion.MASS]
     if robots.label[i, RobotLabel.MOVES] == 1:
         number = robots.label[i, RobotLabel.NUMBER]
@@ -388,10 +393,8 @@ def take_steps(
                         )
                         progress_out[b, BlockProgress.AGE] = 0
                     if fits(b, structure_out):
-                        t, hold = (
-                            progress_out[b, BlockProgress.TAKEN],
-                            progress_out[b, BlockProgress.HOLD],
-                        )
+                        t = progress_out[b, BlockProgress.TAKEN]
+                        hold = progress_out[b, BlockProgress.HOLD]
                         step = ti.static(Step(t, seed, hold, schedule))
                         farthest = _take_step(
                             span, variant, step, measured, trees, grid, rows, blocks, swarm

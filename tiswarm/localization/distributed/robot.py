@@ -460,7 +460,9 @@ class LocalSwarm:
 class _MotionCost(Cost[NearLinear]):
     """The cost of robots near one as a function of some motions, which move several as one."""
 
-    most_rounds, widest, promised = CANDIDATES.rounds, NEIGHBORS.radius, NEIGHBORS.settled
+    most_rounds = CANDIDATES.rounds
+    widest = NEIGHBORS.radius
+    least_reduction = NEIGHBORS.settled
 
     def __init__(self, problem: NearCost, basis: Reals) -> None:
         """Take the cost of N robots that may all move, and motions, shape (6 N, n)."""

@@ -71,7 +71,7 @@ class MixtureSettings:
     heats: int = 6
     """Divisors that are tried [1], from 1 to the largest one."""
 
-    alike: float = 2.0
+    least_cost_sd: float = 2.0
     """Excess of a cost over the least one up to which both count as the same, in standard
     deviations of a chi-square [1]."""
 

@@ -95,8 +95,10 @@ class Ends:
 
     def at(self, position: Reals, yaw: Reals) -> "Ends":
         """Return one end at a configuration, (N, 3) and (N,), in place of all."""
-        chain, one = self.fit.annealed.still(position[None], yaw[None]), np.ones(1)
-        fit, place = replace(self.fit, annealed=chain), (chain.last, chain.last_yaw)
+        chain = self.fit.annealed.still(position[None], yaw[None])
+        one = np.ones(1)
+        fit = replace(self.fit, annealed=chain)
+        place = (chain.last, chain.last_yaw)
         return replace(self, fit=fit, position=place[0], yaw=place[1], cost=0.0 * one, weight=one)
 
 
@@ -134,7 +136,8 @@ def ranked(fit: Fit) -> Ends:
     where it lets measurements be missed. Of many robots ends stay where they are.
     """
     annealed = fit.annealed
-    position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
+    position = annealed.last.copy()
+    yaw = annealed.last_yaw.copy()
     cost = np.full(len(position), np.inf)
     rounds = MIXTURE.rounds if fit.is_refined else 0
     # Where every chain failed, the least bad one has to do; the verdict says so.
@@ -191,20 +194,22 @@ def further_starts(posed: Posed) -> list[Reals]:
     """
     if not posed.is_refined:
         return []
-    anchor, rounds = posed.log.anchor_position / posed.log.dock_radius, MIXTURE.warm_rounds
-    found = []
+    anchor = posed.log.anchor_position / posed.log.dock_radius
+    rounds = MIXTURE.warm_rounds
+    minima = []
     for start in scaled_distances(posed.problem, anchor):
         position, _, cost = settled(posed, start, ANNEALING.warmest, rounds)
-        found.append((cost, position))
+        minima.append((cost, position))
     # By the cost alone: of equal costs, arrays would be compared, which fails.
-    found.sort(key=lambda pair: pair[0])
+    minima.sort(key=lambda pair: pair[0])
     chance = CONVERGENCE.chance_sd * chi_square_sd(len(posed.problem.rows))
-    return [position for cost, position in found if cost <= found[0][0] + chance]
+    return [position for cost, position in minima if cost <= minima[0][0] + chance]
 
 
 def aligned(ends: Ends) -> Ends:
     """Move all ends by rigid motions that nothing resists to where the best one is."""
-    problem, annealed = ends.fit.problem, ends.fit.annealed
+    problem = ends.fit.problem
+    annealed = ends.fit.annealed
     least = int(ends.cost.argmin())
     is_missed = ends.missed[least] > CONVERGENCE.outlier_sd**2
     rows = problem.rows.select(~problem.rows.any_of_vector(is_missed))

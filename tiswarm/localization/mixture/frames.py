@@ -46,7 +46,8 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
     Returns:
         Two mirror images, shape (N, 3) each; none without ranges, or beyond `MOST_ROBOTS`.
     """
-    robots, rows = problem.rows.robots, problem.rows
+    robots = problem.rows.robots
+    rows = problem.rows
     if rows.is_contact.all() or not AXES <= robots <= MOST_ROBOTS:
         return []
     length = np.where(
@@ -77,8 +78,10 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
 
 def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
     """Turn and shift a shape about its anchor to fit measured coordinates, shape (N, 3)."""
-    rows, links = problem.rows, len(problem.rows.other)
-    robot, direction = rows.robot[links:], rows.places.direction
+    rows = problem.rows
+    links = len(problem.rows.other)
+    robot = rows.robot[links:]
+    direction = rows.places.direction
     value = -rows.residual(np.tile(anchor, (rows.robots, 1)))[links:]
     # n . A x = value, with nine unknowns
     matrix = (direction[:, :, None] * shape[robot][:, None, :]).reshape(-1, AXES**2)
@@ -103,21 +106,25 @@ class PartImages:
         non_overlap: bool = True,
     ) -> None:
         """Find the parts; rows have some variance beside their noise [R^2]."""
-        self._log, self._rows, self._non_overlap = log, rows, non_overlap
+        self._log = log
+        self._rows = rows
+        self._non_overlap = non_overlap
         self._weight = 1.0 / (rows.variance() + further_variance)
         self.parts = hanging_parts(rows)
         """Robots of each part, shape (K, N)."""
         pairs = len(rows.other)
-        own, its = (self.parts.take(robots, axis=1) for robots in (rows.robot, rows.other))
+        is_member, is_other_member = (
+            self.parts.take(robots, axis=1) for robots in (rows.robot, rows.other)
+        )
         # How the vector of each row moves with each part: 1, -1, or not at all.
-        self._sign = own.astype(np.float64)
-        self._sign[:, :pairs] -= its
+        self._sign = is_member.astype(np.float64)
+        self._sign[:, :pairs] -= is_other_member
         is_oriented = np.any(rows.arm, axis=1)
         is_oriented[:pairs] |= rows.other_arm.any(axis=1)
         is_oriented[len(rows.distances.stance) : pairs] = True
-        own[:, :pairs] |= its
+        is_member[:, :pairs] |= is_other_member
         is_single = self.parts.sum(axis=1) == 1
-        self._is_shifted = (own & is_oriented).any(axis=1) | is_single
+        self._is_shifted = (is_member & is_oriented).any(axis=1) | is_single
         # Docks that only must not overlap leave no sphere.
         self._sign[:, np.flatnonzero(rows.distances.is_hinge)] = 0.0
 
@@ -132,19 +139,20 @@ class PartImages:
             Centers, and the cost beyond that of the minimum, all else as it is [1].
         """
         rows = self._rows
-        vector, missed = rows.vectors(position, yaw), rows.residual(position, yaw)
+        vector = rows.vectors(position, yaw)
+        missed = rows.residual(position, yaw)
         axes = np.concatenate([rows.axes(yaw), rows.places.direction])
         cost = self._weight @ missed**2 + self._overlap(position, yaw)
         for number, part in enumerate(self.parts):
             shift = self._shift(number, vector, axes, position)
             if shift is None or np.linalg.norm(shift, axis=-1).max() < MIXTURE.image_shift:
                 continue
-            there = np.where(part[:, None], position + shift, position)
-            excess = float(self._weight @ rows.residual(there, yaw) ** 2 - cost)
+            image = np.where(part[:, None], position + shift, position)
+            excess = float(self._weight @ rows.residual(image, yaw) ** 2 - cost)
             if excess <= MIXTURE.image_worst:
-                excess += self._overlap(there, yaw)
+                excess += self._overlap(image, yaw)
             if excess <= MIXTURE.image_worst:
-                yield there, excess
+                yield image, excess
 
     def _shift(self, number: int, vector: Reals, axes: Reals, position: Reals) -> Reals | None:
         """Find the shift of a part to its image, (3,), or of each robot, (N, 3), if there is one.
@@ -157,9 +165,11 @@ class PartImages:
         """
         distances = self._rows.distances
         moved = np.flatnonzero(self._sign[number])
-        sign, weight = self._sign[number, moved, None], self._weight[moved]
+        sign = self._sign[number, moved, None]
+        weight = self._weight[moved]
         count = int(np.searchsorted(moved, len(distances.stance)))
-        link, along = moved[:count], axes[moved[count:] - len(distances.stance)] * sign[count:]
+        link = moved[:count]
+        along = axes[moved[count:] - len(distances.stance)] * sign[count:]
         size, basis = np.linalg.eigh((along.T * weight[count:]) @ along)
         basis = basis[:, size < MIXTURE.image_fixed**-2]
         # With fewer distances than free directions, a motion is left: nothing to mirror.
@@ -210,23 +220,24 @@ def hanging_parts(rows: Measurements) -> Bools:
     Returns:
         Robots of each part, small parts first, shape (K, N).
     """
-    robots, pairs = rows.robots, len(rows.other)
+    robots = rows.robots
+    pairs = len(rows.other)
     place = rows.robot[pairs:], rows.places.direction
-    known = spans(*place, robots, 1.0 / rows.variance()[pairs:])
-    is_world = np.linalg.eigvalsh(known)[:, 0] > MIXTURE.image_fixed**-2
+    information = spans(*place, robots, 1.0 / rows.variance()[pairs:])
+    is_world = np.linalg.eigvalsh(information)[:, 0] > MIXTURE.image_fixed**-2
     is_world[0] = True
     # The world is one vertex, that of the anchor.
     vertex = np.where(is_world, 0, np.arange(robots))
     pair = vertex[np.column_stack([rows.robot[:pairs], rows.other])]
     near: list[list[int]] = [[] for _ in range(robots)]
-    for one, other in np.unique(pair[pair[:, 0] != pair[:, 1]], axis=0).tolist():
-        near[one].append(other)
-        near[other].append(one)
+    for one, another in np.unique(pair[pair[:, 0] != pair[:, 1]], axis=0).tolist():
+        near[one].append(another)
+        near[another].append(one)
     free = np.flatnonzero(~is_world).tolist()
-    found: set[tuple[int, ...]] = {(robot,) for robot in free}
+    sets: set[tuple[int, ...]] = {(robot,) for robot in free}
     for without in [-1, *(free if robots <= MIXTURE.image_robots else [])]:
-        found |= {tuple(sorted(part)) for part in _cut_off(near, without)}
-    ordered = sorted(found, key=lambda part: (len(part), part))
+        sets |= {tuple(sorted(part)) for part in _cut_off(near, without)}
+    ordered = sorted(sets, key=lambda part: (len(part), part))
     is_in = [np.isin(np.arange(robots), part) for part in ordered]
     return np.array(is_in, np.bool_).reshape(len(ordered), robots)
 
@@ -240,20 +251,22 @@ def _cut_off(near: list[list[int]], without: int) -> Iterator[list[int]]:
         near: Neighbors of each vertex.
         without: The vertex that is left out; none if -1.
     """
-    entered, low = [-1] * len(near), [0] * len(near)
-    order, stack = [0], [(0, iter(near[0]))]
+    entered = [-1] * len(near)
+    low = [0] * len(near)
+    order = [0]
+    stack = [(0, iter(near[0]))]
     entered[0] = 0
     while stack:
         vertex, further = stack[-1]
-        for other in further:
-            if other == without:
+        for neighbor in further:
+            if neighbor == without:
                 continue
-            if entered[other] < 0:
-                entered[other] = low[other] = len(order)
-                order.append(other)
-                stack.append((other, iter(near[other])))
+            if entered[neighbor] < 0:
+                entered[neighbor] = low[neighbor] = len(order)
+                order.append(neighbor)
+                stack.append((neighbor, iter(near[neighbor])))
                 break
-            low[vertex] = min(low[vertex], entered[other])
+            low[vertex] = min(low[vertex], entered[neighbor])
         else:
             stack.pop()
             if stack:

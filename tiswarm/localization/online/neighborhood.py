@@ -377,7 +377,9 @@ class NearCost(Cost[NearLinear]):
     """
 
     # Most joins need one step; each costs as much as the first.
-    most_rounds, widest, promised = NEIGHBORS.rounds, NEIGHBORS.radius, NEIGHBORS.settled
+    most_rounds = NEIGHBORS.rounds
+    widest = NEIGHBORS.radius
+    least_reduction = NEIGHBORS.settled
 
     def __init__(
         self,
