@@ -15,13 +15,12 @@ import pytest
 
 import tiswarm as library
 from tests.runs import REPOSITORY
-from tiswarm.base import registry as plugins
+from tiswarm.base import plugins, registry
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.localization.methods import all_params
-from tiswarm.scenario.model import scenario_schema
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.scenario.model import Scenario, dump_scenario, scenario_schema
 from tiswarm.scenario.validation import localization_params
 from tiswarm.study import runner
-from tiswarm.world.params import all_kinds
 
 PAGE = (REPOSITORY / "docs" / "own-method.md").read_text()
 CHAIN, RADAR, FADES, LEANING, WORST, XYZ, READ, DRAW = re.findall(
@@ -289,7 +288,7 @@ def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
     with pytest.raises(InputError, match=problem):
         library.check("own.yaml", plugins=["own.py"])
 
-    assert [plugins.registered(kind) for kind in plugins.BUILT_IN] == [{}] * len(plugins.BUILT_IN)
+    assert registry.contents() == ()
 
 
 def test_a_plugin_that_is_missing_is_a_line(tiswarm, files):
@@ -411,6 +410,32 @@ def test_a_worker_refuses_a_plugin_that_changed(files):
     assert same == localization_params("origin")
     with pytest.raises(EnvironmentTroubleError, match=r"own.py: the plug-in has changed"):
         pickle.loads(sent)  # noqa: S301 - our own
+
+
+@pytest.mark.parametrize(
+    ("code", "section"),
+    [
+        (CHAIN, {"localization": {"method": "chain", "gap": 2.1}}),
+        (FADES, {"localization": {"method": "distributed", "channel": "fades"}}),
+        (RADAR, {"sensing": {"suite": "radar"}}),
+        (LEANING, {"structure": {"kind": "leaning", "lean": 3.0}}),
+        (RANDOM, {"structure": {"kind": "tower", "rule": {"name": "random", "flips": 3}}}),
+    ],
+    ids=["method", "channel", "sensor", "structure", "rule"],
+)
+def test_settings_bring_their_plugin_to_a_worker(files, code, section):
+    """A process that has loaded nothing receives them, and knows each name that they have."""
+    (files / "own.py").write_text(code)
+    usual = {"name": "own", "structure": {"kind": "tower"}, "localization": {"method": "joint"}}
+    plugins.load_plugins(["own.py"])
+    scenario = load_scenario(usual | section)
+    sent = pickle.dumps(scenario)
+
+    plugins.forget()
+    received = pickle.loads(sent)  # noqa: S301 - our own
+
+    assert dump_scenario(received) == dump_scenario(scenario)
+    assert [entry.plugin.file for entry in registry.contents()] == [files / "own.py"]
 
 
 @pytest.mark.parametrize("code", [ORIGIN, LEANING, RANDOM])
@@ -874,10 +899,19 @@ def test_a_measure_that_fails_is_a_line(tiswarm, files, whole, returned, problem
     assert (run / "summary.csv").read_bytes() == before
 
 
-def test_what_is_forgotten_leaves_the_scenario():
-    """The union of settings is that of the package without plug-ins."""
-    assert "origin" not in str(all_params())
-    assert "Leaning" not in str(all_kinds())
+def test_what_is_forgotten_leaves_the_scenario(files):
+    """The schema lists the settings of plug-ins while these are loaded, and no class changes."""
+    (files / "leaning.py").write_text(LEANING)
+    before = scenario_schema()
+    checks = Scenario.__pydantic_validator__
+
+    plugins.load_plugins(["own.py", "leaning.py"])
+    loaded = scenario_schema()["$defs"].keys()
+    plugins.forget()
+
+    assert loaded - before["$defs"].keys() == {"OwnOriginParams", "OwnLeaningParams"}
+    assert scenario_schema() == before
+    assert Scenario.__pydantic_validator__ is checks
 
 
 @pytest.mark.trial

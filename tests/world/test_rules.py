@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests import oracle
-from tiswarm.base import registry as door
+from tiswarm.base import plugins, registry
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.world.growth import grow
@@ -55,13 +55,13 @@ def page(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def _rules(page):
     """Load the rules of the page, and leave none to the next test."""
-    door.load_plugins([page])
+    plugins.load_plugins([page])
     yield
-    door.forget()
+    plugins.forget()
 
 
 def _by(params: GrowthParams, name: str, **settings: object) -> GrowthParams:
-    return dataclasses.replace(params, rule=door.get("rule", name)(**settings))
+    return dataclasses.replace(params, rule=registry.get("rule", name)(**settings))
 
 
 def _grow(params: GrowthParams, robots: int, seeds: "list[int] | range") -> list[History]:
@@ -153,7 +153,7 @@ def test_a_rule_may_call_in_its_own_way():
     )
 
     assert early.sensed.max() < 0.7 * late.sensed.max()
-    calls = door.get("rule", "early-call")(share=1.0).call(np.array([1.0, 10.0]), TowerParams())
+    calls = registry.get("rule", "early-call")(share=1.0).call(np.array([1.0, 10.0]), TowerParams())
     assert calls.tolist() == [0, 5]
 
 
@@ -163,7 +163,7 @@ class Recorder:
     name = "recorder"
 
     def __init__(self, like: str, call=None, spread=None) -> None:
-        self.like, self.steps = door.get("rule", like)(), []
+        self.like, self.steps = registry.get("rule", like)(), []
         self.call = call or recruit
         self.spread = spread or (lambda call, contacts: relay(call, contacts, docks=3))
 
@@ -194,7 +194,7 @@ def _recorded(params: GrowthParams, robots: int, seeds: list[int], like: str) ->
 @pytest.fixture(scope="module")
 def steps(page):
     """What climbers of two towers saw at some of their steps."""
-    door.load_plugins([page])
+    plugins.load_plugins([page])
     found = _recorded(TowerParams(force_threshold=4.0), 12, [SEED, SEED + 1], "early-call")
     return found[::7]
 
@@ -282,9 +282,9 @@ def test_a_wrong_choice_is_a_line(tmp_path, returned, problem):
     code = "import numpy as np\nimport tiswarm\n\n@tiswarm.rule('wrong')\nclass Wrong:\n"
     code += f"    def choose(self, step):\n        return {returned}\n"
     (tmp_path / "wrong.py").write_text(code)
-    door.load_plugins([tmp_path / "wrong.py"])
+    plugins.load_plugins([tmp_path / "wrong.py"])
 
-    with pytest.raises(door.PluginError, match=problem):
+    with pytest.raises(plugins.PluginError, match=problem):
         _grow(_by(TowerParams(), "wrong"), 3, [SEED])
 
 
@@ -294,9 +294,11 @@ def test_a_rule_cannot_write_what_it_sees(tmp_path, name):
     code = "import tiswarm\n\n@tiswarm.rule('writes')\nclass Writes:\n"
     code += f"    def choose(self, step):\n        step.{name}[...] = 0\n        return -1\n"
     (tmp_path / "writes.py").write_text(code)
-    door.load_plugins([tmp_path / "writes.py"])
+    plugins.load_plugins([tmp_path / "writes.py"])
 
-    with pytest.raises(door.PluginError, match=r"writes\.py:6: writes\.choose failed: .*read-only"):
+    with pytest.raises(
+        plugins.PluginError, match=r"writes\.py:6: writes\.choose failed: .*read-only"
+    ):
         _grow(_by(TowerParams(), "writes"), 3, [SEED])
 
 
@@ -306,10 +308,10 @@ def test_a_rule_cannot_write_calls(tmp_path):
     code += "    def choose(self, step):\n        return -1\n\n"
     code += "    def call(self, sensed, params):\n        sensed[:] = 0.0\n        return sensed\n"
     (tmp_path / "calls.py").write_text(code)
-    door.load_plugins([tmp_path / "calls.py"])
+    plugins.load_plugins([tmp_path / "calls.py"])
 
-    with pytest.raises(door.PluginError, match=r"calls\.call failed: .*read-only"):
-        door.get("rule", "calls")().call(np.ones(2), None)
+    with pytest.raises(plugins.PluginError, match=r"calls\.call failed: .*read-only"):
+        registry.get("rule", "calls")().call(np.ones(2), None)
 
 
 @pytest.mark.parametrize("one", ["-1", "step.back(0)"])
@@ -320,7 +322,7 @@ def test_one_choice_is_that_of_all_climbers(tmp_path, one):
         file = tmp_path / f"{name}.py"
         code = f"import numpy as np\nimport tiswarm\n\n@tiswarm.rule('{name}')\nclass Rule:\n"
         file.write_text(f"{code}    def choose(self, step):\n        return {returned}\n")
-        door.load_plugins([file])
+        plugins.load_plugins([file])
         grown += [_grow(_by(TowerParams(), name), 3, [SEED])]
 
     assert f"or correct the rule {name}" in grown[1][0].ended

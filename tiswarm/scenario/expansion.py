@@ -8,12 +8,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.registry import load_plugins, watch
+from tiswarm.base.plugins import load_plugins
+from tiswarm.base.registry import Registered, contents
 from tiswarm.records.messages import Part, dotted
 from tiswarm.records.run_folder import LABEL, variant_name
 from tiswarm.scenario.labels import swept_keys, without_label
@@ -299,7 +300,7 @@ def _reset_section(data: Plain, change: _ChangedKey) -> str:
     old = settings.get(key) if isinstance(settings, dict) else None
     if not isinstance(old, str) or old == change.value:
         return ""
-    default = _defaults(section, old) or {}
+    default = _defaults(section, old, contents()) or {}
     changed = {name: value for name, value in settings.items() if value != default.get(name)}
     data[section] = changed if section in SAME_KEYS else {}
     if section in SAME_KEYS or not changed:
@@ -310,13 +311,11 @@ def _reset_section(data: Plain, change: _ChangedKey) -> str:
     return f"{problem}, or give {section} as a whole in the condition"
 
 
-@cache
-def _defaults(section: str, selected: str) -> Plain | None:
+@lru_cache(maxsize=64)
+def _defaults(section: str, selected: str, _plugins: tuple[Registered, ...]) -> Plain | None:
+    """Return the defaults of the settings that a name selects, with the plug-ins loaded."""
     outcome = from_plain({**_MINIMAL, section: {DISCRIMINATORS[section]: selected}})
     return to_plain(outcome)[section] if isinstance(outcome, Scenario) else None
-
-
-watch(_defaults.cache_clear)
 
 
 def _attribute(mistake: Mistake, changes: Sequence[_ChangedKey], label: str) -> Mistake:

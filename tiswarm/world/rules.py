@@ -25,9 +25,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base import registry as door
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.base.plugins import call_plugin, fault_of_numbers
+from tiswarm.base.registry import register
+from tiswarm.base.sections import settings_class
 from tiswarm.compute.math import uniform
 from tiswarm.records.terrain import Terrain
 from tiswarm.world.climb_kernels import (
@@ -282,32 +284,37 @@ def rule(name: str) -> Callable[[_Class], _Class]:
             for each in _METHODS
             if hasattr(given, each)
         }
-        guards["__reduce__"] = door.sent_as("rule", "name")
-        made = door.own_section(name, "name", given, given, guards)
-        door.register("rule", name, made, next(iter(methods), given))
-        return made  # type: ignore[no-any-return]
+        section: _Class = settings_class("rule", name, given, given, guards)
+        register("rule", name, section, next(iter(methods), given))
+        return section
 
     return add
 
 
 def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[..., Any]:
     """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
-    theirs, fault = unwrap(inherited), _FAULTS.get(method)
+    unguarded = unwrap(inherited)
+    fault_of = _FAULTS.get(method)
 
-    @wraps(theirs)
-    def call(*given: Any) -> Any:  # noqa: ANN401 - as the method
-        plugin, what = door.registered("rule")[name].plugin, f"{name}.{method}"
-        shown = [_read_only(each) if isinstance(each, np.ndarray) else each for each in given]
-        found = door.guarded(plugin, what, lambda: theirs(*shown))
-        if fault is None:
-            return found
-        found = np.asarray(found)
-        if method == "choose" and not found.ndim:  # one choice of all
-            found = np.full(given[1].stance.shape, found)
-        if wrong := _fault_of_integers(found) or fault(found, *given[1:]):
-            problem = f"{plugin.file}: {what} returned {wrong}"
-            raise door.PluginError(problem, f"{problem}\n")
-        return found.astype(np.int32)
+    @wraps(unguarded)
+    def call(*arguments: Any) -> Any:  # noqa: ANN401 - as the method
+        shown = [
+            _read_only(argument) if isinstance(argument, np.ndarray) else argument
+            for argument in arguments
+        ]
+        if fault_of is None:
+            return call_plugin("rule", name, lambda: unguarded(*shown), method=method)
+
+        def integers() -> NDArray[Any]:
+            returned = np.asarray(unguarded(*shown))
+            if method == "choose" and not returned.ndim:  # one choice of all
+                return np.full(arguments[1].stance.shape, returned)
+            return returned
+
+        def fault(returned: NDArray[Any]) -> str:
+            return _fault_of_integers(returned) or fault_of(returned, *arguments[1:])
+
+        return call_plugin("rule", name, integers, fault, method=method).astype(np.int32)
 
     return call
 
@@ -401,11 +408,10 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
         source = next(iter(methods), settings)  # a class of a session has no file
         if "__dataclass_fields__" not in vars(settings):
             settings = plain_dataclass(frozen=True, kw_only=True)(settings)
-        guards: dict[str, object] = {each: _checked(name, settings, each) for each in _SHAPES}
-        ground = partial(_ground, name, settings)
-        guards |= {"terrain": property(ground), "__reduce__": door.sent_as("structure", "kind")}
-        kind: type[_Kind] = door.own_section(name, "kind", settings, settings, guards)
-        door.register("structure", name, kind, source)
+        guards: dict[str, object] = {method: _checked(name, settings, method) for method in _SHAPES}
+        guards["terrain"] = property(partial(_ground, name, settings))
+        kind: type[_Kind] = settings_class("structure", name, settings, settings, guards)
+        register("structure", name, kind, source)
         return kind
 
     return add
@@ -413,32 +419,40 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
 
 def _checked(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
     """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
-    theirs = getattr(settings, method)
+    unchecked = getattr(settings, method)
 
-    @wraps(theirs)
-    def call(self: GrowthParams, *given: Any) -> Any:  # noqa: ANN401 - as the method
-        plugin, what = door.registered("structure")[name].plugin, f"{name}.{method}"
-        found = door.guarded(plugin, what, lambda: np.asarray(theirs(self, *given)))
-        shape, wrong = _SHAPES[method](*given), ""
-        if found.shape != shape:
-            kind = "None" if found.tolist() is None else f"shape {found.shape}"
-            wrong = f"{kind}; return numbers of shape {shape}"
-        elif fault := door.fault_of_numbers(found, _FARTHEST, f"within {_FARTHEST:g} R"):
-            wrong = f"numbers that are {fault}; correct them"
-        if wrong:
-            problem = f"{plugin.file}: {what} returned {wrong}"
-            raise door.PluginError(problem, f"{problem}\n")
-        return found.astype(np.float64)
+    @wraps(unchecked)
+    def call(self: GrowthParams, *arguments: Any) -> Any:  # noqa: ANN401 - as the method
+        shape = _SHAPES[method](*arguments)
+        numbers = call_plugin(
+            "structure", name,
+            lambda: np.asarray(unchecked(self, *arguments)),
+            lambda returned: _fault_of_lengths(returned, shape),
+            method=method,
+        )  # fmt: skip
+        return numbers.astype(np.float64)
 
     return call
 
 
+def _fault_of_lengths(returned: NDArray[Any], shape: tuple[int, ...]) -> str:
+    if returned.shape != shape:
+        kind = "None" if returned.tolist() is None else f"shape {returned.shape}"
+        return f"{kind}; return numbers of shape {shape}"
+    fault = fault_of_numbers(returned, _FARTHEST, f"within {_FARTHEST:g} R")
+    return f"numbers that are {fault}; correct them" if fault else ""
+
+
 def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
     """Return the terrain of a plug-in's structure."""
-    plugin, what = door.registered("structure")[name].plugin, f"{name}.terrain"
-    theirs = getattr(settings.terrain, "fget", lambda _: settings.terrain)
-    found = door.guarded(plugin, what, lambda: theirs(of))
-    if not isinstance(found, Terrain):
-        problem = f"{plugin.file}: {what} returned {type(found).__name__}; return a Terrain"
-        raise door.PluginError(problem, f"{problem}\n")
-    return found
+    unchecked = getattr(settings.terrain, "fget", lambda _: settings.terrain)
+    terrain: Terrain = call_plugin(
+        "structure", name, lambda: unchecked(of), _fault_of_terrain, method="terrain"
+    )
+    return terrain
+
+
+def _fault_of_terrain(returned: object) -> str:
+    if isinstance(returned, Terrain):
+        return ""
+    return f"{type(returned).__name__}; return a Terrain"
