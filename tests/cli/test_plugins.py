@@ -263,6 +263,7 @@ def test_localize_prints_a_line_or_with_debug_the_traceback(tiswarm, files, log)
         (ORIGIN.replace('"origin"', '"o", cues=["smell"]'), "own.py:5: smell is not a cue; use"),
         (ORIGIN.replace('"origin"', '"o", settings=int'), "own.py:5: .* is no frozen dataclass"),
         (CHAIN.replace("gap: float", "method: float"), "own.py:.* method has a meaning already"),
+        (CHAIN.replace("gap: float", "title: float"), "own.py:.* title has a meaning already"),
         (CHAIN.replace("gap: float", "gap: np.ndarray"), "own.py:.* use types like float or str"),
         (RADAR.replace('"radar"', '"atron"'), "own.py:6: sensor atron is taken by tiswarm itself"),
         (RADAR.replace('"ranges"', '"smells"'), "own.py:6: fills: the log has no list smells"),
@@ -535,6 +536,21 @@ def test_a_format_of_a_plugin_is_imported(tiswarm, files):
     assert (log.robot_id.tolist(), log.length_unit) == ([0, 7], "mm")
     assert wrong.returncode == 2
     assert re.match(r"tiswarm: error: bad\.poses:2: z_mm: ", wrong.stderr)
+
+
+def test_a_reader_that_returns_no_table_is_a_line(tiswarm, files):
+    """Columns of different lengths ended in a traceback."""
+    columns = "return {'robot': [0, 7], 'x_mm': [0.0]}"
+    (files / "poses.py").write_text(re.sub("return pd.*", columns, READ))
+    (files / "two.poses").write_text("")
+
+    command = ("import", "two.poses", "--plugin", "poses.py", "--dock-radius", "33")
+    done = tiswarm(*command, "--out", "imported", cwd=files)
+
+    assert done.returncode == 1
+    assert not (files / "imported").exists()
+    assert re.match(r"tiswarm: error: .*poses\.py: poses failed: ValueError", done.stderr)
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_a_figure_of_a_plugin_is_on_the_page(tiswarm, files, whole):
@@ -882,6 +898,7 @@ def test_a_measure_of_a_plugin_is_in_tables_and_on_the_page(tiswarm, files, whol
         ("estimate.position", r"worst.py: worst_R returned array\(.*; return a number, or NaN"),
         ("np.inf", r"worst.py: worst_R returned inf; return a number, or NaN"),
         ("'far'", r"worst.py: worst_R returned 'far'; return a number, or NaN"),
+        ("[[1.0], [2.0, 3.0]]", r"worst.py: worst_R failed: ValueError"),
     ],
 )
 def test_a_measure_that_fails_is_a_line(tiswarm, files, whole, returned, problem):

@@ -275,6 +275,7 @@ def test_a_rule_may_spread_calls_in_its_own_way():
         ("None", r"wrong\.choose returned None; return integers"),
         ("step.back(99)", r"returned -101 for climber 0; .* stance s of its 1"),
         ("step.flips", r"wrong\.py:\d+: wrong\.choose failed: AttributeError"),
+        ("[[0], [1, 2]]", r"wrong\.py: wrong\.choose failed: ValueError"),
     ],
 )
 def test_a_wrong_choice_is_a_line(tmp_path, returned, problem):

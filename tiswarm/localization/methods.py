@@ -83,9 +83,9 @@ def require_use(
     Raises:
         InputError: none of them is parallel, and a device or f32 was named.
     """
-    if any(each.is_parallel for each in params):
+    if any(settings.is_parallel for settings in params):
         return
-    titles = sorted({each.title for each in params})
+    titles = sorted({settings.title for settings in params})
     problem = (
         f"has no use: {' and '.join(titles)} always computes on cpu in f64; "
         "choose method joint, or virtual-force with schedule together, or leave this out"
@@ -112,7 +112,7 @@ def start_device(
     from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
 
     require_use(params, arch, precision)
-    if not any(each.is_parallel for each in params):
+    if not any(settings.is_parallel for settings in params):
         return backend.start("cpu", threads=threads, precision=precision)
     return backend.start(arch, threads=threads, precision=precision)
 
@@ -126,7 +126,7 @@ def start_for(params: MethodParams) -> "Backend":
 
 def where(params: Collection[MethodParams], running: "Backend") -> str:
     """Say in a line on what these methods compute, `running` being what the parallel ones use."""
-    parallel = sorted({each.title for each in params if each.is_parallel})
+    parallel = sorted({settings.title for settings in params if settings.is_parallel})
     if not parallel:
         return f"all stages compute on {running}"
     compute = "computes" if len(parallel) == 1 else "compute"
@@ -198,9 +198,10 @@ def localize_many(
 def _observed(estimate: Estimate, log: SensingLog, params: MethodParams) -> Estimate:
     """Add to an estimate what its log determines."""
     # Half way between two images, measurements may resist less than at either.
-    at, yaw_unknown = estimate.configuration, estimate.yaw is not None
-    known = observability(log, params.cues, at, yaw_unknown=yaw_unknown)
-    return replace(estimate, observability=known)
+    configuration = estimate.configuration
+    yaw_unknown = estimate.yaw is not None
+    determined = observability(log, params.cues, configuration, yaw_unknown=yaw_unknown)
+    return replace(estimate, observability=determined)
 
 
 def localize_batch(
@@ -304,7 +305,7 @@ class PluginMethodParams(MethodParams):
             return result, np.asarray(result.position if isinstance(result, Estimate) else result)
 
         result, position = call_plugin(
-            "method", params.method, locate, lambda returned: _fault(log, *returned)
+            "method", params.method, locate, lambda pair: _fault(log, *pair)
         )
         if isinstance(result, Estimate):
             return result
@@ -343,10 +344,10 @@ def method(
     return add
 
 
-def _fault(log: SensingLog, found: object, position: NDArray[Any]) -> str:
+def _fault(log: SensingLog, returned: object, position: NDArray[Any]) -> str:
     """Say what is wrong with a method's result, and what is wanted; empty if nothing is."""
     if position.shape != (log.robot_count, 3):
-        what = f"{type(found).__name__} of shape {position.shape}"
+        what = f"{type(returned).__name__} of shape {position.shape}"
         return f"{what}; return positions of shape ({log.robot_count}, 3), or an Estimate"
     farthest = FARTHEST * log.dock_radius
     where = f"within {farthest:g} {log.length_unit} of the origin"

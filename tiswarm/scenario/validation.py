@@ -95,8 +95,8 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
     try:
         # Only from JSON does strict validation accept lists for tuples.
         return adapter.validate_json(json.dumps(data))
-    except ValidationError as found:
-        errors = found.errors(include_url=False)
+    except ValidationError as invalid:
+        errors = invalid.errors(include_url=False)
         return [_mistake(error, adapter, data) for error in errors if not _follows(error, errors)]
 
 
@@ -109,13 +109,13 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     at = error["loc"]
     if error["type"] == "too_short":
         return any(
-            other["loc"][: len(at)] == at and len(other["loc"]) > len(at) for other in errors
+            cause["loc"][: len(at)] == at and len(cause["loc"]) > len(at) for cause in errors
         )
     return error["type"] in MISSING_KEY and any(
-        other["type"] in UNKNOWN_KEY
-        and other["loc"][:-1] == at[:-1]
-        and did_you_mean(other["loc"][-1], [str(at[-1])])
-        for other in errors
+        cause["type"] in UNKNOWN_KEY
+        and cause["loc"][:-1] == at[:-1]
+        and did_you_mean(cause["loc"][-1], [str(at[-1])])
+        for cause in errors
     )
 
 
@@ -210,8 +210,8 @@ def localization_params(
         return outcome.localization
     outcome.sort(key=lambda mistake: not mistake.about_key)
     raise first_of([
-        blame(each, settings) or InputError(each.problem, argument=dotted(each.path[1:]))
-        for each in outcome
+        blame(mistake, settings) or InputError(mistake.problem, argument=dotted(mistake.path[1:]))
+        for mistake in outcome
     ])  # fmt: skip
 
 
@@ -222,24 +222,24 @@ def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
             meant = did_you_mean(cue, SWITCHES) or f"; use {', '.join(SWITCHES)}"
             raise InputError(f"{cue} is not a cue{meant}", argument="cues")
     settings = _alternatives("localization", _LOCALIZATION)
-    able = {
+    switches = {
         name: {cue for cue in SWITCHES if keys.get(cue, {}).get("type") == "boolean"}
         - {cue for cue in SWITCHES if "const" in keys.get(cue, {})}
         for name, keys in settings.items()
     }
-    mine = able.get(method, {*SWITCHES})
-    lacking = [cue for cue in cues if cue not in mine]
-    others = [name for name, theirs in able.items() if {*cues} <= theirs]
-    choose = f"choose method {' or '.join(others)}" if others else "leave them out"
-    if "contacts" not in mine:
+    of_method = switches.get(method, {*SWITCHES})
+    lacking = [cue for cue in cues if cue not in of_method]
+    able = [name for name, of_name in switches.items() if {*cues} <= of_name]
+    choose = f"choose method {' or '.join(able)}" if able else "leave them out"
+    if "contacts" not in of_method:
         keys = settings[method].items()
-        own = ", ".join(key for key, schema in keys if schema.get("type") == "boolean")
-        problem = f"{method} has no choice of cues but its settings {own}; set these, or {choose}"
+        flags = ", ".join(key for key, schema in keys if schema.get("type") == "boolean")
+        problem = f"{method} has no choice of cues but its settings {flags}; set these, or {choose}"
         raise InputError(problem, argument="cues")
     if lacking:
         problem = f"{method} cannot use {', '.join(lacking)}; {choose}"
         raise InputError(problem, argument="cues")
-    return {cue: cue in cues for cue in SWITCHES if cue in mine}
+    return {cue: cue in cues for cue in SWITCHES if cue in of_method}
 
 
 def _nested(key: str, value: object) -> Iterator[tuple[str, object]]:

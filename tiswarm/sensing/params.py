@@ -191,11 +191,11 @@ class SensingParams(SendsPlugins):
     @classmethod
     def _with_suite(cls, data: Any) -> Any:  # noqa: ANN401 - not checked yet
         """Put a suite's settings beneath those that are given."""
-        given = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
-        name = given.get("suite") if isinstance(given, dict) else None
+        settings = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
+        name = settings.get("suite") if isinstance(settings, dict) else None
         if name == USUAL or name not in names("sensor"):
             return data
-        return {**get("sensor", name).settings, **given}
+        return {**get("sensor", name).settings, **settings}
 
     def senses(self, name: _OwnSense) -> bool:
         """Whether robots have one of FireAntV3's own senses."""

@@ -36,9 +36,9 @@ def _one_mistake(anchors: object, check: ValidatorFunctionWrapHandler) -> object
     """Make one mistake of those that a value has as a number and as a list."""
     try:
         return check(anchors)
-    except ValidationError as found:
+    except ValidationError as invalid:
         ways = f"a number from 1 to {_MOST_ANCHORS:,}, or that many places like [[0, 0], [12, 0]]"
-        raise ValueError(f"{shown(anchors)} should be {ways} within 1e4 R") from found
+        raise ValueError(f"{shown(anchors)} should be {ways} within 1e4 R") from invalid
 
 
 # A wrapped value passes through Python, where strict checks accept no list for a tuple.

@@ -273,19 +273,19 @@ def rule(name: str) -> Callable[[_Class], _Class]:
         raise InputError(f"{name!r} names no rule; use words like my-rule")
 
     def add(settings: _Class) -> _Class:
-        given: Any = settings
-        if sum(hasattr(given, each) for each in ("choose", "score")) != 1:
+        rule_class: Any = settings
+        if hasattr(rule_class, "choose") == hasattr(rule_class, "score"):
             raise InputError(f"{name} should have choose or score, one of the two; define it")
-        methods = [each for each in vars(given).values() if isfunction(each)]
-        if "__dataclass_fields__" not in vars(given):
-            given = plain_dataclass(frozen=True, kw_only=True)(given)
+        functions = [value for value in vars(rule_class).values() if isfunction(value)]
+        if "__dataclass_fields__" not in vars(rule_class):
+            rule_class = plain_dataclass(frozen=True, kw_only=True)(rule_class)
         guards: dict[str, Any] = {
-            each: _guarded(name, each, getattr(given, each))
-            for each in _METHODS
-            if hasattr(given, each)
+            method: _guarded(name, method, getattr(rule_class, method))
+            for method in _METHODS
+            if hasattr(rule_class, method)
         }
-        section: _Class = settings_class("rule", name, given, given, guards)
-        register("rule", name, section, next(iter(methods), given))
+        section: _Class = settings_class("rule", name, rule_class, rule_class, guards)
+        register("rule", name, section, next(iter(functions), rule_class))
         return section
 
     return add
@@ -326,10 +326,10 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def _fault_of_integers(found: NDArray[Any]) -> str:
-    is_none = found.dtype == np.object_ and found.size > 0 and found.flat[0] is None
-    kind = "None" if is_none else found.dtype
-    return "" if found.dtype.kind in "iu" else f"{kind}; return integers"
+def _fault_of_integers(returned: NDArray[Any]) -> str:
+    is_none = returned.dtype == np.object_ and returned.size > 0 and returned.flat[0] is None
+    kind = "None" if is_none else returned.dtype
+    return "" if returned.dtype.kind in "iu" else f"{kind}; return integers"
 
 
 def _fault_of_choice(choice: AnyInts, step: Any) -> str:  # noqa: ANN401 - of a part
@@ -401,11 +401,12 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
         if not (isinstance(settings, type) and issubclass(settings, GrowthParams)):
             problem = f"{name}: {settings!r} is no kind of structure; derive it from TowerParams"
             raise InputError(problem)
-        if lacking := [each for each in ("terrain", *_SHAPES) if not hasattr(settings, each)]:
+        lacking = [method for method in ("terrain", *_SHAPES) if not hasattr(settings, method)]
+        if lacking:
             problem = f"{name} lacks {', '.join(lacking)}; define it, or derive from TowerParams"
             raise InputError(problem)
-        methods = [each for each in vars(settings).values() if isfunction(each)]
-        source = next(iter(methods), settings)  # a class of a session has no file
+        functions = [value for value in vars(settings).values() if isfunction(value)]
+        source = next(iter(functions), settings)  # a class of a session has no file
         if "__dataclass_fields__" not in vars(settings):
             settings = plain_dataclass(frozen=True, kw_only=True)(settings)
         guards: dict[str, object] = {method: _checked(name, settings, method) for method in _SHAPES}

@@ -89,8 +89,8 @@ class Lossy:
         pairs = zip(air.sender.tolist(), air.listener.tolist(), air.chance.tolist(), strict=True)
         for pair, (sender, listener, chance) in enumerate(pairs):
             last, was_bad = self._links.get((sender, listener), (-math.inf, False))
-            left = self._kept ** (air.round - last)
-            is_bad = chance < self._loss + (was_bad - self._loss) * left
+            kept = self._kept ** (air.round - last)
+            is_bad = chance < self._loss + (was_bad - self._loss) * kept
             self._links[sender, listener] = air.round, is_bad
             good[pair] = not is_bad
         return good
@@ -104,9 +104,9 @@ def _is_alone(air: Air, slots: int) -> Bools:
     slot = np.floor(air.own_chance * slots)
     apart = np.column_stack([air.listener, slot])
     # All pairs of a transmission have one sender and one draw.
-    own = np.unique(np.column_stack([air.sender, slot, air.own_chance]), axis=0)[:, :2]
+    sent = np.unique(np.column_stack([air.sender, slot, air.own_chance]), axis=0)[:, :2]
     _, group, count = np.unique(
-        np.concatenate([apart, own]), axis=0, return_inverse=True, return_counts=True
+        np.concatenate([apart, sent]), axis=0, return_inverse=True, return_counts=True
     )
     alone: Bools = count[group.ravel()[: len(apart)]] == 1
     return alone
@@ -114,8 +114,8 @@ def _is_alone(air: Air, slots: int) -> Bools:
 
 def lossy(settings: Any) -> Callable[..., Bools]:  # noqa: ANN401 - of `distributed`
     """Return a channel of the package, by settings of `distributed`."""
-    found = Lossy(settings.loss, settings.burst, settings.slots)
-    return lambda *arrays: found.hear(Air(*arrays))
+    channel = Lossy(settings.loss, settings.burst, settings.slots)
+    return lambda *arrays: channel.hear(Air(*arrays))
 
 
 def channel(name: str) -> Callable[[_Hears], _Hears]:

@@ -212,6 +212,6 @@ class DistributedParams(DocksNamed, ChiSquareParams, SendsPlugins):  # type: ign
         """Estimate the processor time of robots that localize themselves [s]."""
         if self.scheme == "algorithm-1":
             return _SENDING_S * robots + self.published.seconds(robots)
-        once, each = _STEP_S
+        of_step, of_robot = _STEP_S
         steps = self.chains * self.steps
-        return robots * (_JOIN_S + steps * (once + each * robots))
+        return robots * (_JOIN_S + steps * (of_step + of_robot * robots))
