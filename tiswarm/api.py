@@ -39,7 +39,7 @@ from tiswarm.app.results import (
 )
 from tiswarm.base.errors import InputError, require_name, warn
 from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
-from tiswarm.base.registry import load_plugins
+from tiswarm.base.plugins import load_plugins
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import write_estimate

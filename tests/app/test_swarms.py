@@ -12,7 +12,7 @@ import pytest
 
 import tiswarm as library
 from tiswarm.app import swarms as module
-from tiswarm.base import registry as parts
+from tiswarm.base import plugins, registry
 from tiswarm.base.errors import InputError, ResultWarning
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.report.pictures.pictures import build_pictures
@@ -46,7 +46,7 @@ def bridges():
 def _forget():
     """Leave no plug-in to the next test."""
     yield
-    parts.forget()
+    plugins.forget()
 
 
 def test_growth_in_python_is_that_of_a_run(tmp_path):
@@ -448,7 +448,7 @@ def test_structures_of_a_plugin_grow_and_are_read_back(tmp_path):
     again = library.open_swarms(file)
     assert np.array_equal(again.position, grown.position)
     assert str(again).startswith("2 structures (leaning)")
-    parts.forget()
+    plugins.forget()
     with pytest.raises(InputError, match=r"leaning.npz: structure.kind: .*a plug-in that you load"):
         library.open_swarms(file)
     assert len(library.open_swarms(file, plugins=[own])) == 2
@@ -510,7 +510,7 @@ def test_a_rule_is_a_name_keys_or_a_class(tmp_path):
         for rule in ("first-flip", {"name": "first-flip"}, {"name": "first-flip", "flips": 40})
     )
     within = {"kind": "tower", "rule": {"name": "first-flip"}}
-    registered = parts.get("rule", "first-flip")
+    registered = registry.get("rule", "first-flip")
     others += [library.grow(within, robots=6, seeds=2, quiet=True)]
     others += [library.grow(robots=6, seeds=2, rule=each, quiet=True)
                for each in (registered, registered(flips=40))]  # fmt: skip

@@ -1,18 +1,17 @@
 """Every point of the sweep under every condition, by a name fit for a folder."""
 
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import pytest
-from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from tests.runs import REPOSITORY
+from tiswarm.base import plugins, registry
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
-from tiswarm.localization.settings import JointParams, VirtualForceParams
+from tiswarm.localization.settings import JointParams, MethodParams, VirtualForceParams
 from tiswarm.records.run_folder import MAX_VARIANT_NAME
-from tiswarm.scenario import model
 from tiswarm.scenario.expansion import find_mistakes, load_scenario, plan, variants
 from tiswarm.scenario.model import Scenario, dump_scenario
 from tiswarm.world.params import TowerParams
@@ -190,7 +189,7 @@ def test_a_wrong_condition_made_in_python_is_reported():
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class OtherMethod:
+class OtherMethod(MethodParams):
     """Another method, one of whose settings has a name that virtual-force knows too."""
 
     method: Literal["other"] = "other"
@@ -198,21 +197,12 @@ class OtherMethod:
     chains: int = 1
 
 
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class TwoMethodScenario(Scenario):
-    """A scenario with a choice of methods."""
-
-    localization: Annotated[VirtualForceParams | OtherMethod, Field(discriminator="method")] = (
-        VirtualForceParams()
-    )
-
-
 @pytest.fixture
-def two_methods(monkeypatch):
-    """Make scenarios with a choice of two methods."""
-    adapter = TypeAdapter(TwoMethodScenario)
-    monkeypatch.setattr(model, "ADAPTER", adapter)
-    return TwoMethodScenario(name="two", structure=TowerParams())
+def two_methods():
+    """A scenario with a choice of another method."""
+    registry.register("method", "other", OtherMethod, scenario)
+    yield scenario()
+    plugins.forget()
 
 
 def test_another_method_starts_from_its_own_defaults(two_methods):

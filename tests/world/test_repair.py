@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tiswarm.base import registry as door
+from tiswarm.base import plugins, registry
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -23,9 +23,9 @@ def repair(tmp_path):
     """The class of the rule on the page."""
     file = tmp_path / "repair.py"
     file.write_text(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0])
-    door.load_plugins([file])
-    yield door.get("rule", "repair")
-    door.forget()
+    plugins.load_plugins([file])
+    yield registry.get("rule", "repair")
+    plugins.forget()
 
 
 def _grown(rate: float, rule: object = None) -> list[History]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests import oracle
-from tiswarm.base import registry as door
+from tiswarm.base import plugins, registry
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets, uniform
@@ -57,13 +57,13 @@ def page(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def _rules(page):
     """Load the rules of the page, and leave none to the next test."""
-    door.load_plugins([page])
+    plugins.load_plugins([page])
     yield
-    door.forget()
+    plugins.forget()
 
 
 def _by(params: GrowthParams, name: str, **settings: object) -> GrowthParams:
-    return dataclasses.replace(params, rule=door.get("rule", name)(**settings))
+    return dataclasses.replace(params, rule=registry.get("rule", name)(**settings))
 
 
 def _grow(params: GrowthParams, robots: int, seeds: "list[int] | range") -> list[History]:
@@ -155,7 +155,7 @@ def test_a_rule_may_call_in_its_own_way():
     )
 
     assert early.sensed.max() < 0.7 * late.sensed.max()
-    calls = door.get("rule", "early-call")(share=1.0).call(np.array([1.0, 10.0]), TowerParams())
+    calls = registry.get("rule", "early-call")(share=1.0).call(np.array([1.0, 10.0]), TowerParams())
     assert calls.tolist() == [0, 5]
 
 
@@ -165,7 +165,7 @@ class Recorder:
     name = "recorder"
 
     def __init__(self, like: str, call=None, spread=None) -> None:
-        self.like, self.steps = door.get("rule", like)(), []
+        self.like, self.steps = registry.get("rule", like)(), []
         self.call = call or recruit
         self.spread = spread or (lambda call, contacts: relay(call, contacts, docks=3))
 
@@ -196,7 +196,7 @@ def _recorded(params: GrowthParams, robots: int, seeds: list[int], like: str) ->
 @pytest.fixture(scope="module")
 def steps(page):
     """What climbers of two towers saw at some of their steps."""
-    door.load_plugins([page])
+    plugins.load_plugins([page])
     found = _recorded(TowerParams(force_threshold=4.0), 12, [SEED, SEED + 1], "early-call")
     return found[::7]
 
@@ -277,6 +277,7 @@ def test_a_rule_may_spread_calls_in_its_own_way():
         ("None", r"wrong\.choose returned None; return integers"),
         ("step.back(99)", r"returned -101 for climber 0; .* stance s of its 1"),
         ("step.flips", r"wrong\.py:\d+: wrong\.choose failed: AttributeError"),
+        ("[[0], [1, 2]]", r"wrong\.py: wrong\.choose failed: ValueError"),
     ],
 )
 def test_a_wrong_choice_is_a_line(tmp_path, returned, problem):
@@ -284,9 +285,9 @@ def test_a_wrong_choice_is_a_line(tmp_path, returned, problem):
     code = "import numpy as np\nimport tiswarm\n\n@tiswarm.rule('wrong')\nclass Wrong:\n"
     code += f"    def choose(self, step):\n        return {returned}\n"
     (tmp_path / "wrong.py").write_text(code)
-    door.load_plugins([tmp_path / "wrong.py"])
+    plugins.load_plugins([tmp_path / "wrong.py"])
 
-    with pytest.raises(door.PluginError, match=problem):
+    with pytest.raises(plugins.PluginError, match=problem):
         _grow(_by(TowerParams(), "wrong"), 3, [SEED])
 
 
@@ -296,9 +297,11 @@ def test_a_rule_cannot_write_what_it_sees(tmp_path, name):
     code = "import tiswarm\n\n@tiswarm.rule('writes')\nclass Writes:\n"
     code += f"    def choose(self, step):\n        step.{name}[...] = 0\n        return -1\n"
     (tmp_path / "writes.py").write_text(code)
-    door.load_plugins([tmp_path / "writes.py"])
+    plugins.load_plugins([tmp_path / "writes.py"])
 
-    with pytest.raises(door.PluginError, match=r"writes\.py:6: writes\.choose failed: .*read-only"):
+    with pytest.raises(
+        plugins.PluginError, match=r"writes\.py:6: writes\.choose failed: .*read-only"
+    ):
         _grow(_by(TowerParams(), "writes"), 3, [SEED])
 
 
@@ -308,10 +311,10 @@ def test_a_rule_cannot_write_calls(tmp_path):
     code += "    def choose(self, step):\n        return -1\n\n"
     code += "    def call(self, sensed, params):\n        sensed[:] = 0.0\n        return sensed\n"
     (tmp_path / "calls.py").write_text(code)
-    door.load_plugins([tmp_path / "calls.py"])
+    plugins.load_plugins([tmp_path / "calls.py"])
 
-    with pytest.raises(door.PluginError, match=r"calls\.call failed: .*read-only"):
-        door.get("rule", "calls")().call(np.ones(2), None)
+    with pytest.raises(plugins.PluginError, match=r"calls\.call failed: .*read-only"):
+        registry.get("rule", "calls")().call(np.ones(2), None)
 
 
 @pytest.mark.parametrize("one", ["-1", "step.back(0)"])
@@ -322,7 +325,7 @@ def test_one_choice_is_that_of_all_climbers(tmp_path, one):
         file = tmp_path / f"{name}.py"
         code = f"import numpy as np\nimport tiswarm\n\n@tiswarm.rule('{name}')\nclass Rule:\n"
         file.write_text(f"{code}    def choose(self, step):\n        return {returned}\n")
-        door.load_plugins([file])
+        plugins.load_plugins([file])
         grown += [_grow(_by(TowerParams(), name), 3, [SEED])]
 
     assert f"or correct the rule {name}" in grown[1][0].ended
@@ -413,7 +416,7 @@ def scores(tmp_path):
     """File with rules whose scores are kernel functions, or should be."""
     file = tmp_path / "scores.py"
     file.write_text(SCORES)
-    door.load_plugins([file])
+    plugins.load_plugins([file])
     return file
 
 
@@ -432,8 +435,8 @@ def test_a_score_follows_a_number_that_it_reads():
     """The steeper ramp of its file, not the one that was compiled first."""
     [before] = _grow(_by(TowerParams(), "whole"), 12, [SEED])
 
-    rule = door.registered("rule")["whole"].value
-    module = sys.modules[f"tiswarm_plugin_{door.registered('rule')['whole'].plugin.digest}"]
+    rule = registry.registered("rule")["whole"].value
+    module = sys.modules[f"tiswarm_plugin_{registry.registered('rule')['whole'].plugin.digest}"]
     module.SLOPE = 0.1
     [after] = _grow(_by(TowerParams(), "whole"), 12, [SEED])
     [flat] = _grow(dataclasses.replace(TowerParams(), rule=rule()), 12, [SEED])
@@ -448,15 +451,15 @@ def test_a_score_follows_a_number_that_it_reads():
         ("wrong", InputError, r'scores\.py:50: distance: Name "sqrt" is not defined; correct it'),
         (
             "decorated",
-            door.PluginError,
+            plugins.PluginError,
             r"decorated\.score returned distance, a function of Python",
         ),
         (
             "of-python",
-            door.PluginError,
+            plugins.PluginError,
             r"of-python\.score returned distance, a function of Python",
         ),
-        ("decorated-method", door.PluginError, r"decorated-method\.choose returned float64"),
+        ("decorated-method", plugins.PluginError, r"decorated-method\.choose returned float64"),
     ],
 )
 @pytest.mark.usefixtures("scores")

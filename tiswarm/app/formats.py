@@ -4,23 +4,19 @@ Solids and particles have float32 numbers, relative to the place of the anchor: 
 the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from tiswarm.base.plugins import call_plugin
 from tiswarm.base.progress import Progress
-from tiswarm.base.registry import get, guarded, register, registered
+from tiswarm.base.registry import get, register
 from tiswarm.records import outputs
 from tiswarm.report.swarm_view import SwarmView
 
-
-class OwnFormat(NamedTuple):
-    """A format that a plug-in registered."""
-
-    file: str
-    encode: Callable[[SwarmView], bytes]
-
+if TYPE_CHECKING:
+    from tiswarm.formats.poses import Assumptions, PoseTable
 
 _Encode = TypeVar("_Encode", bound=Callable[[SwarmView], bytes])
 _Read = TypeVar("_Read", bound=Callable[[Path], Any])
@@ -41,17 +37,14 @@ def export_format(name: str, suffix: str) -> Callable[[_Encode], _Encode]:
     """
 
     def add(encode: _Encode) -> _Encode:
-        register("export_format", name, OwnFormat(f"case{suffix}", encode), encode)
+        def encode_files(view: SwarmView) -> Mapping[str, bytes]:
+            encoded = call_plugin("export_format", name, lambda: bytes(encode(view)))
+            return {f"case{suffix}": encoded}
+
+        register("export_format", name, encode_files, encode)
         return encode
 
     return add
-
-
-class OwnImport(NamedTuple):
-    """A format to import that a plug-in registered."""
-
-    suffix: str
-    read: Callable[[Path], Any]
 
 
 def import_format(name: str, suffix: str) -> Callable[[_Read], _Read]:
@@ -69,7 +62,17 @@ def import_format(name: str, suffix: str) -> Callable[[_Read], _Read]:
     """
 
     def add(read: _Read) -> _Read:
-        register("import_format", name, OwnImport(suffix, read), read)
+        def read_poses(path: Path, assumed: "Assumptions") -> "PoseTable | None":
+            import pandas as pd  # noqa: PLC0415 - slow to import
+
+            from tiswarm.formats.columns import Sheet, read_table  # noqa: PLC0415 - slow to import
+
+            if not path.name.endswith(suffix):
+                return None
+            table = call_plugin("import_format", name, lambda: pd.DataFrame(read(path)))
+            return read_table(path, assumed, Sheet(table.to_csv(index=False)))
+
+        register("import_format", name, read_poses, read)
         return read
 
     return add
@@ -100,10 +103,6 @@ def export_view(
         EnvironmentTroubleError: `out` cannot be made or a library is missing.
         PluginError: a format of a plug-in failed.
     """
-    if own := registered("export_format").get(form):
-        file, encode = own.value
-        files = {file: guarded(own.plugin, form, lambda: bytes(encode(view)))}
-    else:
-        files = get("export_format", form, "form")(replace(view, progress=progress))
+    files = get("export_format", form, "form")(replace(view, progress=progress))
     for path in outputs.write_folder(out, files, inputs, overwrite=overwrite):
         progress.info(str(path))

@@ -76,7 +76,7 @@ def schema(
 
     Editors complete and check files with it.
     """
-    from tiswarm.base.registry import load_plugins
+    from tiswarm.base.plugins import load_plugins
     from tiswarm.records.sensing_format import line_schema
     from tiswarm.scenario.model import scenario_schema
 

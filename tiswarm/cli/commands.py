@@ -158,7 +158,7 @@ def view(
     """
     if live:
         from tiswarm.app.live import serve
-        from tiswarm.base.registry import load_plugins
+        from tiswarm.base.plugins import load_plugins
 
         of_log: dict[str, object] = {"ESTIMATE": estimate, "--truth": truth, "--out": out}
         of_log |= {"--explain": explained, "--color": color}
@@ -391,7 +391,7 @@ def table(
     """Print the table of errors of a run for a paper."""
     import tiswarm
     from tiswarm.base.errors import InputError
-    from tiswarm.base.registry import load_plugins
+    from tiswarm.base.plugins import load_plugins
 
     if latex + markdown + csv > 1:
         raise InputError("choose only one of --latex, --markdown, --csv")

@@ -23,8 +23,8 @@ import tiswarm
 from tiswarm.app.console import fail
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
 from tiswarm.base.params import AnyArch, AnyMovie
+from tiswarm.base.plugins import PluginError
 from tiswarm.base.process import naming_shortage, require_address_space
-from tiswarm.base.registry import PluginError
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700

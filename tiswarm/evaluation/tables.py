@@ -1,9 +1,8 @@
 """Tables of a case: scores of its estimate, errors by robot and iteration, growth by join."""
 
 from collections.abc import Callable, Collection, Mapping
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,7 +11,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.registry import PluginError, guarded, registered
+from tiswarm.base.plugins import call_plugin
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
 from tiswarm.evaluation.metrics import by_hops_apart
@@ -23,6 +22,7 @@ from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
+from tiswarm.records.measures import PluginMeasure, plugin_measures
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.climb_kernels import GROUND
@@ -429,15 +429,26 @@ def own_scores(truth: Truth, estimate: Estimate) -> dict[str, float]:
     Raises:
         PluginError: a function failed, or returned something else than a number.
     """
-    scores = {}
-    for name, found in registered("measure").items():
-        value = guarded(found.plugin, name, partial(found.value.value, truth, estimate))
-        is_number = np.ndim(value) == 0 and np.asarray(value).dtype.kind in "biuf"
-        if not is_number or np.isinf(value):
-            problem = f"{found.plugin.file}: {name} returned {value!r:.60}; return a number, or NaN"
-            raise PluginError(problem, f"{problem}\n")
-        scores[name] = float(value)
-    return scores
+    return {
+        name: _score_of(measure, truth, estimate) for name, measure in plugin_measures().items()
+    }
+
+
+def _score_of(measure: PluginMeasure, truth: Truth, estimate: Estimate) -> float:
+    def compute() -> tuple[object, NDArray[Any]]:
+        value = measure.value(truth, estimate)
+        return value, np.asarray(value)
+
+    _, number = call_plugin(
+        "measure", measure.column, compute, lambda returned: _fault_of_score(*returned)
+    )
+    return float(number)
+
+
+def _fault_of_score(value: object, number: NDArray[Any]) -> str:
+    if number.ndim == 0 and number.dtype.kind in "biuf" and not np.isinf(number):
+        return ""
+    return f"{value!r:.60}; return a number, or NaN"
 
 
 class Evaluation(NamedTuple):

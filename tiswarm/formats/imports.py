@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from pydantic import ValidationError
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
@@ -21,10 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError, require_name
-from tiswarm.base.registry import BUILT_IN, get, guarded, registered
+from tiswarm.base.registry import BUILT_IN, get, registered
 from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
-from tiswarm.formats.columns import EULER, Sheet, read_table, refuse_other_files, turns_by
+from tiswarm.formats.columns import EULER, refuse_other_files, turns_by
 from tiswarm.formats.motion import (
     LOUDEST,
     Rests,
@@ -144,14 +143,16 @@ def _import_ranges(path: Path, assumed: Assumptions, radius: float | None) -> Im
 
 def _read(path: Path, assumed: Assumptions) -> PoseTable:
     """Read poses in the first format that their file or folder has."""
-    for name, own in registered("import_format").items():
-        if path.name.endswith(own.value.suffix):
-            columns = guarded(own.plugin, name, partial(own.value.read, path))
-            return read_table(path, assumed, Sheet(pd.DataFrame(columns).to_csv(index=False)))
+    return next(table for table in _tables(path, assumed) if table is not None)
+
+
+def _tables(path: Path, assumed: Assumptions) -> Iterator[PoseTable | None]:
+    """Read poses in each format, those of plug-ins first; None where the file has another one."""
+    for name in registered("import_format"):
+        yield get("import_format", name)(path, assumed)
     refuse_other_files(path)
-    readers = (get("import_format", name) for name in BUILT_IN["import_format"])
-    found: Iterator[PoseTable | None] = (read(path, assumed) for read in readers)
-    return next(table for table in found if table)
+    for name in BUILT_IN["import_format"]:
+        yield get("import_format", name)(path, assumed)
 
 
 def write_imports(

@@ -12,20 +12,21 @@ The libraries of kernels are imported as the first log is localized.
 
 import math
 import re
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Collection, Hashable, Sequence
+from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
-import pydantic
 from numpy.typing import NDArray
 
-from tiswarm.base import registry as door
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyArch, AnyPrecision
+from tiswarm.base.plugins import call_plugin, fault_of_numbers
 from tiswarm.base.progress import Advance, ignore
+from tiswarm.base.registry import get, register
+from tiswarm.base.sections import Section, settings_class
 from tiswarm.localization.settings import DOCKS_UNKNOWN, MethodParams, all_cues
 from tiswarm.measurements.flips import fit_orientations
 from tiswarm.measurements.observability import observability
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from tiswarm.compute.backend import Backend
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_TAKEN = ("method", "cues", "settings")
 _USUAL = tuple(name for name in all_cues() if name not in DOCKS_UNKNOWN)
 
 _Locate = TypeVar("_Locate", bound=Callable[..., Any])
@@ -47,7 +47,7 @@ _PARTS = 64
 
 
 def settings_of(name: str) -> type[MethodParams]:
-    """Return the class of settings of a method of this package, which names its module.
+    """Return the class of settings of a method; one of this package names its module.
 
     A module has `localize`. It takes a log whose anchor is at the origin, settings, and a function
     that it calls with the share of its work that is done [1]; it returns an estimate. A module
@@ -57,22 +57,12 @@ def settings_of(name: str) -> type[MethodParams]:
     Raises:
         InputError: there is no such method.
     """
-    params: type[MethodParams] = door.get("method", name)
+    params: type[MethodParams] = get("method", name)
     return params
 
 
-def all_params() -> Any:  # noqa: ANN401 - a type
-    """Return the type of the settings of any method, those of plug-ins included."""
-    built_in = map(settings_of, door.BUILT_IN["method"])
-    of_plugins = (entry.value.params for entry in door.registered("method").values())
-    return Annotated[Union[(*built_in, *of_plugins)], pydantic.Field(discriminator="method")]
-
-
-if TYPE_CHECKING:
-    LocalizationParams = MethodParams
-else:
-    LocalizationParams = all_params()
-"""Settings of any method."""
+LocalizationParams = Annotated[MethodParams, Section("method")]
+"""Settings of any method, those of plug-ins included."""
 
 
 def joining(params: MethodParams) -> Callable[..., Any] | None:
@@ -93,9 +83,9 @@ def require_use(
     Raises:
         InputError: none of them is parallel, and a device or f32 was named.
     """
-    if any(each.is_parallel for each in params):
+    if any(settings.is_parallel for settings in params):
         return
-    titles = sorted({each.title for each in params})
+    titles = sorted({settings.title for settings in params})
     problem = (
         f"has no use: {' and '.join(titles)} always computes on cpu in f64; "
         "choose method joint, or virtual-force with schedule together, or leave this out"
@@ -122,7 +112,7 @@ def start_device(
     from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
 
     require_use(params, arch, precision)
-    if not any(each.is_parallel for each in params):
+    if not any(settings.is_parallel for settings in params):
         return backend.start("cpu", threads=threads, precision=precision)
     return backend.start(arch, threads=threads, precision=precision)
 
@@ -136,7 +126,7 @@ def start_for(params: MethodParams) -> "Backend":
 
 def where(params: Collection[MethodParams], running: "Backend") -> str:
     """Say in a line on what these methods compute, `running` being what the parallel ones use."""
-    parallel = sorted({each.title for each in params if each.is_parallel})
+    parallel = sorted({settings.title for settings in params if settings.is_parallel})
     if not parallel:
         return f"all stages compute on {running}"
     compute = "computes" if len(parallel) == 1 else "compute"
@@ -208,9 +198,10 @@ def localize_many(
 def _observed(estimate: Estimate, log: SensingLog, params: MethodParams) -> Estimate:
     """Add to an estimate what its log determines."""
     # Half way between two images, measurements may resist less than at either.
-    at, yaw_unknown = estimate.configuration, estimate.yaw is not None
-    known = observability(log, params.cues, at, yaw_unknown=yaw_unknown)
-    return replace(estimate, observability=known)
+    configuration = estimate.configuration
+    yaw_unknown = estimate.yaw is not None
+    determined = observability(log, params.cues, configuration, yaw_unknown=yaw_unknown)
+    return replace(estimate, observability=determined)
 
 
 def localize_batch(
@@ -242,8 +233,9 @@ def localize_batch(
 
 def _module_of(params: MethodParams) -> Any:  # noqa: ANN401 - a module
     """Import the module of a method; that of a plug-in is the class of its settings."""
-    is_own = isinstance(params, OwnParams)
-    return OwnParams if is_own else import_module(params.module)
+    if isinstance(params, PluginMethodParams):
+        return PluginMethodParams
+    return import_module(params.module)
 
 
 def centered(log: SensingLog) -> SensingLog:
@@ -266,41 +258,36 @@ def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class OwnMethod:
-    """A method that a plug-in registered."""
+class PluginMethodParams(MethodParams):
+    """Section `localization` with the method of a plug-in; each has a class with its settings."""
 
-    name: str
-    locate: Callable[..., Any]
+    plugin_function: ClassVar[Callable[..., Any]]
     """Function of a log, and of settings if there are any; returns positions or an estimate."""
 
-    settings: type[Any] | None
-    """Class of its settings."""
+    plugin_settings: ClassVar[type[Any] | None]
+    """Class of the settings as the plug-in defines them; None if it has none."""
 
-    cues: tuple[str, ...]
-    """What of the log it uses."""
-
-    params: type["OwnParams"]
-    """Section `localization` of a scenario: the name of the method, and its settings."""
-
-
-class OwnParams(MethodParams):
-    """Section `localization` with the method of a plug-in; each has a class with its settings."""
+    plugin_cues: ClassVar[tuple[str, ...]]
+    """What of the log the method uses."""
 
     @property
     def cues(self) -> tuple[str, ...]:
         """What of the log is used."""
-        return _own(self.method).cues
+        return self.plugin_cues
 
     @property
     def settings(self) -> Any:  # noqa: ANN401 - an object of the plug-in
         """Settings as the plug-in defines them; None if it has none."""
-        kind = _own(self.method).settings
-        return None if kind is None else kind(**self._values())
+        if self.plugin_settings is None:
+            return None
+        names = (setting.name for setting in fields(self))  # type: ignore[arg-type]
+        return self.plugin_settings(
+            **{name: getattr(self, name) for name in names if name != "method"}
+        )
 
     @staticmethod
     def localize(
-        log: SensingLog, params: "OwnParams", _on_progress: Callable[[float], None]
+        log: SensingLog, params: "PluginMethodParams", _on_progress: Callable[[float], None]
     ) -> Estimate:
         """Localize a log by the function of the plug-in.
 
@@ -311,31 +298,18 @@ class OwnParams(MethodParams):
         Raises:
             PluginError: the function failed, or returned something else.
         """
-        own, plugin = _own(params.method), door.registered("method")[params.method].plugin
-        settings = () if own.settings is None else (params.settings,)
+        settings = () if params.plugin_settings is None else (params.settings,)
 
         def locate() -> tuple[Any, NDArray[Any]]:
-            found = own.locate(log, *settings)
-            return found, np.asarray(found.position if isinstance(found, Estimate) else found)
+            result = type(params).plugin_function(log, *settings)
+            return result, np.asarray(result.position if isinstance(result, Estimate) else result)
 
-        found, position = door.guarded(plugin, own.name, locate)
-        if wrong := _fault(log, found, position):
-            problem = f"{plugin.file}: {own.name} returned {wrong}"
-            raise door.PluginError(problem, f"{problem}\n")
-        if isinstance(found, Estimate):
-            return found
-        return _judged(log, own.cues, position.astype(np.float64))
-
-    def _values(self) -> dict[str, Any]:
-        names = (each.name for each in fields(self))  # type: ignore[arg-type]
-        return {name: getattr(self, name) for name in names if name != "method"}
-
-    def __reduce__(
-        self,
-    ) -> tuple[Callable[..., "OwnParams"], tuple[door.Plugin, str, dict[str, Any]]]:
-        """Send the plug-in ahead, so that a worker loads it before it needs the class."""
-        plugin = door.registered("method")[self.method].plugin
-        return _received, (plugin, self.method, self._values())
+        result, position = call_plugin(
+            "method", params.method, locate, lambda pair: _fault(log, *pair)
+        )
+        if isinstance(result, Estimate):
+            return result
+        return _judged(log, params.cues, position.astype(np.float64))
 
 
 def method(
@@ -361,26 +335,23 @@ def method(
     for cue in cues:
         if cue not in all_cues():
             raise InputError(f"{cue} is not a cue; use {', '.join(all_cues())}")
-    section = _section(name, settings)
+    _require_settings(name, settings)
 
     def add(locate: _Locate) -> _Locate:
-        own = OwnMethod(
-            name=name, locate=locate, settings=settings, cues=tuple(cues), params=section
-        )
-        door.register("method", name, own, locate)
+        register("method", name, _section(name, settings, locate, cues), locate)
         return locate
 
     return add
 
 
-def _fault(log: SensingLog, found: object, position: NDArray[Any]) -> str:
+def _fault(log: SensingLog, returned: object, position: NDArray[Any]) -> str:
     """Say what is wrong with a method's result, and what is wanted; empty if nothing is."""
     if position.shape != (log.robot_count, 3):
-        what = f"{type(found).__name__} of shape {position.shape}"
+        what = f"{type(returned).__name__} of shape {position.shape}"
         return f"{what}; return positions of shape ({log.robot_count}, 3), or an Estimate"
     farthest = FARTHEST * log.dock_radius
     where = f"within {farthest:g} {log.length_unit} of the origin"
-    wrong = door.fault_of_numbers(position, farthest, where)
+    wrong = fault_of_numbers(position, farthest, where)
     return wrong and f"positions that are {wrong}; give guesses"
 
 
@@ -405,35 +376,47 @@ def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:
     )
 
 
-def _own(name: str) -> OwnMethod:
-    found: OwnMethod = door.registered("method")[name].value
-    return found
+def _require_settings(name: str, settings: type[Any] | None) -> None:
+    """Refuse settings of a method whose fields cannot be keys of a scenario.
+
+    Raises:
+        InputError: the settings are no frozen dataclass, or a field has a name with a meaning.
+    """
+    if settings is None:
+        return
+    if not is_dataclass(settings) or not settings.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        problem = f"settings of {name}: {settings!r} is no frozen dataclass"
+        raise InputError(f"{problem}; decorate it with @dataclass(frozen=True)")
+    for setting in fields(settings):
+        if setting.name in _TAKEN:
+            problem = f"settings of {name}: {setting.name} has a meaning already; rename it"
+            raise InputError(problem)
 
 
-def _received(plugin: door.Plugin, name: str, values: Mapping[str, Any]) -> OwnParams:  # noqa: ARG001
-    """Make settings on a worker, where the plug-in has been loaded."""
-    return _own(name).params(**values)
+_TAKEN = {"method", *PluginMethodParams.__annotations__, *dir(PluginMethodParams)}
+"""Names that a setting of a plug-in cannot have."""
 
 
-def _section(name: str, settings: type[Any] | None) -> type[OwnParams]:
+def _section(
+    name: str, settings: type[Any] | None, locate: Callable[..., Any], cues: Sequence[str]
+) -> type[PluginMethodParams]:
     """Make the class of a section from the class of the settings.
 
     Raises:
-        InputError: the settings are no frozen dataclass, or have a field that cannot be checked.
+        InputError: a field of the settings cannot be checked.
     """
-    if settings is not None:
-        if not is_dataclass(settings) or not settings.__dataclass_params__.frozen:  # type: ignore[attr-defined]
-            problem = f"settings of {name}: {settings!r} is no frozen dataclass"
-            raise InputError(f"{problem}; decorate it with @dataclass(frozen=True)")
-        if taken := next((each.name for each in fields(settings) if each.name in _TAKEN), ""):
-            problem = f"settings of {name}: {taken} has a meaning already; rename it"
-            raise InputError(problem)
 
-    def check(self: OwnParams) -> None:
-        self.settings  # noqa: B018 - raises what the plug-in's own check finds
+    def check(params: PluginMethodParams) -> None:
+        params.settings  # noqa: B018 - raises what the plug-in's own check finds
 
-    section: type[OwnParams] = door.own_section(
-        name, "method", settings, OwnParams, {"__post_init__": check}
+    namespace = {
+        "__post_init__": check,
+        "plugin_function": staticmethod(locate),
+        "plugin_settings": settings,
+        "plugin_cues": tuple(cues),
+    }
+    section: type[PluginMethodParams] = settings_class(
+        "method", name, settings, PluginMethodParams, namespace
     )
     return section
 

@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any, Literal, TypeVar
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.registry import register, registered, watch
+from tiswarm.base.registry import register, registered
 
 FEWEST = 5
 """Structures below which there is a range, but no confidence interval and no test, and no error is
@@ -304,12 +304,10 @@ SPAWNS = Measure(
 )
 
 MEASURES = {each.column: each for each in [*globals().values()] if isinstance(each, Measure)}
-"""All measures by column, in the order above."""
+"""All measures of the package by column, in the order above."""
 
 MAIN = (RMSE, DISPARITY)
 """The two that state accuracy: the paper's, in headlines, figures and studies of size."""
-
-PAIRED = [measure for measure in MEASURES.values() if measure.paired]
 
 BUILT_FOR = {"tower": HEIGHT, "cantilever": REACH, "chain": DEPTH, "bridge": CROSSED}
 """By kind of structure, the measure of what it is built for."""
@@ -351,7 +349,6 @@ PAGE: Mapping[str, dict[Measure, str]] = {
         **_OF_LOCATED,
     },
     "anchor": _ON_ANCHOR,
-    "own": {},
     "suites": {
         **_OF_LOCATED,
         RMSE: "RMSE of all [R]",
@@ -372,15 +369,14 @@ PAGE: Mapping[str, dict[Measure, str]] = {
         PEAK_STRESS: "peak stress",
     },
 }
-"""By table of a run's page, the headings of its measures in order."""
+"""By table of a run's page, the headings of its measures in order, without those of plug-ins."""
 
-_OURS = {*MEASURES}
 _COLUMN = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
 _Value = TypeVar("_Value", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnMeasure(Measure):
+class PluginMeasure(Measure):
     """A measure that a plug-in registered."""
 
     value: Callable[..., Any]
@@ -407,32 +403,37 @@ def measure(
     """
     if not _COLUMN.fullmatch(name):
         raise InputError(f"{name!r} names no column; use letters, digits and '_', like worst_R")
-    if name in _OURS:
+    if name in MEASURES:
         raise InputError(f"measure {name} is taken by tiswarm itself; choose another name")
 
     def add(value: _Value) -> _Value:
-        own = OwnMeasure(
+        made = PluginMeasure(
             name, unit, _BOTH, meaning, better=better, paired=better == "smaller", value=value
         )
-        register("measure", name, own, value)
+        register("measure", name, made, value)
         return value
 
     return add
 
 
-def _take_own() -> None:
-    """Let the tables above have the measures of plug-ins, too."""
-    for name in MEASURES.keys() - _OURS:
-        del MEASURES[name]
-    own = {name: found.value for name, found in registered("measure").items()}
-    MEASURES.update(own)
-    PAIRED[:] = [each for each in MEASURES.values() if each.paired]
-    PAGE["own"].clear()
-    PAGE["own"].update({each: _heading(each) for each in own.values()})
+def plugin_measures() -> dict[str, PluginMeasure]:
+    """Return the measures of plug-ins by column."""
+    return {name: entry.value for name, entry in registered("measure").items()}
 
 
-def _heading(of: Measure) -> str:
-    return of.column if of.unit == "1" else f"{of.column} [{of.unit}]"
+def all_measures() -> list[Measure]:
+    """List the measures of the package, in their order, and those of plug-ins."""
+    return [*MEASURES.values(), *plugin_measures().values()]
 
 
-watch(_take_own)
+def paired_measures() -> list[Measure]:
+    """List the measures whose differences between conditions `paired.csv` has."""
+    return [measure for measure in all_measures() if measure.paired]
+
+
+def plugin_headings() -> dict[Measure, str]:
+    """Return the headings of the measures of plug-ins on a run's page."""
+    return {
+        measure: measure.column if measure.unit == "1" else f"{measure.column} [{measure.unit}]"
+        for measure in plugin_measures().values()
+    }

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from tiswarm.base.errors import InputError, did_you_mean
+from tiswarm.base.plugins import call_plugin
 from tiswarm.base.progress import Progress
-from tiswarm.base.registry import get, guarded, names, register, registered
+from tiswarm.base.registry import get, names, register
 from tiswarm.records import outputs
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData
@@ -22,7 +23,7 @@ _FORMS = ("png", "pdf", "svg")
 _Draw = TypeVar("_Draw", bound=Callable[[RunData], "Figure"])
 
 
-class OwnFigure(NamedTuple):
+class PluginFigure(NamedTuple):
     """A figure that a plug-in registered, with the names of a module of figures."""
 
     name: str
@@ -40,8 +41,7 @@ class OwnFigure(NamedTuple):
 
     def _paint(self, run: RunData, most: float = math.inf) -> "Figure":
         """Draw the figure, `most` inches wide at most."""
-        plugin = registered("figure")[self.name].plugin
-        figure: Figure = guarded(plugin, self.name, lambda: self.draw(run))
+        figure: Figure = call_plugin("figure", self.name, lambda: self.draw(run))
         figure.set_figwidth(min(most, figure.get_figwidth()))
         if figure.get_layout_engine() is None:
             figure.set_layout_engine("constrained")
@@ -63,7 +63,7 @@ def figure(name: str, caption: str) -> Callable[[_Draw], _Draw]:
     """
 
     def add(draw: _Draw) -> _Draw:
-        register("figure", name, OwnFigure(name, caption, draw), draw)
+        register("figure", name, PluginFigure(name, caption, draw), draw)
         return draw
 
     return add

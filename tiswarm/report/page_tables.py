@@ -3,7 +3,7 @@
 import math
 import re
 import textwrap
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,8 @@ from tiswarm.records.measures import (
     SENT,
     SPARE,
     TESTABLE,
+    Measure,
+    plugin_headings,
 )
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
@@ -250,9 +252,14 @@ def result_tables(
     tables.append(_labeled(words, _means(table, "attachment"), "Accuracy for attachment", note))
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
     tables.append(_labeled(words, _means(table, "limits"), "Limits of the accuracy", note))
-    if own := _means(table, "own"):
-        texts = (f"{each.column}: {each.meaning}." for each in PAGE["own"] if each.mean in table)
-        tables.append(_labeled(words, own, "Measures of plug-ins", " ".join(texts)))
+    of_plugins = _means_of(table, plugin_headings())
+    if of_plugins:
+        texts = (
+            f"{measure.column}: {measure.meaning}."
+            for measure in plugin_headings()
+            if measure.mean in table
+        )
+        tables.append(_labeled(words, of_plugins, "Measures of plug-ins", " ".join(texts)))
     if calibration := _means(table, "calibration") | _consistent(table):
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "
@@ -371,7 +378,8 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
     if in_words:
         words["case"] = words["case"].str.replace(r"-.*", "", regex=True)
         words["case"] = shown["series"] + ", seed " + words["case"]
-    headings = {m.column: heading for m, heading in (PAGE["cases"] | PAGE["own"]).items()}
+    measures = PAGE["cases"] | plugin_headings()
+    headings = {measure.column: heading for measure, heading in measures.items()}
     headings = {RMSE.column: headings[RMSE.column], "robots": "robots"} | headings
     numbers = {label: _numbers(shown[name]) for name, label in headings.items() if name in shown}
     reasons = shown["reason"].fillna("").astype(str)
@@ -427,9 +435,14 @@ def _labeled(
 
 def _means(table: pd.DataFrame, place: str) -> dict[str, pd.Series]:
     """Format the means that a table of the page shows, by heading, if `table` has them."""
+    return _means_of(table, PAGE[place])
+
+
+def _means_of(table: pd.DataFrame, headings: Mapping[Measure, str]) -> dict[str, pd.Series]:
+    """Format the means of measures, by heading, if `table` has them."""
     return {
         heading: _mean(table, measure.column)
-        for measure, heading in PAGE[place].items()
+        for measure, heading in headings.items()
         if measure.mean in table and table[measure.mean].notna().any()
     }
 

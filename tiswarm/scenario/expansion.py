@@ -8,12 +8,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.registry import load_plugins, watch
+from tiswarm.base.plugins import load_plugins
+from tiswarm.base.registry import Registered, contents
 from tiswarm.records.messages import Part, dotted
 from tiswarm.records.run_folder import LABEL, variant_name
 from tiswarm.scenario.labels import swept_keys, without_label
@@ -88,10 +89,10 @@ def variants(scenario: Scenario) -> list[Variant]:
 
     A wrong condition or swept value raises InputError; scenarios from files have none.
     """
-    found, mistakes = _expand(to_plain(scenario), scenario.conditions, scenario.sweep)
+    expanded, mistakes = _expand(to_plain(scenario), scenario.conditions, scenario.sweep)
     if mistakes:
         raise InputError(mistakes[0].problem, key=dotted(mistakes[0].path))
-    return found
+    return expanded
 
 
 def _examine(
@@ -123,7 +124,7 @@ def _examine(
     outcome = from_plain(data)
     mistakes = _mistakes(data) or ([] if swept else _swept_over(data))
     placed = [(m.about_key, _placed(m, path, source, settings)) for m in mistakes]
-    placed.sort(key=lambda each: (not each[0], each[1].line is None, each[1].line))
+    placed.sort(key=lambda entry: (not entry[0], entry[1].line is None, entry[1].line))
     errors = [*(error for _, error in placed), *unread]
     return (outcome if isinstance(outcome, Scenario) else None), errors
 
@@ -221,7 +222,7 @@ def _expand(
     if malformed := _malformed(sweep):
         return [], malformed
     base = {key: value for key, value in base.items() if key not in {"conditions", "sweep"}}
-    found: dict[str, Variant] = {}
+    by_folder: dict[str, Variant] = {}
     mistakes: dict[Mistake, None] = {}
     points = itertools.product(*(list(_rows(entry, values)) for entry, values in sweep.items()))
     for rows, (condition, entries) in itertools.product(points, conditions.items()):
@@ -234,14 +235,14 @@ def _expand(
         outcome = _apply(base, changes, label)
         if not isinstance(outcome, Scenario):
             mistakes.update(dict.fromkeys(outcome))
-        elif label.casefold() in found:
+        elif label.casefold() in by_folder:
             problem = f"two cases would have the name {label}; rename a condition or a value"
             mistakes[Mistake(("sweep" if sweep else "conditions",), problem)] = None
         else:
-            found[label.casefold()] = Variant(
+            by_folder[label.casefold()] = Variant(
                 label=label, condition=condition, point=point, settings=outcome
             )
-    return list(found.values()), list(mistakes)
+    return list(by_folder.values()), list(mistakes)
 
 
 def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_ChangedKey]]:
@@ -299,7 +300,7 @@ def _reset_section(data: Plain, change: _ChangedKey) -> str:
     old = settings.get(key) if isinstance(settings, dict) else None
     if not isinstance(old, str) or old == change.value:
         return ""
-    default = _defaults(section, old) or {}
+    default = _defaults(section, old, contents()) or {}
     changed = {name: value for name, value in settings.items() if value != default.get(name)}
     data[section] = changed if section in SAME_KEYS else {}
     if section in SAME_KEYS or not changed:
@@ -310,13 +311,11 @@ def _reset_section(data: Plain, change: _ChangedKey) -> str:
     return f"{problem}, or give {section} as a whole in the condition"
 
 
-@cache
-def _defaults(section: str, selected: str) -> Plain | None:
+@lru_cache(maxsize=64)
+def _defaults(section: str, selected: str, _plugins: tuple[Registered, ...]) -> Plain | None:
+    """Return the defaults of the settings that a name selects, with the plug-ins loaded."""
     outcome = from_plain({**_MINIMAL, section: {DISCRIMINATORS[section]: selected}})
     return to_plain(outcome)[section] if isinstance(outcome, Scenario) else None
-
-
-watch(_defaults.cache_clear)
 
 
 def _attribute(mistake: Mistake, changes: Sequence[_ChangedKey], label: str) -> Mistake:
@@ -388,12 +387,12 @@ def structure_kind(settings: Scenario) -> tuple[int, str]:
     """Return all that determines a structure but its seed: size and settings."""
     # Small structures sort first: they finish early, and need no memory that large ones took.
     structure = settings.structure
-    known: dict[str, tuple[object, ...]] = {
+    navigation: dict[str, tuple[object, ...]] = {
         "truth": (),
         "error": (settings.sensing,),
         "estimate": (settings.sensing, settings.localization),
     }
-    by = known[structure.navigate_by]
+    by = navigation[structure.navigate_by]
     at = settings.threads, settings.workers  # growth takes a time of its own with each
     timed = () if at == (None, None) else at
     return settings.robots, repr((structure, settings.robot, *by, *timed))

@@ -24,13 +24,13 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET, Arch
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.methods import LocalizationParams, all_params
+from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario import validation
 from tiswarm.scenario.labels import labels_of, swept_keys, without_label
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
-from tiswarm.world.params import StructureParams, all_kinds, anchor_fault
+from tiswarm.world.params import StructureParams, anchor_fault
 
 Question = Annotated[
     Literal["least-error", "reached", "traffic", "cues"],
@@ -197,7 +197,7 @@ class Scenario:
     def _place_anchors(cls, structure: StructureParams, info: ValidationInfo) -> object:
         robots, shape = (info.data.get(name) for name in ("robots", "robot"))
         if robots and shape and (fault := anchor_fault(structure, robots, shape)):
-            raise validation.mistake_at((structure.kind, "anchors"), fault)
+            raise validation.mistake_at(("anchors",), fault)
         return structure
 
     @property
@@ -207,7 +207,6 @@ class Scenario:
 
 
 ADAPTER = TypeAdapter(Scenario)
-validation.take_own(Scenario, ADAPTER, localization=all_params, structure=all_kinds)
 
 
 def from_plain(data: validation.Plain) -> Scenario | list[validation.Mistake]:

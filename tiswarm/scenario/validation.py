@@ -3,9 +3,9 @@
 import itertools
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -14,8 +14,9 @@ from pydantic_core import ErrorDetails, InitErrorDetails
 
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import STRICT
-from tiswarm.base.registry import load_plugins, watch
-from tiswarm.localization.methods import LocalizationParams, all_params
+from tiswarm.base.plugins import load_plugins
+from tiswarm.base.registry import Registered, contents
+from tiswarm.localization.methods import LocalizationParams
 from tiswarm.localization.settings import SWITCHES
 from tiswarm.records.messages import (
     MISSING_KEY,
@@ -40,10 +41,8 @@ SAME_KEYS = ("sensing",)
 CONDITION_SECTIONS = ("localization", "sensing")
 """Sections that conditions change."""
 
-_UNIONS = {*DISCRIMINATORS, "seeds"} - {*SAME_KEYS}
-"""Keys whose path in an error of pydantic continues with the alternative it tried."""
-
-_METHOD, _KIND = ((name, DISCRIMINATORS[name]) for name in ("localization", "structure"))
+_METHOD = ("localization", "method")
+_KIND = ("structure", "kind")
 _RULE = ("structure", "rule", "name")
 
 _CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+|label))?")
@@ -96,9 +95,9 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
     try:
         # Only from JSON does strict validation accept lists for tuples.
         return adapter.validate_json(json.dumps(data))
-    except ValidationError as found:
-        errors = found.errors(include_url=False)
-        return [_mistake(error, adapter) for error in errors if not _follows(error, errors)]
+    except ValidationError as invalid:
+        errors = invalid.errors(include_url=False)
+        return [_mistake(error, adapter, data) for error in errors if not _follows(error, errors)]
 
 
 def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
@@ -110,13 +109,13 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     at = error["loc"]
     if error["type"] == "too_short":
         return any(
-            other["loc"][: len(at)] == at and len(other["loc"]) > len(at) for other in errors
+            cause["loc"][: len(at)] == at and len(cause["loc"]) > len(at) for cause in errors
         )
     return error["type"] in MISSING_KEY and any(
-        other["type"] in UNKNOWN_KEY
-        and other["loc"][:-1] == at[:-1]
-        and did_you_mean(other["loc"][-1], [str(at[-1])])
-        for other in errors
+        cause["type"] in UNKNOWN_KEY
+        and cause["loc"][:-1] == at[:-1]
+        and did_you_mean(cause["loc"][-1], [str(at[-1])])
+        for cause in errors
     )
 
 
@@ -211,8 +210,8 @@ def localization_params(
         return outcome.localization
     outcome.sort(key=lambda mistake: not mistake.about_key)
     raise first_of([
-        blame(each, settings) or InputError(each.problem, argument=dotted(each.path[1:]))
-        for each in outcome
+        blame(mistake, settings) or InputError(mistake.problem, argument=dotted(mistake.path[1:]))
+        for mistake in outcome
     ])  # fmt: skip
 
 
@@ -223,24 +222,24 @@ def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
             meant = did_you_mean(cue, SWITCHES) or f"; use {', '.join(SWITCHES)}"
             raise InputError(f"{cue} is not a cue{meant}", argument="cues")
     settings = _alternatives("localization", _LOCALIZATION)
-    able = {
+    switches = {
         name: {cue for cue in SWITCHES if keys.get(cue, {}).get("type") == "boolean"}
         - {cue for cue in SWITCHES if "const" in keys.get(cue, {})}
         for name, keys in settings.items()
     }
-    mine = able.get(method, {*SWITCHES})
-    lacking = [cue for cue in cues if cue not in mine]
-    others = [name for name, theirs in able.items() if {*cues} <= theirs]
-    choose = f"choose method {' or '.join(others)}" if others else "leave them out"
-    if "contacts" not in mine:
+    of_method = switches.get(method, {*SWITCHES})
+    lacking = [cue for cue in cues if cue not in of_method]
+    able = [name for name, of_name in switches.items() if {*cues} <= of_name]
+    choose = f"choose method {' or '.join(able)}" if able else "leave them out"
+    if "contacts" not in of_method:
         keys = settings[method].items()
-        own = ", ".join(key for key, schema in keys if schema.get("type") == "boolean")
-        problem = f"{method} has no choice of cues but its settings {own}; set these, or {choose}"
+        flags = ", ".join(key for key, schema in keys if schema.get("type") == "boolean")
+        problem = f"{method} has no choice of cues but its settings {flags}; set these, or {choose}"
         raise InputError(problem, argument="cues")
     if lacking:
         problem = f"{method} cannot use {', '.join(lacking)}; {choose}"
         raise InputError(problem, argument="cues")
-    return {cue: cue in cues for cue in SWITCHES if cue in mine}
+    return {cue: cue in cues for cue in SWITCHES if cue in of_method}
 
 
 def _nested(key: str, value: object) -> Iterator[tuple[str, object]]:
@@ -258,40 +257,36 @@ def _setting_path(key: str) -> tuple[str, ...]:
     return (head, rest) if head == "sweep" and dot else tuple(key.split("."))
 
 
-def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
+def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> Mistake:
     path = error["loc"]
     about_key = error["type"] in UNKNOWN_KEY or path[-1:] == ("[key]",)
     if path[-1:] == ("[key]",):
         path = path[:-1]
-    elif path and path[0] in _UNIONS:
-        path = (path[0], *path[2:])
-    is_tag = error["type"] in {"union_tag_invalid", "union_tag_not_found"}
-    if path[:2] == _RULE[:2]:  # which may be a name or settings, those of one of several rules
-        path = _RULE[:2] if len(path) < 4 else (*_RULE[:2], *path[4:])  # noqa: PLR2004
-        path = _RULE if is_tag else path
-    elif is_tag:
-        path = (path[0], DISCRIMINATORS[str(path[0])])
-    if error["type"] in {"missing", "missing_keyword_only_argument"} and path == ("localization",):
-        path = _METHOD
-    if path == _METHOD and error["type"] != "union_tag_invalid":
+    elif path[:1] == ("seeds",):  # continues with the alternative that was tried
+        path = ("seeds", *path[2:])
+    is_missing = error["type"] in MISSING_KEY
+    if is_missing and path in {("localization",), _METHOD}:
         methods = ", ".join(_alternatives("localization", adapter))
         problem = f"is missing; write it like localization: {{method: joint}}, one of {methods}"
-        return Mistake(path, problem)
-    problem = explain(error, _allowed(error["loc"], adapter))
-    names_rule = path == _RULE[:2] and error["type"] == "literal_error"
-    if (path in {_METHOD, _KIND, _RULE} or names_rule) and not problem.endswith("?"):
+        return Mistake(_METHOD, problem)
+    problem = explain(error, _allowed(path, adapter, data))
+    is_name_of_rule = path == _RULE[:2] and error["type"] == "literal_error"
+    if (path in {_METHOD, _KIND, _RULE} or is_name_of_rule) and not problem.endswith("?"):
         problem += ", or one of a plug-in that you load (--plugin FILE)"
-    return Mistake(path, _by_choice(error, adapter) or problem, about_key)
+    return Mistake(path, _by_choice(error, adapter, data) or problem, about_key)
 
 
-def _by_choice(error: ErrorDetails, adapter: TypeAdapter[Any]) -> str:
+def _by_choice(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> str:
     """Explain a key that other methods or kinds have and the chosen one lacks; else empty."""
-    path, is_unknown = error["loc"], error["type"] in UNKNOWN_KEY
-    section = str(path[0]) if path else ""
-    settings = _alternatives(section, adapter)
-    if len(path) != 3 or path[1] not in settings:  # noqa: PLR2004 - section, choice and key
+    path = error["loc"]
+    is_unknown = error["type"] in UNKNOWN_KEY
+    if len(path) != 2 or path[0] not in DISCRIMINATORS:  # noqa: PLR2004 - section and key
         return ""
-    key, chosen = str(path[2]), str(path[1])
+    section, key = map(str, path)
+    settings = _alternatives(section, adapter)
+    chosen = data[section].get(DISCRIMINATORS[section])
+    if not isinstance(chosen, str) or chosen not in settings:
+        return ""
     owners = [
         name
         for name, keys in settings.items()
@@ -312,46 +307,45 @@ def _alternatives(section: str, adapter: TypeAdapter[Any]) -> dict[str, Plain]:
     of_section = schema.get("properties", {}).get(section, {})
     names = of_section.get("discriminator", {}).get("mapping", {})
     return {
-        name: schema["$defs"][place.rpartition("/")[2]].get("properties", {})
-        for name, place in names.items()
+        name: _definition(schema, reference).get("properties", {})
+        for name, reference in names.items()
     }
 
 
-def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any]) -> tuple[str, ...]:
-    """Return the keys of the section that holds the value at a path."""
+def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any], data: object) -> tuple[str, ...]:
+    """Return the keys of the section that holds the value at a path of some data."""
     schema = _schema(adapter)
     section = schema
     for part in path[:-1]:
-        if part == "settings" and "oneOf" in section:  # of a rule, not its name
-            section = section["oneOf"][-1]
-            continue
-        alternatives = section.get("discriminator", {}).get("mapping", {})
-        section = section.get("properties", {}).get(part) or {"$ref": alternatives.get(part, "")}
-        nullable = [section, *section.get("anyOf", ())]  # a section that may be null is one of two
-        name = next((each["$ref"] for each in nullable if "$ref" in each), "").rpartition("/")[2]
-        section = schema["$defs"].get(name, section)
+        data = data.get(part) if isinstance(data, dict) else None
+        section = _settings(schema, section.get("properties", {}).get(part, {}), data)
     return tuple(section.get("properties", ()))
 
 
-@cache
+def _settings(schema: Plain, section: Plain, data: object) -> Plain:
+    """Return the definition of those settings that a section may have which some data selects."""
+    # A section that may be null, or a name alone, is one of two.
+    for form in (section, *section.get("anyOf", ()), *section.get("oneOf", ())):
+        if "discriminator" in form and isinstance(data, dict):
+            selected = str(data.get(form["discriminator"]["propertyName"]))
+            reference = form["discriminator"]["mapping"].get(selected)
+        else:
+            reference = form.get("$ref")
+        if reference:
+            return _definition(schema, reference)
+    return section
+
+
+def _definition(schema: Plain, reference: str) -> Plain:
+    definition: Plain = schema["$defs"][reference.rpartition("/")[2]]
+    return definition
+
+
 def _schema(adapter: TypeAdapter[Any]) -> Plain:
+    """Return the JSON Schema of what an adapter checks, with the plug-ins that are loaded."""
+    return _schema_with(adapter, contents())
+
+
+@lru_cache(maxsize=8)
+def _schema_with(adapter: TypeAdapter[Any], _plugins: tuple[Registered, ...]) -> Plain:
     return adapter.json_schema()
-
-
-def take_own(
-    section: Any,  # noqa: ANN401 - a dataclass
-    adapter: TypeAdapter[Any],
-    **types: Callable[[], Any],
-) -> None:
-    """Let fields of a class have, from now on, the types that these functions return."""
-
-    def retype() -> None:
-        for name, found in types.items():
-            section.__dataclass_fields__[name].type = found()
-
-    watch(retype, section)
-    watch(lambda: adapter.rebuild(force=True))
-    watch(_schema.cache_clear)
-
-
-take_own(_LocalizationSection, _LOCALIZATION, localization=all_params)

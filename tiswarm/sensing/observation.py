@@ -61,9 +61,11 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         np.concatenate([fixes.planar_fixes(history), fixes.anchor_fixes(history)]), axis=0
     )
     added = ((name, ADDED[name](history, params)) for name in params.added)
-    own = [found.value for name, found in registered("sensor").items() if name == params.suite]
-    filled_by_own = ((each.fills, each.rows(history, params)) for each in own)
-    for filled, every in chain(added, filled_by_own):
+    plugin_suites = [
+        entry.value for name, entry in registered("sensor").items() if name == params.suite
+    ]
+    by_plugin = ((suite.fills, suite.rows(history, params)) for suite in plugin_suites)
+    for filled, every in chain(added, by_plugin):
         rows = every[~is_mute[every[:, 0].astype(np.int64)]]
         lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
     for name in ("contacts", "ground_docks"):

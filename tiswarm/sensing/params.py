@@ -1,23 +1,19 @@
 """Settings of what robots sense, and with which noise."""
 
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, Strict, model_validator
 from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
 from tiswarm.base.params import STRICT, UNLESS_SET
-from tiswarm.base.registry import Plugin, get, names, registered, watch
+from tiswarm.base.registry import get, names
+from tiswarm.base.sections import NameOf, SendsPlugins
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
 
 USUAL = "fireant-v3"
 """Name of the suite that has the defaults."""
-
-if TYPE_CHECKING:
-    _SuiteName = str
-else:
-    _SuiteName = Literal[names("sensor")]
 
 _Coordinate = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]
 # A setting of a suite passes through Python, where strict checks accept no list for a tuple.
@@ -57,7 +53,7 @@ class Vibration:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class SensingParams:
+class SensingParams(SendsPlugins):
     """What robots sense, and the noise of their senses; none by default, as in the paper.
 
     A suite sets defaults of all other settings; those listed are of `fireant-v3`. Each contact of
@@ -65,7 +61,7 @@ class SensingParams:
     orientation: it has the noise of tilt about the normal of the plane, and no noise of yaw.
     """
 
-    suite: _SuiteName = USUAL
+    suite: Annotated[str, NameOf("sensor")] = USUAL
     """Sensors of a system in the paper's Table I."""
 
     touch: bool = False
@@ -195,19 +191,11 @@ class SensingParams:
     @classmethod
     def _with_suite(cls, data: Any) -> Any:  # noqa: ANN401 - not checked yet
         """Put a suite's settings beneath those that are given."""
-        given = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
-        name = given.get("suite") if isinstance(given, dict) else None
+        settings = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
+        name = settings.get("suite") if isinstance(settings, dict) else None
         if name == USUAL or name not in names("sensor"):
             return data
-        return {**get("sensor", name).settings, **given}
-
-    def __reduce_ex__(self, protocol: Any) -> Any:  # noqa: ANN401 - of any version
-        """Send the plug-in of a suite ahead, so that a worker loads it first."""
-        own = registered("sensor").get(self.suite)
-        if own is None:
-            return super().__reduce_ex__(protocol)
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        return _received, (own.plugin, values)
+        return {**get("sensor", name).settings, **settings}
 
     def senses(self, name: _OwnSense) -> bool:
         """Whether robots have one of FireAntV3's own senses."""
@@ -247,17 +235,3 @@ class SensingParams:
         if self.senses("compass"):
             return noise
         return replace(noise, tilt_deg=0.0, yaw_deg=0.0, yaw_bias_deg=None)
-
-
-def _received(plugin: Plugin, values: dict[str, Any]) -> SensingParams:  # noqa: ARG001
-    """Make settings on a worker, where the plug-in has been loaded."""
-    return SensingParams(**values)
-
-
-def _take_suites() -> None:
-    """Let settings name the suites of plug-ins, too."""
-    section: Any = SensingParams
-    section.__dataclass_fields__["suite"].type = Literal[names("sensor")]
-
-
-watch(_take_suites, SensingParams)

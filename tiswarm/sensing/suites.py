@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.registry import PluginError, fault_of_numbers, guarded, register, registered
+from tiswarm.base.plugins import call_plugin, fault_of_numbers
+from tiswarm.base.registry import register
 from tiswarm.records.sensing_log import FARTHEST
 from tiswarm.sensing.observation import COLUMNS
 from tiswarm.world.history import History
@@ -158,11 +159,14 @@ SWARMBANG = Suite(
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnSuite(Suite):
+class PluginSuite(Suite):
     """A sensor suite that a plug-in registered; its price has no source."""
 
     fills: str
+    """List of the log that it fills."""
+
     sense: Callable[..., Any]
+    """Function of a history and the settings of `sensing`, which returns rows of that list."""
 
     def rows(self, history: History, params: Any) -> Reals:  # noqa: ANN401
         """Return the rows of the list that the sensor fills.
@@ -174,13 +178,12 @@ class OwnSuite(Suite):
         Raises:
             PluginError: the sensor failed, or returned something else than rows.
         """
-        plugin = registered("sensor")[params.suite].plugin
-        rows = guarded(plugin, params.suite, lambda: np.asarray(self.sense(history, params)))
-        if wrong := _fault(rows, COLUMNS[self.fills], history):
-            problem = f"{plugin.file}: {params.suite} returned {wrong}"
-            raise PluginError(problem, f"{problem}\n")
-        found: Reals = rows.astype(np.float64)
-        return found
+        rows: Reals = call_plugin(
+            "sensor", params.suite,
+            lambda: np.asarray(self.sense(history, params)),
+            lambda returned: _fault(returned, COLUMNS[self.fills], history),
+        ).astype(np.float64)  # fmt: skip
+        return rows
 
 
 def sensor(
@@ -209,7 +212,7 @@ def sensor(
         raise InputError(f"fills: the log has no list {fills}; use {', '.join(COLUMNS)}")
 
     def add(sense: _Sense) -> _Sense:
-        suite = OwnSuite(
+        suite = PluginSuite(
             senses=fills, settings=dict(settings), robot_usd=robot_usd, needs="unknown",
             fills=fills, sense=sense,
         )  # fmt: skip

@@ -234,7 +234,7 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
     """Count cases, and return means over the finished ones with their uncertainty and range."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    for measure in measures.MEASURES.values():
+    for measure in measures.all_measures():
         if measure.averaged:
             column = scores.get(measure.column, pd.Series(dtype=float))
             values = column.to_numpy(np.float64)
@@ -285,7 +285,7 @@ def accuracy_by_key(records: Mapping[Any, CaseRecord]) -> pd.DataFrame:
     return pd.DataFrame(
         list(done.values()),
         index=pd.Index(list(done)),
-        columns=[each.column for each in measures.PAIRED],
+        columns=[measure.column for measure in measures.paired_measures()],
     )
 
 

@@ -2,16 +2,12 @@
 
 import math
 from collections.abc import Iterator
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
-    AfterValidator,
-    Discriminator,
     Field,
     Strict,
-    Tag,
     ValidationError,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
@@ -21,10 +17,10 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 from scipy.spatial.distance import pdist, squareform
 
-from tiswarm.base import registry as door
 from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.params import STRICT, UNLESS_SET
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
+from tiswarm.base.sections import Section
 from tiswarm.compute.math import uniform
 from tiswarm.records.messages import shown
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
@@ -40,9 +36,9 @@ def _one_mistake(anchors: object, check: ValidatorFunctionWrapHandler) -> object
     """Make one mistake of those that a value has as a number and as a list."""
     try:
         return check(anchors)
-    except ValidationError as found:
+    except ValidationError as invalid:
         ways = f"a number from 1 to {_MOST_ANCHORS:,}, or that many places like [[0, 0], [12, 0]]"
-        raise ValueError(f"{shown(anchors)} should be {ways} within 1e4 R") from found
+        raise ValueError(f"{shown(anchors)} should be {ways} within 1e4 R") from invalid
 
 
 # A wrapped value passes through Python, where strict checks accept no list for a tuple.
@@ -63,42 +59,6 @@ class ReactiveBuild:
 
     name: Literal["reactive-build"] = "reactive-build"
     """Name of the rule."""
-
-
-def _any_rule() -> Any:  # noqa: ANN401 - a type
-    """Return the type of the settings of any rule, plug-ins included: a name alone, or all."""
-    ours = (door.get("rule", name) for name in door.BUILT_IN["rule"])
-    own = (found.value for found in door.registered("rule").values())
-    whole: Any = Annotated[Union[(*ours, *own)], Field(discriminator="name")]
-    names: Any = Annotated[Literal[door.names("rule")], AfterValidator(_named)]
-    return Annotated[
-        Annotated[names, Tag("name")] | Annotated[whole, Tag("settings")],
-        Discriminator(lambda given: "name" if isinstance(given, _NO_SETTINGS) else "settings"),
-        Field(
-            # Runs without the key keep their hashes, which name folders.
-            exclude_if=lambda rule: isinstance(rule, ReactiveBuild),
-            description="Which flip a climber takes, where it stays and whom it calls: "
-            "reactive-build, or the name of a rule of a plug-in, or {name: ...} with its settings.",
-        ),
-    ]
-
-
-def _named(name: str) -> object:
-    """Make the settings of a rule by its name alone."""
-    try:
-        return door.get("rule", name)()
-    except ValueError as error:
-        problem = f"{name} has settings without defaults; write it like {{name: {name}, ...}}"
-        raise ValueError(problem) from error
-
-
-_NO_SETTINGS = (str, int, float, bool, list, type(None))
-"""Types of what stands for a name, rightly or not."""
-
-if TYPE_CHECKING:
-    _Rule = Any
-else:
-    _Rule = _any_rule()
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -301,7 +261,16 @@ class GrowthParams(RecruitParams):
         float, Field(gt=0.0, description="Robots start at most this far behind that dock [R].")
     ] = 10.0
 
-    rule: _Rule = ReactiveBuild()
+    rule: Annotated[
+        Any,
+        Section("rule", by_name=True),
+        Field(
+            # Runs without the key keep their hashes, which name folders.
+            exclude_if=lambda rule: isinstance(rule, ReactiveBuild),
+            description="Which flip a climber takes, where it stays and whom it calls: "
+            "reactive-build, or the name of a rule of a plug-in, or {name: ...} with its settings.",
+        ),
+    ] = ReactiveBuild()
 
     climb: Annotated[ClimbParams, Field(description="How robots walk.")] = ClimbParams()
 
@@ -327,7 +296,7 @@ class GrowthParams(RecruitParams):
 
     @field_validator("rule")
     @classmethod
-    def _choose_by_truth(cls, rule: _Rule, info: ValidationInfo) -> _Rule:
+    def _choose_by_truth(cls, rule: Any, info: ValidationInfo) -> Any:  # noqa: ANN401 - any rule
         if info.data.get("navigate_by") != "truth" and hasattr(rule, "choose"):
             raise ValueError(
                 f"{rule.name} chooses by true places; leave out navigate_by, or give the rule a "
@@ -522,28 +491,8 @@ class ChainParams(EdgeParams):
         return np.array([EDGE_RADIUS, 0.0, -self.goal_depth])
 
 
-def all_kinds() -> Any:  # noqa: ANN401 - a type
-    """Return the type of the settings of any kind of structure, those of plug-ins included."""
-    ours = (door.get("structure", name) for name in door.BUILT_IN["structure"])
-    own = (found.value for found in door.registered("structure").values())
-    return Annotated[Union[(*ours, *own)], Field(discriminator="kind")]
-
-
-if TYPE_CHECKING:
-    StructureParams = GrowthParams
-else:
-    StructureParams = all_kinds()
-"""Any kind of structure."""
-
-
-def _take_rules() -> None:
-    """Let every kind of structure have the rules of plug-ins."""
-    for name in door.names("structure"):
-        kind = door.get("structure", name)
-        door.rebuild(kind, partial(setattr, kind.__dataclass_fields__["rule"], "type", _any_rule()))
-
-
-door.watch(_take_rules)
+StructureParams = Annotated[GrowthParams, Section("structure")]
+"""Any kind of structure, those of plug-ins included."""
 
 
 def anchor_places(params: StructureParams, shape: RobotGeometry) -> Reals:

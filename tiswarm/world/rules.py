@@ -26,9 +26,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base import registry as door
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.base.plugins import call_plugin, fault_of_numbers
+from tiswarm.base.registry import register
+from tiswarm.base.sections import settings_class
 from tiswarm.compute.math import uniform
 from tiswarm.compute.user_functions import is_kernel_function
 from tiswarm.records.terrain import Terrain
@@ -273,52 +275,54 @@ def rule(name: str) -> Callable[[_Class], _Class]:
         raise InputError(f"{name!r} names no rule; use words like my-rule")
 
     def add(settings: _Class) -> _Class:
-        given: Any = settings
-        if sum(hasattr(given, each) for each in ("choose", "score")) != 1:
+        rule_class: Any = settings
+        if hasattr(rule_class, "choose") == hasattr(rule_class, "score"):
             raise InputError(f"{name} should have choose or score, one of the two; define it")
-        methods = [each for each in vars(given).values() if isfunction(each)]
-        if "__dataclass_fields__" not in vars(given):
-            given = plain_dataclass(frozen=True, kw_only=True)(given)
+        functions = [value for value in vars(rule_class).values() if isfunction(value)]
+        if "__dataclass_fields__" not in vars(rule_class):
+            rule_class = plain_dataclass(frozen=True, kw_only=True)(rule_class)
         guards: dict[str, Any] = {
-            each: _guarded(name, each, getattr(given, each))
-            for each in _METHODS
-            if hasattr(given, each)
+            method: _guarded(name, method, getattr(rule_class, method))
+            for method in _METHODS
+            if hasattr(rule_class, method)
         }
-        guards["__reduce__"] = door.sent_as("rule", "name")
-        made = door.own_section(name, "name", given, given, guards)
-        door.register("rule", name, made, next(iter(methods), given))
-        return made  # type: ignore[no-any-return]
+        section: _Class = settings_class("rule", name, rule_class, rule_class, guards)
+        register("rule", name, section, next(iter(functions), rule_class))
+        return section
 
     return add
 
 
 def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[..., Any]:
     """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
-    theirs = inherited
-    fault: Callable[..., str] = _FAULTS.get(method, lambda *_: "")
+    unguarded = inherited
     if isfunction(inherited):  # a rule may derive from another one, whose methods are wrapped
-        theirs = _unguarded.get(inherited, inherited)
+        unguarded = _unguarded.get(inherited, inherited)
+    fault_of: Callable[..., str] = _FAULTS.get(method, lambda *_: "")
 
-    @wraps(theirs)
-    def call(*given: Any) -> Any:  # noqa: ANN401 - as the method
-        plugin, what = door.registered("rule")[name].plugin, f"{name}.{method}"
-        shown = [_read_only(each) if isinstance(each, np.ndarray) else each for each in given]
-        found: Any = door.guarded(plugin, what, lambda: theirs(*shown))
+    @wraps(unguarded)
+    def call(*arguments: Any) -> Any:  # noqa: ANN401 - as the method
+        shown = [
+            _read_only(argument) if isinstance(argument, np.ndarray) else argument
+            for argument in arguments
+        ]
         if method == "score":
-            if not is_kernel_function(found):
-                advice = "return a function that ti.func decorates, and nothing else"
-                problem = f"{plugin.file}: {what} returned {_described(found)}; {advice}"
-                raise door.PluginError(problem, f"{problem}\n")
-            return found
-        found = np.asarray(found)
-        if method == "choose" and not found.ndim:  # one choice of all
-            found = np.full(given[1].stance.shape, found)
-        if wrong := _fault_of_integers(found) or fault(found, *given[1:]):
-            problem = f"{plugin.file}: {what} returned {wrong}"
-            raise door.PluginError(problem, f"{problem}\n")
-        return found.astype(np.int32)
+            return call_plugin(
+                "rule", name, lambda: unguarded(*shown), _fault_of_score, method=method
+            )
 
-    _unguarded[call] = theirs
+        def integers() -> NDArray[Any]:
+            returned = np.asarray(unguarded(*shown))
+            if method == "choose" and not returned.ndim:  # one choice of all
+                return np.full(arguments[1].stance.shape, returned)
+            return returned
+
+        def fault(returned: NDArray[Any]) -> str:
+            return _fault_of_integers(returned) or fault_of(returned, *arguments[1:])
+
+        return call_plugin("rule", name, integers, fault, method=method).astype(np.int32)
+
+    _unguarded[call] = unguarded
     return call
 
 
@@ -332,6 +336,12 @@ def _described(value: object) -> str:
     return f"{name}, a function of Python" if name else f"a {type(value).__name__}"
 
 
+def _fault_of_score(returned: object) -> str:
+    if is_kernel_function(returned):
+        return ""
+    return f"{_described(returned)}; return a function that ti.func decorates, and nothing else"
+
+
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a view that code of users cannot write: the array is that of the engine."""
     view = array.view()
@@ -339,10 +349,10 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def _fault_of_integers(found: NDArray[Any]) -> str:
-    is_none = found.dtype == np.object_ and found.size > 0 and found.flat[0] is None
-    kind = "None" if is_none else found.dtype
-    return "" if found.dtype.kind in "iu" else f"{kind}; return integers"
+def _fault_of_integers(returned: NDArray[Any]) -> str:
+    is_none = returned.dtype == np.object_ and returned.size > 0 and returned.flat[0] is None
+    kind = "None" if is_none else returned.dtype
+    return "" if returned.dtype.kind in "iu" else f"{kind}; return integers"
 
 
 def _fault_of_choice(choice: AnyInts, step: Any) -> str:  # noqa: ANN401 - of a part
@@ -414,18 +424,18 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
         if not (isinstance(settings, type) and issubclass(settings, GrowthParams)):
             problem = f"{name}: {settings!r} is no kind of structure; derive it from TowerParams"
             raise InputError(problem)
-        if lacking := [each for each in ("terrain", *_SHAPES) if not hasattr(settings, each)]:
+        lacking = [method for method in ("terrain", *_SHAPES) if not hasattr(settings, method)]
+        if lacking:
             problem = f"{name} lacks {', '.join(lacking)}; define it, or derive from TowerParams"
             raise InputError(problem)
-        methods = [each for each in vars(settings).values() if isfunction(each)]
-        source = next(iter(methods), settings)  # a class of a session has no file
+        functions = [value for value in vars(settings).values() if isfunction(value)]
+        source = next(iter(functions), settings)  # a class of a session has no file
         if "__dataclass_fields__" not in vars(settings):
             settings = plain_dataclass(frozen=True, kw_only=True)(settings)
-        guards: dict[str, object] = {each: _checked(name, settings, each) for each in _SHAPES}
-        ground = partial(_ground, name, settings)
-        guards |= {"terrain": property(ground), "__reduce__": door.sent_as("structure", "kind")}
-        kind: type[_Kind] = door.own_section(name, "kind", settings, settings, guards)
-        door.register("structure", name, kind, source)
+        guards: dict[str, object] = {method: _checked(name, settings, method) for method in _SHAPES}
+        guards["terrain"] = property(partial(_ground, name, settings))
+        kind: type[_Kind] = settings_class("structure", name, settings, settings, guards)
+        register("structure", name, kind, source)
         return kind
 
     return add
@@ -433,36 +443,43 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
 
 def _checked(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
     """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
-    theirs = getattr(settings, method)
+    unchecked = getattr(settings, method)
 
-    @wraps(theirs)
-    def call(self: GrowthParams, *given: Any) -> Any:  # noqa: ANN401 - as the method
-        plugin, what = door.registered("structure")[name].plugin, f"{name}.{method}"
-        found = door.guarded(plugin, what, lambda: np.asarray(theirs(self, *given)))
-        shape, wrong = _SHAPES[method](*given), ""
-        if found.shape != shape:
-            kind = "None" if found.tolist() is None else f"shape {found.shape}"
-            wrong = f"{kind}; return numbers of shape {shape}"
-        elif fault := door.fault_of_numbers(found, _FARTHEST, f"within {_FARTHEST:g} R"):
-            wrong = f"numbers that are {fault}; correct them"
-        if wrong:
-            problem = f"{plugin.file}: {what} returned {wrong}"
-            raise door.PluginError(problem, f"{problem}\n")
-        return found.astype(np.float64)
+    @wraps(unchecked)
+    def call(self: GrowthParams, *arguments: Any) -> Any:  # noqa: ANN401 - as the method
+        shape = _SHAPES[method](*arguments)
+        numbers = call_plugin(
+            "structure", name,
+            lambda: np.asarray(unchecked(self, *arguments)),
+            lambda returned: _fault_of_lengths(returned, shape),
+            method=method,
+        )  # fmt: skip
+        return numbers.astype(np.float64)
 
     return call
 
 
+def _fault_of_lengths(returned: NDArray[Any], shape: tuple[int, ...]) -> str:
+    if returned.shape != shape:
+        kind = "None" if returned.tolist() is None else f"shape {returned.shape}"
+        return f"{kind}; return numbers of shape {shape}"
+    fault = fault_of_numbers(returned, _FARTHEST, f"within {_FARTHEST:g} R")
+    return f"numbers that are {fault}; correct them" if fault else ""
+
+
 def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
     """Return the terrain of a plug-in's structure."""
-    plugin, what = door.registered("structure")[name].plugin, f"{name}.terrain"
-    theirs = getattr(settings.terrain, "fget", lambda _: settings.terrain)
-    found = door.guarded(plugin, what, lambda: theirs(of))
-    if type(found) is not Terrain:
-        problem = f"{plugin.file}: {what} returned {type(found).__name__}; return a Terrain"
-        if isinstance(found, Terrain):  # kernels know the ground by the fields of Terrain alone
-            problem = (
-                f"{problem} itself: robots would not notice what a class derived from it changes"
-            )
-        raise door.PluginError(problem, f"{problem}\n")
-    return found
+    unchecked = getattr(settings.terrain, "fget", lambda _: settings.terrain)
+    terrain: Terrain = call_plugin(
+        "structure", name, lambda: unchecked(of), _fault_of_terrain, method="terrain"
+    )
+    return terrain
+
+
+def _fault_of_terrain(returned: object) -> str:
+    if type(returned) is Terrain:
+        return ""
+    fault = f"{type(returned).__name__}; return a Terrain"
+    if isinstance(returned, Terrain):  # kernels know the ground by the fields of Terrain alone
+        fault += " itself: robots would not notice what a class derived from it changes"
+    return fault

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.runs import call
-from tiswarm.base import registry as parts
+from tiswarm.base import plugins
 from tiswarm.base.errors import InputError
 from tiswarm.localization.distributed.channel import Channel, Message
 from tiswarm.localization.distributed.channels import Air, Lossy
@@ -221,12 +221,12 @@ def _run(folder, heard, name="deaf-to-3"):
 def test_a_plugin_decides_who_hears(tmp_path):
     """It is asked about each round, answers included; who does not hear passes nothing on."""
     (tmp_path / "own.py").write_text(OWN.format(name="deaf-to-2", heard="air.listener != 2"))
-    parts.load_plugins([tmp_path / "own.py"])
+    plugins.load_plugins([tmp_path / "own.py"])
     try:
         params = DistributedParams(channel="deaf-to-2", radio_reach="ranged")
         heard, channel = _sent(params, [set(), {0}, {1}, {2}], {3})
     finally:
-        parts.forget()
+        plugins.forget()
 
     assert sorted(heard) == [1]
     assert channel.messages == [1, 1 + params.retries, 0, 0]

@@ -19,9 +19,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.base.registry import PluginError, guarded, register, registered
+from tiswarm.base.plugins import call_plugin
+from tiswarm.base.registry import register
 
 
 class Air(NamedTuple):
@@ -87,8 +89,8 @@ class Lossy:
         pairs = zip(air.sender.tolist(), air.listener.tolist(), air.chance.tolist(), strict=True)
         for pair, (sender, listener, chance) in enumerate(pairs):
             last, was_bad = self._links.get((sender, listener), (-math.inf, False))
-            left = self._kept ** (air.round - last)
-            is_bad = chance < self._loss + (was_bad - self._loss) * left
+            kept = self._kept ** (air.round - last)
+            is_bad = chance < self._loss + (was_bad - self._loss) * kept
             self._links[sender, listener] = air.round, is_bad
             good[pair] = not is_bad
         return good
@@ -102,9 +104,9 @@ def _is_alone(air: Air, slots: int) -> Bools:
     slot = np.floor(air.own_chance * slots)
     apart = np.column_stack([air.listener, slot])
     # All pairs of a transmission have one sender and one draw.
-    own = np.unique(np.column_stack([air.sender, slot, air.own_chance]), axis=0)[:, :2]
+    sent = np.unique(np.column_stack([air.sender, slot, air.own_chance]), axis=0)[:, :2]
     _, group, count = np.unique(
-        np.concatenate([apart, own]), axis=0, return_inverse=True, return_counts=True
+        np.concatenate([apart, sent]), axis=0, return_inverse=True, return_counts=True
     )
     alone: Bools = count[group.ravel()[: len(apart)]] == 1
     return alone
@@ -112,8 +114,8 @@ def _is_alone(air: Air, slots: int) -> Bools:
 
 def lossy(settings: Any) -> Callable[..., Bools]:  # noqa: ANN401 - of `distributed`
     """Return a channel of the package, by settings of `distributed`."""
-    found = Lossy(settings.loss, settings.burst, settings.slots)
-    return lambda *arrays: found.hear(Air(*arrays))
+    channel = Lossy(settings.loss, settings.burst, settings.slots)
+    return lambda *arrays: channel.hear(Air(*arrays))
 
 
 def channel(name: str) -> Callable[[_Hears], _Hears]:
@@ -131,10 +133,10 @@ def channel(name: str) -> Callable[[_Hears], _Hears]:
     """
 
     def add(hear: _Hears) -> _Hears:
-        def made(settings: Any) -> Callable[..., Bools]:  # noqa: ANN401 - of `distributed`
+        def checked(settings: Any) -> Callable[..., Bools]:  # noqa: ANN401 - of `distributed`
             return lambda *arrays: _heard(name, hear, Air(*arrays), settings)
 
-        register("channel", name, made, hear)
+        register("channel", name, checked, hear)
         return hear
 
     return add
@@ -146,10 +148,16 @@ def _heard(name: str, hear: Callable[..., Any], air: Air, settings: Any) -> Bool
     Raises:
         PluginError: it failed, or returned something else.
     """
-    plugin = registered("channel")[name].plugin
-    heard = np.asarray(guarded(plugin, name, lambda: hear(air, settings)))
-    if heard.shape != air.sender.shape or heard.dtype != np.bool_:
-        what = f"{heard.dtype} of shape {heard.shape}"
-        problem = f"{plugin.file}: {name} returned {what}; return bool of shape {air.sender.shape}"
-        raise PluginError(problem, f"{problem}\n")
+    heard: Bools = call_plugin(
+        "channel", name,
+        lambda: np.asarray(hear(air, settings)),
+        lambda returned: _fault(returned, air.sender.shape),
+    )  # fmt: skip
     return heard
+
+
+def _fault(heard: NDArray[Any], shape: tuple[int, ...]) -> str:
+    """Say what is wrong with what a channel returned; empty if nothing is."""
+    if heard.shape == shape and heard.dtype == np.bool_:
+        return ""
+    return f"{heard.dtype} of shape {heard.shape}; return bool of shape {shape}"

@@ -4,13 +4,13 @@ Here are the settings of `distributed`, each with its unit and its reason. Lengt
 """
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET
-from tiswarm.base.registry import names, watch
+from tiswarm.base.sections import NameOf, SendsPlugins
 from tiswarm.localization.settings import (
     BackPropagation,
     ChiSquareParams,
@@ -47,14 +47,8 @@ _OF_SCHEME = {
 """Settings that have a meaning in one scheme only."""
 
 
-if TYPE_CHECKING:
-    _ChannelName = str
-else:
-    _ChannelName = Literal[names("channel")]
-
-
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
+class DistributedParams(DocksNamed, ChiSquareParams, SendsPlugins):  # type: ignore[misc]
     """What robots send each other to find out where they are, and by which channel.
 
     A robot computes from its own rows and from what it was sent. By default several robots solve,
@@ -88,7 +82,7 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
     back_propagation: BackPropagation | None = None
     """Rounds of `algorithm-1` in which all robots move again; off if null."""
 
-    channel: _ChannelName = "touch"
+    channel: Annotated[str, NameOf("channel")] = "touch"
     """touch: robots in contact pass on what they hear, robot by robot. radio: robots in reach hear
     what one of them sends. Plug-ins add channels, in which robots are in reach as by radio."""
 
@@ -218,15 +212,6 @@ class DistributedParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
         """Estimate the processor time of robots that localize themselves [s]."""
         if self.scheme == "algorithm-1":
             return _SENDING_S * robots + self.published.seconds(robots)
-        once, each = _STEP_S
+        of_step, of_robot = _STEP_S
         steps = self.chains * self.steps
-        return robots * (_JOIN_S + steps * (once + each * robots))
-
-
-def _take_channels() -> None:
-    """Let settings name the channels of plug-ins, too."""
-    section: Any = DistributedParams
-    section.__dataclass_fields__["channel"].type = Literal[names("channel")]
-
-
-watch(_take_channels, DistributedParams)
+        return robots * (_JOIN_S + steps * (of_step + of_robot * robots))
