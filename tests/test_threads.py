@@ -37,7 +37,7 @@ from tiswarm.localization.settings import Together
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.senses import in_sight
+from tiswarm.sensing.sight import in_sight
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 

@@ -288,8 +288,41 @@ def test_scores_need_an_estimate_of_each_structure(towers):
         towers.score(known[:1])
     with pytest.raises(InputError, match=r"^estimates: a value of type ndarray has no log"):
         towers.score([towers[0].position, towers[1].position])
-    with pytest.raises(InputError, match=r"^estimates: 4 robots, but 8 joined tower-seed-3"):
+    with pytest.raises(InputError, match=r"^estimates: the estimate of tower-seed-0 is of another"):
         towers.score([other, known[1]])
+    with pytest.raises(InputError, match=r"^estimates: the estimate of tower-seed-1 is of another"):
+        towers[0].score(known[1])
+    with pytest.raises(InputError, match=r"^estimates: estimates 0 and 1 are both of tower-seed-3"):
+        towers.score([known[0], known[0]])
+
+
+def test_a_log_of_a_file_with_other_robots_is_refused(towers, tmp_path):
+    """Its number of robots is not that of the structure."""
+    file = library.grow("tower", robots=4, quiet=True)[0].sense().write(tmp_path / "log.jsonl")
+    other = library.read_log(file).localize(**QUICK)
+
+    with pytest.raises(InputError, match=r"^estimates: 4 robots, but 8 joined tower-seed-3"):
+        towers[0].score(other)
+
+
+@pytest.mark.parametrize("order", [[2, 1, 0], [1, 2, 0], [0, 2, 1]])
+@pytest.mark.parametrize("source", ["sensed", "sent", "files"])
+def test_scores_are_those_of_the_structures_in_any_order_of_estimates(order, source, tmp_path):
+    """As pools of workers and lists of files return them; `sent` logs went through a pickle."""
+    grown = library.grow("tower", robots=8, seeds=3, quiet=True)
+    logs = grown.sense(tilt_noise_deg=1.0, missed_contacts=0.1, false_contacts=0.1)
+    if source == "sent":
+        logs = pickle.loads(pickle.dumps(logs))  # noqa: S301 - of this test
+    if source == "files":
+        files = [log.write(tmp_path / f"{n}.jsonl") for n, log in enumerate(logs)]
+        logs = [library.read_log(file) for file in files]
+    estimates = [log.localize("hop-by-hop") for log in logs]
+
+    scores = grown.score([estimates[n] for n in order])
+
+    pd.testing.assert_frame_equal(scores, grown.score(estimates), check_exact=True)
+    assert scores["seed"].tolist() == [0, 1, 2]
+    assert scores["rmse_R"].max() < 3.0  # where they were exchanged, 7 R
 
 
 def test_an_exact_estimate_scores_zero(towers, tmp_path):

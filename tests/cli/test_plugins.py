@@ -916,6 +916,48 @@ def test_a_measure_that_fails_is_a_line(tiswarm, files, whole, returned, problem
     assert (run / "summary.csv").read_bytes() == before
 
 
+def test_a_measure_that_fails_ends_a_study_after_its_first_structure(tiswarm, files):
+    """Hours of cases would else be computed before its line; the same command stops before one."""
+    (files / "worst.py").write_text(re.sub("return np.*", "return truth.contacts", WORST))
+    given = (
+        "run", "own.yaml", "--plugin", "own.py", "--plugin", "worst.py", "--out", files / "runs",
+        "--no-pictures",
+    )  # fmt: skip
+
+    done = tiswarm(*given, cwd=files)
+    again = tiswarm(*given, cwd=files)
+
+    for command in (done, again):
+        assert command.returncode == 1
+        line = command.stderr.splitlines()[-1]
+        assert re.search(r"worst\.py:\d+: worst_R failed: AttributeError", line), command.stderr
+    cases = sorted(path.name for path in (files / "runs").glob("*/cases/*"))
+    assert cases == ["0-hops", "0-own"]
+
+
+def test_ground_of_a_class_derived_from_terrain_is_refused(files):
+    """Robots would stand on flat ground: kernels know no other methods than those of Terrain."""
+    code = LEANING.replace(
+        "import numpy as np", "import numpy as np\nfrom tiswarm.records import terrain"
+    )
+    code += """
+
+class Hill(terrain.Terrain):
+    def depth(self, point, radius):
+        return 0.5 * point[:, 0] + radius - point[:, 2]
+
+
+@tiswarm.structure("hillside")
+class Hillside(TowerParams):
+    terrain = Hill()
+"""
+    (files / "own.py").write_text(code)
+    problem = "own.py: hillside.terrain returned Hill; return a Terrain itself: robots would not"
+
+    with pytest.raises(plugins.PluginError, match=problem):
+        library.grow("hillside", robots=3, plugins=["own.py"], quiet=True)
+
+
 def test_what_is_forgotten_leaves_the_scenario(files):
     """The schema lists the settings of plug-ins while these are loaded, and no class changes."""
     (files / "leaning.py").write_text(LEANING)

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import tiswarm
 from benchmarks import forces
 from tests.engine.test_relax import GAINS, ROBOT, arms, swarm
 from tiswarm import relax
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import InputError, ResultWarning
 from tiswarm.compute import backend
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, ti
 from tiswarm.engine import relax as engine
@@ -313,6 +314,90 @@ def test_fixed_robots_stay_under_a_force_of_a_user():
     assert not moved[4].any()
     assert moved[5].tolist() == [False, True, True]
     assert moved[[0, 26]].all()
+
+
+# --- steps in parts --------------------------------------------------------------------------
+
+
+def kick(noise):
+    """Move by the noise alone."""
+    return noise
+
+
+FAR = 1e4 * np.stack(np.unravel_index(np.arange(500), (8, 8, 8)), axis=1)
+KICKED = {
+    "orientation_wxyz": level(500), "contacts": [], "robot": Atom, "force": nothing,
+    "integrator": kick,
+}  # fmt: skip
+
+
+def test_steps_one_by_one_have_the_noise_of_steps_at_once():
+    """The way of 100 steps is 10 times that of one, within 4 sd of 1,500 numbers."""
+    walk = relax(FAR, **KICKED, steps=1)
+    for _ in range(99):
+        walk = walk.resume()
+
+    at_once = relax(FAR, **KICKED, steps=100)
+
+    np.testing.assert_allclose(walk.position, at_once.position, rtol=0, atol=1e-9)
+    assert walk.taken == at_once.taken == 100
+    rms = np.sqrt(np.mean((walk.position - FAR) ** 2))
+    assert abs(rms / 10.0 - 1.0) < 4.0 / np.sqrt(2.0 * 1_500)
+
+
+def test_stored_results_go_on_by_the_number_of_the_step():
+    """Noise before, last steps and numbers one a step are those of a single call."""
+    numbers = {"friction": 0.8, "temperature": 2.0}
+    dt = np.linspace(0.1, 0.3, 6)
+    options = KICKED | {"integrator": langevin, "seed": 3}
+
+    half = relax(FAR, **options, steps=3, parameters={**numbers, "dt": dt[:3]})
+    rest = relax(
+        half.position, **options, steps=3, parameters={**numbers, "dt": dt[3:]},
+        first_step=half.taken, last_step=half.last_step,
+    )  # fmt: skip
+    resumed = half.resume(parameters={**numbers, "dt": dt[3:]})
+    whole = relax(FAR, **options, steps=6, parameters={**numbers, "dt": dt})
+
+    for end in (rest, resumed):
+        np.testing.assert_allclose(end.position, whole.position, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(end.last_step, whole.last_step, rtol=0, atol=1e-9)
+        assert end.taken == 6
+
+
+def test_steps_that_repeat_the_noise_before_are_a_warning():
+    """Not those of another seed, of another start, or that go on."""
+    first = relax(FAR, **KICKED, steps=1)
+
+    with pytest.warns(ResultWarning, match="repeat their noise; go on by `resume`"):
+        relax(first.position, **KICKED, steps=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        relax(first.position, **KICKED, steps=1, seed=1)
+        relax(FAR, **KICKED, steps=1)
+        relax(first.position, **KICKED, steps=1, first_step=1)
+        first.resume()
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"first_step": -1}, "first_step: -1 is no number of a step; give a whole number"),
+        ({"first_step": 0.5}, "first_step: 0.5 is no number of a step"),
+        ({"first_step": 2**31 - 1}, "steps: steps are numbered up to 2147483647"),
+        ({"first_step": 3}, "first_step: the integrator asks for the step before; give last_step"),
+        ({"last_step": np.zeros(3)}, r"last_step: shape \(3,\), or not finite; give steps"),
+    ],
+)
+def test_steps_that_cannot_go_on_are_refused(options, problem):
+    """Numbers of steps, and last steps."""
+    last = {"last_step": np.zeros((2, 3))} if options.get("first_step") != 3 else {}
+
+    with pytest.raises(InputError, match=f"^{problem}"):
+        relax(
+            **PAIR, robot=Atom, steps=2, force=nothing, integrator=verlet,
+            parameters={"dt": 0.1}, **{**last, **options},
+        )  # fmt: skip
 
 
 # --- mistakes --------------------------------------------------------------------------------

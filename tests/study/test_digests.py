@@ -56,7 +56,7 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
         "measurements/flips.py",
         "records/sensing_file.py",
         "scenario/validation.py",
-        "sensing/senses.py",
+        "sensing/ranges.py",
         "study/runner.py",
         "world/rules.py",
     ],

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from tests import oracle
 from tiswarm.base import plugins, registry
+from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.world.growth import grow
@@ -328,3 +330,142 @@ def test_one_choice_is_that_of_all_climbers(tmp_path, one):
 
     assert f"or correct the rule {name}" in grown[1][0].ended
     _assert_same(*([dataclasses.replace(each, ended="") for each in found] for found in grown))
+
+
+SCORES = """
+import functools
+
+import tiswarm
+from tiswarm.compute.lang import ti
+
+SLOPE = 0.5
+
+
+@ti.func
+def above_of(center):
+    above = 0
+    if center[2] > SLOPE * center[0] + 2.0:
+        above = center[2] - SLOPE * center[0] - 2.0
+    return above
+
+
+def doubled(function):
+    @functools.wraps(function)
+    def twice(*values):
+        return 2.0 * function(*values)
+
+    return twice
+
+
+@tiswarm.rule("real")
+class Real:
+    def score(self):
+        @ti.func
+        def distance(center, orientation, goal):
+            above = ti.max(center[2] - SLOPE * center[0] - 2.0, 0.0)
+            return (center - ti.Vector([20.0, 0.0, 10.0])).norm() + 10.0 * above
+        return distance
+
+
+@tiswarm.rule("whole")
+class Whole:
+    def score(self):
+        @ti.func
+        def distance(center, orientation, goal):
+            return (center - ti.Vector([20, 0, 10])).norm() + 10 * above_of(center)
+        return distance
+
+
+@tiswarm.rule("wrong")
+class Wrong:
+    def score(self):
+        @ti.func
+        def distance(center, orientation, goal):
+            return sqrt(center[0])
+        return distance
+
+
+@tiswarm.rule("decorated")
+class Decorated:
+    def score(self):
+        @doubled
+        @ti.func
+        def distance(center, orientation, goal):
+            return (center - goal).norm()
+        return distance
+
+
+@tiswarm.rule("of-python")
+class OfPython:
+    def score(self):
+        def distance(center, orientation, goal):
+            return (center - goal).norm()
+        return distance
+
+
+@tiswarm.rule("decorated-method")
+class DecoratedMethod:
+    @doubled
+    def choose(self, step):
+        return 0 * step.robot - 0.5
+"""
+
+
+@pytest.fixture
+def scores(tmp_path):
+    """File with rules whose scores are kernel functions, or should be."""
+    file = tmp_path / "scores.py"
+    file.write_text(SCORES)
+    plugins.load_plugins([file])
+    return file
+
+
+@pytest.mark.usefixtures("scores")
+def test_a_score_that_begins_with_a_whole_number_grows_as_a_real_one_does():
+    """Its helper's number becomes real, as in Python."""
+    seeds = [SEED, SEED + 1]
+
+    _assert_same(
+        _grow(_by(TowerParams(), "real"), 12, seeds), _grow(_by(TowerParams(), "whole"), 12, seeds)
+    )
+
+
+@pytest.mark.usefixtures("scores")
+def test_a_score_follows_a_number_that_it_reads():
+    """The steeper ramp of its file, not the one that was compiled first."""
+    [before] = _grow(_by(TowerParams(), "whole"), 12, [SEED])
+
+    rule = registry.registered("rule")["whole"].value
+    module = sys.modules[f"tiswarm_plugin_{registry.registered('rule')['whole'].plugin.digest}"]
+    module.SLOPE = 0.1
+    [after] = _grow(_by(TowerParams(), "whole"), 12, [SEED])
+    [flat] = _grow(dataclasses.replace(TowerParams(), rule=rule()), 12, [SEED])
+
+    assert (before.position != after.position).any()
+    _assert_same([after], [flat])
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "message"),
+    [
+        ("wrong", InputError, r'scores\.py:50: distance: Name "sqrt" is not defined; correct it'),
+        (
+            "decorated",
+            plugins.PluginError,
+            r"decorated\.score returned distance, a function of Python",
+        ),
+        (
+            "of-python",
+            plugins.PluginError,
+            r"of-python\.score returned distance, a function of Python",
+        ),
+        ("decorated-method", plugins.PluginError, r"decorated-method\.choose returned float64"),
+    ],
+)
+@pytest.mark.usefixtures("scores")
+def test_a_score_that_kernels_cannot_compute_is_a_line(name, error, message):
+    """Decorators of a method count, too."""
+    with pytest.raises(error, match=message) as caught:
+        _grow(_by(TowerParams(), name), 3, [SEED])
+
+    assert "\n" not in str(caught.value)

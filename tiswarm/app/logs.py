@@ -41,10 +41,15 @@ class Log(SensingLog):
     path: Path = Path("sensing log")
     """Name of the log in messages and on pages: its file, if it has one."""
 
+    structure: str = ""
+    """Digest of the grown structure that sensed it; empty for a log of a file."""
+
     @classmethod
-    def of(cls, log: SensingLog, path: Path = path) -> "Log":
+    def of(cls, log: SensingLog, path: Path = path, structure: str = structure) -> "Log":
         """Make a log of what was sensed, by its name in messages, unless it is one."""
-        return log if isinstance(log, Log) else cls(**_fields(SensingLog, log), path=path)
+        if isinstance(log, Log):
+            return log
+        return cls(**_fields(SensingLog, log), path=path, structure=structure)
 
     def write(self, out: File = "sensing.jsonl", *, overwrite: bool = False) -> Path:
         """Write the log to a file, which `tiswarm.read_log` reads; return its path.
@@ -178,7 +183,19 @@ class Localized(Estimate):
         out: File = "view.html",
         overwrite: bool = False,
     ) -> PageFile:
-        """Write a page with a 3D view; `tiswarm.view` explains the arguments."""
+        """Write a page with a 3D view, the uncertainty, and what the log leaves open.
+
+        Args:
+            truth: True positions or their table, or true centers [log unit], shape (N, 3).
+            explain: Names of robots: the page shows how measurements place each; the one that is
+                least certain if none.
+            color: Values that color robots, as `tiswarm.view` takes them.
+            out: Page to write.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+
+        Returns:
+            The page, which a notebook shows.
+        """
         from tiswarm.app.drawing import draw_log  # noqa: PLC0415 - slow to import
         from tiswarm.report.explanation import show  # noqa: PLC0415 - slow to import
 
@@ -204,7 +221,19 @@ class Localized(Estimate):
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
-        """Write the estimate for other programs; `tiswarm.export` explains the arguments."""
+        """Write structure, contacts and estimate for other programs.
+
+        Args:
+            form: File format, as for `tiswarm.export`.
+            truth: True positions or their table, or true centers [log unit], shape (N, 3).
+            color: Values that color robots, as `tiswarm.view` takes them.
+            out: Folder to write to.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+            quiet: Whether to hide progress.
+
+        Returns:
+            The folder with the files.
+        """
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
 
         folder = as_path(out, "out")

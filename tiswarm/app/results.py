@@ -119,13 +119,19 @@ class Run:
         return paper_text(self._accuracy(), form)
 
     def _accuracy(self) -> "PageTable":
-        from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
-        from tiswarm.report.run_data import stated_scenario  # noqa: PLC0415 - slow to import
-
-        table = self._data().table("table.csv", ["condition"], ["cases"], after="cases")
+        table = self._labeled_table()
         if not table["cases"].any():
             problem = "no case of this run is done; correct the scenario and run it again"
             raise InputError(problem, path=self.folder)
+        return self._headline(table)
+
+    def _labeled_table(self) -> "pd.DataFrame":
+        return self._data().table("table.csv", ["condition"], ["cases"], after="cases")
+
+    def _headline(self, table: "pd.DataFrame") -> "PageTable":
+        from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import stated_scenario  # noqa: PLC0415 - slow to import
+
         return headline_table(table, stated_scenario(self.folder).get("question", ""))
 
     def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
@@ -200,7 +206,19 @@ class Run:
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
-        """Write a case for other programs; `tiswarm.export` explains the arguments."""
+        """Write structure, contacts and estimate of a case for other programs.
+
+        Args:
+            form: File format, as for `tiswarm.export`.
+            out: Folder to write to; `export` in the run's folder if None.
+            case: Case; the largest if None.
+            color: Values that color robots, as `tiswarm.view` takes them.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+            quiet: Whether to hide progress.
+
+        Returns:
+            The folder with the files.
+        """
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 
@@ -220,17 +238,20 @@ class Run:
         return colored(run, color, case) if len(color) else run
 
     @property
-    def answer(self) -> str:
-        """The answer to the question of the scenario, in a sentence: the last line of `run`."""
-        return str(self).rpartition("\n")[2]
+    def answer(self) -> "pd.DataFrame":
+        """The answer to the question of the scenario, a table: what `run` prints at its end."""
+        return self.paper_table()
 
     def __str__(self) -> str:
-        """Write a line for each row of the table and the answer, or how many cases parts lack."""
-        from tiswarm.report.answers import headline  # noqa: PLC0415 - slow to import
+        """Write the first table of the page, or how many cases parts lack."""
+        from tiswarm.report.page_tables import console_text  # noqa: PLC0415 - slow to import
 
         if self.missing:
             return f"this part is done; other parts still lack {counted(self.missing, 'case')}"
-        return headline(self.folder)
+        table = self._labeled_table()
+        if not table["cases"].any():
+            return "no case was finished"
+        return console_text(self._headline(table))
 
     def _repr_html_(self) -> str:
         if self.missing:
@@ -238,8 +259,7 @@ class Run:
         page = self.page
         name = html.escape(self.folder.name)
         link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.is_file() else name
-        answer = f"<p>{html.escape(self.answer)}</p>"
-        return link + answer + self.paper_table().to_html(index=False)
+        return link + self.paper_table().to_html(index=False)
 
 
 def open_run(folder: File) -> Run:

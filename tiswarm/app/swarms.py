@@ -9,10 +9,11 @@ swarms.score(estimates)
 import math
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 import pandas as pd
@@ -46,7 +47,7 @@ from tiswarm.scenario.model import Scenario, dump_scenario, to_plain
 from tiswarm.scenario.yaml_source import parse_yaml
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world import growth
-from tiswarm.world.history import History
+from tiswarm.world.history import History, StanceRows
 from tiswarm.world.history_file import DAMAGED, find_fault, from_arrays, to_arrays
 
 _Value = TypeVar("_Value", bound=np.generic)
@@ -69,160 +70,42 @@ _MOST_ROWS = 10
 """Rows of that table."""
 
 
-class StanceRows(NamedTuple):
-    """L stances of all robots, from the spawn of the first robot to where the last one stays."""
-
-    structure: Ints
-    """Index of the structure in the batch, shape (L,)."""
-
-    robot: Ints
-    """Robot in join order, shape (L,)."""
-
-    center: Reals
-    """Centers [R], shape (L, 3)."""
-
-    orientation_wxyz: Reals
-    """Body to world, shape (L, 4)."""
-
-    pivot_dock: Ints
-    """Dock that stays put as the robot leaves the stance; -1 at the robot's last, shape (L,)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Structure:
-    """A grown structure of N robots, in join order; the truth about it."""
-
-    history: History
-    """All stances of all robots, and the loads after each join."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GrownStructure(History):
+    """The history of a structure of N robots, in join order, with what can be done with it."""
 
     scenario: Scenario
     """Settings that it was grown by."""
 
+    @classmethod
+    def of(cls, history: History, scenario: Scenario) -> "GrownStructure":
+        """Take a history that was grown by the settings of a scenario."""
+        values = {entry.name: getattr(history, entry.name) for entry in fields(History)}
+        return cls(**values, scenario=scenario)
+
     @property
-    def seed(self) -> int:
-        """Random seed of growth, and of all noise of its logs."""
-        return self.history.seed
+    def history(self) -> History:
+        """All stances of all robots, and the loads after each join: the structure itself."""
+        return self
 
     @property
     def name(self) -> str:
         """Kind and seed."""
         return f"{self.scenario.structure.kind}-seed-{self.seed}"
 
-    @property
-    def robot_count(self) -> int:
-        """N, the robots that joined."""
-        return self.history.robot_count
-
-    @property
-    def ended(self) -> str:
-        """Reason why growth stopped before all robots had joined; empty where it did not."""
-        return self.history.ended
-
-    @property
-    def position(self) -> Reals:
-        """Final centers [R], shape (N, 3)."""
-        return self.history.position
-
-    @property
-    def orientation_wxyz(self) -> Reals:
-        """Final orientations, body to world, shape (N, 4)."""
-        return self.history.orientation_wxyz
-
-    @property
-    def join_round(self) -> Ints:
-        """Round of growth in which each robot joined, from 0, shape (N,)."""
-        return np.array([walk.round for walk in self.history.walks])
-
-    @property
-    def leave_round(self) -> Ints:
-        """Round of growth in which each robot left, fell or died; -1 if none, shape (N,)."""
-        robot, joined, _ = self.departures.T
-        rounds = np.full(self.robot_count, -1)
-        rounds[robot] = self.join_round[joined - 1]
-        return rounds
-
-    @property
-    def departures(self) -> NDArray[np.int32]:
-        """Who left, fell or died, in order, shape (D, 3).
-
-        Rows of (robot, robots that had joined by then, event); the event is 0 if the robot left, 1
-        if it fell as others left, and 2 if it died where it stands.
-        """
-        return self.history.departures
-
-    @property
-    def is_gone(self) -> Bools:
-        """Whether each robot left or fell; positions are then where it last stood, shape (N,)."""
-        return self.history.is_gone
-
-    @property
-    def flips(self) -> Ints:
-        """Flips of each robot, the way back to its best stance included, shape (N,)."""
-        return np.array([walk.stance_count - 1 for walk in self.history.walks])
-
-    @property
-    def is_anchor(self) -> Bools:
-        """Whether the position of each robot is known to all, shape (N,)."""
-        return self.history.is_anchor
-
-    @property
-    def is_recruited(self) -> Bools:
-        """Whether each robot stays because it was called for, shape (N,)."""
-        return np.array([walk.recruited for walk in self.history.walks])
-
-    @property
-    def sensed_load(self) -> Reals:
-        """Load that each robot senses in its links in the end [weight of a dock], shape (N,)."""
-        return _filled(self.history.sensed, self.robot_count)
-
-    @property
-    def peak_stress(self) -> Reals:
-        """Largest stress in any contact after each join [weight of a dock / R^2], shape (N,).
-
-        NaN where the mechanics were not solved after that join.
-        """
-        return np.array([load.peak for load in self.history.loads])
-
-    @property
-    def contacts(self) -> NDArray[np.int32]:
-        """Docked pairs, rows of (i, dock of i, j, dock of j), i < j, shape (C, 4)."""
-        return self.history.contacts
-
-    @property
-    def ground_docks(self) -> NDArray[np.int32]:
-        """Docks on flat ground, rows of (robot, dock), shape (G, 2)."""
-        return self.history.ground_docks
-
-    @property
-    def edge_docks(self) -> NDArray[np.int32]:
-        """Docks on an edge or underside, rows of (robot, dock), shape (E, 2)."""
-        return self.history.edge_docks
-
-    @property
-    def stance_contacts(self) -> NDArray[np.int32]:
-        """Contacts at each stance of each walk, shape (K, 5).
-
-        Rows of (robot, stance, own dock, other robot, other dock); stances count from 0.
-        """
-        return self.history.table("contacts")
-
-    @property
-    def stances(self) -> StanceRows:
-        """All stances of all robots; their structure is 0."""
-        walks = self.history.walks
-        length = [walk.stance_count for walk in walks]
-        return StanceRows(
-            structure=np.zeros(sum(length), np.int64),
-            robot=np.repeat(np.arange(len(walks)), length),
-            center=np.concatenate([walk.center for walk in walks]),
-            orientation_wxyz=np.concatenate([walk.orientation_wxyz for walk in walks]),
-            pivot_dock=np.concatenate([np.append(walk.pivot_dock, -1) for walk in walks]),
-        )
+    @cached_property
+    def digest(self) -> str:
+        """Sixteen hex digits of the seed and of where robots stand, which its logs state."""
+        content = [np.int64(self.seed), self.position, self.orientation_wxyz, self.contacts]
+        digest = sha256()
+        for array in content:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()[:16]
 
     @property
     def growth(self) -> pd.DataFrame:
         """Size and loads after each join, `growth.csv` of a run."""
-        return tables.by_join(self.history)
+        return tables.by_join(self)
 
     @cached_property
     def totals(self) -> Mapping[str, float | int | str]:
@@ -230,7 +113,7 @@ class Structure:
         return {
             "seed": self.seed,
             JOINED.column: self.robot_count,
-            **tables.totals(self.history),
+            **tables.totals(self),
             "flips": int(self.flips.sum()),
             "growth_rounds": int(self.join_round[-1]) + 1,
             "ended": self.ended,
@@ -316,8 +199,8 @@ class Structure:
         return Swarms([self], self.scenario)
 
     def _shown(self) -> SwarmView:
-        history, unknown = self.history, np.full((self.robot_count, 7), np.nan)
-        unit = history.robot.dock_radius
+        unknown = np.full((self.robot_count, 7), np.nan)
+        unit = self.robot.dock_radius
         pose = np.column_stack([self.position / unit, self.orientation_wxyz])
         return SwarmView(
             name=self.name,
@@ -328,9 +211,9 @@ class Structure:
             force=self.sensed_load,
             sd=unknown[:, 0],
             stood=pose,
-            dock_offset_body=history.robot.dock_offset_body / unit,
-            terrain=history.terrain,
-            read_log=lambda: observe(history, SensingParams()),
+            dock_offset_body=self.robot.dock_offset_body / unit,
+            terrain=self.terrain,
+            read_log=lambda: observe(self, SensingParams()),
         )
 
     def __str__(self) -> str:
@@ -340,15 +223,15 @@ class Structure:
     __repr__ = __str__
 
 
-class Swarms(Sequence[Structure]):
-    """S grown structures of up to N robots: a batch with arrays, and a sequence of `Structure`.
+class Swarms(Sequence[GrownStructure]):
+    """S grown structures of up to N robots: a batch with arrays, and a sequence of structures.
 
     Arrays of all robots have the shape (S, N, ...). Where growth ended early, and fewer robots
     joined, real numbers are NaN, integers are -1 and truth values are False. Lists of contacts and
     docks have a row for each, which starts with the index of the structure in the batch.
     """
 
-    def __init__(self, swarms: Sequence[Structure], scenario: Scenario) -> None:
+    def __init__(self, swarms: Sequence[GrownStructure], scenario: Scenario) -> None:
         """Take structures that were grown by the settings of a scenario."""
         self._swarms = tuple(swarms)
         self.scenario = scenario
@@ -358,16 +241,16 @@ class Swarms(Sequence[Structure]):
         return len(self._swarms)
 
     @overload
-    def __getitem__(self, index: int) -> Structure: ...
+    def __getitem__(self, index: int) -> GrownStructure: ...
     @overload
     def __getitem__(self, index: slice) -> "Swarms": ...
-    def __getitem__(self, index: int | slice) -> "Structure | Swarms":
+    def __getitem__(self, index: int | slice) -> "GrownStructure | Swarms":
         """Return one structure, or a batch of some."""
         if isinstance(index, slice):
             return Swarms(self._swarms[index], self.scenario)
         return self._swarms[index]
 
-    def __iter__(self) -> Iterator[Structure]:
+    def __iter__(self) -> Iterator[GrownStructure]:
         """Yield the structures in the order of their seeds."""
         return iter(self._swarms)
 
@@ -527,15 +410,18 @@ class Swarms(Sequence[Structure]):
         """Compare estimates with the structures.
 
         Args:
-            estimates: One for each structure, in their order: what `log.localize` returned, or
-                `log.with_estimate`.
+            estimates: One for each structure: what `log.localize` returned, or `log.with_estimate`.
+                Estimates of logs that structures sensed may have any order. Others, of files, are
+                matched by the contacts in their logs; those without contacts need the structures'
+                order.
 
         Returns:
             A row for each structure: its seed, RMSE and disparity, then the other measures of
             `summary.csv` of a run.
 
         Raises:
-            InputError: their number is another, one has no log, or is of another structure.
+            InputError: their number is another, one has no log, or is of another structure, or they
+                cannot be matched.
         """
         found = list(estimates)
         if len(found) != len(self):
@@ -543,7 +429,8 @@ class Swarms(Sequence[Structure]):
             raise InputError(
                 f"{problem}score a part of the batch by its slice", argument="estimates"
             )
-        scores = [{"seed": s.seed, **_score(s, e)} for s, e in zip(self, found, strict=True)]
+        ordered = _matched(self, found)
+        scores = [{"seed": s.seed, **_score(s, e)} for s, e in zip(self, ordered, strict=True)]
         table = pd.DataFrame(scores)
         first = ["seed", RMSE.column, DISPARITY.column]
         return table[[*first, *table.columns.difference(first, sort=False)]]
@@ -572,7 +459,7 @@ class Swarms(Sequence[Structure]):
         Args:
             out: Folder to write to.
             seed: Seed of the structure; the first of the largest if None.
-            how: Further arguments of `Structure.render`.
+            how: Further arguments of `GrownStructure.render`.
         """
         return self._chosen(seed).render(out, **how)
 
@@ -582,7 +469,7 @@ class Swarms(Sequence[Structure]):
         Args:
             form: File format, as for `tiswarm.export`.
             seed: Seed of the structure; the first of the largest if None.
-            how: Further arguments of `Structure.export`.
+            how: Further arguments of `GrownStructure.export`.
         """
         return self._chosen(seed).export(form, **how)
 
@@ -600,7 +487,7 @@ class Swarms(Sequence[Structure]):
         file = as_path(path, "path")
         arrays = {"format": np.array(FORMAT), "scenario": np.array(dump_scenario(self.scenario))}
         for number, each in enumerate(self):
-            arrays |= {f"{number}/{name}": v for name, v in to_arrays(each.history).items()}
+            arrays |= {f"{number}/{name}": v for name, v in to_arrays(each).items()}
         with outputs.opened(file, overwrite=overwrite) as stream, zipfile.ZipFile(stream, "w") as z:
             for name, values in arrays.items():
                 # Without a time of its own, an entry has the same bytes each time.
@@ -611,15 +498,15 @@ class Swarms(Sequence[Structure]):
     def _total(self, name: str) -> Reals:
         return np.array([each.totals[name] for each in self], np.float64)
 
-    def _padded(self, of: Callable[[Structure], NDArray[_Value]]) -> NDArray[_Value]:
+    def _padded(self, of: Callable[[GrownStructure], NDArray[_Value]]) -> NDArray[_Value]:
         parts = [of(each) for each in self]
         return np.array([_filled(part, self.scenario.robots) for part in parts])
 
-    def _rows(self, of: Callable[[Structure], AnyInts]) -> Ints:
+    def _rows(self, of: Callable[[GrownStructure], AnyInts]) -> Ints:
         numbered = [np.insert(of(each), 0, n, axis=1) for n, each in enumerate(self)]
         return np.concatenate(numbered).astype(np.int64)
 
-    def _chosen(self, seed: int | None) -> Structure:
+    def _chosen(self, seed: int | None) -> GrownStructure:
         if seed is None:
             return max(self, key=lambda each: each.robot_count)
         require_name(str(seed), [str(each) for each in self.seed], "seed")
@@ -678,7 +565,7 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
         count, reasons = counted(len(histories), "structure"), {each.ended for each in early}
         more = f" (and {len(reasons) - 1} more reasons)" if len(reasons) > 1 else ""
         warn(f"{len(early)} of {count} ended before all robots joined: {early[0].ended}{more}")
-    return Swarms([Structure(history, scenario) for history in histories], scenario)
+    return Swarms([GrownStructure.of(history, scenario) for history in histories], scenario)
 
 
 def open_swarms(path: Path) -> Swarms:
@@ -709,7 +596,7 @@ def open_swarms(path: Path) -> Swarms:
     except DAMAGED as error:
         problem = "is damaged; grow the structures again, and save them"
         raise InputError(problem, path=path) from error
-    return Swarms([Structure(history, scenario) for history in histories], scenario)
+    return Swarms([GrownStructure.of(history, scenario) for history in histories], scenario)
 
 
 def _sensing(scenario: Scenario, settings: Mapping[str, object]) -> SensingParams:
@@ -717,22 +604,77 @@ def _sensing(scenario: Scenario, settings: Mapping[str, object]) -> SensingParam
     return load_scenario({**to_plain(scenario), "sensing": plain(settings)}).sensing
 
 
-def _sense(swarm: Structure, params: SensingParams) -> Log:
-    return Log.of(observe(swarm.history, params), Path(swarm.name))
+def _sense(swarm: GrownStructure, params: SensingParams) -> Log:
+    return Log.of(observe(swarm, params), Path(swarm.name), swarm.digest)
 
 
-def _score(swarm: Structure, estimate: Localized) -> dict[str, float]:
+def _matched(swarms: Swarms, estimates: Sequence[Localized]) -> list[Localized]:
+    """Put estimates into the order of their structures.
+
+    Raises:
+        InputError: an estimate is of none of the structures, or two are of the same one.
+    """
+    estimate_of: dict[int, int] = {}
+    for number, estimate in enumerate(estimates):
+        structure = _structure_of(swarms, number, estimate)
+        if structure in estimate_of:
+            numbers = f"{estimate_of[structure]} and {number}"
+            problem = f"estimates {numbers} are both of {swarms[structure].name}; give one of each"
+            raise InputError(problem, argument="estimates")
+        estimate_of[structure] = number
+    return [estimates[estimate_of[structure]] for structure in range(len(swarms))]
+
+
+def _structure_of(swarms: Swarms, number: int, estimate: Localized) -> int:
+    """Return the index of the structure that an estimate is of; `number` is its place in a list."""
+    log = _log_of(estimate)
+    if log.structure:
+        digests = [swarm.digest for swarm in swarms]
+        if log.structure not in digests:
+            raise _other_structure(log)
+        return digests.index(log.structure)
+    shares = [_shared_contacts(swarm, log) for swarm in swarms]
+    largest = max(shares)
+    if shares[number] == largest:  # which of equal ones, only the order says
+        return number
+    if shares.count(largest) > 1:
+        problem = f"estimate {number} ({log.path}) may be of several structures, but not of "
+        problem += f"{swarms[number].name}; give estimates in the order of structures"
+        raise InputError(problem, argument="estimates")
+    return shares.index(largest)
+
+
+def _shared_contacts(swarm: GrownStructure, log: Log) -> float:
+    """Return the share of the contacts of a log that a structure has; 0 where there are none."""
+    contacts = {*map(tuple, swarm.contacts.tolist())}
+    sensed = [tuple(contact) for contact in log.contacts.tolist()]
+    return sum(contact in contacts for contact in sensed) / max(len(sensed), 1)
+
+
+def _other_structure(log: Log) -> InputError:
+    problem = f"the estimate of {log.path} is of another structure; give that of one of these"
+    return InputError(problem, argument="estimates")
+
+
+def _log_of(estimate: Localized) -> Log:
     if not isinstance(estimate, Localized):
         problem = (
             f"a value of type {type(estimate).__name__} has no log; give what log.localize or "
         )
         raise InputError(f"{problem}log.with_estimate returned", argument="estimates")
+    return estimate.log
+
+
+def _score(swarm: GrownStructure, estimate: Localized) -> dict[str, float]:
+    log = _log_of(estimate)
+    if log.structure not in ("", swarm.digest):
+        raise _other_structure(log)
     if estimate.robot_count != swarm.robot_count:
         robots, joined = estimate.robot_count, swarm.robot_count
         problem = f"{counted(robots, 'robot')}, but {joined} joined {swarm.name}; keep the order"
         raise InputError(problem, argument="estimates")
     cues = cue_names() if estimate.observability is None else estimate.observability.cues
-    found = tables.evaluate(swarm.history, estimate.log, estimate, cues)
+    found = tables.evaluate(swarm, estimate.log, estimate, cues)
     return {**found.scores, **tables.own_scores(found.truth, estimate)}
 
 

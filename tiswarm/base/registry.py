@@ -80,13 +80,6 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "touch": "tiswarm.localization.distributed.channels:lossy",
         "radio": "tiswarm.localization.distributed.channels:lossy",
     },
-    "question": {
-        "least-error": "tiswarm.report.answers:mean_errors",
-        "reached": "tiswarm.report.questions:reached",
-        "traffic": "tiswarm.report.questions:traffic",
-        "cues": "tiswarm.report.questions:cues",
-        "scaling": "tiswarm.report.questions:scaling",
-    },
 }
 """By kind and name, a module, or an attribute of one as `module:attribute`.
 
@@ -103,7 +96,6 @@ import_format: a function of a file and assumptions, which returns a table of po
     file has another format.
 channel: a function of the settings of `distributed`, see
     `localization.distributed.channels`.
-question: a function of `report.answers.Results`, which returns a sentence.
 """
 
 

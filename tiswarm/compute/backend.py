@@ -35,7 +35,7 @@ from threadpoolctl import threadpool_limits
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, did_you_mean
 from tiswarm.base.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
 from tiswarm.base.process import naming_shortage, require_address_space
-from tiswarm.compute import kernel_cache, machine
+from tiswarm.compute import kernel_cache, machine, python_numbers
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, DeviceArray, ti, variables_hidden
 from tiswarm.compute.math_kernels import probe_arithmetic
 
@@ -109,6 +109,7 @@ def _start_program(cache: Path, **options: Any) -> None:  # noqa: ANN401 - the l
         variables_hidden(LIBRARY, _QUIET),
     ):
         ti.init(offline_cache=True, offline_cache_file_path=str(cache), **options)
+    python_numbers.install()
     _runtime = weakref.ref(ti.lang.impl.get_runtime(), lambda _: kernel_cache.seal(cache))
 
 

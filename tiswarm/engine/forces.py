@@ -6,12 +6,12 @@ for each step. Kernels are compiled for functions, not for numbers.
 """
 
 import inspect
-import re
 import warnings
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from numbers import Integral, Real
 from pathlib import Path
 from types import FunctionType
@@ -20,12 +20,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tiswarm.base.errors import InputError, did_you_mean
+from tiswarm.base.errors import InputError, did_you_mean, warn
 from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.robot import Robot
 from tiswarm.compute import backend
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, Ref, ti
 from tiswarm.compute.math_kernels import vector_at
+from tiswarm.compute.user_functions import (
+    is_of_library,
+    mistake_of_user,
+    problem_of,
+    reads,
+    undecorated,
+)
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import (
     FREE,
@@ -48,6 +55,7 @@ INTEGRATOR = (
 _WEIGHTED = ("ramp", "attraction", "repulsion", "parting")
 """Numbers that the ramp makes."""
 _LARGEST_SEED = 2**31 - 1
+_MOST_STEPS = 2**31 - 1
 
 
 def relax(
@@ -69,11 +77,13 @@ def relax(
     cutoff: float | None = None,
     mobility: ArrayLike | None = None,
     seed: int = 0,
+    first_step: int = 0,
+    last_step: ArrayLike | None = None,
     structure: ArrayLike | None = None,
     precision: AnyPrecision = "auto",
     arch: AnyArch = "cpu",
     threads: int | None = None,
-) -> RelaxResult:
+) -> "Relaxed":
     """Take steps of the whole swarm under Eqs. (1)-(3), or a force of yours, all robots at once.
 
     The bytes of the result depend on the arguments alone, not on threads.
@@ -84,6 +94,8 @@ def relax(
     >>> result = relax(places, level, [[0, 0, 1, 0]], robot=RobotGeometry(), steps=50, **gains)
     >>> result.position[:, 0].round(3).tolist()  # connected docks touch at a distance of D = 2
     [2.0, 4.0]
+    >>> result.resume(steps=10).taken  # goes on from there
+    60
 
     Args:
         position: Centers, shape (N, 3).
@@ -108,7 +120,11 @@ def relax(
             B (1 - alpha).
         cutoff: Distance at which your force between unconnected docks ends; D if None.
         mobility: Step along each axis for a force of 1 [1], shape (N, 3); 0 fixes a coordinate.
-        seed: Seed of the noise that an integrator asks for.
+        seed: Seed of the noise that an integrator asks for. A second call with the same seed
+            repeats the noise: `resume` of the result goes on.
+        first_step: Number of the first step, `taken` of an earlier result to continue its noise.
+        last_step: Last step of each robot before, that of the earlier result, shape (N, 3); zero if
+            None.
         structure: Number of each robot's structure, shape (N,); robots of different structures
             never interact. None for one structure.
         precision: f32 halves the memory and rounds the more the larger the swarm, wherever it is;
@@ -120,15 +136,63 @@ def relax(
         InputError: an argument makes no sense, a function does not compile, or forces diverge.
         EnvironmentTroubleError: the machine lacks the device or the memory.
     """
+    arguments = dict(locals())
     swarm = MovingSwarm(
         position, orientation_wxyz, contacts, force=force, integrator=integrator, cutoff=cutoff,
         mobility=mobility, robot=robot, height=height, structure=structure, precision=precision,
         arch=arch, threads=threads,
     )  # fmt: skip
-    return swarm.relax(
+    result = swarm.relax(
         steps=steps, attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, ramp=ramp,
         height_gain=height_gain, max_step=max_step, parameters=parameters, seed=seed,
+        first_step=first_step, last_step=last_step,
     )  # fmt: skip
+    if not {"noise", "last_noise"}.isdisjoint(_arguments(integrator)):
+        _follow_noise(position, result, seed, first_step)
+    return Relaxed(**vars(result), arguments=arguments)
+
+
+_ends: dict[int, int] = {}
+"""Seeds of noise by the identity of positions where steps ended, while those are kept; -1 where a
+warning has been given."""
+
+
+def _follow_noise(position: ArrayLike, result: RelaxResult, seed: int, first_step: int) -> None:
+    """Warn, once for a chain of calls, of steps that repeat the noise of those before."""
+    seed_before = _ends.get(id(position))
+    repeats = first_step == 0 and seed_before in (seed, -1)
+    if repeats and seed_before == seed:
+        warn(
+            "these steps begin where others of the same seed ended, and repeat their noise; go on "
+            "by `resume` of the result, or give first_step"
+        )
+    end = id(result.position)
+    _ends[end] = -1 if repeats else seed
+    weakref.finalize(result.position, _ends.pop, end, None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxed(RelaxResult):
+    """What `tiswarm.relax` returns: robots that can go on."""
+
+    arguments: Mapping[str, Any] = field(repr=False)
+    """Arguments of the call by name."""
+
+    def resume(self, *, steps: int | None = None, **changes: Any) -> "Relaxed":  # noqa: ANN401
+        """Take further steps from where the robots are: noise, steps and their numbers go on.
+
+        Args:
+            steps: Number of steps; as many as before if None.
+            changes: Arguments of `tiswarm.relax` that differ from those before.
+
+        Raises:
+            InputError: as of `tiswarm.relax`.
+        """
+        goes_on = {
+            "position": self.position, "first_step": self.taken, "last_step": self.last_step,
+            "steps": self.arguments["steps"] if steps is None else steps,
+        }  # fmt: skip
+        return relax(**{**self.arguments, **goes_on, **changes})
 
 
 class MovingSwarm(PreparedSwarm):
@@ -161,7 +225,8 @@ class MovingSwarm(PreparedSwarm):
         if not (hasattr(robot, "spacing") and hasattr(robot, "dock_offset_body")):
             problem = f"{robot!r} has no spacing and dock_offset_body; give a RobotGeometry"
             raise InputError(problem, argument="robot")
-        self.law = _chosen(force, integrator, is_guided=mobility is not None)
+        self.choose = partial(_chosen, force, integrator, is_guided=mobility is not None)
+        self.law = self.choose()
         super().__init__(
             position, orientation_wxyz, contacts, dynamics=self.law.dynamics, cutoff=cutoff,
             mobility=mobility, **options,
@@ -185,6 +250,8 @@ class MovingSwarm(PreparedSwarm):
             raise InputError(
                 f"{seed!r} is not 0 to {_LARGEST_SEED}, whole; correct it", argument="seed"
             )
+        self._follow_functions()
+        start = self._checked_start(steps, options)
         numbers = self.law.numbers(dict(parameters or {}), steps)
         given = {name: options.get(f"{name}_gain") for name in FREE.names}
         for name, gain in given.items():
@@ -205,8 +272,41 @@ class MovingSwarm(PreparedSwarm):
                     steps=steps, parameters=numbers, ramp=ramp, seed=seed, **options
                 )
         finally:  # a robot that NaN would move stays, so that steps may end well
-            self._refuse_nan(kept, kept if options.get("resume") else self.first)
+            self._refuse_nan(kept, start)
         return replace(found, force_error=np.nan) if self.dynamics.is_cut else found
+
+    def _checked_start(self, steps: int, options: Mapping[str, Any]) -> RelaxState:
+        """Return where the robots start.
+
+        Raises:
+            InputError: steps would not go on from those that their number says were taken.
+        """
+        names = ("resume", "first_step", "last_step")
+        chosen = {name: options[name] for name in names if name in options}
+        first = chosen.get("first_step", 0)
+        last = chosen.get("last_step")
+        if chosen.get("resume") and (first or last is not None):
+            problem = "steps of a swarm that resumes are numbered on; leave it out"
+            raise InputError(problem, argument="first_step" if first else "last_step")
+        if not isinstance(first, Integral) or not 0 <= int(first) <= _MOST_STEPS:
+            problem = f"{first!r} is no number of a step; give a whole number, 0 or more"
+            raise InputError(problem, argument="first_step")
+        asks = self.dynamics.has_integrator and "last_step" in self.dynamics.asks
+        if first and asks and last is None:
+            problem = "the integrator asks for the step before; give last_step of the result, too"
+            raise InputError(problem, argument="first_step")
+        start = self.start(**chosen)
+        if start.taken + steps > _MOST_STEPS:
+            problem = f"steps are numbered up to {_MOST_STEPS}; take fewer, or begin at 0"
+            raise InputError(problem, argument="steps")
+        return start
+
+    def _follow_functions(self) -> None:
+        """Compile the functions anew if what they read has changed since the last call."""
+        self.law = self.choose()
+        self.dynamics = self.law.dynamics
+        if self.stepper is not None:
+            self.stepper.dynamics = self.dynamics
 
     def _refuse_nan(self, kept: RelaxState, start: RelaxState) -> None:
         """Name the function that returned NaN, unless the forces diverged before."""
@@ -273,11 +373,16 @@ def _chosen(
         return _Law(ours, (), dict.fromkeys(ours.names), {})
     pull = None if force is None else _checked(force, "force", FORCE)
     move = None if integrator is None else _checked(integrator, "integrator", INTEGRATOR)
-    return _compiled(pull, move, ours)
+    return _compiled(pull, move, ours, tuple(reads(each) for each in (pull, move) if each))
 
 
-@cache  # kernels are compiled anew for each new function
-def _compiled(force: FunctionType | None, integrator: FunctionType | None, ours: Dynamics) -> _Law:
+@cache  # kernels are compiled anew for each new function, and for each change of what it reads
+def _compiled(
+    force: FunctionType | None,
+    integrator: FunctionType | None,
+    ours: Dynamics,
+    _reads: tuple[object, ...],
+) -> _Law:
     """Make functions callable by kernels."""
     # Those of the engine read the first columns.
     is_ours = force is None or (integrator is None and bool(ours.asks))
@@ -315,7 +420,7 @@ _ARRAYS = {
 """Fields of `SwarmState` that a name needs."""
 
 
-def _arguments(function: FunctionType | None) -> Mapping[str, inspect.Parameter]:
+def _arguments(function: Callable[..., Any] | None) -> Mapping[str, inspect.Parameter]:
     return {} if function is None else inspect.signature(function).parameters
 
 
@@ -388,7 +493,7 @@ def _of_motion(
 
 def _checked(function: Callable[..., Any], kind: str, known: tuple[str, ...]) -> FunctionType:
     """Return the function that a decorator may hide."""
-    bare = inspect.unwrap(function)
+    bare = undecorated(function)
     if not isinstance(bare, FunctionType) or bare.__name__ == "<lambda>":
         raise InputError(f"{function!r} is no function; define one by def", argument=kind)
     others = [name for name in LIBRARIES if hasattr(function, f"_is_{name}_function")]
@@ -417,10 +522,6 @@ def _error(problem: str, function: FunctionType | None, line: int | None = None)
     return InputError(problem, path=Path(code.co_filename), line=line or code.co_firstlineno)
 
 
-_PLACE = re.compile(r'File "(.*?)", line (\d+), in (.*):$', re.MULTILINE)
-_MARK = re.compile(r"^[ ~]*\^[ ~^]*$", re.MULTILINE)
-
-
 @contextmanager
 def _mistakes_named(law: _Law) -> Iterator[None]:
     """Say in a line what is wrong in a user's function, and where, if it does not compile."""
@@ -430,16 +531,12 @@ def _mistakes_named(law: _Law) -> Iterator[None]:
                 warnings.simplefilter("ignore", SyntaxWarning)
             yield
     except Exception as error:
-        if type(error).__module__.partition(".")[0] != LIBRARY or not law.functions:
+        if not (is_of_library(error) and law.functions):
             raise
-        text = str(error)
-        lines = _MARK.split(text)[-1].strip().splitlines()
-        # Where Python raised an error, its last line says which.
-        problem = " ".join(lines[-1:] if "Traceback" in text else lines).strip(".")
-        for file, line, name in reversed(_PLACE.findall(text)):
-            if not Path(file).is_relative_to(Path(__file__).parents[1]):
-                problem = f"{name}: {problem}; correct it"
-                raise InputError(problem, path=Path(file), line=int(line)) from error
+        mistake = mistake_of_user(error)
+        if mistake is not None:
+            raise mistake from error
+        problem = problem_of(error)
         names = " or ".join(f.__name__ for f in law.functions)
         problem = f"does not compile: {problem}; correct {names}"
         wrong = [f for f in law.functions if f"{f.__name__} has to return" in problem]

@@ -10,7 +10,7 @@ Lengths in the unit of the robot's spacing D.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,6 +43,9 @@ class RelaxResult:
 
     largest_move: Reals
     """Longest step of any robot, by step, shape (steps,)."""
+
+    taken: int
+    """Steps taken, those of calls before included: the number of the next one."""
 
     list_builds: int
     """How often rows of neighbors were made, in the structure that needed it most."""
@@ -165,8 +168,13 @@ class PreparedSwarm:
         parameters: Mapping[str, ArrayLike] | None = None,
         seed: int = 0,
         resume: bool = False,
+        first_step: int = 0,
+        last_step: ArrayLike | None = None,
     ) -> RelaxResult:
         """Take steps from where the robots were at first, or, to `resume`, where they are.
+
+        Steps from where the robots were at first have the numbers from `first_step` on, and follow
+        the `last_step` of each robot, shape (N, 3).
 
         In a guided swarm connected docks nearer than D part by a spring of stiffness `parting_gain`
         times the ramp [1], and a robot takes the share `momentum` of its last step again [1].
@@ -185,10 +193,10 @@ class PreparedSwarm:
             attraction=attraction_gain, repulsion=repulsion_gain, parting=parting_gain,
         )  # fmt: skip
         numbers = self._tabulate({**shared, **weighted, **(parameters or {})}, steps)
-        state = self.state if resume else self.first
+        state = self.start(resume=resume, first_step=first_step, last_step=last_step)
         stepper = self.stepper
         if steps == 0 or stepper is None:
-            self.state = state
+            self.state = replace(state, taken=state.taken + steps)
             return self._result(np.zeros(steps), 0, np.abs(state.position).max(initial=0.0))
         # Arrays of a single thread are on the host, and outlast the device.
         if backend.current() is not self.running and not stepper.by_structure:
@@ -208,6 +216,21 @@ class PreparedSwarm:
             raise InputError(_DIVERGED)
         self.state = end
         return self._result(moves, builds, farthest)
+
+    def start(
+        self, *, resume: bool = False, first_step: int = 0, last_step: ArrayLike | None = None
+    ) -> RelaxState:
+        """Return the state that `relax` starts from; arguments are those of `relax`."""
+        if resume:
+            return self.state
+        if last_step is None:
+            return replace(self.first, taken=first_step)
+        step = np.asarray(last_step, np.float64)
+        if step.shape != self.first.position.shape or not np.isfinite(step).all():
+            shape = self.first.position.shape
+            problem = f"shape {step.shape}, or not finite; give steps of robots of shape {shape}"
+            raise InputError(problem, argument="last_step")
+        return replace(self.first, taken=first_step, last_step=step)
 
     def _weighted(
         self, ramp: ArrayLike | None, steps: int, **gains: float | None
@@ -250,6 +273,7 @@ class PreparedSwarm:
             position=self.state.position.copy(),
             last_step=self.state.last_step.copy(),
             largest_move=moves,
+            taken=self.state.taken,
             list_builds=builds,
             precision=self.running.precision,
             force_error=self.running.force_error(2.0 * farthest / self.swarm.spacing),

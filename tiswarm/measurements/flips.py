@@ -13,7 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.chi_square import chi_square_limit
 from tiswarm.compute.math import dock_offsets
+from tiswarm.compute.normal_equations import inverted, solved
 from tiswarm.measurements.odometry import ASSUMED, stuck_robots
 from tiswarm.records.sensing_log import SensingLog
 
@@ -65,26 +67,31 @@ def fit_orientations(log: SensingLog, count: int) -> SensingLog:
     """
     noise = log.noise or ASSUMED
     sd = np.maximum(np.radians([noise.tilt_deg, noise.tilt_deg, noise.yaw_deg]), _LEAST)
-    earlier, robots = log.earlier, log.robot_count
+    earlier = log.earlier
+    robots = log.robot_count
     length = np.diff(earlier.start) + 1
     first = np.cumsum(length) - length
     of_earlier = np.arange(len(earlier.pivot_dock)) + np.repeat(np.arange(robots), length - 1)
     of_final = first + length - 1
-    wxyz, pivot = np.empty((length.sum(), 4)), np.zeros(length.sum(), np.int64)
-    wxyz[of_earlier], wxyz[of_final] = earlier.orientation_wxyz, log.orientation_wxyz
+    wxyz = np.empty((length.sum(), 4))
+    pivot = np.zeros(length.sum(), np.int64)
+    wxyz[of_earlier] = earlier.orientation_wxyz
+    wxyz[of_final] = log.orientation_wxyz
     pivot[of_earlier] = earlier.pivot_dock
     on_ground = np.zeros((len(wxyz), len(log.dock_offset_body)), np.bool_)
     on_ground[of_earlier[earlier.ground_docks[:, 0]], earlier.ground_docks[:, 1]] = True
     on_ground[of_final[log.ground_docks[:, 0]], log.ground_docks[:, 1]] = True
-    body, variance = log.dock_offset_body / log.dock_radius, np.tile(sd**2, (len(wxyz), 1))
+    body = log.dock_offset_body / log.dock_radius
+    variance = np.tile(sd**2, (len(wxyz), 1))
     walks: Ints = np.arange(robots)
     if log.orientation_sd is not None:
         walks = np.flatnonzero(np.isnan(log.orientation_sd[:, 0]))
     walks = walks[~np.isin(walks, stuck_robots(log))]
     for stances in np.unique(length[walks]).tolist():
         rows = first[walks[length[walks] == stances], None] + np.arange(stances)
-        found, spread, fits = _fitted(wxyz[rows], pivot[rows], on_ground[rows], body, count, sd)
-        wxyz[rows[fits]], variance[rows[fits]] = found[fits], spread[fits]
+        fitted, spread, fits = _fitted(wxyz[rows], pivot[rows], on_ground[rows], body, count, sd)
+        wxyz[rows[fits]] = fitted[fits]
+        variance[rows[fits]] = spread[fits]
     variance = variance[of_final]
     tilt, yaw = np.degrees(np.sqrt([variance[:, :2].mean(), variance[:, 2].mean()])).tolist()
     return replace(
@@ -117,35 +124,39 @@ def _fitted(
     axis, is_known = _chosen(wxyz, flip_axes(body, count)[pivot[:, :-1]], sd)
     weight = is_known[..., None] / _PLAY
     standing = on_ground[..., None] / np.maximum(on_ground.sum(axis=2), 1)[..., None, None]
-    found, size = sensed, 3 * stances
+    turned = sensed
+    size = 3 * stances
     for _ in range(_STEPS):
-        q = found.as_quat(scalar_first=True).reshape(wxyz.shape)
-        before, after = _turned(q[:, :-1], axis), _turned(q[:, 1:], axis)
+        q = turned.as_quat(scalar_first=True).reshape(wxyz.shape)
+        before = _turned(q[:, :-1], axis)
+        after = _turned(q[:, 1:], axis)
         arm = dock_offsets(q.reshape(-1, 4), body).reshape(*on_ground.shape, 3)
         # Docks on the ground are at their mean height.
         arm = (arm - (arm * standing).sum(axis=2, keepdims=True)) * on_ground[..., None] / _LEVEL
         rows = np.zeros((walks, stances, 6 + arm.shape[2], stances, 3))
         off = np.zeros(rows.shape[:3])
-        each, flip = np.arange(stances), np.arange(stances - 1)
-        rows[:, each, :3, each] = np.diag(1.0 / sd)
-        off[:, :, :3] = (sensed * found.inv()).as_rotvec().reshape(walks, stances, 3) / sd
+        stance = np.arange(stances)
+        flip = np.arange(stances - 1)
+        rows[:, stance, :3, stance] = np.diag(1.0 / sd)
+        off[:, :, :3] = (sensed * turned.inv()).as_rotvec().reshape(walks, stances, 3) / sd
         # A turn e moves the vector v by e x v: the matrix of v has rows v x (unit vectors).
         rows[:, flip, 3:6, flip + 1] = _crossed(weight * after).swapaxes(0, 1)
         rows[:, flip, 3:6, flip] = -_crossed(weight * before).swapaxes(0, 1)
         off[:, :-1, 3:6] = weight * (before - after)
-        rows[:, each, 6:, each] = (
+        rows[:, stance, 6:, stance] = (
             np.stack([arm[..., 1], -arm[..., 0], 0.0 * arm[..., 2]], axis=-1).swapaxes(0, 1)
         )  # fmt: skip
         off[:, :, 6:] = -arm[..., 2]
-        matrix, right = rows.reshape(walks, -1, size), off.reshape(walks, -1, 1)
-        inverse = np.linalg.inv(matrix.swapaxes(1, 2) @ matrix)
+        matrix = rows.reshape(walks, -1, size)
+        right = off.reshape(walks, -1, 1)
+        inverse = inverted(matrix.swapaxes(1, 2) @ matrix)
         step = inverse @ (matrix.swapaxes(1, 2) @ right)
-        found = Rotation.from_rotvec(step.reshape(-1, 3)) * found
+        turned = Rotation.from_rotvec(step.reshape(-1, 3)) * turned
     square = ((matrix @ step - right)[..., 0] ** 2).sum(axis=1)
     spare = 2 * is_known.sum(axis=1) + np.clip(on_ground.sum(axis=2) - 1, 0, 2).sum(axis=1)
     variance = np.diagonal(inverse, axis1=1, axis2=2).reshape(walks, stances, 3)
-    fits: Bools = square <= spare + _SDS * np.sqrt(2.0 * spare)
-    return found.as_quat(canonical=True, scalar_first=True).reshape(wxyz.shape), variance, fits
+    fits: Bools = square <= chi_square_limit(spare, _SDS)
+    return turned.as_quat(canonical=True, scalar_first=True).reshape(wxyz.shape), variance, fits
 
 
 def _chosen(wxyz: Reals, axes: Reals, sd: Reals) -> tuple[Reals, Bools]:
@@ -167,7 +178,7 @@ def _chosen(wxyz: Reals, axes: Reals, sd: Reals) -> tuple[Reals, Bools]:
     # The noise along the axis is 0: what is left there is of second order.
     off = after - before
     off -= (off * middle).sum(axis=-1, keepdims=True) * middle
-    square = (off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(axis=-1)
+    square = (off * solved(spread, off)).sum(axis=-1)
     best = square.argmin(axis=-1)[..., None]
     chosen = np.take_along_axis(axes, best[..., None], axis=2)[:, :, 0]
     return chosen, np.take_along_axis(square, best, axis=2)[..., 0] < _ODD

@@ -126,23 +126,30 @@ def lengths(log: SensingLog) -> Iterator[tuple[str, Lengths]]:
         else:
             continue
         robot = rows[:, 0].astype(np.int64) if name in LISTS else np.arange(len(rows))
-        other = key.part(rows, "robot").sum(axis=1).astype(np.int64)  # 0, the anchor, without one
+        partner = key.part(rows, "robot").sum(axis=1).astype(np.int64)  # 0, the anchor, without one
         sd = key.part(rows, "sd").sum(axis=1)
-        known, scale = np.isfinite(away), 1.0 / log.dock_radius
-        size, of_pair = scale * np.abs(away[known]), key.robot is not None
-        yield name, Lengths(robot[known], other[known], size, scale * sd[known], of_pair)
+        is_measured = np.isfinite(away)
+        scale = 1.0 / log.dock_radius
+        size = scale * np.abs(away[is_measured])
+        of_pair = key.robot is not None
+        yield (
+            name,
+            Lengths(
+                robot[is_measured], partner[is_measured], size, scale * sd[is_measured], of_pair
+            ),
+        )
 
 
 def doubts(log: SensingLog, path: Path) -> Iterator[str]:
     """Describe in lines the lengths of a log, or of its file, that are probably wrong."""
-    found = slips(log)
-    yield from _slips(log, path, found)
-    yield from _unlikely(log, path, found)
+    suspects = slips(log)
+    yield from _slips(log, path, suspects)
+    yield from _unlikely(log, path, suspects)
 
 
-def _slips(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
+def _slips(log: SensingLog, path: Path, suspects: Sequence[Slip]) -> Iterator[str]:
     """Describe in lines lengths that seem to be in another unit than the rest."""
-    for slip in found[:MOST_SHOWN]:
+    for slip in suspects[:MOST_SHOWN]:
         times = slip.factor if slip.factor > 1.0 else 1.0 / slip.factor
         near = [usual for usual in _USUAL if _NEAR[0] * times <= usual <= _NEAR[1] * times]
         many = f"about {near[0]:g}" if near else f"at least {float(f'{times:.2g}'):g}"
@@ -150,15 +157,16 @@ def _slips(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
         problem = f"{slip.what}: {size} beside {slip.against}"
         remedy = "correct the unit, or leave it out"
         yield f"{path}:{log.line_of(slip.robot)}: {slip.key}: {problem}; {remedy}"
-    if (more := len(found) - MOST_SHOWN) > 0:
-        yield f"{path}: {counted(more, 'more such length')}"
+    if len(suspects) > MOST_SHOWN:
+        yield f"{path}: {counted(len(suspects) - MOST_SHOWN, 'more such length')}"
 
 
-def _unlikely(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
+def _unlikely(log: SensingLog, path: Path, suspects: Sequence[Slip]) -> Iterator[str]:
     """Describe in lines lengths beyond any likely size of the swarm, of keys without slips."""
     size = 2.0 * np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius + 2.0
-    in_a_row, apart = (log.robot_count + _MARGIN) * size, max(log.robot_count, _SPARSE) * size
-    named = {slip.key for slip in found}
+    in_a_row = (log.robot_count + _MARGIN) * size
+    apart = max(log.robot_count, _SPARSE) * size
+    named = {slip.key for slip in suspects}
     for key, column in lengths(log):
         farthest = in_a_row if key in NUMBERS else apart
         wrong = np.flatnonzero((column.size > farthest) & (key not in named))
@@ -170,8 +178,10 @@ def _unlikely(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[st
 def slips(log: SensingLog) -> list[Slip]:
     """Find lengths that seem to be in another unit than the rest of the log, columns first."""
     walks = Odometry(log)
-    found = [*_header(log, walks), *_heights(log, walks)]
-    columns = {name: each for name, each in lengths(log) if name not in {s.key for s in found}}
+    suspects = [*_header(log, walks), *_heights(log, walks)]
+    columns = {
+        name: column for name, column in lengths(log) if name not in {s.key for s in suspects}
+    }
     bound = _bounds(log, walks, columns)
     singles: list[Slip] = []
     for key, column in columns.items():
@@ -179,14 +189,15 @@ def slips(log: SensingLog) -> list[Slip]:
         count = int((bound[key] < inf).sum())
         broken = ratio > (_SCALED if count >= _MANY else _SLIP)
         if count >= _FEWEST and 2 * broken.sum() > count:
-            what, factor = f"{broken.sum()} of {count} lengths", float(np.median(ratio[broken]))
-            found.append(Slip(int(column.robot[broken].min()), key, what, factor, "contacts"))
+            what = f"{broken.sum()} of {count} lengths"
+            factor = float(np.median(ratio[broken]))
+            suspects.append(Slip(int(column.robot[broken].min()), key, what, factor, "contacts"))
             continue
         worst = {int(column.robot[row]): row for row in np.argsort(ratio) if ratio[row] > _SLIP}
         for robot, row in worst.items():
             what = column.described(log, row)
             singles.append(Slip(robot, key, what, float(ratio[row]), "contacts"))
-    return found + sorted(singles)
+    return suspects + sorted(singles)
 
 
 def _bounds(log: SensingLog, walks: Odometry, columns: dict[str, Lengths]) -> dict[str, Reals]:
@@ -209,24 +220,26 @@ def _bounds(log: SensingLog, walks: Odometry, columns: dict[str, Lengths]) -> di
     starts = starts[:: len(starts) // _MOST_STARTS + 1]
     away = dijkstra(graph, directed=False, indices=starts)
     away[away == 0.0] = inf  # of the robot itself
-    found = {}
+    bounds = {}
     for key, column in columns.items():
         place = np.minimum(np.searchsorted(starts, column.other), len(starts) - 1)
         is_start = starts[place] == column.other
-        found[key] = np.where(is_start, away[place, column.robot], inf)
-    return found
+        bounds[key] = np.where(is_start, away[place, column.robot], inf)
+    return bounds
 
 
 def _header(log: SensingLog, walks: Odometry) -> Iterator[Slip]:
     """Compare the lengths of the header with each other."""
-    scale, unit = log.dock_radius, log.length_unit
+    scale = log.dock_radius
+    unit = log.length_unit
     arm = float(np.linalg.norm(log.dock_offset_body, axis=1).max()) / scale
     if arm > _LONGEST_ARM or 0.0 < arm < 1.0 / _LONGEST_ARM:
         what = f"the dock offset of {arm * scale:.4g} {unit}"
         yield Slip(HEADER, "dock_offsets", what, arm, f"dock_radius, {scale:.4g} {unit}")
     height = _heights_by(measure(log, ["ground"], odometry=walks)).get(0)
     if height is not None and log.ground_z is not None:
-        stated, ground = log.anchor_position[2] / scale, log.ground_z / scale
+        stated = log.anchor_position[2] / scale
+        ground = log.ground_z / scale
         if abs(stated - height[0]) > _SLIP:
             what = f"the anchor's height of {stated * scale:.4g} {unit}"
             factor = abs(stated - ground) / max(abs(height[0] - ground), 1.0)
@@ -236,8 +249,8 @@ def _header(log: SensingLog, walks: Odometry) -> Iterator[Slip]:
 def _heights_by(rows: Measurements) -> dict[int, tuple[float, float]]:
     """Compute the height of each robot's center and its variance, from vertical places [R]."""
     value = rows.places.value - rows.arm[len(rows.other) :, 2]
-    found = zip(rows.robot.tolist(), value.tolist(), rows.variance().tolist(), strict=True)
-    return {robot: (z, variance) for robot, z, variance in found}
+    measured = zip(rows.robot.tolist(), value.tolist(), rows.variance().tolist(), strict=True)
+    return {robot: (z, variance) for robot, z, variance in measured}
 
 
 def _heights(log: SensingLog, walks: Odometry) -> Iterator[Slip]:
@@ -246,9 +259,11 @@ def _heights(log: SensingLog, walks: Odometry) -> Iterator[Slip]:
         _heights_by(measure(log, [cue], odometry=walks)) for cue in ("height", "ground")
     )
     both = [robot for robot in by_flips if robot in by_ground]
-    wrong, factor = [], []
+    wrong = []
+    factor = []
     for robot in both:
-        (z, variance), (stands, more) = by_flips[robot], by_ground[robot]
+        (z, variance) = by_flips[robot]
+        (stands, more) = by_ground[robot]
         if abs(z - stands) > max(0.5, _SD * (variance + more) ** 0.5) and stands:
             wrong.append(robot)
             factor.append(abs(z / stands))
@@ -261,11 +276,12 @@ def _heights(log: SensingLog, walks: Odometry) -> Iterator[Slip]:
 
 def impossible(log: SensingLog, path: Path) -> Iterator[str]:
     """Describe in lines the contacts of a log that contradict each other."""
-    found = contradictions(log)
-    for line, problem in found[:MOST_SHOWN]:
+    conflicts = contradictions(log)
+    for line, problem in conflicts[:MOST_SHOWN]:
         yield f"{path}:{line}: contacts: {problem}"
-    if (more := len(found) - MOST_SHOWN) > 0:
-        yield f"{path}: contacts: {counted(more, 'more such contradiction')}"
+    if len(conflicts) > MOST_SHOWN:
+        more = counted(len(conflicts) - MOST_SHOWN, "more such contradiction")
+        yield f"{path}: contacts: {more}"
 
 
 class Contradiction(NamedTuple):
@@ -286,25 +302,34 @@ def contradictions(log: SensingLog) -> list[Contradiction]:
     length D must make up for the sum of the fixed ones, which is therefore no longer than n D.
     Chains of two and three contacts, and heights, are checked. Noise explains the rest.
     """
-    found = [*_by_height(log), *_by_chain(log, measure(log, ["contacts"]))]
-    return [Contradiction(log.line_of(joiner), problem) for joiner, problem in sorted(set(found))]
+    conflicts = [*_by_height(log), *_by_chain(log, measure(log, ["contacts"]))]
+    return [
+        Contradiction(log.line_of(joiner), problem) for joiner, problem in sorted(set(conflicts))
+    ]
 
 
 def _by_height(log: SensingLog) -> Iterator[tuple[int, str]]:
     """Contacts of robots whose flips took them to heights too different."""
     rows = measure(log, ["contacts", "height"])
-    contacts, variance = len(rows.other), rows.variance()
-    height, spread = np.full(log.robot_count, np.nan), np.zeros(log.robot_count)
+    contacts = len(rows.other)
+    variance = rows.variance()
+    height = np.full(log.robot_count, np.nan)
+    spread = np.zeros(log.robot_count)
     measured = rows.robot[contacts:]
     height[measured] = rows.places.value - rows.arm[contacts:, 2]
     spread[measured] = variance[contacts:]
-    height[0], spread[0] = log.anchor_position[2] / log.dock_radius, 0.0
-    robot, other = rows.robot[:contacts], rows.other
-    slack = ALLOWED_SD * np.sqrt(spread[robot] + spread[other] + variance[:contacts]) + _ALLOWED_GAP
-    apart = np.abs(height[robot] - height[other] + _fixed_part(rows)[:, 2])
+    height[0] = log.anchor_position[2] / log.dock_radius
+    spread[0] = 0.0
+    robot = rows.robot[:contacts]
+    partner = rows.other
+    slack = (
+        ALLOWED_SD * np.sqrt(spread[robot] + spread[partner] + variance[:contacts]) + _ALLOWED_GAP
+    )
+    apart = np.abs(height[robot] - height[partner] + _fixed_part(rows)[:, 2])
     for row in np.flatnonzero(apart > SPACING + slack).tolist():
         text = f"{_names(log, rows, [row])} is inconsistent: by their flips the docks are"
-        unit, length = log.length_unit, apart[row] * log.dock_radius
+        unit = log.length_unit
+        length = apart[row] * log.dock_radius
         text = f"{text} {length:.3g} {unit} apart in height, not {log.spacing:g} {unit}; look at it"
         yield int(robot[row]), text
 
@@ -321,8 +346,8 @@ def _by_chain(log: SensingLog, rows: Measurements) -> Iterator[tuple[int, str]]:
     ):
         between[earlier, joiner].append(row)
         of_joiner[joiner].append(row)
-    for joiner, mine in of_joiner.items():
-        for one, two in combinations(sorted(mine, key=lambda row: int(rows.other[row])), 2):
+    for joiner, contact_rows in of_joiner.items():
+        for one, two in combinations(sorted(contact_rows, key=lambda row: int(rows.other[row])), 2):
             first, second = rows.other[[one, two]].tolist()
             closing = [[]] if first == second else [[row] for row in between[first, second]]
             for third in closing:
@@ -341,7 +366,8 @@ def _fixed_part(rows: Measurements) -> Reals:
 
 def _names(log: SensingLog, rows: Measurements, chosen: list[int]) -> str:
     """Write contacts as the log's lines do: robot, then (own dock, other robot, its dock)."""
-    name, d = log.robot_id, rows.distances
+    name = log.robot_id
+    d = rows.distances
     return " and ".join(
         f"robot {name[rows.robot[row]]}'s contact "
         f"[{d.dock[row]}, {name[rows.other[row]]}, {d.other_dock[row]}]"

@@ -22,7 +22,7 @@ from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
-from tiswarm.sensing.noise import of_shape, sensed_turn
+from tiswarm.sensing.imu import of_shape, sensed_turn
 from tiswarm.world.history import History
 from tiswarm.world.params import BeliefErrorParams
 from tiswarm.world.walks import Belief, Believe, Turn

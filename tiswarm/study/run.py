@@ -5,7 +5,7 @@ Any executor computes the jobs; their progress is shown.
 
 import shlex
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
 from itertools import chain, groupby
@@ -20,9 +20,9 @@ from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import Group, Plan, plan
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.executors import Execution, Executor, open_executor, reason, require_cores
-from tiswarm.study.runner import Job, Outcome, batch, failure
+from tiswarm.study.runner import Job, Outcome, batch, failure, first_alone
 from tiswarm.study.store import CaseRecord, RunFolder
-from tiswarm.study.tables import write_tables
+from tiswarm.study.tables import MeasureTrial, write_tables
 
 _HERE = Execution()
 
@@ -70,6 +70,7 @@ def run(
     Raises:
         InputError: the folder has files, and no run made it.
         CasesFailedError: a case failed and `execution` stops at failures.
+        PluginError: a measure of a plug-in cannot be computed for the first case.
         EnvironmentTroubleError: the device is missing, the folder is in use, or workers run
             other code.
     """
@@ -82,6 +83,8 @@ def run(
         stored = _read_stored(mine, folder, progress)
         missing = _without(mine, stored)
         outcomes: list[Outcome] = []
+        measures = MeasureTrial(folder.path)
+        measures.try_on(stored.values())
         if missing:
             folder.reopen(progress, computes=execution.scheduler is None)
             for workers, alike in groupby(missing, lambda group: group[0].settings.workers):
@@ -92,7 +95,11 @@ def run(
                         width=executor.width,
                         alone=here.case_limit_s is not None,  # to find the one that hangs
                     )  # fmt: skip
-                    outcomes += compute(jobs, executor, progress, fail_fast=here.fail_fast)
+                    if measures.is_due:
+                        jobs = first_alone(jobs)
+                    outcomes += compute(
+                        jobs, executor, progress, fail_fast=here.fail_fast, check=measures.try_on
+                    )
         computed = {record.case: record for outcome in outcomes for record in outcome.records}
         records = stored | computed
         others = folder.read_cases([case for case in whole.cases if case.name not in records])
@@ -169,12 +176,17 @@ _BEAT_S = 1.0
 
 
 def compute(
-    jobs: Sequence[Job], executor: Executor, progress: Progress, *, fail_fast: bool = False
+    jobs: Sequence[Job],
+    executor: Executor,
+    progress: Progress,
+    *,
+    fail_fast: bool = False,
+    check: Callable[[Sequence[CaseRecord]], None] = lambda _: None,
 ) -> list[Outcome]:
     """Compute jobs; one that fails is split until the failing case is alone.
 
     `progress` receives a task whose steps are cases, with the number of those that failed and what
-    a process does.
+    a process does. `check` is called with the records of each job, and may end the study.
 
     Raises:
         CasesFailedError: a case failed, and `fail_fast` stops at failures.
@@ -206,6 +218,7 @@ def compute(
                     first = failures[0]
                     msg = f"stopped, for a case failed: {first.case}: {first.reason}"
                     raise errors.CasesFailedError(msg)
+                check(outcome.records)
                 found.append(outcome)
                 failed += len(failures)
                 advance(len(outcome.records))

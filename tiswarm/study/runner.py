@@ -102,6 +102,15 @@ def batch(
     ]  # fmt: skip
 
 
+def first_alone(jobs: Sequence[Job]) -> list[Job]:
+    """Give the first structure a job of its own, which soon ends."""
+    first, *rest = jobs
+    if len(first.structures) == 1:
+        return [first, *rest]
+    parts = [first.structures[:1], first.structures[1:]]
+    return [*(replace(first, structures=part) for part in parts), *rest]
+
+
 KEPT_FROM_S = 10.0
 """Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
 

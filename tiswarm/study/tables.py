@@ -73,6 +73,31 @@ def write_tables(
         write_frame(content, run / f"{name}.csv")
 
 
+class MeasureTrial:
+    """Computes the measures of plug-ins for the first finished case.
+
+    Else one that fails would end a study after its last case.
+    """
+
+    def __init__(self, run: Path) -> None:
+        """Take the folder of the run."""
+        self.is_due = bool(registered("measure"))
+        self._cases = run / "cases"
+
+    def try_on(self, records: Iterable[CaseRecord]) -> None:
+        """Compute the measures for the first of the records that is done, unless they have been.
+
+        Raises:
+            PluginError: a measure failed, or returned something else than a number.
+        """
+        if not self.is_due:
+            return
+        done = [record for record in records if record.is_done]
+        if done:
+            _with_own_scores(done[0], self._cases)
+            self.is_due = False
+
+
 def _with_own_scores(record: CaseRecord, cases: Path) -> CaseRecord:
     """Add the measures of plug-ins to a record, from the files of its case.
 

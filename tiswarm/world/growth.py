@@ -8,7 +8,8 @@ any company and on any number of threads.
 
 After the joins of a round robots may leave or die. Those that reach the ground only by way of
 robots that left fall, and count as gone, too; robots that climb and have touched one of them are
-spawned again. Then the structure's mechanics are solved anew.
+spawned again. Then the structure's mechanics are solved anew. Robots under great load call others
+to their aid (`walks.py`).
 """
 
 from collections.abc import Sequence
@@ -280,6 +281,7 @@ class GrowingStructure:
         if trial == robot % _DRAWN == 0:
             robots = robot + np.arange(_DRAWN)[:, None]
             self.first_draws = uniform(self.seed, "spawn", robots, np.arange(3))
+        # Numbered by robot and trial: no draw depends on how many others were made.
         draw: Reals = self.first_draws[robot % _DRAWN]
         return uniform(self.seed, "spawn", robot, 3 * trial + np.arange(3)) if trial else draw
 

@@ -19,8 +19,9 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass as plain_dataclass
 from functools import cached_property, partial, wraps
-from inspect import isfunction, unwrap
+from inspect import isfunction
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from tiswarm.base.plugins import call_plugin, fault_of_numbers
 from tiswarm.base.registry import register
 from tiswarm.base.sections import settings_class
 from tiswarm.compute.math import uniform
+from tiswarm.compute.user_functions import is_kernel_function
 from tiswarm.records.terrain import Terrain
 from tiswarm.world.climb_kernels import (
     ENDED,
@@ -293,8 +295,10 @@ def rule(name: str) -> Callable[[_Class], _Class]:
 
 def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[..., Any]:
     """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
-    unguarded = unwrap(inherited)
+    unguarded = inherited
     fault_of = _FAULTS.get(method)
+    if isfunction(inherited):  # a rule may derive from another one, whose methods are wrapped
+        unguarded = _unguarded.get(inherited, inherited)
 
     @wraps(unguarded)
     def call(*arguments: Any) -> Any:  # noqa: ANN401 - as the method
@@ -302,8 +306,10 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
             _read_only(argument) if isinstance(argument, np.ndarray) else argument
             for argument in arguments
         ]
-        if fault_of is None:
-            return call_plugin("rule", name, lambda: unguarded(*shown), method=method)
+        if method == "score":
+            return call_plugin(
+                "rule", name, lambda: unguarded(*shown), _fault_of_score, method=method
+            )
 
         def integers() -> NDArray[Any]:
             returned = np.asarray(unguarded(*shown))
@@ -312,11 +318,25 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
             return returned
 
         def fault(returned: NDArray[Any]) -> str:
-            return _fault_of_integers(returned) or fault_of(returned, *arguments[1:])
+            wrong_type = _fault_of_integers(returned)
+            if wrong_type or fault_of is None:
+                return wrong_type
+            return fault_of(returned, *arguments[1:])
 
         return call_plugin("rule", name, integers, fault, method=method).astype(np.int32)
 
+    _unguarded[call] = unguarded
     return call
+
+
+_unguarded: WeakKeyDictionary[Callable[..., Any], Callable[..., Any]] = WeakKeyDictionary()
+"""Methods of users by the functions that `_guarded` made of them."""
+
+
+def _described(value: object) -> str:
+    """Name what a method returned in place of a function of the kernel language."""
+    name = getattr(value, "__name__", "")
+    return f"{name}, a function of Python" if name else f"a {type(value).__name__}"
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
@@ -324,6 +344,12 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def _fault_of_score(returned: object) -> str:
+    if is_kernel_function(returned):
+        return ""
+    return f"{_described(returned)}; return a function that ti.func decorates, and nothing else"
 
 
 def _fault_of_integers(returned: NDArray[Any]) -> str:
@@ -454,6 +480,9 @@ def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
 
 
 def _fault_of_terrain(returned: object) -> str:
-    if isinstance(returned, Terrain):
+    if type(returned) is Terrain:
         return ""
-    return f"{type(returned).__name__}; return a Terrain"
+    fault = f"{type(returned).__name__}; return a Terrain"
+    if isinstance(returned, Terrain):  # kernels know the ground by the fields of Terrain alone
+        fault += " itself: robots would not notice what a class derived from it changes"
+    return fault

@@ -10,7 +10,6 @@ ReactiveBuild, DARS 2021).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from scipy.spatial.distance import pdist
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import TiswarmError
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
+from tiswarm.compute.user_functions import is_of_library, mistake_of_user, reads, undecorated
 from tiswarm.records.terrain import Terrain
 from tiswarm.world import climb_kernels
 from tiswarm.world.climb_kernels import (
@@ -50,7 +50,8 @@ class Belief(NamedTuple):
 
 
 Believe = Callable[[Sequence[History]], Sequence[Belief]]
-"""Returns what robots of some structures believe."""
+"""Returns what the robots of structures that have grown so far believe: of each structure where
+their docks are."""
 
 Turn = Callable[[int, int, int], Reals]
 """Returns the turns from the orientations of a robot to those that it senses, at as many stances:
@@ -107,10 +108,14 @@ class Spawn(NamedTuple):
     """Robots that started in the structure before."""
 
 
-@cache
+_scores: dict[tuple[object, ...], Any] = {}
+"""Scores of rules by what they read."""
+
+
 def _score_of(rule: Any) -> Any:  # noqa: ANN401 - settings of a rule, and a kernel's function
-    """Return the score of a rule; the same for equal settings, so that kernels compile once."""
-    return rule.score()
+    """Return the score of a rule; the same one where it reads the same, so kernels compile once."""
+    score = rule.score()
+    return _scores.setdefault(reads(undecorated(score)), score)
 
 
 class Walks:
@@ -134,6 +139,9 @@ class Walks:
             seeds: Seed of each structure.
         """
         self.rule = params.rule
+        self.score = climb_kernels.goal_distance
+        if hasattr(self.rule, "score"):
+            self.score = _score_of(self.rule)
         self.seed = np.array(seeds, np.uint64)[structure_of]
         self.robot = np.zeros(len(structure_of), np.int32)
         slots, stances, docks = len(structure_of), params.climb.max_flips + 2, robot.dock_count
@@ -180,14 +188,25 @@ class Walks:
     def climb_by_score(
         self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots
     ) -> None:
-        """Let the robots in the slots `movers` walk on from their first stance, by a score."""
+        """Let the robots in the slots `movers` walk on from their first stance, by a score.
+
+        Args:
+            structures: Structures that they climb.
+            believed: Where robots believe the docks of these.
+            movers: Slots of the robots, shape (M,).
+        """
         cells, *docks = structures
-        is_own = hasattr(self.rule, "score")
-        climb_kernels.climb(
-            self.limits, movers, self.state, self.flips, *cells, *docks,
-            *believed.cells, believed.dock, self.turn, *self.climbers, *self.stances,
-            _score_of(self.rule) if is_own else climb_kernels.goal_distance,
-        )  # fmt: skip
+        try:
+            climb_kernels.climb(
+                self.limits, movers, self.state, self.flips, *cells, *docks,
+                *believed.cells, believed.dock, self.turn, *self.climbers, *self.stances,
+                self.score,
+            )  # fmt: skip
+        except Exception as error:
+            mistake = mistake_of_user(error) if is_of_library(error) else None
+            if mistake is None:
+                raise
+            raise mistake from error
 
     def refuse_overlaps(self, movers: _Slots) -> None:
         """Raise an error if a robot met more docks than fit around it."""

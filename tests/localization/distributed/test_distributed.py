@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.localization.online.test_online import LOCAL, lines_of
-from tests.structures import NOISY, with_directions, with_fixes, with_ranges
+from tests.structures import NOISY, silent, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.distributed.channel import (
@@ -362,6 +362,23 @@ def test_a_lost_swarm_says_so(log):
     assert estimate.doubtful.sum() > log.robot_count // 2
     assert not estimate.convergence.converged
     assert "doubt" in estimate.convergence.reason
+
+
+@pytest.mark.parametrize("coordinates", [0, 1, 3])
+def test_a_robot_without_contacts_joins(coordinates):
+    """It may have sensed nothing at all, its height alone, or all coordinates of its center."""
+    truth = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 1.0], [9.0, 0.0, 2.0]])
+    one_range = [2.0, 1.0, np.linalg.norm(truth[2] - truth[1]), 0.1, -1.0]
+    sensed = silent(truth, ranges=np.array([one_range]))
+    axes = np.eye(3)[::-1][:coordinates]
+    fixes = [[1.0, *axis, axis @ truth[1], 0.01, -1.0] for axis in axes]
+    log = replace(sensed, fixes=np.array(fixes).reshape(-1, 7))
+
+    [estimate] = localize_many([log], [QUICK])
+
+    assert np.isfinite(estimate.position).all()
+    assert np.isfinite(estimate.sd).all()
+    assert estimate.disconnected[1] == (coordinates < 3)
 
 
 def test_who_never_annealed_does_not_converge(log):

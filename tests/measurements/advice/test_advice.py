@@ -351,8 +351,8 @@ def test_one_factorization_serves_all_candidates(monkeypatch, robots):
     """Factoring is what takes longest in large swarms."""
     log, center = structure(Rule(kind="loops"), robots, 0)
     factored = []
-    factor = rigidity.splu
-    monkeypatch.setattr(rigidity, "splu", lambda *a, **k: factored.append(1) or factor(*a, **k))
+    factor = rigidity.factored
+    monkeypatch.setattr(rigidity, "factored", lambda *a, **k: factored.append(1) or factor(*a, **k))
 
     assert len(advise(log, CUES, center)) > 3
     assert len(factored) == 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.senses import find_lookouts, in_sight
+from tiswarm.sensing.sight import find_lookouts, in_sight
 from tiswarm.sensing.suites import CEILING, STATIONS, WALL_TAGS
 
 NO_TOUCH = {"contacts": False, "ground_docks": False, "heights": False, "stances": False}

@@ -14,7 +14,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.records.terrain import Terrain
 from tiswarm.sensing import SensingParams
-from tiswarm.sensing.senses import Views, find_lookouts, in_sight
+from tiswarm.sensing.sight import Views, find_lookouts, in_sight
 from tiswarm.world.history import History, Walk
 
 AIR = Terrain(ground_z=-1e8)

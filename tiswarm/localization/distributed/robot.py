@@ -36,6 +36,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.normal_equations import damped, inverted, solved
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.problem import Planes, fewest_contacts
 from tiswarm.localization.chains.views import (
@@ -61,12 +62,12 @@ from tiswarm.localization.online.kernels import (
 from tiswarm.localization.online.layers import Joiner, LocalLayers, measured
 from tiswarm.localization.online.neighborhood import Block, NearCost, NearLinear
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import LISTS
 
-_AXES = 3
 _TEMPERED = 4.0
 """Divisor of costs by which ends of chains weigh in standard deviations [1]: few chains meet few of
 the likely minima. Chosen on towers and cantilevers of the seeds 1000 to 1007, which no result is
@@ -254,8 +255,9 @@ class LocalSwarm:
         given = layers.sd.copy()
         # A robot that has a place keeps it, unless those near it move.
         layers.solve_near(k, layers.place(k) if anew else None)
-        if self._program.params.chains:
-            moving = np.arange(len(self.numbers)) if everywhere else self.layers.near(k)
+        moving = np.arange(len(self.numbers)) if everywhere else layers.near(k)
+        # Chains need a row that pulls.
+        if self._program.params.chains and layers.blocks_about(moving):
             found = annealed(layers, moving, self._program.params, number)
             layers.state = found.state
             self._revise_sd(given, moving, found.sd)
@@ -403,7 +405,7 @@ class LocalSwarm:
     def is_floating(self, number: int) -> bool:
         """Judge whether the rows of a robot tie it neither to the world nor to one that is held."""
         rows = self.layers.blocks[self._index[number]].rows
-        return not len(rows.other) and int(np.linalg.matrix_rank(rows.places.direction)) < _AXES
+        return not len(rows.other) and rows.places.rank < _AXES
 
     def _sd(self, linear: NearLinear, basis: Reals, stays: Bools) -> Reals:
         """Compute the standard deviation of each robot that moved [R], shape (N,).
@@ -411,12 +413,11 @@ class LocalSwarm:
         Errors of those that stay, shape (N,), count as a shift that they share.
         """
         robots = len(stays)
-        known = basis.T @ linear.information @ basis
-        known[np.diag_indices(len(known))] += NEIGHBORS.open_precision
+        known = damped(basis.T @ linear.information @ basis, NEIGHBORS.open_precision)
         others = np.zeros((2, robots, _AXES, _AXES))
         sd = np.where(stays, self.layers.sd, 0.0)
         others[0] = sd[:, None, None] * np.eye(_AXES) / np.sqrt(_AXES)
-        inverse = np.linalg.inv(known)
+        inverse = inverted(known)
         shared = basis @ inverse @ (basis.T @ (linear.information @ others.reshape(-1, _AXES)))
         own = ((basis @ inverse) * basis).sum(axis=1)
         square = (own + (shared**2).sum(axis=1)).reshape(2, robots, _AXES)
@@ -459,7 +460,9 @@ class LocalSwarm:
 class _MotionCost(Cost[NearLinear]):
     """The cost of robots near one as a function of some motions, which move several as one."""
 
-    most_rounds, widest, promised = CANDIDATES.rounds, NEIGHBORS.radius, NEIGHBORS.settled
+    most_rounds = CANDIDATES.rounds
+    widest = NEIGHBORS.radius
+    least_reduction = NEIGHBORS.settled
 
     def __init__(self, problem: NearCost, basis: Reals) -> None:
         """Take the cost of N robots that may all move, and motions, shape (6 N, n)."""
@@ -472,9 +475,8 @@ class _MotionCost(Cost[NearLinear]):
     def moved(self, state: State, linear: NearLinear, radius: float) -> tuple[State, float]:
         """Step along the motions."""
         basis = self._basis
-        known = basis.T @ linear.information @ basis
-        known[np.diag_indices(len(known))] += radius**-2.0
-        step = (basis @ np.linalg.solve(known, -basis.T @ linear.slope)).reshape(2, -1, _AXES)
+        known = damped(basis.T @ linear.information @ basis, radius**-2.0)
+        step = (basis @ solved(known, -basis.T @ linear.slope)).reshape(2, -1, _AXES)
         share = min(1.0, NEIGHBORS.longest_step / max(np.abs(step[0]).max(), _SETTLED))
         other = State(state.position + share * step[0], state.turn + share * step[1])
         return other, float(-share * linear.slope @ step.ravel())

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Reals
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.records.sensing_format import RobotLine, StanceEntry
 from tiswarm.records.sensing_log import LISTS
 
@@ -70,7 +71,6 @@ _CORNER = 1.0 / math.sqrt(2.0)
 _PLAIN = ("contacts", "ground_docks")
 """Lists of a stance that have a code of their own; all others are sent as text."""
 
-_AXES = 3
 _NO_CANDIDATES: Reals = np.empty((0, _AXES))
 
 

@@ -22,6 +22,7 @@ from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.online.settings import CANDIDATES
 from tiswarm.measurements import equations
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.measurements.model import KNOWN, SPACING
 
 DISTANCE, HINGE, OFFSET, COORDINATE = range(4)
@@ -160,7 +161,6 @@ class Scratch(NamedTuple):
 
 _SMALL = 1e-8
 """Squared angle below which a turn is its series [rad^2]."""
-_AXES = 3
 _PARTS = 6
 _SHARED = 3
 """Values of a row beside unknowns: its derivatives by a shift of all robots that stay."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, moments, weights
@@ -29,13 +30,13 @@ from tiswarm.localization.online.neighborhood import (
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.cues import CUES
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.turns import Turns
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 
-_AXES = 3
 _LEAST_SD = 1e-9
 """The anchor has no sd to divide by [R]."""
 
@@ -279,7 +280,7 @@ class LocalLayers:
         if not (rows := len(self.blocks[number])):
             return False
         square, overlap = problem.missed(linear, number)
-        chance = rows + NEIGHBORS.surprise_sd * (np.sqrt(2.0 * rows) + 1.0)
+        chance = rows + NEIGHBORS.surprise_sd * (chi_square_sd(rows) + 1.0)
         return bool(square > chance or overlap > NEIGHBORS.overlap_sd)
 
     def _exchanged(
@@ -311,7 +312,7 @@ class LocalLayers:
 def _by_coordinates(block: Block, start: Reals) -> Reals:
     """Place a robot where its coordinates say [R], at the start if they leave that open, (3,)."""
     rows = block.rows
-    if len(rows) < _AXES or np.linalg.matrix_rank(rows.places.direction) < _AXES:
+    if rows.places.rank < _AXES:
         return start
     weight = 1.0 / np.sqrt(rows.variance())
     missed = weight * rows.residual(np.tile(start, (rows.robots, 1)))
@@ -321,8 +322,9 @@ def _by_coordinates(block: Block, start: Reals) -> Reals:
 
 def turns_at(rows: Measurements, position: Reals, loose: Ints) -> Turns:
     """Find how loose robots turn freely at a minimum (N, 3), without rows that it misses."""
-    met = rows.residual(position) ** 2 <= CONVERGENCE.outlier_sd**2 * rows.variance()
-    return rows.select(met).free_turns(position, np.isin(np.arange(len(position)), loose))
+    is_missed = rows.residual(position) ** 2 > CONVERGENCE.outlier_sd**2 * rows.variance()
+    met = rows.select(~rows.any_of_vector(is_missed))
+    return Turns.of(met, position, np.isin(np.arange(len(position)), loose))
 
 
 def refuse_header(head: HeaderLine) -> None:

@@ -40,9 +40,9 @@ from tiswarm.localization.online.kernels import (
     sum_equations,
 )
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.measurements.model import SPACING, Measurements
 
-_AXES = 3
 _HELD = 1e-4
 """Standard deviation of motions that do not count [R]: no error of a measurement is as small."""
 
@@ -377,7 +377,9 @@ class NearCost(Cost[NearLinear]):
     """
 
     # Most joins need one step; each costs as much as the first.
-    most_rounds, widest, promised = NEIGHBORS.rounds, NEIGHBORS.radius, NEIGHBORS.settled
+    most_rounds = NEIGHBORS.rounds
+    widest = NEIGHBORS.radius
+    least_reduction = NEIGHBORS.settled
 
     def __init__(
         self,

@@ -54,6 +54,7 @@ from tiswarm.localization.online.layers import (
 from tiswarm.localization.online.neighborhood import NearCost
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS, TIMES, OnlineParams
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
+from tiswarm.measurements.equations import AXES as _AXES
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
 from tiswarm.records.messages import counted
@@ -68,7 +69,6 @@ from tiswarm.records.sensing_format import (
 )
 from tiswarm.records.sensing_log import SensingLog
 
-_AXES = 3
 _MOVED = 1e-3
 """Shift from which on a robot has moved [R]."""
 

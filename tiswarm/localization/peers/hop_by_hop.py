@@ -30,11 +30,12 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
+from tiswarm.compute.normal_equations import damped, inverted, solved
 from tiswarm.localization.cost import EXTENSION, OVERLAP_SD
 from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.mixture.verdict import rms
 from tiswarm.localization.peers.settings import HopByHopParams
-from tiswarm.measurements.contacts import disconnected, overlap, parts
+from tiswarm.measurements.contacts import disconnected, nearest_overlap, parts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.equations import components, missed_along, missed_distance
 from tiswarm.measurements.model import SPACING, Measurements
@@ -265,9 +266,8 @@ class Trilateration:
             best, least = np.where(is_better[..., None], point, best), np.fmin(misfit, least)
             information = self.sum(self.precision[:, None, None, None] * outer(normal))
             damping = _DAMPING * np.trace(information, axis1=2, axis2=3) + _TINY
-            damped = information + damping[..., None, None] * np.eye(3)
             slope = self.sum(pull[..., None] * normal)
-            step = self._bounded(np.linalg.solve(damped, slope[..., None])[..., 0])
+            step = self._bounded(solved(damped(information, damping), slope))
             is_moving &= length(step) > _SETTLED
             if not is_moving.any():
                 break
@@ -298,7 +298,7 @@ class Trilateration:
         information = self.sum(weighted)
         least = np.maximum(prior, _LEAST * np.trace(information, axis1=1, axis2=2))
         of_prior = least[:, None, None] * np.eye(3)
-        inverse = np.linalg.inv(information + of_prior)
+        inverse = inverted(information + of_prior)
         # Rows of infinite variance have no weight; 0 times infinity would be NaN.
         own = np.where(self.precision > 0.0, self.ties.variance, 0.0) * self.precision
         noise = self.sum(own[:, None, None] * weighted) + of_prior
@@ -560,6 +560,6 @@ class _HopByHopSwarm:
         is_there = self.is_placed[:-1] & ~self.is_gone
         there = (self.position[:-1, None] + self.docks)[is_there].reshape(-1, 3)
         dock = point[:, :, None] + self.docks[robots][:, None]
-        square: Reals = ((overlap(dock, there) / OVERLAP_SD) ** 2).sum(axis=2)
+        square: Reals = ((nearest_overlap(dock, there) / OVERLAP_SD) ** 2).sum(axis=2)
         square[self.is_gone[robots]] = 0.0
         return square

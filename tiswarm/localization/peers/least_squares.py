@@ -22,11 +22,12 @@ from tiswarm.localization.peers.hop_by_hop import place
 from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.localization.settings import DOCKS_UNKNOWN
 from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
-_AXES = np.arange(3)
+_AXIS = np.arange(AXES)
 
 
 def localize(
@@ -62,7 +63,7 @@ def localize(
         last_yaw=yaw,
         sigma=0.0,
         temperature=np.ones(len(end)),
-        iteration=_AXES[:2],
+        iteration=_AXIS[:2],
         trace=np.stack([position, end[0]]),
         yaw_trace=np.stack([np.zeros_like(yaw[0]), yaw[0]]),
     )
@@ -77,7 +78,7 @@ def localize(
 
 def _starts(position: Reals, sd: Reals, params: LeastSquaresParams) -> Reals:
     """Add random errors to positions: none at first, at last of their `sd`, (starts, N, 3)."""
-    draw = 3 * np.arange(params.starts)[:, None, None] + _AXES
+    draw = 3 * np.arange(params.starts)[:, None, None] + _AXIS
     robot = np.arange(len(sd))[:, None]
     size = np.linspace(0.0, np.sqrt(1.0 / 3.0), params.starts)[:, None, None] * sd[:, None]
     size[:, 0] = 0.0

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_array, kron
 
 from tiswarm.base.aliases import Reals
+from tiswarm.compute.normal_equations import inverted
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.estimate import Solution
 
@@ -60,11 +61,11 @@ class Images(NamedTuple):
         """Compute by how much the measurement of each row differs between both [R], shape (E,)."""
         return rows.residual(self.second) - rows.residual(self.first)
 
-    def left(self, apart: Reals) -> Reals:
+    def remaining(self, apart: Reals) -> Reals:
         """Bound the mean square error with measurements that differ by some sd [R^2]."""
         doubt = 0.5 * np.exp(-(apart**2) / 8.0) / np.sqrt(self.odds)
-        left: Reals = self.mean_square * np.minimum(doubt, 1.0)
-        return left
+        mean_square: Reals = self.mean_square * np.minimum(doubt, 1.0)
+        return mean_square
 
 
 class Posterior:
@@ -88,7 +89,8 @@ class Posterior:
         jacobian = rows.jacobian(center)
         measured = jacobian.T @ diags_array(1.0 / rows.variance()) @ jacobian
         distances = len(rows.distances.length)
-        i, j = rows.robot[:distances], rows.other[:distances]
+        i = rows.robot[:distances]
+        j = rows.other[:distances]
         ends = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
         weight = np.tile(3.0 / np.maximum(rows.distances.length, SPACING) ** 2, 4)
         turns = np.zeros(self.robots) if turning is None else turning
@@ -100,13 +102,13 @@ class Posterior:
         resolved = self.free.stop * np.finfo(float).eps * measured.diagonal().max(initial=0.0)
         within = max(1.0 / max(extent, SPACING**2), resolved)
         bonds = coo_array((weight, ends), shape=(self.robots, self.robots))
-        own = np.full(self.robots, within)
-        own[turns > 0.0] = turns[turns > 0.0] ** -2.0
-        loose = bonds + diags_array(own)
+        own_precision = np.full(self.robots, within)
+        own_precision[turns > 0.0] = turns[turns > 0.0] ** -2.0
+        loose = bonds + diags_array(own_precision)
         # Without a bias yaws are no unknowns, and `free` leaves this block out.
         yaws = eye_array(self.robots) / (yaw_bias**2 or 1.0)
         precision = csc_array(measured + block_diag([kron(loose, eye_array(3)), yaws]))
-        self.covariance = np.linalg.inv(precision[self.free, self.free].toarray())
+        self.covariance = inverted(precision[self.free, self.free].toarray())
         square = np.trace(self.covariance[: self.coordinates, : self.coordinates])
         self.mean_square = float(square) / self.robots
         """Expected mean square error of the positions [R^2]."""
@@ -126,20 +128,21 @@ class Posterior:
             Mean square errors [R^2], and how far a change of the measurements is beyond what is
             expected of them [sd], those that were added included, both of shape (n,).
         """
-        gone, apart = [np.empty(0)], [np.empty(0)]
+        gone = [np.empty(0)]
+        apart = [np.empty(0)]
         step = size * _AT_ONCE
         for begin in range(0, len(variance), step):
             part = slice(begin, begin + step)
             rows = jacobian[part, self.free]
             spread = (rows @ self.covariance).reshape(-1, size, rows.shape[1])
-            own = rows.toarray().reshape(spread.shape) @ spread.swapaxes(1, 2)
-            own += variance[part].reshape(-1, size, 1) * np.eye(size)
+            covariance = rows.toarray().reshape(spread.shape) @ spread.swapaxes(1, 2)
+            covariance += variance[part].reshape(-1, size, 1) * np.eye(size)
             shift = spread[:, :, : self.coordinates]
             # The trace of S^T W^-1 S is that of W^-1 S S^T, a matrix as small as a candidate.
-            drop = np.linalg.solve(own, shift @ shift.swapaxes(1, 2))
+            drop = np.linalg.solve(covariance, shift @ shift.swapaxes(1, 2))
             gone.append(np.trace(drop, axis1=1, axis2=2))
             off = (change[part] - rows @ self.difference).reshape(-1, size, 1)
-            square = (off * np.linalg.solve(own, off)).sum(axis=(1, 2))
+            square = (off * np.linalg.solve(covariance, off)).sum(axis=(1, 2))
             apart.append(np.sqrt(square + self.apart_square))
         return self.mean_square - np.concatenate(gone) / self.robots, np.concatenate(apart)
 
@@ -153,11 +156,11 @@ class Posterior:
         """
         rows = jacobian[:, self.free]
         spread = rows @ self.covariance
-        own = rows @ spread.T + np.diag(variance)
+        covariance = rows @ spread.T + np.diag(variance)
         off = change - rows @ self.difference
-        self.apart_square += float(off @ np.linalg.solve(own, off))
-        self.difference = self.difference + spread.T @ np.linalg.solve(own, off)
+        self.apart_square += float(off @ np.linalg.solve(covariance, off))
+        self.difference = self.difference + spread.T @ np.linalg.solve(covariance, off)
         # Woodbury's formula, by which only a matrix of the few new rows is solved for.
-        self.covariance -= spread.T @ np.linalg.solve(own, spread)
+        self.covariance -= spread.T @ np.linalg.solve(covariance, spread)
         square = np.trace(self.covariance[: self.coordinates, : self.coordinates])
         self.mean_square = float(square) / self.robots

@@ -21,6 +21,7 @@ from tiswarm.compute.math import normal
 from tiswarm.measurements.advice.expected_error import Images, Posterior
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Coordinates, Distances, Measurements
 from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
 from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
@@ -53,9 +54,6 @@ _DECISIVE = 5.0
 
 _NO_WEIGHT = 1e-12
 """Weight of a solution that only shows what a measurement would change [1]."""
-
-_AXES = 3
-"""Rows of a known position."""
 
 Kind = Literal["contact", "height", "position", "range", "anchor"]
 
@@ -172,15 +170,16 @@ class _Question(NamedTuple):
         Returns:
             Its kind and place, the mean square error [R^2], and how far images are apart [sd].
         """
-        found = []
+        ranked = []
         for kind, (_, rows, size) in enumerate(self.candidates):
-            jacobian, variance = rows.jacobian(self.center), rows.variance()
+            jacobian = rows.jacobian(self.center)
+            variance = rows.variance()
             after, apart = self._posterior.with_rows(jacobian, variance, self.change(rows), size)
-            after += 0.0 if self.images is None else self.images.left(apart)
+            after += 0.0 if self.images is None else self.images.remaining(apart)
             after[[place for of_kind, place in taken if of_kind == kind]] = np.inf
             first = after.argsort(kind="stable")[:1].tolist()
-            found += [(float(after[place]), kind, place, float(apart[place])) for place in first]
-        after_best, kind, place, apart_best = min(found)
+            ranked += [(float(after[place]), kind, place, float(apart[place])) for place in first]
+        after_best, kind, place, apart_best = min(ranked)
         return kind, place, after_best, apart_best
 
     def measure(self, rows: Measurements) -> None:
@@ -197,7 +196,7 @@ class _Question(NamedTuple):
         """Count the floppy modes that some further rows remove together."""
         jacobian = csc_array(vstack([rows.jacobian(self.center) for rows in further]))
         modes = int(_rank(jacobian, self.motions.of_robots(), jacobian.shape[0])[0])
-        fixed = [self.fixes_gauge[rows.robot[0]] for rows in further if len(rows) == _AXES]
+        fixed = [self.fixes_gauge[rows.robot[0]] for rows in further if len(rows) == AXES]
         return modes - any(fixed)
 
     def determined(self, further: Sequence[Measurements]) -> Ints:
@@ -207,8 +206,8 @@ class _Question(NamedTuple):
             [rows.distances for rows in further],
             [rows.places for rows in further],
         )
-        left = self.motions.robots(further_rows(self.bodies, every, self.center))
-        return np.flatnonzero(self.motions.robots() & ~left & ~self.is_gone)
+        still_floppy = self.motions.robots(further_rows(self.bodies, every, self.center))
+        return np.flatnonzero(self.motions.robots() & ~still_floppy & ~self.is_gone)
 
 
 def advise(
@@ -234,22 +233,27 @@ def advise(
     question = _Question.of(log, cues, position, images)
     if question is None:
         return None
-    pair, posterior, center = question.images, question.posterior, question.center
+    pair = question.images
+    posterior = question.posterior
+    center = question.center
     advice = []
     for candidates in _of_kinds(question, ()):
         kind, further, size = candidates
-        jacobian, variance = further.jacobian(center), further.variance()
+        jacobian = further.jacobian(center)
+        variance = further.variance()
         change = question.change(further)
         modes = _rank(jacobian, question.motions.of_robots(), size)
-        if size == _AXES:
+        if size == AXES:
             modes -= question.fixes_gauge[further.robot[::size]]
-        before, after = np.nan, modes * np.nan
+        before = np.nan
+        after = modes * np.nan
         apart = np.sqrt((change**2 / variance).reshape(-1, size).sum(axis=1))
         if posterior is not None:
             before = posterior.mean_square
             after, apart = posterior.with_rows(jacobian, variance, change, size)
         if pair is not None:
-            before, after = before + pair.mean_square, after + pair.left(apart)
+            before = before + pair.mean_square
+            after = after + pair.remaining(apart)
         helps = (modes > 0) | (after < (1.0 - _GAIN) ** 2 * before) | (apart > _DECISIVE)
         best = np.lexsort((-modes, -apart, after, ~helps))[: min(_EACH, helps.sum())]
         for chosen in best.tolist():
@@ -307,20 +311,19 @@ def advise_together(
     taken: list[tuple[int, int]] = []
     rows: list[Measurements] = []
     advice: list[Advice] = []
-    before, modes, found = (
-        0.0 if not question.candidates else question.mean_square,
-        0,
-        np.array([], int),
-    )
+    before = 0.0 if not question.candidates else question.mean_square
+    modes = 0
+    already_determined = np.array([], int)
     while len(advice) < min(
-        budget, sum(len(each.rows) // each.size for each in question.candidates)
+        budget, sum(len(candidate.rows) // candidate.size for candidate in question.candidates)
     ):
         kind, chosen, after, apart = question.best(taken)
         one = question.candidates[kind].one(chosen)
         question.measure(one)
         taken.append((kind, chosen))
         rows.append(one)
-        removed, determined = question.modes(rows), question.determined(rows)
+        removed = question.modes(rows)
+        determined = question.determined(rows)
         rmse = log.dock_radius * np.sqrt([before, after])
         advice.append(
             Advice(
@@ -328,22 +331,24 @@ def advise_together(
                 robot=int(one.robot[0]),
                 contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
                 floppy_modes=removed - modes,
-                determined=np.setdiff1d(determined, found),
+                determined=np.setdiff1d(determined, already_determined),
                 rmse_before=float(rmse[0]),
                 rmse_after=float(rmse[1]),
                 images_apart_sd=np.nan if question.images is None else apart,
             )
         )
-        before, modes, found = after, removed, determined
+        before = after
+        modes = removed
+        already_determined = determined
     return advice
 
 
 def _of_kinds(question: _Question, kinds: Collection[Kind]) -> list[_Candidates]:
     """Select candidates of some kinds, or of those that need no request if there are none."""
     return [
-        each
-        for each in question.candidates
-        if each.kind in kinds or (not kinds and each.kind != _ON_REQUEST)
+        candidate
+        for candidate in question.candidates
+        if candidate.kind in kinds or (not kinds and candidate.kind != _ON_REQUEST)
     ]
 
 
@@ -352,11 +357,12 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
 
     Nobody can measure robots that have left.
     """
-    final, precision = odometry.final, Precision()
+    final = odometry.final
+    precision = Precision()
     docks = center[:, None] + odometry.arm[final]
-    later, own, earlier, its = close_docks(log, docks, SPACING + _GAP).T
+    later, later_dock, earlier, earlier_dock = close_docks(log, docks, SPACING + _GAP).T
     contacts = Distances.of(
-        final[later], own, final[earlier], its, length=SPACING, sd=precision.contact
+        final[later], later_dock, final[earlier], earlier_dock, length=SPACING, sd=precision.contact
     )
     yield _Candidates("contact", Measurements.gather(odometry, [contacts]), 1)
     present = np.flatnonzero(~log.is_gone[1:]) + 1
@@ -367,13 +373,13 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
         ("position", np.eye(3), precision.height, present),
         ("anchor", np.eye(3), KNOWN_SD, present[standing]),
     ]
-    for kind, axes, sd, there in kinds:
-        stance = np.repeat(final[there], len(axes))
+    for kind, axes, sd, robots in kinds:
+        stance = np.repeat(final[robots], len(axes))
         places = Coordinates.of(
             stance,
             np.full_like(stance, CENTER),
-            np.tile(axes, (len(there), 1)),
-            (center[there] @ axes.T).ravel(),
+            np.tile(axes, (len(robots), 1)),
+            (center[robots] @ axes.T).ravel(),
             variance=sd**2,
         )
         yield _Candidates(kind, Measurements.gather(odometry, places=[places]), len(axes))
@@ -382,12 +388,15 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
 def _ranges(log: SensingLog, odometry: Odometry, pair: Images) -> _Candidates:
     """List one range of each robot: the new one within reach that differs most between images."""
     first, second = (cdist(image, image) for image in (pair.first, pair.second))
-    change, (i, j) = np.abs(second - first), log.ranges[:, :2].astype(np.int64).T
+    change = np.abs(second - first)
+    (i, j) = log.ranges[:, :2].astype(np.int64).T
     change[first > log.ranges[:, 2].max() / log.dock_radius] = 0.0
     change[i, j] = change[j, i] = 0.0
     change[log.gone] = change[:, log.gone] = 0.0
-    robot, other = np.arange(len(change)), change.argmax(axis=1)
-    later, earlier = np.maximum(robot, other), np.minimum(robot, other)
+    robot = np.arange(len(change))
+    partner = change.argmax(axis=1)
+    later = np.maximum(robot, partner)
+    earlier = np.minimum(robot, partner)
     chosen = np.unique(np.column_stack([later, earlier])[later > earlier], axis=0)
     chosen = chosen[~log.is_gone[chosen].any(axis=1)]
     sd = float(np.median(log.ranges[:, 3])) / log.dock_radius
@@ -473,8 +482,8 @@ def tabulate(
     """
     require_set(budget, kinds)
     together = None if budget is None else _together(log, cues, estimate, budget, kinds)
-    found = advise(log, cues, *_images(log, cues, estimate))
-    table = AdviceTable(_advice_rows(log, found or [], "with it"))
+    advice = advise(log, cues, *_images(log, cues, estimate))
+    table = AdviceTable(_advice_rows(log, advice or [], "with it"))
     table.together = together
     return table
 
@@ -483,24 +492,25 @@ def require_set(budget: int | None, kinds: Sequence[str]) -> None:
     """Raise InputError if a set is to have no measurement, or an unknown kind of these."""
     if budget is not None and budget < 1:
         raise InputError(f"{budget} should be at least 1; correct it", argument="budget")
-    known = get_args(Kind)
-    if unknown := [kind for kind in kinds if kind not in known]:
-        raise InputError(f"{unknown[0]!r} should be one of {', '.join(known)}", argument="kinds")
+    allowed = get_args(Kind)
+    unknown = [kind for kind in kinds if kind not in allowed]
+    if unknown:
+        raise InputError(f"{unknown[0]!r} should be one of {', '.join(allowed)}", argument="kinds")
 
 
 def _together(
     log: SensingLog, cues: Collection[str], estimate: Estimate, budget: int, kinds: Sequence[Kind]
 ) -> AdviceTable:
     at, images = _images(log, cues, estimate)
-    found = advise_together(log, cues, at, images, budget=budget, kinds=kinds)
-    if found is None:
+    advice = advise_together(log, cues, at, images, budget=budget, kinds=kinds)
+    if advice is None:
         problem = f"is for up to {MOST_ROBOTS:,} robots without too many loops; leave it out"
         raise InputError(problem, argument="budget")
-    table = AdviceTable(_advice_rows(log, found, "with it and those above"))
-    if found:
-        number = Counter(one.kind for one in found)
+    table = AdviceTable(_advice_rows(log, advice, "with it and those above"))
+    if advice:
+        number = Counter(one.kind for one in advice)
         what = " and ".join(counted(count, kind) for kind, count in number.items())
-        error = f"{found[0].rmse_before:.3g} -> {found[-1].rmse_after:.3g} {log.length_unit}"
+        error = f"{advice[0].rmse_before:.3g} -> {advice[-1].rmse_after:.3g} {log.length_unit}"
         table.title = f"together, {what}: expected RMSE {error}"
     return table
 
@@ -515,22 +525,23 @@ def _images(
     """
     if estimate.mirrored is not None and (estimate.mirrored & ~log.is_gone).any():
         return estimate.position, estimate.solutions
-    unit, center = log.dock_radius, estimate.configuration / log.dock_radius
+    unit = log.dock_radius
+    center = estimate.configuration / log.dock_radius
     rows = measure(log, cues).associated(center)
     if not estimate.solutions and not estimate.turns and estimate.sd is not None:
         # A table of positions may have means of circles, where robots fit no range.
-        way = normal(0, "aside", np.arange(len(center))[:, None], np.arange(_AXES))
+        way = normal(0, "aside", np.arange(len(center))[:, None], np.arange(AXES))
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         center += way * (estimate.sd / unit)[:, None]
-    found = Turns.of(rows, center)
-    mean, square = found.swept(center)
+    turns = Turns.of(rows, center)
+    mean, square = turns.swept(center)
     if not square.any():
         return estimate.position, ()
-    first = replace(estimate, **found.stated(center, unit), solutions=()).configuration
+    first = replace(estimate, **turns.stated(center, unit), solutions=()).configuration
     opposite = np.where((square > 0.0)[:, None], 2.0 * unit * mean - first, first)
     # Robots that turn together share one error, not one each.
     together = np.sqrt(square)
-    for turn in found:
+    for turn in turns:
         together[turn.moves] *= np.sqrt(turn.moves.sum())
     pair = [
         Solution(
@@ -544,28 +555,29 @@ def _images(
 
 def _advice_rows(log: SensingLog, advice: Sequence[Advice], after: str) -> list[dict[str, str]]:
     """Write advice as cells by heading; `after` is the heading of the error that it leaves."""
-    name, unit = log.robot_id.tolist(), log.length_unit
+    name = log.robot_id.tolist()
+    unit = log.length_unit
     rows = []
-    for rank, found in enumerate(advice, start=1):
-        what = f"{found.kind} of robot {name[found.robot]}"
-        if found.kind == "anchor":
-            what = f"robot {name[found.robot]} as an anchor"
-        elif found.kind == "range":
-            what = f"{what} to robot {name[found.contact[1]]}"
-        elif found.contact:
-            own, other, dock = found.contact
-            what = f"{what}'s dock {own} with robot {name[other]}'s dock {dock}"
+    for rank, item in enumerate(advice, start=1):
+        what = f"{item.kind} of robot {name[item.robot]}"
+        if item.kind == "anchor":
+            what = f"robot {name[item.robot]} as an anchor"
+        elif item.kind == "range":
+            what = f"{what} to robot {name[item.contact[1]]}"
+        elif item.contact:
+            own_dock, partner, dock = item.contact
+            what = f"{what}'s dock {own_dock} with robot {name[partner]}'s dock {dock}"
         gains = {
-            IMAGES_APART: found.images_apart_sd,
-            f"expected RMSE [{unit}]": found.rmse_before,
-            f"{after} [{unit}]": found.rmse_after,
+            IMAGES_APART: item.images_apart_sd,
+            f"expected RMSE [{unit}]": item.rmse_before,
+            f"{after} [{unit}]": item.rmse_after,
         }
         rows.append(
             {
                 "rank": str(rank),
                 "further measurement": what,
-                "floppy modes removed": str(found.floppy_modes),
-                "robots determined": named(log, found.determined, most=3),
+                "floppy modes removed": str(item.floppy_modes),
+                "robots determined": named(log, item.determined, most=3),
             }
             | {key: f"{value:.3g}" for key, value in gains.items() if not math.isnan(value)}
         )

@@ -13,7 +13,7 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
-from tiswarm.measurements.contacts import overlap
+from tiswarm.measurements.contacts import nearest_overlap
 from tiswarm.measurements.cues import Measured
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
@@ -60,58 +60,63 @@ def narrow(log: SensingLog, robot: int, position: Reals) -> list[Narrowed]:
         raise InputError(problem, argument="robot")
     measured = Measured(log)
     contacts = measured.rows(("contacts",))
-    own = np.flatnonzero(contacts.robot == robot)
-    if not len(own):
+    robot_contacts = np.flatnonzero(contacts.robot == robot)
+    if not len(robot_contacts):
         problem = f"{name} touches no robot that joined earlier; choose another"
         raise InputError(problem, argument="robot")
-    return [*_steps(measured, robot, position, own)]
+    return [*_steps(measured, robot, position, robot_contacts)]
 
 
-def _steps(measured: Measured, robot: int, position: Reals, own: Ints) -> Iterator[Narrowed]:
-    log, contacts = measured.log, measured.rows(("contacts",))
+def _steps(
+    measured: Measured, robot: int, position: Reals, robot_contacts: Ints
+) -> Iterator[Narrowed]:
+    log = measured.log
+    contacts = measured.rows(("contacts",))
     draw = np.random.default_rng(0)
     arms = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
-    partner = int(contacts.other[own[0]])
+    partner = int(contacts.other[robot_contacts[0]])
     # Any of its docks, whose places are known, and any of ours, turned at random: all within reach.
-    its = position[partner] + arms[partner, draw.integers(arms.shape[1], size=_DRAWS)]
+    partner_dock = position[partner] + arms[partner, draw.integers(arms.shape[1], size=_DRAWS)]
     reach = np.linalg.norm(log.dock_offset_body, axis=1) / log.dock_radius
     dock = draw.integers(arms.shape[1], size=_DRAWS)
     apart = SPACING * _directions(draw)
     yield Narrowed(
         f"touches robot {log.robot_id[partner]}",
-        its + apart - reach[dock, None] * _directions(draw),
+        partner_dock + apart - reach[dock, None] * _directions(draw),
     )
-    yield Narrowed("orientation", its + apart - arms[robot, dock])
-    first, *others = own
+    yield Narrowed("orientation", partner_dock + apart - arms[robot, dock])
+    first, *further_contacts = robot_contacts
     center = position[partner] + contacts.other_arm[first] - contacts.arm[first]
-    left = center + apart
-    yield Narrowed(_docks(measured, first), left)
-    for row in others:
-        other = int(contacts.other[row])
-        end = position[other] + contacts.other_arm[row] - contacts.arm[row]
-        off = np.linalg.norm(left - end, axis=1) - contacts.distances.length[row]
+    remaining = center + apart
+    yield Narrowed(_docks(measured, first), remaining)
+    for row in further_contacts:
+        partner_of_row = int(contacts.other[row])
+        end = position[partner_of_row] + contacts.other_arm[row] - contacts.arm[row]
+        off = np.linalg.norm(remaining - end, axis=1) - contacts.distances.length[row]
         missed = np.linalg.norm(position[robot] - end) - contacts.distances.length[row]
         # Noise must not exclude the estimate itself, so the band is wider by what that misses.
-        left = left[abs(off) <= _WIDTH + abs(missed)]
-        yield Narrowed(_docks(measured, row), left)
+        remaining = remaining[abs(off) <= _WIDTH + abs(missed)]
+        yield Narrowed(_docks(measured, row), remaining)
     for cue in _FIXED_PLACES:
         rows = measured.rows((cue,))
         of_robot = np.flatnonzero(rows.robot[len(rows.other) :] == robot)
         for row in of_robot:
-            normal, arm = rows.places.direction[row], rows.arm[len(rows.other) + row]
+            normal = rows.places.direction[row]
+            arm = rows.arm[len(rows.other) + row]
             value = rows.places.value[row] - normal @ arm
             missed = normal @ position[robot] - value
-            left = left[abs(left @ normal - value) <= _WIDTH + abs(missed)]
+            remaining = remaining[abs(remaining @ normal - value) <= _WIDTH + abs(missed)]
         if len(of_robot):
-            yield Narrowed(cue, left)
-    yield Narrowed("no overlap", left[_is_free(log, arms, robot, position, left)])
+            yield Narrowed(cue, remaining)
+    yield Narrowed("no overlap", remaining[_is_free(log, arms, robot, position, remaining)])
 
 
 def _docks(measured: Measured, row: int) -> str:
     """Name the docks of a contact."""
     contacts = measured.rows(("contacts",))
-    own, its = contacts.distances.dock[row], contacts.distances.other_dock[row]
-    return f"dock {own} to {its} of robot {measured.log.robot_id[contacts.other[row]]}"
+    dock = contacts.distances.dock[row]
+    partner_dock = contacts.distances.other_dock[row]
+    return f"dock {dock} to {partner_dock} of robot {measured.log.robot_id[contacts.other[row]]}"
 
 
 def _directions(draw: np.random.Generator) -> Reals:
@@ -128,12 +133,12 @@ def _is_free(log: SensingLog, arms: Reals, robot: int, position: Reals, places: 
         return free
     touched = log.contacts[log.contacts[:, 2] == robot]
     for dock in range(arms.shape[1]):
-        others = position[:robot, None] + arms[:robot]
-        is_apart = np.repeat(~log.is_gone[:robot, None], others.shape[1], axis=1)
+        earlier_docks = position[:robot, None] + arms[:robot]
+        is_apart = np.repeat(~log.is_gone[:robot, None], earlier_docks.shape[1], axis=1)
         # Docks in contact may be a little nearer than D, by noise.
         is_apart[tuple(touched[touched[:, 3] == dock, :2].T)] = False
         if is_apart.any():
             at = np.concatenate([position[robot, None], places]) + arms[robot, dock]
-            deep = overlap(at, others[is_apart])
+            deep = nearest_overlap(at, earlier_docks[is_apart])
             free &= deep[1:] <= _WIDTH + deep[0]
     return free
