@@ -86,7 +86,7 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
 The kinds:
 
 method: the class of its settings, see `localization.methods`, in the order of the schema.
-sensor: a suite with its settings and price, see `parts.suites`.
+sensor: a suite with its settings and price, see `sensing.suites`.
 structure: the class of its settings, see `world.params`, in the order of the schema.
 rule: the class of its settings, see `world.params`.
 measure: a `records.measures.Measure`, of plug-ins alone; ours are the table MEASURES there.
@@ -94,7 +94,8 @@ figure: a module with a function `painters` and `CAPTIONS`, see `report.figures`
 export_format: a function of a view, which returns bytes by name of file.
 import_format: a function of a file and assumptions, which returns a table of poses, or None if the
     file has another format.
-channel: a function of the settings of `distributed`, see `parts.channels`.
+channel: a function of the settings of `distributed`, see
+    `localization.distributed.channels`.
 """
 
 

@@ -296,9 +296,9 @@ def rule(name: str) -> Callable[[_Class], _Class]:
 def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[..., Any]:
     """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
     unguarded = inherited
+    fault_of = _FAULTS.get(method)
     if isfunction(inherited):  # a rule may derive from another one, whose methods are wrapped
         unguarded = _unguarded.get(inherited, inherited)
-    fault_of: Callable[..., str] = _FAULTS.get(method, lambda *_: "")
 
     @wraps(unguarded)
     def call(*arguments: Any) -> Any:  # noqa: ANN401 - as the method
@@ -318,7 +318,10 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
             return returned
 
         def fault(returned: NDArray[Any]) -> str:
-            return _fault_of_integers(returned) or fault_of(returned, *arguments[1:])
+            wrong_type = _fault_of_integers(returned)
+            if wrong_type or fault_of is None:
+                return wrong_type
+            return fault_of(returned, *arguments[1:])
 
         return call_plugin("rule", name, integers, fault, method=method).astype(np.int32)
 
@@ -336,17 +339,17 @@ def _described(value: object) -> str:
     return f"{name}, a function of Python" if name else f"a {type(value).__name__}"
 
 
-def _fault_of_score(returned: object) -> str:
-    if is_kernel_function(returned):
-        return ""
-    return f"{_described(returned)}; return a function that ti.func decorates, and nothing else"
-
-
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a view that code of users cannot write: the array is that of the engine."""
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def _fault_of_score(returned: object) -> str:
+    if is_kernel_function(returned):
+        return ""
+    return f"{_described(returned)}; return a function that ti.func decorates, and nothing else"
 
 
 def _fault_of_integers(returned: NDArray[Any]) -> str:
