@@ -17,7 +17,7 @@ import sys
 import textwrap
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from hashlib import sha256
@@ -473,16 +473,33 @@ def forget() -> None:
     _refresh()
 
 
-def guarded(plugin: Plugin, name: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - theirs
+def guarded(
+    plugin: Plugin,
+    name: str,
+    call: Callable[[], Any],
+    *,
+    repeats: Callable[..., Any] | None = None,
+    owner: object = None,
+) -> Any:  # noqa: ANN401 - theirs
     """Call code of a plug-in; an exception in it becomes a line that says where it was raised.
 
     The working folder is the same afterwards.
 
+    Args:
+        plugin: The plug-in.
+        name: What is called, for the error.
+        call: The call.
+        repeats: Function of the plug-in, if what it returns has to follow from the seed.
+        owner: Object whose method that is.
+
     Raises:
-        PluginError: the code raised an exception, or wanted to end the program.
+        PluginError: the code raised an exception, or wanted to end the program, or drew random
+            numbers that do not repeat.
     """
+    from tiswarm.base.repeatable import watched  # noqa: PLC0415 - slow, and --help need not wait
+
     try:
-        with _same_folder():
+        with _same_folder(), nullcontext() if repeats is None else watched(repeats, owner):
             return call()
     except (Exception, SystemExit) as error:
         line = _line_in(plugin.file, error)

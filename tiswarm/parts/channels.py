@@ -147,7 +147,7 @@ def _heard(name: str, hear: Callable[..., Any], air: Air, settings: Any) -> Bool
         PluginError: it failed, or returned something else.
     """
     plugin = registered("channel")[name].plugin
-    heard = np.asarray(guarded(plugin, name, lambda: hear(air, settings)))
+    heard = np.asarray(guarded(plugin, name, lambda: hear(air, settings), repeats=hear))
     if heard.shape != air.sender.shape or heard.dtype != np.bool_:
         what = f"{heard.dtype} of shape {heard.shape}"
         problem = f"{plugin.file}: {name} returned {what}; return bool of shape {air.sender.shape}"

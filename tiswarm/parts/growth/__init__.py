@@ -303,7 +303,9 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
     def call(*given: Any) -> Any:  # noqa: ANN401 - as the method
         plugin, what = door.registered("rule")[name].plugin, f"{name}.{method}"
         shown = [_read_only(each) if isinstance(each, np.ndarray) else each for each in given]
-        found: Any = door.guarded(plugin, what, lambda: theirs(*shown))
+        found: Any = door.guarded(
+            plugin, what, lambda: theirs(*shown), repeats=theirs, owner=given[0]
+        )
         if method == "score":
             if not is_kernel_function(found):
                 advice = "return a function that ti.func decorates, and nothing else"
@@ -438,7 +440,9 @@ def _checked(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
     @wraps(theirs)
     def call(self: GrowthParams, *given: Any) -> Any:  # noqa: ANN401 - as the method
         plugin, what = door.registered("structure")[name].plugin, f"{name}.{method}"
-        found = door.guarded(plugin, what, lambda: np.asarray(theirs(self, *given)))
+        found = door.guarded(
+            plugin, what, lambda: np.asarray(theirs(self, *given)), repeats=theirs, owner=self
+        )
         shape, wrong = _SHAPES[method](*given), ""
         if found.shape != shape:
             kind = "None" if found.tolist() is None else f"shape {found.shape}"
@@ -457,7 +461,7 @@ def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
     """Return the terrain of a plug-in's structure."""
     plugin, what = door.registered("structure")[name].plugin, f"{name}.terrain"
     theirs = getattr(settings.terrain, "fget", lambda _: settings.terrain)
-    found = door.guarded(plugin, what, lambda: theirs(of))
+    found = door.guarded(plugin, what, lambda: theirs(of), repeats=theirs, owner=of)
     if type(found) is not Terrain:
         problem = f"{plugin.file}: {what} returned {type(found).__name__}; return a Terrain"
         if isinstance(found, Terrain):  # kernels know the ground by the fields of Terrain alone

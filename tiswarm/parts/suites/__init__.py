@@ -175,7 +175,10 @@ class OwnSuite(Suite):
             PluginError: the sensor failed, or returned something else than rows.
         """
         plugin = registered("sensor")[params.suite].plugin
-        rows = guarded(plugin, params.suite, lambda: np.asarray(self.sense(history, params)))
+        sense: Callable[..., Any] = self.sense
+        rows = guarded(
+            plugin, params.suite, lambda: np.asarray(sense(history, params)), repeats=sense
+        )
         if wrong := _fault(rows, COLUMNS[self.fills], history):
             problem = f"{plugin.file}: {params.suite} returned {wrong}"
             raise PluginError(problem, f"{problem}\n")
