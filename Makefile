@@ -10,7 +10,7 @@ CONSTRAINTS = constraints.txt
 ARCH = cuda
 GPU_OPTIONS =
 # Rooms whose tests `make check` runs: those without kernels and whole runs.
-ROOMS = base evaluation measurements parts/advice parts/suites records scenario sensing
+ROOMS = base evaluation formats measurements records scenario sensing
 # Roundings, and rooms or files of tests, of `make roundings`; all if empty.
 KINDS =
 TESTS =
@@ -49,8 +49,8 @@ roundings: $(installed_dev) $(system_checked)  ## Test numbers under other round
 	$(bin)/python -m tests.roundings $(if $(KINDS),--kinds $(KINDS)) -- $(TESTS)
 
 check: lint  ## Check style, types and contracts, and run quick tests (ROOMS='world study')
-	$(tests) --quiet tests/test_architecture.py tests/test_language.py tests/test_pages.py \
-		tests/test_tour.py $(ROOMS:%=tests/%)
+	$(tests) --quiet tests/test_architecture.py tests/test_pages.py tests/test_tour.py \
+		$(ROOMS:%=tests/%)
 
 docs: $(installed_dev)  ## Build the site of the documentation, build/docs/index.html
 	$(bin)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/docs
@@ -121,7 +121,7 @@ $(installed_dev): $(inputs) | $(bin)/python
 	@touch $(installed) $@
 
 # Taichi, open3d and the tests of devices need libraries that pip cannot bring.
-.venv/.system-checked: tiswarm/parts/doctor.py $(installed)
+.venv/.system-checked: tiswarm/app/doctor.py $(installed)
 	@missing=$$($(bin)/tiswarm doctor --missing-packages) \
 		|| { echo "warning: could not look for system libraries" >&2; exit 0; }; \
 	if test -z "$$missing"; then \

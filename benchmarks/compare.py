@@ -26,8 +26,8 @@ from benchmarks.swarm_step.machine import describe
 from benchmarks.threads import WORKS, Task, Work
 from tiswarm.compute import backend
 from tiswarm.localization.methods import LocalizationParams, localize_many
-from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
-from tiswarm.study.provenance import all_code
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
+from tiswarm.study.provenance import package_code
 
 BASELINES = Path(__file__).with_name("baselines")
 SMALL_LOGS = ("tower-contacts", "cantilever-contacts")
@@ -66,7 +66,7 @@ class Timing:
     """Distance between the quartiles of that ratio, relative to the median [1]."""
     cpu_s: float
     calibration_s: float
-    code: str = field(default_factory=all_code)
+    code: str = field(default_factory=package_code)
     """Digest of the code that grows and localizes."""
     machine: dict[str, object] = field(default_factory=describe)
 

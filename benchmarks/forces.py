@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from benchmarks.swarm_step.scenes import ROBOT, StepParams, make
 from tiswarm.compute.lang import ti
-from tiswarm.parts.forces import MovingSwarm
+from tiswarm.engine.forces import MovingSwarm
 
 STEPS = 50
 CUTOFF, DENSITY, TIME_STEP, TEMPERATURE = 2.5, 0.8, 0.005, 1.5

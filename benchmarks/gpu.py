@@ -33,6 +33,7 @@ from benchmarks.swarm_step.engines.registry import ENGINES
 from benchmarks.swarm_step.machine import describe
 from benchmarks.swarm_step.process import EngineProcess
 from benchmarks.swarm_step.scenes import Scene, StepParams, make
+from tiswarm.app import doctor
 from tiswarm.base.params import ARCHS
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, machine
@@ -40,7 +41,6 @@ from tiswarm.compute.lang import ti
 from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts import doctor
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow

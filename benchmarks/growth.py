@@ -43,7 +43,7 @@ SIZES = {
     ),
 }
 PARTS: dict[str, tuple[Any, str]] = {
-    "climbing (kernel)": (Walks, "climb"),
+    "climbing (kernel)": (Walks, "climb_by_score"),
     "joining (kernel)": (Walks, "join"),
     "mechanics": (mechanics.Frames, "solve"),
     "elimination and loads (kernel) within mechanics": (frame_kernels, "find_loads"),

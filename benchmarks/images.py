@@ -21,7 +21,10 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
-from tiswarm.parts.pictures.pictures import (
+from tiswarm.records.messages import three_digits
+from tiswarm.records.terrain import Terrain
+from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, JOIN_COLORS, colors_along
+from tiswarm.report.pictures.pictures import (
     FRAME_MS,
     INK,
     LAST_MS,
@@ -36,11 +39,8 @@ from tiswarm.parts.pictures.pictures import (
     draw_states,
     encode_webp,
 )
-from tiswarm.parts.pictures.raycast import Pixels
-from tiswarm.parts.pictures.scene import TRUE_SIZE, build_scene
-from tiswarm.records.messages import three_digits
-from tiswarm.records.terrain import Terrain
-from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, JOIN_COLORS, colors_along
+from tiswarm.report.pictures.raycast import Pixels
+from tiswarm.report.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.report.run_data import RunData, StoredCase, load_run
 from tiswarm.report.swarm_view import DrawnRobots, SwarmView, read_case_view
 

@@ -33,13 +33,13 @@ from tiswarm.evaluation.metrics import mean_std_ci95
 from tiswarm.evaluation.tables import MOST_WITHIN
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost import ROBUST_SD
+from tiswarm.localization.distributed.channel import ACKNOWLEDGMENT, Channel
+from tiswarm.localization.distributed.method import PeerSwarm
+from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.methods import centered, localize
 from tiswarm.localization.mixture.ends import Posed
+from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts.between import DistributedParams
-from tiswarm.parts.between.channel import ACKNOWLEDGMENT, Channel
-from tiswarm.parts.between.method import PeerSwarm
-from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import SensingLogBuilder, lines_of, log_entries
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

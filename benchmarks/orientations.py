@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.parts.flips import fit_orientations, flip_axes
+from tiswarm.measurements.flips import fit_orientations, flip_axes
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.sensing.params import Vibration

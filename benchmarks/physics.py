@@ -31,7 +31,7 @@ from tests import frames, oracle_frames
 from tests.frames import LinkLoads
 from tests.oracle_mujoco import Simulation
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.parts.formats.physics import encode_mjcf
+from tiswarm.formats.physics import encode_mjcf
 from tiswarm.report.figure_style import PAGE_WIDTH, PALETTE, STYLE, label_plainly, new_figure, png
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History

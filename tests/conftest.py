@@ -20,7 +20,7 @@ BOUNDS = "TISWARM_DEBUG"
 """Variable by which kernels check the bounds of arrays; read when the backend starts."""
 
 ROOMS_WITH_KERNELS = {"compute", "engine", "world"}
-ROOMS_OF_TRIALS = ROOMS_WITH_KERNELS | {"localization", "between", "online", "peers"}
+ROOMS_OF_TRIALS = ROOMS_WITH_KERNELS | {"localization", "distributed", "online", "peers"}
 """Rooms whose kernels check bounds: those of methods in trials alone, which need half as long
 without."""
 ROOMS_WITHOUT_KERNELS = {

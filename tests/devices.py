@@ -10,7 +10,7 @@ from importlib.util import find_spec
 import pytest
 
 from tests.runs import python
-from tiswarm.parts.doctor import find_software_vulkan
+from tiswarm.app.doctor import find_software_vulkan
 
 ARCH = os.environ.get("TISWARM_TEST_ARCH", "vulkan")
 LIBRARIES = [name for name in ("taichi", "quadrants") if find_spec(name)]

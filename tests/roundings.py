@@ -1,7 +1,7 @@
 """A trial of tests: whether they hold under other roundings than those of this machine.
 
     python -m tests.roundings                                   # numerical rooms, all kinds
-    python -m tests.roundings --kinds skylakex busy -- tests/parts/online/test_online.py
+    python -m tests.roundings --kinds skylakex busy -- tests/localization/online/test_online.py
 
 Another processor rounds otherwise, as libraries choose other code for it. Here variables make them
 choose. A row of the table says what a kind changed: digests of values of numpy, BLAS and libm that
@@ -28,12 +28,12 @@ from xml.etree import ElementTree as ET
 from tiswarm.compute.numerics import simd_features
 
 REPOSITORY = Path(__file__).parents[1]
-ROOMS = ("compute", "engine", "evaluation", "localization", "measurements", "parts", "sensing",
-         "world")  # fmt: skip
+ROOMS = ("app", "compute", "engine", "evaluation", "formats", "localization", "measurements",
+         "report", "sensing", "study", "world")  # fmt: skip
 """Rooms whose tests compare numbers."""
 
 OTHER_LIBRARY = "quadrants"
-_PROBE = "from tiswarm.parts.doctor import name_numerics; print(name_numerics('cpu'))"
+_PROBE = "from tiswarm.app.doctor import name_numerics; print(name_numerics('cpu'))"
 _SPIN = "import os; parent = os.getppid()\nwhile os.getppid() == parent: sum(range(10**6))"
 """Computes until its parent ends, however that ends."""
 

@@ -14,13 +14,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import AnyInts
-from tiswarm.base.parts import PARTS, find
+from tiswarm.base.registry import BUILT_IN, get
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams
 from tiswarm.world.history import History
 
-SUITES = {name: find("sensor", name) for name in PARTS["sensor"]}
+SUITES = {name: get("sensor", name) for name in BUILT_IN["sensor"]}
 """Every sensor suite of the package by its name."""
 
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)

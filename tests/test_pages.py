@@ -51,13 +51,6 @@ def test_the_readme_names_the_folder_of_the_first_run():
     assert f"open {folder}/report.html" in (REPOSITORY / "README.md").read_text()
 
 
-def test_the_readme_is_read_in_a_minute():
-    """It has at most 140 lines: what tiswarm is, a large swarm, two commands, results, no more."""
-    lines = (REPOSITORY / "README.md").read_text().splitlines()
-
-    assert len(lines) <= 140
-
-
 def test_the_list_of_pages_is_complete():
     """The README names a few pages; the list at the end of the site's front has all but notes."""
     docs = REPOSITORY / "docs"

@@ -14,30 +14,30 @@ import numpy as np
 import pytest
 
 from tests.engine.test_relax import GAINS, ROBOT, swarm
+from tests.engine.test_user_forces import Atom, crystal, langevin, lennard_jones, level
+from tests.localization.distributed.test_distributed import QUICK as DISTRIBUTED
+from tests.localization.online.test_online import QUICK as ONLINE
 from tests.localization.test_branch_sums import annealer
 from tests.localization.test_joint_estimates import BIASED
 from tests.localization.test_joint_estimates import SHORT as JOINT
 from tests.localization.test_together import SHORT as TOGETHER
 from tests.localization.test_virtual_force import CUES
-from tests.parts.between.test_distributed import QUICK as DISTRIBUTED
-from tests.parts.online.test_online import QUICK as ONLINE
-from tests.parts.suites.test_sight import cloud, views
-from tests.parts.test_forces import Atom, crystal, langevin, lennard_jones, level
 from tests.runs import REPOSITORY, repeated_files
+from tests.sensing.suites.test_sight import cloud, views
 from tests.structures import NOISY, silent
 from tests.world.test_growth import FIREANT, KINDS
 from tiswarm import relax, study
-from tiswarm.base.parts import PARTS
 from tiswarm.base.progress import Progress
+from tiswarm.base.registry import BUILT_IN
 from tiswarm.compute import backend
 from tiswarm.localization.chains.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.methods import localize_many
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import Together
-from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
-from tiswarm.parts.suites.senses import in_sight
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing.sight import in_sight
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
@@ -245,7 +245,7 @@ def test_threads_change_no_bit(found, name):
     assert one == two
 
 
-@pytest.mark.parametrize("method", PARTS["method"])
+@pytest.mark.parametrize("method", BUILT_IN["method"])
 def test_every_method_is_among_them(method):
     """A new method brings a work of its own."""
     assert any(f"{name} ".startswith(f"{method} ") for name in WORKS)

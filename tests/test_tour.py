@@ -1,4 +1,4 @@
-"""The tour of docs/tour.md is short, and its files exist."""
+"""Files and functions that docs/tour.md names exist."""
 
 import re
 from itertools import takewhile
@@ -14,10 +14,10 @@ def stops() -> list[str]:
 
 
 def test_stops_of_the_tour_are_distinct():
-    """Nobody reads a file twice; how long the tour is, `tests/test_architecture.py` measures."""
+    """Nobody reads a file twice."""
     files = stops()
 
-    assert 10 <= len(files) == len(set(files))
+    assert len(files) == len(set(files)) > 0
 
 
 def test_files_and_names_of_the_tour_exist():

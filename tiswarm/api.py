@@ -21,7 +21,7 @@ from functools import partial
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Inspection, inspect
@@ -34,13 +34,12 @@ from tiswarm.app.results import (
     Run,
     as_path,
     as_texts,
-    choose,
     open_run,
     plain,
 )
-from tiswarm.base.errors import InputError, warn
+from tiswarm.base.errors import InputError, require_name, warn
 from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
-from tiswarm.base.parts import find, has, load_plugins
+from tiswarm.base.registry import load_plugins
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import write_estimate
@@ -50,8 +49,15 @@ from tiswarm.records.sensing_log import SensingLog
 if TYPE_CHECKING:
     from typing import BinaryIO, TextIO
 
+    from tiswarm.app.comparison import Comparison
+    from tiswarm.app.swarms import Swarms
     from tiswarm.evaluation.tables import Scores
+    from tiswarm.formats.imports import Imported
+    from tiswarm.localization.online.settings import OnlineParams
+    from tiswarm.localization.online.tracker import Tracker
+    from tiswarm.measurements.advice.further import AdviceTable, Kind
     from tiswarm.scenario.model import Scenario
+    from tiswarm.study.forecast import Forecast
 
 
 def read_log(path: File) -> Log:
@@ -168,12 +174,12 @@ def run(
     """
     from tiswarm import study  # noqa: PLC0415 - slow to import
     from tiswarm.app.drawing import draw_all  # noqa: PLC0415 - slow to import
+    from tiswarm.study.forecast import fewer  # noqa: PLC0415 - slow to import
 
     load_plugins(plugins)
     where = study.Execution(workers=workers, **_fields(execution))
     settings, progress = _load(scenario, overrides), ConsoleProgress(quiet=quiet)
-    if has("command", "run --workers"):
-        where = find("command", "run --workers")(settings, where, progress)
+    where = fewer(settings, where, progress)
     result = study.run(
         settings, as_path(out, "out"),
         progress=progress, arch=arch, threads=threads, execution=where, overwrite=overwrite,
@@ -199,7 +205,7 @@ def grow(
     threads: int | None = None,
     plugins: Sequence[File] = (),
     quiet: bool = False,
-) -> Any:  # noqa: ANN401 - `Swarms`
+) -> "Swarms":
     """Grow structures side by side, as `tiswarm run` grows them.
 
     Args:
@@ -221,6 +227,8 @@ def grow(
         InputError: an argument has a mistake, or no robot joined a structure.
         PluginError: code of a plug-in failed.
     """
+    from tiswarm.app import swarms  # noqa: PLC0415 - slow to import
+
     load_plugins(plugins)
     kind = _section(structure, "kind")
     if rule is not None and isinstance(kind, Mapping):
@@ -230,7 +238,6 @@ def grow(
         "seeds": [*seeds] if isinstance(seeds, range | tuple) else seeds,
         **({} if robot is None else {"robot": _section(robot, "shape")}),
     }  # fmt: skip
-    swarms = find("command", "grow")
     return swarms.grow(_load(given, None), threads=threads, quiet=quiet)
 
 
@@ -243,7 +250,7 @@ def _section(settings: object, key: str) -> object:
     return settings
 
 
-def open_swarms(path: File, *, plugins: Sequence[File] = ()) -> Any:  # noqa: ANN401 - `Swarms`
+def open_swarms(path: File, *, plugins: Sequence[File] = ()) -> "Swarms":
     """Read structures that `Swarms.save` wrote.
 
     Args:
@@ -253,8 +260,10 @@ def open_swarms(path: File, *, plugins: Sequence[File] = ()) -> Any:  # noqa: AN
     Raises:
         InputError: there is no such file, or it is damaged.
     """
+    from tiswarm.app import swarms  # noqa: PLC0415 - slow to import
+
     load_plugins(plugins)
-    return find("command", "grow").open_swarms(as_path(path, "path"))
+    return swarms.open_swarms(as_path(path, "path"))
 
 
 def forecast(
@@ -264,7 +273,7 @@ def forecast(
     workers: int | None = None,
     plugins: Sequence[File] = (),
     **execution: Any,  # noqa: ANN401 - types of their own
-) -> Any:  # noqa: ANN401 - a named tuple of a part
+) -> "Forecast":
     """Estimate time and memory of the run of a scenario, and compute nothing.
 
     Returns:
@@ -281,10 +290,11 @@ def forecast(
         InputError: the scenario has a mistake, or there is no such field.
     """
     from tiswarm import study  # noqa: PLC0415 - slow to import
+    from tiswarm.study import forecast as forecasts  # noqa: PLC0415 - slow to import
 
     load_plugins(plugins)
     where = study.Execution(workers=workers, **_fields(execution))
-    return find("command", "run --plan")(_load(scenario, overrides), where)
+    return forecasts.forecast(_load(scenario, overrides), where)
 
 
 def redraw(
@@ -347,7 +357,7 @@ def import_poses(
     plugins: Sequence[File] = (),
     overwrite: bool = False,
     **assumed: Any,  # noqa: ANN401 - types of their own
-) -> dict[str, Any]:
+) -> "dict[str, Imported]":
     """Convert robot poses of any simulator to sensing logs and true positions.
 
     Args:
@@ -368,9 +378,10 @@ def import_poses(
         InputError: the table is malformed, there is no such field, or an output would replace
             another file.
     """
+    from tiswarm.formats.imports import convert  # noqa: PLC0415 - slow to import
+
     load_plugins(plugins)
-    convert = find("command", "import")
-    found: dict[str, Any] = convert(
+    found = convert(
         as_path(poses, "poses"), assumed,
         docks=None if docks is None else as_path(docks, "docks"),
         out=None if out is None else as_path(out, "out"), overwrite=overwrite,
@@ -413,14 +424,18 @@ def score(
     found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
     scores = score_files(as_path(truth, "truth"), found)
     if figure is not None:
-        find("command", "score")(
+        from tiswarm.report.pictures.swarm_figures import write_score  # noqa: PLC0415
+
+        write_score(
             figure, scores.true, scores.estimated, scores.errors, scores.unit, overwrite=overwrite
         )
         ConsoleProgress(quiet=quiet).info(str(figure))
     return scores
 
 
-def compare(*runs: Run | File, out: File = "reports/comparison", overwrite: bool = False) -> Any:  # noqa: ANN401 - a `Comparison`
+def compare(
+    *runs: Run | File, out: File = "reports/comparison", overwrite: bool = False
+) -> "Comparison":
     """Compare runs in two tables and a figure.
 
     Args:
@@ -435,7 +450,8 @@ def compare(*runs: Run | File, out: File = "reports/comparison", overwrite: bool
         InputError: there are fewer than two different runs, one has no results, or an output would
             replace another file.
     """
-    comparison = find("command", "compare")
+    from tiswarm.app import comparison  # noqa: PLC0415 - slow to import
+
     folder = as_path(out, "out")
     folders = [run.folder if isinstance(run, Run) else as_path(run, "runs") for run in runs]
     files = [folder / name for name in comparison.FILES]
@@ -448,9 +464,9 @@ def advise(
     estimate: Estimate | File | None = None,
     *,
     budget: int | None = None,
-    kinds: Sequence[str] = (),
+    kinds: "Sequence[Kind]" = (),
     quiet: bool = True,
-) -> Any:  # noqa: ANN401 - an `AdviceTable`
+) -> "AdviceTable":
     """List which further contact, height or known position would constrain most robots.
 
     Where the estimate has robots that are mirrored, the list says what excludes one of the images.
@@ -470,7 +486,9 @@ def advise(
     Raises:
         InputError: the budget is not positive, a kind is unknown, or the log has too many robots.
     """
-    find("command", "advise").require_set(budget, kinds)
+    from tiswarm.measurements.advice.further import require_set  # noqa: PLC0415 - slow to import
+
+    require_set(budget, kinds)
     return open_log(log).with_estimate(estimate, quiet=quiet).findings.advise(budget, kinds)
 
 
@@ -479,7 +497,7 @@ def _fields(execution: Mapping[str, Any]) -> Mapping[str, Any]:
     from tiswarm import study  # noqa: PLC0415 - slow to import
 
     for name in execution:
-        choose(name, [field.name for field in fields(study.Execution)], "execution")
+        require_name(name, [field.name for field in fields(study.Execution)], "execution")
     return execution
 
 
@@ -629,7 +647,7 @@ def track(
     overrides: Overrides = (),
     overwrite: bool = False,
     **settings: object,
-) -> Any:  # noqa: ANN401 - a `Tracker`
+) -> "Tracker":
     """Estimate robots' positions from a stream of a log's lines, as `tiswarm track` does.
 
     A line that is malformed is skipped, with a warning.
@@ -651,7 +669,8 @@ def track(
         InputError: the input cannot be read, its header or a setting is invalid, or an output is an
             input, or a file that no tiswarm command wrote.
     """
-    follow = find("command", "track").follow
+    from tiswarm.localization.online.tracker import follow  # noqa: PLC0415 - slow to import
+
     file, terminal = (as_path(out, "out"), None) if isinstance(out, _NAME) else (None, out)
     table = None if estimate is None else as_path(estimate, "estimate")
     outputs.check({"out": file, "estimate": table}, [source], overwrite=overwrite)
@@ -673,7 +692,9 @@ def track(
                 terminal.write(text)
                 terminal.flush()
 
-        tracker = follow(lines, path, params=params, on_answer=answer, on_refused=warn)
+        tracker = follow(
+            lines, path, params=cast("OnlineParams", params), on_answer=answer, on_refused=warn
+        )
         final = None if table is None else tracker.estimate(final=True)
     if table is not None and final is not None:
         write_estimate(table, final, opened=opened)

@@ -26,8 +26,8 @@ from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse
 from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import WholeCost
-from tiswarm.parts.peers import LeastSquaresParams
-from tiswarm.parts.peers.hop_by_hop import place
+from tiswarm.localization.peers.hop_by_hop import place
+from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 
 PARAMS = LeastSquaresParams(robust=False, non_overlap=False, touches=False)

@@ -29,7 +29,7 @@ from benchmarks.logs.grade import Bound, Grade, grade, refused, summary
 from benchmarks.logs.limit import known_robots
 from tests.roundings import KINDS
 from tiswarm.base.errors import TiswarmError
-from tiswarm.base.parts import load_plugins
+from tiswarm.base.registry import load_plugins
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_log import SensingLog

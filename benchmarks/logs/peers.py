@@ -12,8 +12,8 @@ from benchmarks.least_squares.factor_graph import by_robot, levenberg_marquardt,
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import Problem, pose_problem
-from tiswarm.parts.peers import LeastSquaresParams
-from tiswarm.parts.peers.hop_by_hop import place
+from tiswarm.localization.peers.hop_by_hop import place
+from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 
 PARAMS = LeastSquaresParams(robust=False, non_overlap=False, touches=False)

@@ -26,7 +26,7 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Variant, variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
-from tiswarm.study.provenance import all_code
+from tiswarm.study.provenance import package_code
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 
@@ -137,7 +137,7 @@ def tune(
     ranges = {name: limits for name, limits in wanted.items() if name in start}
     record: dict[str, Any] = {
         "tiswarm": __version__,
-        "code": all_code(),
+        "code": package_code(),
         "scenario": scenario.name,
         "points": [point.label for point in points],
         "robots": [point.settings.robots for point in points],

@@ -11,9 +11,9 @@ from tiswarm.app import drawing
 from tiswarm.app.drawing import draw_all
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.parts.pictures import pictures
-from tiswarm.parts.pictures.pictures import Rendered
 from tiswarm.records.run_folder import read_manifest
+from tiswarm.report.pictures import pictures
+from tiswarm.report.pictures.pictures import Rendered
 from tiswarm.report.run_data import load_run
 from tiswarm.study.run import RunResult
 

@@ -10,8 +10,8 @@ import pytest
 
 from tiswarm.app.inspection import inspect
 from tiswarm.base.errors import InputError
-from tiswarm.parts.advice import further as advice
-from tiswarm.parts.advice.further import AdviceTable, tabulate
+from tiswarm.measurements.advice import further as advice
+from tiswarm.measurements.advice.further import AdviceTable, tabulate
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 

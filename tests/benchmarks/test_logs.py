@@ -16,7 +16,7 @@ from benchmarks.logs.limit import limit
 from benchmarks.logs.make import made
 from tests.benchmarks.commands import call
 from tiswarm.localization.methods import localize
-from tiswarm.parts.peers import HopByHopParams
+from tiswarm.localization.peers.settings import HopByHopParams
 from tiswarm.records.positions import read_positions_of, write_estimate
 from tiswarm.records.sensing_file import write_sensing_log
 

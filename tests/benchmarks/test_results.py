@@ -13,7 +13,7 @@ from scipy.stats import fisher_exact
 from benchmarks import results
 from tests.runs import REPOSITORY
 from tiswarm.evaluation.paper import PAPER as PAPER_CELLS
-from tiswarm.parts.formats.imports import GAINS
+from tiswarm.formats.imports import GAINS
 
 KIND = "AMD EPYC family 26 model 2"
 """Kind of processor that docs/accuracy.md names."""

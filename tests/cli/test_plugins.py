@@ -15,7 +15,7 @@ import pytest
 
 import tiswarm as library
 from tests.runs import REPOSITORY
-from tiswarm.base import parts as plugins
+from tiswarm.base import registry as plugins
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.localization.methods import all_params
 from tiswarm.scenario.model import scenario_schema
@@ -289,7 +289,7 @@ def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
     with pytest.raises(InputError, match=problem):
         library.check("own.yaml", plugins=["own.py"])
 
-    assert [plugins.registered(kind) for kind in plugins.PARTS] == [{}] * len(plugins.PARTS)
+    assert [plugins.registered(kind) for kind in plugins.BUILT_IN] == [{}] * len(plugins.BUILT_IN)
 
 
 def test_a_plugin_that_is_missing_is_a_line(tiswarm, files):
@@ -738,22 +738,6 @@ def test_a_rule_of_a_plugin_grows_structures(tiswarm, files, workers):
     assert json.loads((case / "case.json").read_text())["status"] == "done"
     log = library.read_log(case / "sensing.jsonl")
     assert np.diff(log.stances.start)[1:].min() >= 4
-
-
-def test_a_stranger_adds_a_rule_or_structure_in_so_many_lines():
-    """The page on architecture counts the lines of code of the first examples."""
-    page = (REPOSITORY / "docs" / "architecture.md").read_text()
-    stated = re.search(
-        r"rule of growth in 1 file of (\d+) .*? structure in 1 file of (\d+)", page, re.DOTALL
-    )
-
-    lines = []
-    for code in (RANDOM, LEANING):
-        text = re.sub(r'""".*?"""', "", code, flags=re.DOTALL)
-        lines.append(sum(bool(line.strip()) for line in text.splitlines()))
-
-    assert stated is not None
-    assert [*map(int, stated.groups())] == lines
 
 
 def test_an_edit_of_a_rule_computes_its_cases_again(files):

@@ -47,7 +47,7 @@ _RELAX = """
 import json, sys
 from tests.compute.test_devices import _relaxed
 from tests.devices import ARCH
-from tiswarm.parts import doctor
+from tiswarm.app import doctor
 from tiswarm.compute import backend, machine
 from tiswarm.base.errors import EnvironmentTroubleError
 card = machine.find_card(ARCH)

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.localization.test_problem import true_yaw
 from tests.structures import NOISY, with_directions
 from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 
@@ -17,6 +18,7 @@ pytestmark = pytest.mark.unchecked
 
 QUICK = JointParams(chains=3, steps=600, hold_steps=200)
 METHODS = [QUICK, LeastSquaresParams(non_overlap=False)]
+PEERS = [LeastSquaresParams(), HopByHopParams()]
 
 
 def directed(history, params=NOISY, **options) -> SensingLog:
@@ -76,11 +78,16 @@ def test_yaw_is_solved_for_with_directions(towers):
     assert np.median(np.abs(solved.yaw - bias)) < 0.7 * np.median(np.abs(bias))
 
 
+def _most_checked(log):
+    """Return the row of a direction whose robot has the most directions."""
+    degree = np.bincount(log.directions[:, [0, 2]].astype(int).ravel())
+    return int(degree[log.directions[:, 0].astype(int)].argmax())
+
+
 def test_a_wrong_direction_is_an_outlier(towers):
     """All three rows of it give way, and it is listed once; others hold the robot."""
     log = directed(towers[0])
-    degree = np.bincount(log.directions[:, [0, 2]].astype(int).ravel())
-    row = int(degree[log.directions[:, 0].astype(int)].argmax())
+    row = _most_checked(log)
     robot = int(log.directions[row, 0])
     rows = log.directions.copy()
     rows[row, 4:] *= -1.0
@@ -91,6 +98,25 @@ def test_a_wrong_direction_is_an_outlier(towers):
     assert wrong in found.outlier_contacts.tolist()
     assert len(found.outlier_contacts) <= 2
     assert np.linalg.norm(found.position - towers[0].position, axis=1).max() < 1.0
+
+
+@pytest.mark.parametrize("params", PEERS, ids=lambda p: p.method)
+@pytest.mark.parametrize("turn_deg", [20, 30, 40])
+def test_three_rows_of_a_direction_are_outliers_together(towers, params, turn_deg):
+    """Where one component is missed by far, all three give way, and the direction is listed."""
+    log = directed(towers[0])
+    row = _most_checked(log)
+    rows = log.directions.copy()
+    across = np.cross(rows[row, 4:], [0.3, 0.5, 0.8])
+    turn = np.radians(turn_deg) * across / np.linalg.norm(across)
+    rows[row, 4:] = Rotation.from_rotvec(turn).apply(rows[row, 4:])
+
+    estimate = localize(replace(log, directions=rows), params)
+
+    assert np.isfinite(estimate.position).all()
+    if estimate.outlier_contacts is not None:
+        wrong = [int(rows[row, 0]), 0, *rows[row, 1:4].astype(int).tolist()]
+        assert estimate.outlier_contacts.tolist() == [wrong]
 
 
 def test_the_error_is_as_large_as_sd(towers):

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.parts.online.test_online import QUICK, fed, lines_of
+from tests.localization.online.test_online import QUICK, fed, lines_of
 from tests.structures import NOISY
 from tiswarm.localization.cost.cost import State
 from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.online.tracker import Tracker
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import JointParams, VirtualForceParams
-from tiswarm.parts.advice.further import advise
-from tiswarm.parts.online.tracker import Tracker
-from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
+from tiswarm.measurements.advice.further import advise
 from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import parse_header, parse_line
 from tiswarm.sensing import observe

@@ -11,9 +11,9 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import start_sigma
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.assessment import assess
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.observability import observability
-from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 

@@ -12,13 +12,13 @@ from tests import foreign
 from tests.strategies import unit_vectors
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize, settings_of
+from tiswarm.localization.online.settings import OnlineParams
+from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements import turns
+from tiswarm.measurements.advice.further import tabulate
 from tiswarm.measurements.turns import Turn, Turns
 from tiswarm.measurements.verdicts import cautions, headline
-from tiswarm.parts.advice.further import tabulate
-from tiswarm.parts.online import OnlineParams
-from tiswarm.parts.online.tracker import Tracker
 from tiswarm.records.sensing_file import lines_of
 
 pytestmark = pytest.mark.unchecked

@@ -10,8 +10,8 @@ import pytest
 import tiswarm
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
+from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.localization.settings import BackPropagation, VirtualForceParams
-from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 

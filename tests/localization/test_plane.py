@@ -9,9 +9,9 @@ import tiswarm
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
+from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
 from tiswarm.measurements.cues import in_plane
-from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

@@ -9,19 +9,19 @@ import pytest
 from tests import foreign
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.online.settings import OnlineParams
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
 from tiswarm.localization.virtual_force.method import Localizer
+from tiswarm.measurements.advice.further import advise, advise_together
 from tiswarm.measurements.cues import cue_names
-from tiswarm.parts.advice.further import advise, advise_together
-from tiswarm.parts.between import DistributedParams
-from tiswarm.parts.navigation import _parts
-from tiswarm.parts.online import OnlineParams
-from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.study.navigation import _parts
 from tiswarm.world.growth import grow
 from tiswarm.world.params import CantileverParams, TowerParams
 

@@ -65,7 +65,7 @@ def test_steps_that_lead_uphill_are_taken_back(start):
 def test_no_step_is_tried_that_promises_little():
     """Evaluating the cost there would take longer than the gain is worth."""
     valley, begin = Valley(), State(np.array([[0.9, 0.81, 0.0]]), np.zeros((1, 3)))
-    valley.promised = 1.0
+    valley.least_reduction = 1.0
 
     state, _ = valley.refine(begin)
 

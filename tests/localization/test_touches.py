@@ -9,9 +9,9 @@ import pytest
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.methods import localize, localize_many
+from tiswarm.localization.peers.settings import HopByHopParams
 from tiswarm.localization.settings import SWITCHES, JointParams
 from tiswarm.measurements.cues import measure
-from tiswarm.parts.peers import HopByHopParams
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams

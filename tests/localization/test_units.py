@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.methods import localize
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
-from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
-from tiswarm.parts.units import contradictions
+from tiswarm.measurements.units import contradictions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow

@@ -14,11 +14,11 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.assessment import Assessment, assess
 from tiswarm.localization.mixture.verdict import Evidence, judge, widened
+from tiswarm.localization.online.settings import OnlineParams
+from tiswarm.localization.online.tracker import Tracker
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import LARGE, JointParams
 from tiswarm.measurements.cues import measure
-from tiswarm.parts.online import OnlineParams
-from tiswarm.parts.online.tracker import Tracker
-from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence
 from tiswarm.records.sensing_file import lines_of
 from tiswarm.records.sensing_log import SensingLog

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.parts.online.test_online import LOCAL, fed, lines_of, sensed
+from tests.localization.online.test_online import LOCAL, fed, lines_of, sensed
 from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.arrays import BodyMotion
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import view_of
+from tiswarm.localization.distributed.robot import view_near
+from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts.between import DistributedParams
-from tiswarm.parts.between.robot import view_near
 
 PARAMS = JointParams(chains=2, steps=20, hold_steps=1, robust=False)
 

@@ -9,7 +9,7 @@ import pytest
 from tests.structures import silent
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import inconsistent_places
-from tiswarm.parts.units import contradictions
+from tiswarm.measurements.units import contradictions
 from tiswarm.records.sensing_log import SensingNoise, Stances
 from tiswarm.sensing import SensingParams, observe
 

@@ -9,7 +9,7 @@ from tests.structures import silent
 from tiswarm.evaluation.metrics import earlier_contact_count
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.settings import JointParams
-from tiswarm.measurements.contacts import contact_count, disconnected
+from tiswarm.measurements.contacts import contact_count, disconnected, nearest_overlap, overlaps
 from tiswarm.measurements.cues import measure
 
 CHAIN_AND_PAIR = [(0, 0, 1, 1), (1, 0, 2, 1), (1, 2, 2, 2), (3, 0, 4, 0)]
@@ -52,3 +52,25 @@ def test_contacts_are_counted_at_both_ends_and_at_the_joiner():
 
     assert contact_count(log).tolist() == [1, 3, 2, 1, 1, 0]
     assert earlier_contact_count(log).tolist() == [0, 1, 2, 0, 1, 0]
+
+
+def test_overlaps_are_of_docks_nearer_than_two_radii() -> None:
+    """A pair at a distance of D, one beyond it and one at the same point do not count."""
+    point = np.zeros((5, 1, 3))
+    point[1:4, 0, 0] = [1.5, 2.0, 3.0]
+    docks = np.array([[1, 0, 0, 0], [2, 0, 0, 0], [3, 0, 0, 0], [4, 0, 0, 0]])
+
+    overlapping = overlaps(point, docks)
+
+    assert overlapping.docks.tolist() == [[1, 0, 0, 0]]
+    assert overlapping.depth.tolist() == [0.5]
+    assert overlapping.direction.tolist() == [[1.0, 0.0, 0.0]]
+
+
+def test_the_nearest_dock_is_the_one_that_overlaps_most() -> None:
+    """Of two docks in the way, the nearer one sets the depth."""
+    obstacles = np.array([[1.5, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+
+    depth = nearest_overlap(np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]), obstacles)
+
+    assert depth.tolist() == [1.0, 0.0]

@@ -3,12 +3,12 @@
 import numpy as np
 
 from tiswarm.localization.methods import localize
+from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements import cues
 from tiswarm.measurements.model import Coordinates
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER
-from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.sensing import SensingParams, observe
 
 

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 from tests.measurements.test_orientations import connected
 from tiswarm.evaluation.metrics import rmse
 from tiswarm.localization.methods import localize
+from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import weld
 from tiswarm.measurements.verdicts import describe_outliers
-from tiswarm.parts.peers import HopByHopParams, LeastSquaresParams
 from tiswarm.records.sensing_log import SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

@@ -157,7 +157,7 @@ def test_directions_need_no_contacts(log):
 
 def test_rows_are_selected_and_gathered_alike(log, rows):
     """A selection has the residuals of its rows, and can be gathered again."""
-    chosen = np.random.default_rng(0).random(len(rows)) < 0.5
+    chosen = rows.any_of_vector(np.random.default_rng(0).random(len(rows)) < 0.2)
     position = np.random.default_rng(1).normal(size=(30, 3))
 
     some = rows.select(chosen)
@@ -167,6 +167,19 @@ def test_rows_are_selected_and_gathered_alike(log, rows):
         np.testing.assert_array_equal(part.residual(position), rows.residual(position)[chosen])
         np.testing.assert_array_equal(part.variance(), rows.variance()[chosen])
         assert len(part) == chosen.sum()
+
+
+def test_a_vector_is_chosen_whole(rows):
+    """Its three rows are flagged together; a choice of one or two of them is refused."""
+    vector = len(rows.distances.stance) + 3
+    flag = np.zeros(len(rows), np.bool_)
+    flag[[vector + 1, -1]] = True
+
+    flagged = np.flatnonzero(rows.any_of_vector(flag))
+
+    assert flagged.tolist() == [vector, vector + 1, vector + 2, len(rows) - 1]
+    with pytest.raises(ValueError, match="one measurement"):
+        rows.select(flag)
 
 
 @pytest.mark.parametrize("turning", [False, True])

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from tests.strategies import rotations
 from tests.structures import with_connections, with_directions
 from tiswarm.localization.methods import localize
+from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.localization.settings import JointParams, VirtualForceParams
 from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.odometry import Odometry, connections_of, with_orientations
-from tiswarm.parts.peers import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

@@ -172,7 +172,7 @@ def test_bodies_with_too_many_loops_are_not_factored(monkeypatch):
     known = observability(log, ["contacts"])
     monkeypatch.setattr(rigidity, "MOST_LOOPS", 0)
     factored = []
-    monkeypatch.setattr(rigidity, "splu", lambda *_, **__: factored.append(1))
+    monkeypatch.setattr(rigidity, "factored", lambda *_, **__: factored.append(1))
 
     unknown = observability(log, ["contacts"])
 

@@ -9,8 +9,8 @@ from tests.structures import with_ranges
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER
-from tiswarm.parts.suites import STATIONS
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing.suites import STATIONS
 
 CUES = ("contacts", "ground", "fixes", "ranges", "directions", "touches")
 LIGHTHOUSES = {"beacons": STATIONS, "beacon_kind": "sweep", "fix_noise": 0.03, "fix_bias": 0.5}

@@ -39,7 +39,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import JointParams
-from tiswarm.parts.units import slips
+from tiswarm.measurements.units import slips
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import line_schema
 from tiswarm.report.run_data import measured_words

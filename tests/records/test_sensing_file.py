@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.parts.formats.mcap import SENSING, encode_messages
+from tiswarm.records.mcap import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import line_schema
 from tiswarm.records.sensing_log import (

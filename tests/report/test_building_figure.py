@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import require_alike
-from tiswarm.parts.curve_figures import painters
+from tiswarm.report.curve_figures import painters
 from tiswarm.report.run_data import RunData
 
 

@@ -10,16 +10,15 @@ from tests.recorder import Recorder
 from tests.report.conftest import is_blank, require_alike, write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.parts import curve_figures
-from tiswarm.parts.curve_figures import (
+from tiswarm.records import outputs
+from tiswarm.report import curve_figures, error_figures, figure_style, table_figures
+from tiswarm.report.curve_figures import (
     PROFILED,
     SCALING_PANELS,
     compares_rounds,
     draw_rounds,
     draw_scaling,
 )
-from tiswarm.records import outputs
-from tiswarm.report import error_figures, figure_style, table_figures
 from tiswarm.report.error_figures import draw_convergence, draw_errors
 from tiswarm.report.figure_style import Panels, png
 from tiswarm.report.figures import draw_figures

@@ -17,9 +17,9 @@ from tiswarm import study
 from tiswarm.app.formats import export_view
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
-from tiswarm.parts.pictures import pictures
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
+from tiswarm.report.pictures import pictures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view
 

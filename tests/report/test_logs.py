@@ -18,10 +18,10 @@ from tiswarm.app.logs import Log
 from tiswarm.base.progress import Progress
 from tiswarm.cli import main
 from tiswarm.measurements.observability import observability
-from tiswarm.parts.pictures import pictures
-from tiswarm.parts.pictures.pictures import build_pictures
 from tiswarm.records.estimate import MOST_WITHIN, Convergence, Estimate, Solution
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.report.pictures import pictures
+from tiswarm.report.pictures.pictures import build_pictures
 from tiswarm.report.swarm_view import view_data, view_log
 from tiswarm.sensing import SensingParams, observe
 

@@ -13,22 +13,22 @@ from tests.browser import probe
 from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.parts.pictures.pictures import build_pictures
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import swarm_view
-from tiswarm.report.answers import result_of
 from tiswarm.report.figures import caption_of, draw_figures
 from tiswarm.report.page import Page, Shown, show_pictures, write_page
 from tiswarm.report.page_tables import (
     PageTable,
     case_table,
+    console_text,
     headline_table,
     notes_of,
     paper_text,
     result_tables,
     warnings_of,
 )
-from tiswarm.report.run_data import Labels, load_run
+from tiswarm.report.pictures.pictures import build_pictures
+from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import build_view, first_series, read_case_view
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,disconnected"
@@ -51,7 +51,6 @@ def test_a_run_without_results_has_a_page(odd_run):
     page = write_page(load_run(odd_run), Progress()).read_text()
 
     assert "1 of 1 cases failed" in page
-    assert '<p class="result">No case was finished.</p>' in page
     assert 'id="view"' not in page
     assert len(page) < 50_000
 
@@ -347,17 +346,70 @@ def test_disconnected_robots_are_stated_beside_the_error(tmp_path):
     """An unfinished bridge must not look like a bad method."""
     table = pd.DataFrame({"condition": [*"ab"], "cases": 1, "rmse_R_mean": [18.3, 17.0]})
     lost = table.assign(disconnected_mean=[15.0, 0.0], joined_mean=30.0)
-    measures = dict.fromkeys(["rmse_R_ci95", "rmse_R_least", "rmse_R_most"], np.nan)
-    full = lost.assign(procrustes_disparity_mean=0.1, **measures)
 
     shown = headline_table(lost)
 
-    assert shown.frame["robots disconnected"].tolist() == ["0", "15"]
+    assert shown.frame["robots tied [%]"].tolist() == ["100", "50"]
     assert "No method can place" in shown.note
-    assert "robots disconnected" not in headline_table(table).frame
-    one = result_of(tmp_path, full.head(1), Labels())
-    assert one == "a: RMSE 18.3 R, disparity 0.1, 1 structure, 15 of 30 robots disconnected."
-    assert "robots are disconnected in 1 of 2 rows" in result_of(tmp_path, full, Labels())
+    assert "robots tied [%]" not in headline_table(table).frame
+
+
+def test_doubtful_estimates_are_counted_beside_the_error():
+    """A small error of estimates that did not converge is luck; a method may judge nothing."""
+    table = pd.DataFrame({"condition": [*"abc"], "cases": 4, "rmse_R_mean": [1.0, 2.0, 3.0]})
+
+    shown = headline_table(table.assign(converged_mean=[0.75, 1.0, np.nan], consistent_mean=1.0))
+
+    assert shown.frame["converged"].tolist() == ["3 of 4", "4 of 4", ""]
+    assert "consistent" not in shown.frame
+
+
+def test_changes_are_from_the_first_condition_of_the_same_point():
+    """The first condition is that of the scenario, wherever its error puts it in the table."""
+    table = pd.DataFrame(
+        {
+            "condition": ["all", "less"] * 2,
+            "tilt": ["1 deg"] * 2 + ["2 deg"] * 2,
+            "cases": 1,
+            "rmse_R_mean": [1.0, 1.5, 4.0, 3.0],
+        }
+    )
+
+    shown = headline_table(table, "cues")
+
+    assert shown.frame["condition"].tolist() == ["all", "less", "less", "all"]
+    assert shown.frame["change from all [%]"].tolist() == ["", "+50", "-25", ""]
+
+
+def test_conditions_with_other_measurements_say_so_beside_their_name():
+    """A method that is given more measurements errs less, which says nothing of the method."""
+    table = pd.DataFrame({"condition": [*"ab"], "cases": 1, "rmse_R_mean": [1.0, 2.0]})
+    used = ["contacts, walk_contacts", "contacts"]
+
+    shown = headline_table(table.assign(measurements=used))
+
+    assert [*shown.frame][:2] == ["condition", "also uses"]
+    assert shown.frame["also uses"].tolist() == ["contacts on the way", ""]
+
+
+def test_the_console_has_the_table_in_aligned_columns():
+    """Points stand above their conditions; words are on the left, numbers on the right."""
+    table = pd.DataFrame(
+        {
+            "condition": ["all", "less"] * 2,
+            "tilt": ["1 deg"] * 2 + ["2 deg"] * 2,
+            "cases": 1,
+            "rmse_R_mean": [1.0, 1.5, 2.0, 33.5],
+        }
+    )
+
+    *_, head, first, one, two, second, three, four = console_text(
+        headline_table(table)
+    ).splitlines()
+
+    assert (first, second) == ("1 deg:", "2 deg:")
+    assert [row.split() for row in (one, two)] == [["all", "1"], ["less", "1.50"]]
+    assert len({len(row) for row in (head, one, two, three, four)}) == 1
 
 
 def test_calibration_is_shown_where_a_method_reports_uncertainty():

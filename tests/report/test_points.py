@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import require_alike, write_case, write_summary, write_table
-from tiswarm.parts.comparison import draw_rows
-from tiswarm.parts.curve_figures import PROFILED, SCALING_PANELS
+from tiswarm.app.comparison import draw_rows
 from tiswarm.records.frames import read_frame
 from tiswarm.report import error_figures, figures
+from tiswarm.report.curve_figures import PROFILED, SCALING_PANELS
 from tiswarm.report.run_data import load_run, with_points
 
 CONDITIONS = ("baseline", "no-z", "joint")

@@ -5,8 +5,8 @@ import pytest
 
 from tiswarm import api
 from tiswarm.base.errors import InputError
-from tiswarm.parts.pictures.swarm_figures import draw_score
 from tiswarm.records.positions import write_positions
+from tiswarm.report.pictures.swarm_figures import draw_score
 
 
 @pytest.fixture

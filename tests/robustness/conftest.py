@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tiswarm.parts.pictures import pictures
 from tiswarm.report import figure_style
+from tiswarm.report.pictures import pictures
 
 SHARE = float(os.environ.get("TISWARM_TRIAL_SHARE", "1"))
 SEED = int(os.environ.get("TISWARM_TRIAL_SEED", "0"))

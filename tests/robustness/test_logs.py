@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from tests.robustness.mutations import as_json_lines, damaged, mutated, other_number
+from tests.robustness.quick_methods import JOINING, METHODS
+from tests.robustness.sensed_rows import ALL_SENSES
 from tests.structures import (
     Rule,
     structure,
@@ -21,58 +23,32 @@ from tiswarm.app.formats import export_view
 from tiswarm.app.inspection import inspect
 from tiswarm.app.logs import Log
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import PARTS
 from tiswarm.base.progress import Progress
+from tiswarm.base.registry import BUILT_IN
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
-from tiswarm.parts.formats.mcap import SENSING, encode_messages
-from tiswarm.parts.suites import STATIONS
+from tiswarm.records.mcap import SENSING, encode_messages
 from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log
-from tiswarm.scenario.validation import localization_params
-from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing import observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
 pytestmark = pytest.mark.slow
-
-NOISE = SensingParams(
-    tilt_noise_deg=1.0,
-    yaw_noise_deg=2.0,
-    yaw_bias_deg=3.0,
-    spawn_noise=0.1,
-    false_contacts=0.1,
-    beacons=STATIONS,
-    beacon_kind="sweep",
-    fix_bias=0.5,
-    range_reach=6.0,
-)
-METHODS = {
-    "virtual-force": ["iterations=20"],
-    "joint": ["steps=40", "chains=2"],
-    "least-squares": [],
-    "hop-by-hop": [],
-    "online": ["steps=20", "hold_steps=5", "chains=1"],
-    "distributed": ["steps=20", "chains=1"],
-}
-"""Methods with settings that keep an attempt short."""
-
-JOINING = {"distributed", "online"}
-"""Methods that know of robots before a robot that joins alone."""
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     """Lines of a log with every key of each version, one with four docks, and one with events."""
     [history] = grow(TowerParams(), robots=8, seeds=[0], robot=RobotGeometry())
-    first = observe(history, NOISE)
+    first = observe(history, ALL_SENSES)
     foreign = with_heights(*structure(Rule(kind="loops", docks=4), robots=8, seed=1))
     second = with_ranges(
         with_fixes(first, history, [2, 5], each=2, sd=0.1), history, reach=6.0, sd=0.1
     )
     second = with_connections(with_directions(second, history, sd_deg=1.0), history, sd_deg=1.0)
-    unknown = observe(history, replace(NOISE, contact_docks="own"))
+    unknown = observe(history, replace(ALL_SENSES, contact_docks="own"))
     path = tmp_path_factory.mktemp("logs") / "sensing.jsonl"
     found = []
     for log in (first, foreign, second, unknown):
@@ -106,10 +82,10 @@ def _as_messages(lines):
 
 def _methods_for(log):
     """Name the methods; those that place robots as they join may refuse a log, in one line."""
-    for method, settings in METHODS.items():
+    for method, params in METHODS.items():
         try:
             if method in JOINING:
-                localize(log, localization_params(method, settings))
+                localize(log, params)
         except InputError as refusal:
             if not re.search("choose (method )?joint", str(refusal)):
                 raise
@@ -119,7 +95,7 @@ def _methods_for(log):
 
 def _localized(path, log, method):
     """Localize a log by a method; the estimate reads back and becomes a page."""
-    estimate = localize(log, localization_params(method, METHODS[method]))
+    estimate = localize(log, METHODS[method])
     written = path.with_name("estimate.csv")
     write_estimate(written, estimate)
     back = read_estimate(log, written)
@@ -136,7 +112,7 @@ def _assert_exported(folder, log, estimate):
     """Every format takes what a method made of the log."""
     true = np.where(np.isfinite(estimate.position), estimate.position + 0.5, 0.0)
     for shown in (view_log(log, estimate), view_log(log, estimate, true)):
-        for form in PARTS["export_format"]:
+        for form in BUILT_IN["export_format"]:
             export_view(shown, form, folder, Progress())
     assert all(file.stat().st_size for file in folder.iterdir())
 

@@ -143,7 +143,7 @@ REFUSED = [
         "in a plane robots are flat; use another robot.shape, or plane: false",
     ),
     (f"{SMALL}robts: 20", 3, "robts", "unknown key; did you mean robots?"),
-    (f"{SMALL}question: scalin", 3, "question", "did you mean scaling?"),
+    (f"{SMALL}question: trafic", 3, "question", "did you mean traffic?"),
     (f"{SMALL}color: red", 3, "color", "unknown key; the keys here are name, description, que"),
     (f"{SMALL}robots: 1", 3, "robots", "1 should be greater than or equal to 2"),
     (f"{SMALL}robots: -5", 3, "robots", "-5 should be greater than or equal to 2"),

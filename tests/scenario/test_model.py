@@ -160,9 +160,9 @@ def test_a_question_changes_neither_hash_nor_settings(tmp_path):
     path = tmp_path / "asking.yaml"
     path.write_text("name: a\nstructure: {kind: tower}\nlocalization: {method: joint}\n")
 
-    asking = load_scenario(path, ["question=scaling"])
+    asking = load_scenario(path, ["question=traffic"])
 
-    assert asking.question == "scaling"
+    assert asking.question == "traffic"
     assert load_scenario(path).question == "least-error"
     assert scenario_hash(asking) == scenario_hash(load_scenario(path))
 

@@ -13,7 +13,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_log import LISTS
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.noise import failing
+from tiswarm.sensing.failures import failing
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 

@@ -1,25 +1,15 @@
-"""Digests of the computing code: they change with the code of a case and with nothing else."""
+"""The digest of the computing code changes with code that computes results, and nothing else."""
 
 import shutil
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tiswarm.base.parts import PARTS
 from tiswarm.study import provenance
-from tiswarm.study.provenance import (
-    all_code,
-    case_code,
-    code_digest,
-    growth_code,
-    method_code,
-)
+from tiswarm.study.provenance import case_code, package_code, structure_code
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
-METHODS = tuple(PARTS["method"])
-trial = partial(pytest.param, marks=pytest.mark.trial)
 
 
 @pytest.fixture(scope="module")
@@ -31,35 +21,16 @@ def package(tmp_path_factory) -> Path:
     )
 
 
-@pytest.fixture(scope="module")
-def before(package) -> dict[str, str]:
-    """Digests of the copy before an edit."""
-    with pytest.MonkeyPatch.context() as patch:
-        _use(package, patch)
-        return digests()
-
-
 @pytest.fixture
-def copy(package, before, monkeypatch) -> Path:
-    """Copy of the package, whose digests `case_code` and the like return."""
-    _use(package, monkeypatch)
+def copy(package, monkeypatch) -> Path:
+    """Copy of the package, which digests are computed of."""
+    monkeypatch.setattr(provenance, "__file__", str(package / "study" / "provenance.py"))
     return package
 
 
-def _use(package, patch):
-    """Let digests be those of a copy of the package."""
-
-    def of_copy(modules, apart=None):
-        return code_digest(modules, apart, package)
-
-    patch.setattr(provenance, "code_digest", of_copy)
-
-
-def digests():
-    """Digest of the cases of each method, of structures and of all code, by name."""
-    method_code.cache_clear()
-    found = {name: case_code(name) for name in METHODS}
-    return found | {"structures": growth_code.__wrapped__(), "all": all_code.__wrapped__()}
+def digest() -> str:
+    """Digest of the code as it is now."""
+    return package_code.__wrapped__()
 
 
 @contextmanager
@@ -75,62 +46,69 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
 
 
 @pytest.mark.parametrize(
-    ("name", "changed"),
+    "name",
     [
-        ("world/growth.py", {*METHODS, "structures", "all"}),
-        trial("base/robot.py", {*METHODS, "structures", "all"}),
-        trial("evaluation/metrics.py", {*METHODS, "all"}),
-        ("sensing/observation.py", {*METHODS, "all"}),
-        trial("study/runner.py", {*METHODS, "all"}),
-        ("scenario/validation.py", {*METHODS, "all"}),
-        trial("localization/methods.py", {*METHODS, "all"}),
-        ("localization/mixture/ends.py", {*METHODS, "all"}),
-        ("localization/joint.py", {"joint", "online", "all"}),
-        ("parts/peers/hop_by_hop.py", {"hop-by-hop", "least-squares", "all"}),
-        ("localization/virtual_force/method.py", {"virtual-force", "distributed", "all"}),
-        ("parts/online/layers.py", {"online", "distributed", "all"}),
-        ("parts/between/wire.py", {"distributed", "all"}),
-        trial("parts/suites/senses.py", {*METHODS, "all"}),
-        ("parts/peers/least_squares.py", {"least-squares", "all"}),
-        ("report/page.py", set()),
-        trial("study/executors.py", set()),
-        trial("cli/run.py", set()),
+        "base/robot.py",
+        "engine/kernels.py",
+        "evaluation/metrics.py",
+        "localization/distributed/wire.py",
+        "localization/joint.py",
+        "measurements/flips.py",
+        "records/sensing_file.py",
+        "scenario/validation.py",
+        "sensing/ranges.py",
+        "study/runner.py",
+        "world/rules.py",
     ],
 )
-def test_an_edit_changes_the_digests_of_the_cases_that_use_it(copy, before, name, changed):
-    """Cases of another method stay current: nobody computes them again for nothing."""
+def test_an_edit_of_computing_code_changes_the_digest(copy, name):
+    """Cases are computed again after any change that may change them."""
+    before = digest()
+
     with _edited(copy / name):
-        after = digests()
+        after = digest()
 
-    assert {key for key in before if before[key] != after[key]} == changed
+    assert before != after
 
 
-def test_any_byte_of_computing_code_moves_the_digest(copy, before):
-    """A changed letter and a missing file change the digest."""
-    found = {before["joint"]}
+@pytest.mark.parametrize(
+    "name", ["report/page.py", "cli/run.py", "app/logs.py", "formats/poses.py"]
+)
+def test_an_edit_of_what_shows_results_leaves_the_digest(copy, name):
+    """Nobody computes a study again because a page changed."""
+    before = digest()
+
+    with _edited(copy / name):
+        after = digest()
+
+    assert before == after
+
+
+def test_a_renamed_file_changes_the_digest(copy):
+    """A missing file and one of another name are other code."""
     path = copy / "evaluation" / "metrics.py"
-    with _edited(path):
-        found.add(digests()["joint"])
+    before = digest()
+
     renamed = path.rename(path.with_stem("renamed"))
-    found.add(digests()["joint"])
+    after = digest()
     renamed.rename(path)
 
-    assert len(found) == 3
+    assert before != after
 
 
-def test_code_that_computes_nothing_leaves_the_digest(copy):
-    """Line ends, caches and the folder leave the digest."""
+def test_line_ends_and_caches_leave_the_digest(copy):
+    """So does the folder of the package."""
+    before = digest()
+
     (copy / "world" / "__pycache__").mkdir(exist_ok=True)
     (copy / "world" / "__pycache__" / "growth.pyc").write_text("cache")
     with _edited(copy / "world" / "growth.py", b"\n", b"\r\n", count=-1):
-        found = digests()
+        after = digest()
 
-    assert found == {name: case_code(name) for name in METHODS} | {
-        "structures": growth_code(),
-        "all": all_code(),
-    }
+    assert before == after == package_code()
 
 
-def test_an_unknown_method_has_no_digest():
-    """A record may state any word; none of them makes its case current."""
+def test_cases_and_structures_state_the_digest():
+    """A record may state any word as its method; none of them makes its case current."""
+    assert case_code("joint") == structure_code("tower", "reactive-build") == package_code()
     assert case_code("no such method") == ""

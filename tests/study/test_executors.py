@@ -165,7 +165,7 @@ def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
 def test_a_missing_scheduler_is_an_error(tmp_path, monkeypatch):
     """The run ends with an error instead of waiting."""
     pytest.importorskip("distributed")
-    monkeypatch.setattr("tiswarm.parts.cluster.CONNECT_S", 0.1)
+    monkeypatch.setattr("tiswarm.study.cluster.CONNECT_S", 0.1)
 
     with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers"):
         run_tower(tmp_path, SMALL, scheduler="tcp://127.0.0.1:1")
@@ -260,7 +260,7 @@ def test_workers_of_other_code_are_refused(tmp_path, inject):
     """The run ends before it mixes their cases with others, and computes them again later."""
     inject("""
         import tiswarm.study.provenance
-        tiswarm.study.provenance.code_digest = lambda *_, **__: "0123456789ab"
+        tiswarm.study.provenance.package_code = lambda: "0123456789ab"
     """)
     one = ("seeds=1", "conditions={a: {}}")
 
@@ -382,7 +382,7 @@ def test_a_server_that_is_no_scheduler_is_an_error(tmp_path, monkeypatch):
     """It accepts a connection, and then says nothing."""
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client was made"))
-    monkeypatch.setattr("tiswarm.parts.cluster.CONNECT_S", 0.2)
+    monkeypatch.setattr("tiswarm.study.cluster.CONNECT_S", 0.2)
 
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"

@@ -13,11 +13,11 @@ from tiswarm import study
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.progress import Progress
 from tiswarm.compute.machine import find_card
-from tiswarm.parts.curve_figures import SCALING_PANELS, draw_scaling
-from tiswarm.parts.forecast import fewer
-from tiswarm.parts.forecast import forecast as forecast_of
+from tiswarm.report.curve_figures import SCALING_PANELS, draw_scaling
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
+from tiswarm.study.forecast import fewer
+from tiswarm.study.forecast import forecast as forecast_of
 
 SIZES = (6, 9, 14)
 

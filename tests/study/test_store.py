@@ -56,7 +56,7 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     """A run never mixes results of two states of the code, and reports what it replaces."""
     small = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["robots=5", "seeds=2"])
     progress = Recorder()
-    monkeypatch.setattr(provenance, "method_code", lambda _: "0123456789ab")
+    monkeypatch.setattr(provenance, "package_code", lambda: "0123456789ab")
     old = study.run(small, tmp_path, progress=progress)
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
     monkeypatch.undo()
@@ -68,7 +68,9 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     assert record["code"] == "0123456789ab"
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
     assert record["code"] == provenance.case_code("virtual-force")
-    assert json.loads((new.folder / "manifest.json").read_text())["code"] == provenance.all_code()
+    assert (
+        json.loads((new.folder / "manifest.json").read_text())["code"] == provenance.package_code()
+    )
     assert study.run(small, tmp_path, progress=progress).found == 6
 
 

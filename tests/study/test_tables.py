@@ -9,10 +9,10 @@ import pytest
 
 from tests.runs import REPOSITORY
 from tiswarm import study
-from tiswarm.parts.comparison import compare
-from tiswarm.records.frames import write_frame
+from tiswarm.app.comparison import compare
+from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.measures import MEASURES
-from tiswarm.report.answers import headline
+from tiswarm.report.page_tables import console_text, headline_table
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import tables
@@ -139,18 +139,18 @@ def test_tables_have_verdicts_and_their_reason():
 
 @pytest.mark.parametrize("name", ["NA", "null"])
 def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
-    """The headline and the comparison of runs have the names as in `table.csv`."""
+    """The table of results and the comparison of runs have the names as in `table.csv`."""
     header = "condition,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,converged_mean"
     header += ",rmse_R_least,rmse_R_most,procrustes_disparity_ci95"
     for run in ("a", "b"):
         (tmp_path / run).mkdir()
         (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,,2,2,\n")
 
-    units, line = headline(tmp_path / "a").splitlines()
+    rows = read_frame(tmp_path / "a" / "table.csv", ["condition"], ["cases"], numbers_after="cases")
+    lines = console_text(headline_table(rows)).splitlines()
     compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
 
-    assert "R: radius of a dock" in units
-    assert line == f"{name}: RMSE 2 R, disparity 0.5, 1 structure"
+    assert lines[-1].split() == [name, "2", "0.500"]
     assert f"a,{name},1," in (tmp_path / "both" / "comparison.csv").read_text()
 
 
@@ -203,13 +203,13 @@ def test_swept_values_are_written_as_in_a_scenario(tmp_path):
 
     run = load_run(tmp_path)
     words = run.table("table.csv", ["condition"], ["cases"], after="cases")
-    lines = headline(tmp_path)
+    cells = " ".join(headline_table(words).frame.to_numpy().ravel())
 
     assert words["structure"].unique().tolist() == ["tower", "chain"]
     assert words["sensing.heights"].unique().tolist() == ["with heights", "without heights"]
     assert words["sensing.spawn_noise"].unique().tolist() == ["no spawn noise", "spawn noise 0.5 R"]
     assert {case.point for case in run.cases} >= {"tower, with heights, no spawn noise"}
-    assert not re.search("True|nan|None|'|[{}=]", lines)
+    assert not re.search("True|nan|None|'|[{}=]", cells)
 
 
 def test_every_score_is_a_measure(small_run):

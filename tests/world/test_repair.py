@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tiswarm.base import parts as door
+from tiswarm.base import registry as door
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -24,7 +24,7 @@ def repair(tmp_path):
     file = tmp_path / "repair.py"
     file.write_text(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0])
     door.load_plugins([file])
-    yield door.find("rule", "repair")
+    yield door.get("rule", "repair")
     door.forget()
 
 

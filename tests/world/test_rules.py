@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests import oracle
-from tiswarm.base import parts as door
+from tiswarm.base import registry as door
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets, uniform
@@ -63,7 +63,7 @@ def _rules(page):
 
 
 def _by(params: GrowthParams, name: str, **settings: object) -> GrowthParams:
-    return dataclasses.replace(params, rule=door.find("rule", name)(**settings))
+    return dataclasses.replace(params, rule=door.get("rule", name)(**settings))
 
 
 def _grow(params: GrowthParams, robots: int, seeds: "list[int] | range") -> list[History]:
@@ -155,7 +155,7 @@ def test_a_rule_may_call_in_its_own_way():
     )
 
     assert early.sensed.max() < 0.7 * late.sensed.max()
-    calls = door.find("rule", "early-call")(share=1.0).call(np.array([1.0, 10.0]), TowerParams())
+    calls = door.get("rule", "early-call")(share=1.0).call(np.array([1.0, 10.0]), TowerParams())
     assert calls.tolist() == [0, 5]
 
 
@@ -165,7 +165,7 @@ class Recorder:
     name = "recorder"
 
     def __init__(self, like: str, call=None, spread=None) -> None:
-        self.like, self.steps = door.find("rule", like)(), []
+        self.like, self.steps = door.get("rule", like)(), []
         self.call = call or recruit
         self.spread = spread or (lambda call, contacts: relay(call, contacts, docks=3))
 
@@ -311,7 +311,7 @@ def test_a_rule_cannot_write_calls(tmp_path):
     door.load_plugins([tmp_path / "calls.py"])
 
     with pytest.raises(door.PluginError, match=r"calls\.call failed: .*read-only"):
-        door.find("rule", "calls")().call(np.ones(2), None)
+        door.get("rule", "calls")().call(np.ones(2), None)
 
 
 @pytest.mark.parametrize("one", ["-1", "step.back(0)"])

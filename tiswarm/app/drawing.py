@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.params import AnyMovie
-from tiswarm.base.parts import find, has
 from tiswarm.base.progress import Progress
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
@@ -44,7 +43,7 @@ def draw_all(
     drawn = pictures and (pdf or not whole)
     if drawn:  # what another command drew is not drawn again, and no longer checked
         write_manifest(result.folder, replace(manifest, drawn={}))
-    renders = drawn and some_done and has("command", "render")
+    renders = drawn and some_done
     if drawn or movie:
         draw(
             load_run(result.folder), progress, figures=drawn, renders=renders, pdf=pdf,
@@ -79,16 +78,17 @@ def draw(
         InputError: the run is damaged, or there is no such renderer or case.
         EnvironmentTroubleError: the folder is not writable, or the renderer does not work.
     """
+    from tiswarm.report.pictures.pictures import animate_run, render_run  # noqa: PLC0415
+    from tiswarm.report.pictures.raycast import check_renderer  # noqa: PLC0415 - slow to import
+
     manifest = read_manifest(run.folder)
     if renders or movie:  # mistakes are found before anything is drawn
-        find("command", "renderer").check_renderer(renderer)
+        check_renderer(renderer)
         run.choose(case)
-    render_run = find("command", "render").render_run if renders else None
-    animate_run = find("command", "render").animate_run if movie else None
     with ThreadPoolExecutor(1) as pool:  # renders leave the interpreter to figures for long
         rendering = (
             pool.submit(render_run, run, progress=progress, renderer=renderer, case=case)
-            if render_run
+            if renders
             else None
         )
         written = draw_figures(run, progress, vector=pdf) if figures else []
@@ -98,7 +98,7 @@ def draw(
         origins = {p.path.name: Origin(renderer=p.renderer, reason=p.reason) for p in pictures}
         manifest = replace(manifest, renders=origins)
         write_manifest(run.folder, manifest)  # for the page
-    if animate_run:
+    if movie:
         animated = animate_run(run, movie, progress=progress, renderer=renderer, case=case)
         written.append(animated.path)
     written += [write_page(run, progress), *run.folder.glob("*.csv"), run.folder / "scenario.yaml"]

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from tiswarm.base.parts import find, guarded, register, registered
 from tiswarm.base.progress import Progress
+from tiswarm.base.registry import get, guarded, register, registered
 from tiswarm.records import outputs
 from tiswarm.report.swarm_view import SwarmView
 
@@ -104,6 +104,6 @@ def export_view(
         file, encode = own.value
         files = {file: guarded(own.plugin, form, lambda: bytes(encode(view)))}
     else:
-        files = find("export_format", form, "form")(replace(view, progress=progress))
+        files = get("export_format", form, "form")(replace(view, progress=progress))
     for path in outputs.write_folder(out, files, inputs, overwrite=overwrite):
         progress.info(str(path))

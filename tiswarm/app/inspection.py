@@ -5,16 +5,16 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import Ints
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import find, has
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
+from tiswarm.measurements.units import doubts, impossible
 from tiswarm.measurements.verdicts import (
     cautions,
     describe_outliers,
@@ -29,6 +29,9 @@ from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
+
+if TYPE_CHECKING:
+    from tiswarm.measurements.advice.further import AdviceTable, Kind
 
 
 class Inspection(NamedTuple):
@@ -92,11 +95,11 @@ class Findings:
         return [*unknowns(self.log, self.path, by_cue(self.log)), _LACKING]
 
     @cached_property
-    def advice(self) -> Any:  # noqa: ANN401 - an `AdviceTable`
+    def advice(self) -> "AdviceTable":
         """Further measurements that would constrain robots most."""
         return self.advise()
 
-    def advise(self, budget: int | None = None, kinds: Sequence[str] = ()) -> Any:  # noqa: ANN401
+    def advise(self, budget: int | None = None, kinds: "Sequence[Kind]" = ()) -> "AdviceTable":
         """Return the advice, with the set of `budget` measurements that helps most together.
 
         Args:
@@ -106,7 +109,8 @@ class Findings:
         Raises:
             InputError: the budget is not positive, a kind is unknown, or there are too many robots.
         """
-        tabulate = find("command", "advise").tabulate
+        from tiswarm.measurements.advice.further import tabulate  # noqa: PLC0415 - slow to import
+
         return tabulate(self.log, self._cues or cue_names(), self.estimate, budget, kinds)
 
     @property
@@ -164,8 +168,7 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
     if gauge_yaw_sd is not None:
         fixed = f"the mean compass fixes it to {math.degrees(gauge_yaw_sd):.2g} deg (1 sd)"
         yield f"global yaw is unobservable; {fixed}"
-    if has("command", "check contacts"):
-        yield from find("command", "check contacts")(log, path)
+    yield from impossible(log, path)
 
 
 def _left_open(log: SensingLog, known: Observability) -> str:
@@ -199,19 +202,15 @@ def _inspect_log(path: Path) -> Inspection:
         log = read_sensing_log(path)
     except InputError as mistake:
         return Inspection([mistake])
-    can_doubt = has("command", "check units")
-    doubts = find("command", "check units")(log, path) if can_doubt else ()
-    return Inspection(summary="\n".join([log.size, *doubts, *unknowns(log, path, by_cue(log))]))
+    summary = [log.size, *doubts(log, path), *unknowns(log, path, by_cue(log))]
+    return Inspection(summary="\n".join(summary))
 
 
 def _inspect_scenario(given: Path | dict[str, Any], overrides: Sequence[str]) -> Inspection:
     # slow to import
     from tiswarm.scenario.expansion import find_mistakes, load_scenario  # noqa: PLC0415
+    from tiswarm.study.forecast import forecast  # noqa: PLC0415
 
     if mistakes := find_mistakes(given, overrides):
         return Inspection(mistakes)
-    scenario = load_scenario(given, overrides)
-    can_plan = has("command", "run --plan")
-    return Inspection(
-        summary=str(find("command", "run --plan")(scenario)) if can_plan else "no mistakes"
-    )
+    return Inspection(summary=str(forecast(load_scenario(given, overrides))))

@@ -18,7 +18,6 @@ from tiswarm.app.results import Color, File, Overrides, PageFile, as_path, as_te
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
-from tiswarm.base.parts import find, has
 from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
@@ -27,7 +26,9 @@ from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
     from tiswarm.localization.methods import LocalizationParams
-    from tiswarm.report.swarm_view import SwarmView
+    from tiswarm.measurements.advice.further import AdviceTable
+    from tiswarm.report.explanation import Explanation
+    from tiswarm.report.swarm_view import Coloring, SwarmView
 
 Truth = Reals | File | None
 """True centers [log unit] in join order, shape (N, 3), or their table; None where unknown."""
@@ -107,10 +108,11 @@ class Log(SensingLog):
             estimate = read_estimate(self, table)
         return Localized(**_fields(Estimate, estimate), log=self, table=table)
 
-    def colorings(self, color: Color) -> Any:  # noqa: ANN401 - of a part
+    def colorings(self, color: Color) -> "tuple[Coloring, ...]":
         """Read values that color robots, in join order."""
-        found = find("command", "color").read_colorings if len(color) else None
-        return found(color, self.robot_id) if found else ()
+        from tiswarm.formats.colors import read_colorings  # noqa: PLC0415 - slow to import
+
+        return read_colorings(color, self.robot_id) if len(color) else ()
 
     def positions(self, truth: Truth) -> Reals | None:
         """Read true centers [log unit] in join order, shape (N, 3), unless they are an array."""
@@ -138,13 +140,15 @@ class Localized(Estimate):
         return Findings(self.log, self.log.path, self, chosen=self.chosen)
 
     @property
-    def advice(self) -> Any:  # noqa: ANN401 - an `AdviceTable`
+    def advice(self) -> "AdviceTable":
         """Further measurements that would constrain most robots."""
         return self.findings.advice
 
-    def explain(self, robot: int) -> Any:  # noqa: ANN401 - an `Explanation`
+    def explain(self, robot: int) -> "Explanation":
         """Say how the measurements of one robot, by its name, narrow the places it may have."""
-        return find("command", "explain").explain(self.log, self, robot)
+        from tiswarm.report.explanation import explain  # noqa: PLC0415 - slow to import
+
+        return explain(self.log, self, robot)
 
     def __str__(self) -> str:
         """Say in lines what the log leaves unknown, and whether to trust the estimate."""
@@ -179,18 +183,30 @@ class Localized(Estimate):
         out: File = "view.html",
         overwrite: bool = False,
     ) -> PageFile:
-        """Write a page with a 3D view; `tiswarm.view` explains the arguments."""
+        """Write a page with a 3D view, the uncertainty, and what the log leaves open.
+
+        Args:
+            truth: True positions or their table, or true centers [log unit], shape (N, 3).
+            explain: Names of robots: the page shows how measurements place each; the one that is
+                least certain if none.
+            color: Values that color robots, as `tiswarm.view` takes them.
+            out: Page to write.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+
+        Returns:
+            The page, which a notebook shows.
+        """
         from tiswarm.app.drawing import draw_log  # noqa: PLC0415 - slow to import
+        from tiswarm.report.explanation import show  # noqa: PLC0415 - slow to import
 
         page = as_path(out, "out")
         outputs.check({"out": page}, self._inputs(truth), overwrite=overwrite)
         findings = self.findings
-        can_explain, can_advise = has("command", "explain"), has("command", "advise")
-        figures = find("command", "explain").show(self.log, self, explain) if can_explain else ()
+        figures = show(self.log, self, explain)
         draw_log(
             page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
-            advice=findings.advice if can_advise else (), figures=figures,
+            advice=findings.advice, figures=figures,
             own=self.log.colorings(color), overwrite=overwrite,
         )  # fmt: skip
         return PageFile(page)
@@ -205,7 +221,19 @@ class Localized(Estimate):
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
-        """Write the estimate for other programs; `tiswarm.export` explains the arguments."""
+        """Write structure, contacts and estimate for other programs.
+
+        Args:
+            form: File format, as for `tiswarm.export`.
+            truth: True positions or their table, or true centers [log unit], shape (N, 3).
+            color: Values that color robots, as `tiswarm.view` takes them.
+            out: Folder to write to.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+            quiet: Whether to hide progress.
+
+        Returns:
+            The folder with the files.
+        """
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
 
         folder = as_path(out, "out")

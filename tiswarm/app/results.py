@@ -12,9 +12,8 @@ from urllib.parse import quote
 import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
-from tiswarm.base.errors import InputError, did_you_mean
+from tiswarm.base.errors import InputError, require_name
 from tiswarm.base.params import AnyMovie
-from tiswarm.base.parts import find, has
 from tiswarm.records.measures import MAIN, MEASURES, PAGE
 from tiswarm.records.messages import counted
 
@@ -41,9 +40,6 @@ Color: TypeAlias = "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]"
 
 _FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888; box-sizing: border-box"'
 """Look of a page within a notebook."""
-
-_MOST_NAMED = 9
-"""Names that an error lists."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,7 @@ class Figures(dict[str, Figure]):
 
     def __missing__(self, name: str) -> Figure:
         """Refuse a name that is not among these."""
-        choose(name, [*self], "name")
+        require_name(name, [*self], "name")
         raise KeyError(name)
 
 
@@ -123,13 +119,19 @@ class Run:
         return paper_text(self._accuracy(), form)
 
     def _accuracy(self) -> "PageTable":
-        from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
-        from tiswarm.report.run_data import stated_scenario  # noqa: PLC0415 - slow to import
-
-        table = self._data().table("table.csv", ["condition"], ["cases"], after="cases")
+        table = self._labeled_table()
         if not table["cases"].any():
             problem = "no case of this run is done; correct the scenario and run it again"
             raise InputError(problem, path=self.folder)
+        return self._headline(table)
+
+    def _labeled_table(self) -> "pd.DataFrame":
+        return self._data().table("table.csv", ["condition"], ["cases"], after="cases")
+
+    def _headline(self, table: "pd.DataFrame") -> "PageTable":
+        from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import stated_scenario  # noqa: PLC0415 - slow to import
+
         return headline_table(table, stated_scenario(self.folder).get("question", ""))
 
     def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
@@ -142,9 +144,9 @@ class Run:
 
         cases = [path.name for path in sorted(self.folder.glob("cases/*"))]
         if case is not None:
-            choose(case, cases, "case")
+            require_name(case, cases, "case")
         folder = self.folder if case is None else self.folder / "cases" / case
-        choose(name, [path.stem for path in sorted(folder.glob("*.csv"))], "name")
+        require_name(name, [path.stem for path in sorted(folder.glob("*.csv"))], "name")
         return read_frame(folder / f"{name}.csv", empty=True)
 
     @property
@@ -188,7 +190,7 @@ class Run:
         progress = ConsoleProgress(quiet=quiet)
         study.tabulate(self.folder, progress)
         data = self._data(color, case)
-        renders = has("command", "render") and any(each.done for each in data.cases)
+        renders = any(each.done for each in data.cases)
         draw(
             data, progress, figures=True, renders=renders, pdf=pdf, movie=movie, renderer=renderer,
             case=case,
@@ -204,7 +206,19 @@ class Run:
         overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
-        """Write a case for other programs; `tiswarm.export` explains the arguments."""
+        """Write structure, contacts and estimate of a case for other programs.
+
+        Args:
+            form: File format, as for `tiswarm.export`.
+            out: Folder to write to; `export` in the run's folder if None.
+            case: Case; the largest if None.
+            color: Values that color robots, as `tiswarm.view` takes them.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+            quiet: Whether to hide progress.
+
+        Returns:
+            The folder with the files.
+        """
         from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 
@@ -217,23 +231,27 @@ class Run:
         return folder
 
     def _data(self, color: Color = (), case: str | None = None) -> "RunData":
+        from tiswarm.formats.colors import colored  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
         run = load_run(self.folder)
-        return find("command", "color").colored(run, color, case) if len(color) else run
+        return colored(run, color, case) if len(color) else run
 
     @property
-    def answer(self) -> str:
-        """The answer to the question of the scenario, in a sentence: the last line of `run`."""
-        return str(self).rpartition("\n")[2]
+    def answer(self) -> "pd.DataFrame":
+        """The answer to the question of the scenario, a table: what `run` prints at its end."""
+        return self.paper_table()
 
     def __str__(self) -> str:
-        """Write a line for each row of the table and the answer, or how many cases parts lack."""
-        from tiswarm.report.answers import headline  # noqa: PLC0415 - slow to import
+        """Write the first table of the page, or how many cases parts lack."""
+        from tiswarm.report.page_tables import console_text  # noqa: PLC0415 - slow to import
 
         if self.missing:
             return f"this part is done; other parts still lack {counted(self.missing, 'case')}"
-        return headline(self.folder)
+        table = self._labeled_table()
+        if not table["cases"].any():
+            return "no case was finished"
+        return console_text(self._headline(table))
 
     def _repr_html_(self) -> str:
         if self.missing:
@@ -241,8 +259,7 @@ class Run:
         page = self.page
         name = html.escape(self.folder.name)
         link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.is_file() else name
-        answer = f"<p>{html.escape(self.answer)}</p>"
-        return link + answer + self.paper_table().to_html(index=False)
+        return link + self.paper_table().to_html(index=False)
 
 
 def open_run(folder: File) -> Run:
@@ -268,14 +285,6 @@ def as_path(file: File, argument: str) -> Path:
     except TypeError as error:
         problem = f"a value of type {type(file).__name__} is no file; give the path of one"
         raise InputError(problem, argument=argument) from error
-
-
-def choose(name: str, names: Sequence[str], argument: str) -> None:
-    """Refuse a name that is not among some."""
-    if name not in names:
-        some = ", ".join([*names[:_MOST_NAMED], *["..."] * (len(names) > _MOST_NAMED)])
-        problem = f"there is no {name!r}; choose one of {some}" if some else f"there is no {name!r}"
-        raise InputError(f"{problem}{did_you_mean(name, names)}", argument=argument)
 
 
 def plain(values: Mapping[str, object]) -> dict[str, object]:

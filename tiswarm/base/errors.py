@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 _LONGEST = 1000
@@ -112,3 +112,28 @@ def did_you_mean(name: object, names: Collection[str]) -> str:
 
     near = difflib.get_close_matches({"gpu": "cuda"}.get(str(name), str(name)), names, n=1)
     return f"; did you mean {near[0]}?" if near else ""
+
+
+_MOST_NAMED = 9
+"""Names that an error lists."""
+
+
+def require_name(name: str, names: Sequence[str], argument: str) -> None:
+    """Refuse a name that is not among some.
+
+    Args:
+        name: What a caller gave.
+        names: Names to choose from.
+        argument: Argument of a function that has the name.
+
+    Raises:
+        InputError: the name is not one of them.
+    """
+    if name in names:
+        return
+    problem = f"there is no {name!r}"
+    if names:
+        listed = ", ".join(names[:_MOST_NAMED])
+        more = ", ..." if len(names) > _MOST_NAMED else ""
+        problem += f"; choose one of {listed}{more}"
+    raise InputError(f"{problem}{did_you_mean(name, names)}", argument=argument)

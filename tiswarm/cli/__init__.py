@@ -12,7 +12,6 @@ from typer import Argument, Option
 
 from tiswarm.app.console import fail
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import find
 from tiswarm.cli.options import Overrides, Plugins, app, main
 
 # Each module adds its commands, in the order of the help.
@@ -77,7 +76,7 @@ def schema(
 
     Editors complete and check files with it.
     """
-    from tiswarm.base.parts import load_plugins
+    from tiswarm.base.registry import load_plugins
     from tiswarm.records.sensing_format import line_schema
     from tiswarm.scenario.model import scenario_schema
 
@@ -96,10 +95,11 @@ def doctor(
 
     The list names what to install for the others.
     """
-    part = find("command", "doctor")
+    from tiswarm.app import doctor as checks
+
     if only_packages:
-        typer.echo(" ".join(part.missing_packages()))
+        typer.echo(" ".join(checks.missing_packages()))
         return
-    for finding in part.examine():
+    for finding in checks.examine():
         mark = "ok" if finding.works else "--"
         typer.echo(f"{mark}  {finding.subject:<24} {finding.detail}")

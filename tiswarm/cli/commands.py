@@ -157,13 +157,13 @@ def view(
     cases of a run that is still computed, and the 3D view of one. Ctrl-C ends the command.
     """
     if live:
-        from tiswarm.base.parts import find, load_plugins
+        from tiswarm.app.live import serve
+        from tiswarm.base.registry import load_plugins
 
         of_log: dict[str, object] = {"ESTIMATE": estimate, "--truth": truth, "--out": out}
         of_log |= {"--explain": explained, "--color": color}
         options.refuse(of_log, "--live shows a run")
         load_plugins(plugins)
-        serve = find("command", "view --live")
         serve(log, port or 0, lambda page: options.show_page(page, opened=opened))
         return
     from tiswarm import api
@@ -391,7 +391,7 @@ def table(
     """Print the table of errors of a run for a paper."""
     import tiswarm
     from tiswarm.base.errors import InputError
-    from tiswarm.base.parts import load_plugins
+    from tiswarm.base.registry import load_plugins
 
     if latex + markdown + csv > 1:
         raise InputError("choose only one of --latex, --markdown, --csv")

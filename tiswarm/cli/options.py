@@ -23,8 +23,8 @@ import tiswarm
 from tiswarm.app.console import fail
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
 from tiswarm.base.params import AnyArch, AnyMovie
-from tiswarm.base.parts import PluginError, find, lacking
 from tiswarm.base.process import naming_shortage, require_address_space
+from tiswarm.base.registry import PluginError
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
@@ -171,8 +171,9 @@ def chosen_movie(movie: AnyMovie | None, *, animate: bool) -> AnyMovie | None:
     """Return the file format of an animation, the best one if none was chosen; None without one."""
     if movie or not animate:
         return movie
-    found: AnyMovie = find("command", "render").best_movie()
-    return found
+    from tiswarm.report.pictures.pictures import best_movie
+
+    return best_movie()
 
 
 @contextlib.contextmanager
@@ -231,11 +232,6 @@ def _status(arguments: list[str]) -> int:
     except TiswarmError as error:
         fail(error)
         return error.exit_status
-    except ModuleNotFoundError as error:
-        if not (lack := lacking(error, "this command")):
-            raise
-        fail(lack)
-        return lack.exit_status
     except TyperException as error:
         text = _as_setting(error, arguments) or error.format_message()
         if text.startswith("Missing ") and (context := error.ctx):  # type: ignore[attr-defined]

@@ -48,7 +48,12 @@ HONOURED = ("VISIBLE_DEVICE",)
 
 @contextmanager
 def variables_hidden(library: str, instead: Mapping[str, str]) -> Iterator[None]:
-    """Hide a library's variables while it starts, as it obeys them, and set those of `instead`."""
+    """Hide a library's variables while it starts, as it obeys them over its arguments.
+
+    Args:
+        library: Name of the library.
+        instead: Variables to set meanwhile.
+    """
     prefix = f"{LIBRARIES[library]}_"
     kept = {prefix + name for name in HONOURED}
     hidden = {name for name in os.environ if name.startswith(prefix)} - kept

@@ -505,7 +505,10 @@ def fits(s, structure: Ref):
 def list_structure(
     grid: Ref, s, base, dock: Ref, cells: Ref, connections: Ref, rows: Ref, structure: Ref
 ):
-    """Write the rows of one small structure, on one thread; see above."""
+    """Sort the docks of one small structure and write its rows, on one thread.
+
+    Of very few docks each is compared with all: sorting would take longer.
+    """
     span = ti.Vector([structure[s, StructureTable.FIRST], structure[s, StructureTable.END]])
     docks = span * grid.docks
     is_sorted = grid.earlier == 1 or docks[1] - docks[0] > _FEW

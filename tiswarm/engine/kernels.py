@@ -244,7 +244,7 @@ def follow_force(force, _here, _robot, _t, _unit, _robots: Ref, _number):
 
 @ti.func
 def follow_guide(force, _here, robot, _t, _unit, robots: Ref, number):
-    """Scale the force by the robot's mobility and add momentum."""
+    """Scale the force by the robot's mobility and add momentum; return that, the step."""
     for c in ti.static(range(3)):
         force[c] *= robots.mobility[robot, c]
         force[c] += number[Numbers.TOTAL + 3] * robots.last_step[robot, c]

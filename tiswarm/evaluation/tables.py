@@ -12,7 +12,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import PluginError, guarded, registered
+from tiswarm.base.registry import PluginError, guarded, registered
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
 from tiswarm.evaluation.metrics import by_hops_apart
@@ -118,7 +118,11 @@ def _with_docks(contacts: Ints) -> Ints:
 
 
 def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History) -> pd.DataFrame:
-    """Tabulate each robot in join order: true and estimated pose, errors, contacts and load."""
+    """Tabulate each robot in join order: true and estimated pose, errors, contacts and load.
+
+    Robots that left have no errors. `sensed_force` is what each robot senses in its links [weight
+    of a dock].
+    """
     true, estimated = truth.position, estimate.position
     table = pd.DataFrame({"robot": truth.robot_id})
     table[["x_R", "y_R", "z_R"]] = true

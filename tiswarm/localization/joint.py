@@ -20,7 +20,8 @@ from tiswarm.records.sensing_log import SensingLog
 
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     """Name what logs must share to be annealed together."""
-    chains, steps = params.chains_for(log.robot_count), params.steps_for(log.robot_count)
+    chains = params.chains_for(log.robot_count)
+    steps = params.steps_for(log.robot_count)
     parts = [part for part in (log, log.stances) if part is not None]
     is_directed = "directions" in params.cues and any(len(part.directions) for part in parts)
     has_touches = "touches" in params.cues and any(len(part.touches) for part in parts)
@@ -36,8 +37,10 @@ def localize_batch(
     """Localize structures side by side, and report the share that is done.
 
     Returns:
-        One estimate a log: the mean of the solutions that its chains lead to, by their weights.
-        `sd` is of the variance within and between them, or of the refined problem.
+        One estimate a log: the mean of the solutions that the ends of its chains lead to, each with
+        its weight. `sd` follows from the variance within and between chains, or from the refined
+        problem. The residual is the root mean square over the contacts of the distance of their
+        docks less D, or of the components of measured offsets.
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, problems, on_progress=lambda share: on_progress(share / 2))
@@ -52,7 +55,8 @@ def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate
     """Estimate positions from first chains, whose starts no estimate chose."""
     fit, restarted = _further(posed, annealed)
     estimate = mixed(fit, restarted=restarted)
-    steps, verdict = params.steps_for(posed.log.robot_count), estimate.convergence
+    steps = params.steps_for(posed.log.robot_count)
+    verdict = estimate.convergence
     few = params.steps is None and posed.is_refined and steps < MOST_STEPS
     if few and verdict is not None and not verdict.trusted:
         # Motions of long chains of robots are slow: their time grows with the square of the length.

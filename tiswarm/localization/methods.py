@@ -12,20 +12,22 @@ The libraries of kernels are imported as the first log is localized.
 
 import math
 import re
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union
 
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-from tiswarm.base import parts as door
+from tiswarm.base import registry as door
 from tiswarm.base.aliases import Reals
-from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.localization.settings import DOCKS_UNKNOWN, MethodParams, all_cues
+from tiswarm.measurements.flips import fit_orientations
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import Estimate
@@ -53,24 +55,17 @@ def settings_of(name: str) -> type[MethodParams]:
     a batch have, with their settings, the same key.
 
     Raises:
-        EnvironmentTroubleError: this copy of the package lacks the method.
+        InputError: there is no such method.
     """
-    found: type[MethodParams] = door.find("method", name)
-    return found
+    params: type[MethodParams] = door.get("method", name)
+    return params
 
 
 def all_params() -> Any:  # noqa: ANN401 - a type
-    """Return the type of the settings of any method that is here, those of plug-ins included."""
-    kinds = (*_built_in(), *(found.value.params for found in door.registered("method").values()))
-    return Annotated[Union[kinds], pydantic.Field(discriminator="method")]  # noqa: UP007
-
-
-def _built_in() -> Iterator[type[MethodParams]]:
-    for name in door.PARTS["method"]:
-        try:
-            yield settings_of(name)
-        except EnvironmentTroubleError:  # a copy of the package without this part
-            continue
+    """Return the type of the settings of any method, those of plug-ins included."""
+    built_in = map(settings_of, door.BUILT_IN["method"])
+    of_plugins = (entry.value.params for entry in door.registered("method").values())
+    return Annotated[Union[(*built_in, *of_plugins)], pydantic.Field(discriminator="method")]
 
 
 if TYPE_CHECKING:
@@ -78,19 +73,6 @@ if TYPE_CHECKING:
 else:
     LocalizationParams = all_params()
 """Settings of any method."""
-
-
-def modules(name: str) -> set[str]:
-    """List the modules with the settings and the code of a method; none if it is not here.
-
-    The code of a method that it calls is its code, too.
-    """
-    try:
-        params = settings_of(name)
-        used = [each.module for each in (params, params.calls) if each]
-        return {door.PARTS["method"][name].partition(":")[0], *used}
-    except EnvironmentTroubleError:
-        return set()
 
 
 def joining(params: MethodParams) -> Callable[..., Any] | None:
@@ -205,7 +187,7 @@ def localize_many(
     batches: dict[Hashable, list[int]] = {}
     for n, p in enumerate(params):
         if axes := getattr(p, "flip_axes", None):
-            logs[n] = door.find("command", "fit flips")(logs[n], axes)
+            logs[n] = fit_orientations(logs[n], axes)
         batches.setdefault(batch_key(logs[n], p), []).append(n)
     estimates: dict[int, Estimate] = {}
     with backend.exclusive():
@@ -261,7 +243,7 @@ def localize_batch(
 def _module_of(params: MethodParams) -> Any:  # noqa: ANN401 - a module
     """Import the module of a method; that of a plug-in is the class of its settings."""
     is_own = isinstance(params, OwnParams)
-    return OwnParams if is_own else door.load(params.module, f"method {params.method}")
+    return OwnParams if is_own else import_module(params.module)
 
 
 def centered(log: SensingLog) -> SensingLog:

@@ -1,5 +1,7 @@
 """Who touches whom: robots are the nodes of a graph, contacts its edges."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, coo_matrix
@@ -125,18 +127,60 @@ def close_docks(log: SensingLog, point: Reals, within: float) -> Ints:
     return apart[:, [2, 3, 0, 1]]
 
 
-def overlap(dock: Reals, others: Reals) -> Reals:
+class Overlaps(NamedTuple):
+    """Docks of different robots that reach into each other, n pairs."""
+
+    docks: Ints
+    """Rows of (later robot, its dock, earlier robot, its dock), shape (n, 4)."""
+
+    depth: Reals
+    """By how much less than D their centers are apart [R], shape (n,)."""
+
+    direction: Reals
+    """Unit vector from the center of the second dock to that of the first, shape (n, 3)."""
+
+
+def overlap_depth(distance: Reals) -> Reals:
+    """Compute how far docks reach into each other [R]; 0 at a distance of D or more.
+
+    A kernel has it from `equations.missed_distance`, as a hinge of length D.
+
+    Args:
+        distance: Distance of their centers [R], any shape.
+    """
+    depth: Reals = np.maximum(SPACING - distance, 0.0)
+    return depth
+
+
+def overlaps(point: Reals, docks: Ints) -> Overlaps:
+    """Find the docks that overlap, among pairs as `close_docks` lists them.
+
+    Docks at the same point are left out: no direction would part them.
+
+    Args:
+        point: Centers of all docks [R], shape (N, docks, 3).
+        docks: Pairs that may overlap, shape (n, 4).
+    """
+    between = point[docks[:, 0], docks[:, 1]] - point[docks[:, 2], docks[:, 3]]
+    distance = np.linalg.norm(between, axis=1)
+    depth = overlap_depth(distance)
+    overlap = np.flatnonzero((depth > 0.0) & (distance > 0.0))
+    direction = between[overlap] / distance[overlap, None]
+    return Overlaps(docks[overlap], depth[overlap], direction)
+
+
+def nearest_overlap(dock: Reals, obstacles: Reals) -> Reals:
     """Compute how far docks reach into the nearest of others [R]; 0 at a distance of D or more.
 
     Args:
         dock: Centers of docks [R], shape (..., 3).
-        others: Centers of docks that are in their way [R], at least one, shape (n, 3).
+        obstacles: Centers of docks that are in their way [R], at least one, shape (n, 3).
 
     Returns:
         Overlaps, shape (...).
     """
-    deep: Reals = np.maximum(SPACING - cKDTree(others).query(dock)[0], 0.0)
-    return deep
+    distance: Reals = np.asarray(cKDTree(obstacles).query(dock)[0])
+    return overlap_depth(distance)
 
 
 def dock_pairs(point: Reals, within: float) -> Ints:

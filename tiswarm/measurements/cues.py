@@ -60,7 +60,8 @@ def _contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Dist
 def _walk_contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
     """Docks that touched at an earlier stance were D apart; the flips since then are known."""
     stance, b, i, a = log.earlier.contacts.T
-    at, final = odometry.row[stance], odometry.final
+    at = odometry.row[stance]
+    final = odometry.final
     return Distances.of(at, b, final[i], a, length=SPACING, sd=precision.contact)
 
 
@@ -109,14 +110,14 @@ def _plane(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordin
 
 def _anchors(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """The center of a further anchor is known."""
-    known = log.fixes[log.is_of_anchor & ~in_plane(log)]
-    return _coordinates(replace(log, fixes=known, stances=None), odometry, precision)
+    anchor_fixes = log.fixes[log.is_of_anchor & ~in_plane(log)]
+    return _coordinates(replace(log, fixes=anchor_fixes, stances=None), odometry, precision)
 
 
 def _fixes(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A center was found along given directions, at the end or at an earlier stance."""
-    others = log.fixes[~(in_plane(log) | log.is_of_anchor)]
-    return _coordinates(replace(log, fixes=others), odometry, precision)
+    robot_fixes = log.fixes[~(in_plane(log) | log.is_of_anchor)]
+    return _coordinates(replace(log, fixes=robot_fixes), odometry, precision)
 
 
 def in_plane(log: SensingLog) -> Bools:
@@ -128,7 +129,8 @@ def in_plane(log: SensingLog) -> Bools:
     Returns:
         Which fixes, shape (F,).
     """
-    robot, (x, y, z, value) = log.fixes[:, 0].astype(np.int64), log.fixes[:, 1:5].T
+    robot = log.fixes[:, 0].astype(np.int64)
+    (x, y, z, value) = log.fixes[:, 1:5].T
     at_anchor = (x == 0.0) & (z == 0.0) & (value == y * log.anchor_position[1])
     has_one = np.isin(np.arange(log.robot_count), robot[at_anchor])
     chosen: Bools = at_anchor & np.logical_and.accumulate(has_one)[robot]
@@ -150,11 +152,11 @@ def _coordinates(log: SensingLog, odometry: Odometry, precision: Precision) -> C
 def _ranges(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:  # noqa: ARG001
     """Two centers were found to be that far apart, at the end or at an earlier stance."""
     stance, rows = _of_all_stances("ranges", log, odometry)
-    other = odometry.final[rows[:, 0].astype(np.int64)]
+    partner_stance = odometry.final[rows[:, 0].astype(np.int64)]
     center = np.full_like(stance, CENTER)
     length, sd = rows[:, 1:3].T / log.dock_radius
     source = rows[:, 3].astype(np.int64)
-    return Distances.of(stance, center, other, center, length=length, sd=sd, source=source)
+    return Distances.of(stance, center, partner_stance, center, length=length, sd=sd, source=source)
 
 
 def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Offsets:
@@ -162,14 +164,14 @@ def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Of
     stance, rows = _of_all_stances("directions", log, odometry)
     if not len(rows):
         return NO_OFFSETS
-    own, other, its = rows[:, :3].T.astype(np.int64)
+    dock, partner, partner_dock = rows[:, :3].T.astype(np.int64)
     stated = log.stated(LISTS["directions"].noise)
     sd = LINK_SD if stated is None else math.radians(stated)
     unit = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
     body_axes = dock_offsets(odometry.orientation_wxyz[stance], np.eye(3))
     vector = SPACING * (unit[:, None] @ body_axes)[:, 0]
     return Offsets.of(
-        stance, own, odometry.final[other], its, vector,
+        stance, dock, odometry.final[partner], partner_dock, vector,
         along_sd=precision.contact, across_sd=math.hypot(precision.contact, SPACING * sd),
     )  # fmt: skip
 
@@ -177,20 +179,22 @@ def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Of
 def _displacements(log: SensingLog, odometry: Odometry, precision: Precision) -> Offsets:  # noqa: ARG001
     """The vector between two centers was measured, at the end or at an earlier stance."""
     stance, rows = _of_all_stances("displacements", log, odometry)
-    other, center = odometry.final[rows[:, 0].astype(np.int64)], np.full_like(stance, CENTER)
+    partner_stance = odometry.final[rows[:, 0].astype(np.int64)]
+    center = np.full_like(stance, CENTER)
     body_axes = dock_offsets(odometry.orientation_wxyz[stance], np.eye(3))
     vector = (rows[:, None, 1:4] @ body_axes)[:, 0] / log.dock_radius
     sd = rows[:, 4] / log.dock_radius
-    return Offsets.of(stance, center, other, center, vector, along_sd=sd, across_sd=sd)
+    return Offsets.of(stance, center, partner_stance, center, vector, along_sd=sd, across_sd=sd)
 
 
 def _touches(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
     """Docks that are not known touched, at the end or at an earlier stance."""
     stance, rows = _of_all_stances("touches", log, odometry)
-    own, other, its = rows.T.astype(np.int64)
-    own, its = (np.where(dock < 0, UNKNOWN, dock) for dock in (own, its))
-    final = odometry.final[other]
-    return Distances.of(stance, own, final, its, length=SPACING, sd=precision.contact)
+    stated_dock, partner, stated_partner_dock = rows.T.astype(np.int64)
+    dock = np.where(stated_dock < 0, UNKNOWN, stated_dock)
+    partner_dock = np.where(stated_partner_dock < 0, UNKNOWN, stated_partner_dock)
+    final = odometry.final[partner]
+    return Distances.of(stance, dock, final, partner_dock, length=SPACING, sd=precision.contact)
 
 
 def _of_all_stances(key: str, log: SensingLog, odometry: Odometry) -> tuple[Ints, Reals]:
@@ -220,7 +224,8 @@ class Cue:
     """Function for earlier stances, used beside the cue `walk_contacts`."""
 
     switch: str = ""
-    """Description of the setting that is on by default; a cue without one is always used."""
+    """Description of the setting that is on unless a user says otherwise; a cue without one is
+    always used."""
 
     place: int = 0
     """Place of the setting among those of all cues."""
@@ -315,7 +320,8 @@ CUES: list[Cue] = [
         words="displacements", said=3,
     ),
 ]  # fmt: skip
-"""The table of cues. To add one, write its function and an entry here: settings follow."""
+"""The table of cues. To add one, write its function and an entry here: settings, analyses and pages
+follow."""
 
 
 def cue_names() -> tuple[str, ...]:
@@ -428,16 +434,18 @@ def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     Where the direction of a contact was measured, its rows replace the distance. All ranges,
     displacements and fixes count, those of the same robots or along the same axis, too.
     """
-    d, p, walks = rows.distances, rows.places, rows.odometry
+    d = rows.distances
+    p = rows.places
+    walks = rows.odometry
     docks = len(log.dock_offset_body)
-    robot, at, dock, other, other_dock = rows.sensed_contacts.T
+    robot, at, dock, partner, partner_dock = rows.sensed_contacts.T
     stance = walks.first[robot] + at
     # Contacts are numbered like the hours of a year, by (stance, dock, other robot, other dock). A
     # robot that flips from stance 7 to 8 about dock 1, which touches dock 0 of robot 5, lists
     # (7, 1, 5, 0) and (8, 1, 5, 0). The number of the first, one stance later, is that of the
     # second, which says the same: the first is dropped. CENTER and UNKNOWN count as docks.
     shape = (len(walks.owner), docks + 2, log.robot_count, docks + 2)
-    number = np.ravel_multi_index((stance, dock - UNKNOWN, other, other_dock - UNKNOWN), shape)
+    number = np.ravel_multi_index((stance, dock - UNKNOWN, partner, partner_dock - UNKNOWN), shape)
     stays = rows.is_contact & (dock == walks.pivot[stance])
     following = np.where(stays, number + math.prod(shape[1:]), -1)
     of_distance, of_offset = np.split(number, [len(d.stance)])

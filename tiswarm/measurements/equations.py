@@ -6,6 +6,9 @@ takes no types. Two truth values meet in `&`: kernels that check bounds cannot m
 Lengths in R.
 """
 
+AXES = 3
+"""Axes of space, and so the components of a vector and the degrees of freedom of a shift."""
+
 
 def components(vector):
     """Split an array of vectors, shape (..., 3), into x, y and z."""

@@ -20,19 +20,22 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
-from tiswarm.measurements.equations import components, missed_along, missed_distance, slope_by_turn
+from tiswarm.measurements.equations import (
+    AXES,
+    components,
+    missed_along,
+    missed_distance,
+    slope_by_turn,
+)
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.records.sensing_log import KNOWN_SD
-
-if TYPE_CHECKING:
-    from tiswarm.measurements.turns import Turns
 
 SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""
@@ -45,8 +48,6 @@ _MOST_PAIRS = 4_000_000
 
 KNOWN = KNOWN_SD**2 * (1.0 + 1e-9)
 """Variance of a coordinate up to which it never gives way, as that of an anchor [R^2]."""
-
-_AXES = 3
 
 
 class Distances(NamedTuple):
@@ -156,11 +157,11 @@ class Offsets(NamedTuple):
         axis = _frames(vector / np.linalg.norm(vector, axis=1, keepdims=True))
         along, across = (np.broadcast_to(sd, len(vector)) for sd in (along_sd, across_sd))
         number = np.stack([stance, dock, other_stance, other_dock]).astype(np.int64)
-        i, a, j, b = np.repeat(number, _AXES, axis=1)
+        i, a, j, b = np.repeat(number, AXES, axis=1)
         return cls(
             i, a, j, b,
-            vector=np.repeat(vector, _AXES, axis=0),
-            axis=axis.reshape(-1, _AXES),
+            vector=np.repeat(vector, AXES, axis=0),
+            axis=axis.reshape(-1, AXES),
             own_variance=np.column_stack([along, across, across]).ravel() ** 2,
         )  # fmt: skip
 
@@ -203,28 +204,33 @@ class Coordinates(NamedTuple):
         every = cls(
             stance.astype(np.int64),
             dock.astype(np.int64),
-            np.broadcast_to(direction, (len(value), _AXES)),
+            np.broadcast_to(direction, (len(value), AXES)),
             value,
             np.broadcast_to(variance, len(value)),
             np.broadcast_to(source, len(value)),
         )
         return cls._make(column[is_known] for column in every)
 
+    @property
+    def rank(self) -> int:
+        """Number of independent directions that were measured, 0 of no coordinates."""
+        return int(np.linalg.matrix_rank(self.direction)) if len(self.direction) else 0
+
 
 def _frames(along: Reals) -> Reals:
     """Complete unit vectors to orthonormal axes, they themselves first, shape (n, 3, 3)."""
     # The coordinate axis that is least parallel: its cross product is never near 0.
-    least = np.eye(_AXES)[np.abs(along).argmin(axis=1)]
+    least = np.eye(AXES)[np.abs(along).argmin(axis=1)]
     across = np.cross(along, least)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     return np.stack([along, across, np.cross(along, across)], axis=1)
 
 
 _NONE = np.empty(0, np.int64)
-_NO_VECTOR = np.empty((0, _AXES))
+_NO_VECTOR = np.empty((0, AXES))
 NO_DISTANCES = Distances.of(_NONE, _NONE, _NONE, _NONE, length=SPACING, sd=0.0)
 NO_OFFSETS = Offsets.of(_NONE, _NONE, _NONE, _NONE, _NO_VECTOR, along_sd=0.0, across_sd=0.0)
-NO_COORDINATES = Coordinates.of(_NONE, _NONE, np.eye(_AXES)[2], np.empty(0), variance=0.0)
+NO_COORDINATES = Coordinates.of(_NONE, _NONE, np.eye(AXES)[2], np.empty(0), variance=0.0)
 NO_SOURCES = np.empty(0)
 
 
@@ -232,7 +238,7 @@ def ends(d: Distances, o: Offsets, p: Coordinates = NO_COORDINATES) -> tuple[Int
     """Stance and dock where the arm of each row begins, and its vector beyond the dock [R]."""
     stance = np.concatenate([d.stance, o.stance, p.stance])
     dock = np.concatenate([d.dock, o.dock, p.dock])
-    beyond = np.zeros((len(stance), _AXES))
+    beyond = np.zeros((len(stance), AXES))
     beyond[len(d.stance) : len(d.stance) + len(o.stance)] = o.vector
     return stance, dock, beyond
 
@@ -265,9 +271,6 @@ def weighted_means(
     first = order[start]
     in_order = np.argsort(first)
     return first[in_order], mean[in_order], 1.0 / total[in_order]
-
-
-_AXES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -365,9 +368,10 @@ class Measurements:
     @property
     def touch_arms(self) -> tuple[tuple[Reals, Reals], tuple[Reals, Reals]]:
         """Arms of the docks of each touch, and the others, as `Odometry.candidates` has them."""
-        d, touch = self.distances, self.touch
-        own = self.odometry.candidates(d.stance[touch], d.dock[touch])
-        return own, self.odometry.candidates(d.other_stance[touch], d.other_dock[touch])
+        d = self.distances
+        touch = self.touch
+        arms = self.odometry.candidates(d.stance[touch], d.dock[touch])
+        return arms, self.odometry.candidates(d.other_stance[touch], d.other_dock[touch])
 
     @property
     def sensed_contacts(self) -> Ints:
@@ -384,7 +388,8 @@ class Measurements:
     @property
     def sensed_places(self) -> Ints:
         """Robot, its stance, and dock or CENTER of each coordinate, shape (K, 3)."""
-        p, robot = self.places, self.robot[len(self.other) :]
+        p = self.places
+        robot = self.robot[len(self.other) :]
         return np.column_stack([robot, p.stance - self.odometry.first[robot], p.dock])
 
     @property
@@ -412,10 +417,29 @@ class Measurements:
         variance: Reals = np.append(self.shared_sd, 0.0)[self.source] ** 2  # -1 is the last
         return variance
 
+    @property
+    def vector_rows(self) -> slice:
+        """Rows of `offsets` among all: three of each vector, one after another."""
+        return slice(len(self.distances.stance), len(self.other))
+
+    def any_of_vector(self, flag: Bools) -> Bools:
+        """Extend flags of rows, shape (E,), to all three rows of their vectors."""
+        extended = flag.copy()
+        of_vector = flag[self.vector_rows].reshape(-1, AXES)
+        extended[self.vector_rows] = np.repeat(of_vector.any(axis=1), AXES)
+        return extended
+
     def select(self, chosen: Bools) -> "Measurements":
-        """Keep rows chosen by an array of shape (E,)."""
+        """Keep rows chosen by an array of shape (E,).
+
+        Raises:
+            ValueError: some rows of a vector are chosen, and not all three.
+        """
         if chosen.all():
             return self
+        if not np.array_equal(self.any_of_vector(chosen), chosen):
+            message = "the three rows of a vector are one measurement; choose all or none"
+            raise ValueError(message)
         tables = np.split(chosen, [len(self.distances.stance), len(self.other)])
         return self.ordered(*map(np.flatnonzero, tables))
 
@@ -434,16 +458,12 @@ class Measurements:
             other_arm=self.other_arm[pair],
         )
 
-    def free_turns(self, position: Reals, among: Bools | None = None) -> "Turns":
-        """Find sets of robots that may turn at centers (N, 3), as `Turns.of` does."""
-        from tiswarm.measurements.turns import Turns  # noqa: PLC0415 - for logs with ranges alone
-
-        return Turns.of(self, position, among)
-
     @property
     def quantity(self) -> Ints:
         """Number of what each row reads: equal where a source reads one quantity again, (E,)."""
-        d, o, p = self.distances, self.offsets, self.places
+        d = self.distances
+        o = self.offsets
+        p = self.places
         read = [d.stance, d.dock, d.other_stance, d.other_dock, d.is_hinge, d.source]
         along = [p.stance, p.dock, *p.direction.T, p.source]
         pair, place = (
@@ -462,7 +482,8 @@ class Measurements:
         Args:
             as_precise_as_one: Whether a mean has the variance of its first reading.
         """
-        d, p = self.distances, self.places
+        d = self.distances
+        p = self.places
         ends = [d.stance, d.dock, d.other_stance, d.other_dock, d.is_hinge, d.source]
         one, length, variance = weighted_means(ends, d.length, d.own_variance)
         if as_precise_as_one:
@@ -483,9 +504,9 @@ class Measurements:
 
     def noisy_arms(self) -> tuple[tuple[Ints, Ints, Reals], tuple[Ints, Ints, Reals]]:
         """Split the arms of all rows, and the other arms, as `Odometry.noisy_arms` does."""
-        own = ends(self.distances, self.offsets, self.places)
-        its = other_ends(self.distances, self.offsets)
-        return self.odometry.noisy_arms(*own), self.odometry.noisy_arms(*its)
+        arm_ends = ends(self.distances, self.offsets, self.places)
+        other_arm_ends = other_ends(self.distances, self.offsets)
+        return self.odometry.noisy_arms(*arm_ends), self.odometry.noisy_arms(*other_arm_ends)
 
     def variance(self) -> Reals:
         """Sum each row's variances: its own, that of its source, and the noise of orientations.
@@ -497,14 +518,18 @@ class Measurements:
         Returns:
             Variance of each row [R^2], shape (E,).
         """
-        d, o, p = self.distances, self.offsets, self.places
-        stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
+        d = self.distances
+        o = self.offsets
+        p = self.places
+        stance = np.concatenate([d.stance, p.stance])
+        dock = np.concatenate([d.dock, p.dock])
         noise = self.odometry.arms(stance, dock)[1]
         noise[: len(d.stance)] += self.odometry.arms(d.other_stance, d.other_dock)[1]
-        if len(touch := self.touch):
+        touch = self.touch
+        if len(touch):
             noise[touch] = sum(side[1].mean(axis=1) for side in self.touch_arms)
         # The mean of n n^T over all directions n is a third of the identity.
-        every = np.full((len(d.stance), _AXES), _AXES**-0.5)
+        every = np.full((len(d.stance), AXES), AXES**-0.5)
         direction = np.concatenate([every, p.direction])
         variance = (direction**2 * noise).sum(axis=1)
         of_offsets: Reals = np.empty(0)
@@ -525,10 +550,11 @@ class Measurements:
         Returns:
             Vectors [R], shape (..., P, 3).
         """
-        i, j = self.robot[: len(self.other)], self.other
+        i = self.robot[: len(self.other)]
+        j = self.other
         arm = turned(self.arm[: len(j)], None if yaw is None else yaw[..., i])
-        its = turned(self.other_arm, None if yaw is None else yaw[..., j])
-        apart: Reals = position[..., i, :] + (arm - its) - position[..., j, :]
+        other_arm = turned(self.other_arm, None if yaw is None else yaw[..., j])
+        apart: Reals = position[..., i, :] + (arm - other_arm) - position[..., j, :]
         if len(self.touch):
             apart[..., self.touch, :] = self._nearest_docks(position, yaw)[0]
         return apart
@@ -537,12 +563,14 @@ class Measurements:
         """Replace unknown docks by those that touch at one configuration; as in `vectors`."""
         if not len(self.touch):
             return self
-        d, docks = self.distances, self.odometry.arm.shape[1]
-        dock, other_dock = d.dock.copy(), d.other_dock.copy()
+        d = self.distances
+        docks = self.odometry.arm.shape[1]
+        dock = d.dock.copy()
+        other_dock = d.other_dock.copy()
         pair = np.divmod(self.association(position, yaw), docks)
-        for column, found in zip((dock, other_dock), pair, strict=True):
-            known = column[self.touch]
-            column[self.touch] = np.where(known == UNKNOWN, found, known)
+        for column, nearest in zip((dock, other_dock), pair, strict=True):
+            stated = column[self.touch]
+            column[self.touch] = np.where(stated == UNKNOWN, nearest, stated)
         distances = d._replace(dock=dock, other_dock=other_dock)
         return Measurements.gather(
             self.odometry, [distances], [self.places], [self.offsets], shared_sd=self.shared_sd
@@ -559,19 +587,26 @@ class Measurements:
             Vectors between them [R], shape (..., T, 3), and their `association`.
         """
         touch = self.touch
-        i, j = self.robot[touch], self.other[touch]
-        (own, _), (its, _) = self.touch_arms
+        i = self.robot[touch]
+        j = self.other[touch]
+        (arms, _), (other_arms, _) = self.touch_arms
         between = position[..., i, :] - position[..., j, :]
-        of_own = [turned(arm, None if yaw is None else yaw[..., i]) for arm in own.swapaxes(0, 1)]
-        of_its = [turned(arm, None if yaw is None else yaw[..., j]) for arm in its.swapaxes(0, 1)]
-        apart, pair = np.empty_like(between), np.zeros(between.shape[:-1], np.int64)
+        turned_arms = [
+            turned(arm, None if yaw is None else yaw[..., i]) for arm in arms.swapaxes(0, 1)
+        ]
+        other_turned_arms = [
+            turned(arm, None if yaw is None else yaw[..., j]) for arm in other_arms.swapaxes(0, 1)
+        ]
+        apart = np.empty_like(between)
+        pair = np.zeros(between.shape[:-1], np.int64)
         least = np.full(pair.shape, np.inf)
         # One pair of docks at a time: all at once would take docks^2 times the memory.
-        for number, (arm, other) in enumerate(product(of_own, of_its)):
-            vector = between + arm - other
+        for number, (arm, other_arm) in enumerate(product(turned_arms, other_turned_arms)):
+            vector = between + arm - other_arm
             off = np.abs(np.linalg.norm(vector, axis=-1) - self.distances.length[touch])
             is_nearer = off < least
-            least, pair = np.where(is_nearer, off, least), np.where(is_nearer, number, pair)
+            least = np.where(is_nearer, off, least)
+            pair = np.where(is_nearer, number, pair)
             apart = np.where(is_nearer[..., None], vector, apart)
         return apart, pair
 
@@ -586,7 +621,7 @@ class Measurements:
         """Turn the final arms of all docks by yaw, shape (N,) [R], shape (N, docks, 3)."""
         arm = self.odometry.arm[self.odometry.final]
         of_dock = None if yaw is None else np.repeat(yaw, arm.shape[1])
-        return turned(arm.reshape(-1, _AXES), of_dock).reshape(arm.shape)
+        return turned(arm.reshape(-1, AXES), of_dock).reshape(arm.shape)
 
     def axes(self, yaw: Reals | None = None) -> Reals:
         """Compute the unit vectors along which `offsets` measures, shape (..., O, 3)."""
@@ -615,14 +650,17 @@ class Measurements:
 
     def _missed(self, position: Reals, yaw: Reals | None) -> tuple[Reals, Reals]:
         """Compute residuals, shape (..., E), and the directions of distances, (..., C, 3)."""
-        d, apart = self.distances, self.vectors(position, yaw)
+        d = self.distances
+        apart = self.vectors(position, yaw)
         line, offset = np.split(apart, [len(d.stance)], axis=-2)
         # In the memory order of `apart`, configuration by configuration or row by row.
         residual = np.empty_like(apart[..., 0])
         distance, component = np.split(residual, [len(d.stance)], axis=-1)
+        # A hinge is missed while it is too short: docks may be apart, but not overlap.
         distance[...], slope = missed_distance(components(line), d.length, d.is_hinge)
         component[...] = missed_along(components(offset), components(self.axes(yaw)), 0.0)
-        away, axis = self.points(position, yaw), self.places.direction
+        away = self.points(position, yaw)
+        axis = self.places.direction
         place = missed_along(components(away), components(axis), self.places.value)
         return np.concatenate([residual, place], axis=-1), slope[..., None] * line
 
@@ -635,27 +673,30 @@ class Measurements:
             Derivatives by x, y and z of each center [1], then by each yaw [R], shape (E, 4 N).
         """
         direction = self.linearized(position, yaw)[1]
-        count, i, j = len(self.other), self.robot, self.other
+        count = len(self.other)
+        i = self.robot
+        j = self.other
         arm = turned(self.arm, None if yaw is None else yaw[i]).copy()
-        its = turned(self.other_arm, None if yaw is None else yaw[j])
+        other_arm = turned(self.other_arm, None if yaw is None else yaw[j])
         # A vector turns with its axes: the derivative is that of an arm to the other dock.
         offset = slice(len(self.distances.stance), count)
-        arm[offset] = position[j[offset]] + its[offset] - position[i[offset]]
+        arm[offset] = position[j[offset]] + other_arm[offset] - position[i[offset]]
         toward = direction[:count]
         of_turn = -slope_by_turn(components(direction), components(arm))[2]
-        of_its_turn = -slope_by_turn(components(toward), components(its))[2]
-        every, axis = np.arange(len(i)), np.arange(_AXES)
-        thrice = np.repeat(every, _AXES)
-        row = [thrice, thrice[: _AXES * count], every, every[:count]]
+        of_other_turn = -slope_by_turn(components(toward), components(other_arm))[2]
+        every = np.arange(len(i))
+        axis = np.arange(AXES)
+        thrice = np.repeat(every, AXES)
+        row = [thrice, thrice[: AXES * count], every, every[:count]]
         column = [
-            (_AXES * i[:, None] + axis).ravel(),
-            (_AXES * j[:, None] + axis).ravel(),
-            _AXES * self.robots + i,
-            _AXES * self.robots + j,
+            (AXES * i[:, None] + axis).ravel(),
+            (AXES * j[:, None] + axis).ravel(),
+            AXES * self.robots + i,
+            AXES * self.robots + j,
         ]
-        value = [direction.ravel(), -toward.ravel(), of_turn, -of_its_turn]
+        value = [direction.ravel(), -toward.ravel(), of_turn, -of_other_turn]
         entries = (np.concatenate(value), (np.concatenate(row), np.concatenate(column)))
-        return csc_array(entries, shape=(len(i), (_AXES + 1) * self.robots))
+        return csc_array(entries, shape=(len(i), (AXES + 1) * self.robots))
 
 
 def turned(arm: Reals, yaw: Reals | None) -> Reals:
@@ -698,19 +739,20 @@ def inconsistent_places(rows: Measurements, variance: Reals | None = None) -> Bo
         Rows that disagree with the one that most rows agree with, shape (E,); distances never do.
     """
     contacts = len(rows.other)
-    found = np.zeros(len(rows), np.bool_)
-    robot, direction = rows.robot[contacts:], rows.places.direction
+    inconsistent = np.zeros(len(rows), np.bool_)
+    robot = rows.robot[contacts:]
+    direction = rows.places.direction
     value = rows.places.value - (direction * rows.arm[contacts:]).sum(axis=1)
-    own = (rows.own_variance + rows.shared_variance)[contacts:]
-    walked = (rows.variance() if variance is None else variance)[contacts:] - own
+    own_variance = (rows.own_variance + rows.shared_variance)[contacts:]
+    walked = (rows.variance() if variance is None else variance)[contacts:] - own_variance
     _, group = np.unique(np.column_stack([robot, direction]), axis=0, return_inverse=True)
     order = np.argsort(group, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
-    for mine in groups if len(order) else []:
-        some = mine[:: math.ceil(len(mine) ** 2 / _MOST_PAIRS)]
+    for members in groups if len(order) else []:
+        some = members[:: math.ceil(len(members) ** 2 / _MOST_PAIRS)]
         # Both arms share the noise of all stances after the later one.
-        between = np.abs(walked[some, None] - walked[mine])
-        allowed = ALLOWED_SD**2 * (between + own[some, None] + own[mine])
-        agrees = (value[some, None] - value[mine]) ** 2 <= allowed
-        found[contacts + mine] = ~agrees[agrees.sum(axis=1).argmax()]
-    return found
+        between = np.abs(walked[some, None] - walked[members])
+        allowed = ALLOWED_SD**2 * (between + own_variance[some, None] + own_variance[members])
+        agrees = (value[some, None] - value[members]) ** 2 <= allowed
+        inconsistent[contacts + members] = ~agrees[agrees.sum(axis=1).argmax()]
+    return inconsistent

@@ -57,7 +57,8 @@ def by_cue(log: SensingLog) -> Iterator[Observability]:
 
     Where the log states that yaw is biased, yaw counts as unknown, and at last as known once more.
     """
-    yaw_unknown, measured = log.yaw_bias > 0.0, Measured(log)
+    yaw_unknown = log.yaw_bias > 0.0
+    measured = Measured(log)
     cues: list[str] = []
     for cue in _held(measured, cue_names()):
         cues.append(cue)
@@ -66,7 +67,7 @@ def by_cue(log: SensingLog) -> Iterator[Observability]:
         yield observability(log, cues, measured=measured)
 
 
-def common_modes(log: SensingLog, known: Observability) -> tuple[int, Ints]:
+def common_modes(log: SensingLog, observability: Observability) -> tuple[int, Ints]:
     """Count the floppy modes that move all robots tied to the anchor as one.
 
     Contacts at a single dock of the anchor, for example, resist no turn about it.
@@ -75,10 +76,10 @@ def common_modes(log: SensingLog, known: Observability) -> tuple[int, Ints]:
         Number of such modes, and the docks of the anchor in contact, CENTER where other
         measurements tie it, shape (n,).
     """
-    rows = measure(log, known.cues).associated(_anywhere(log))
-    modes = common_motions(rows, _anywhere(log), parts(rows), yaw_unknown=known.yaw_unknown)
-    robot, _, dock, other, other_dock = rows.sensed_contacts.T
-    return modes, np.unique(np.concatenate([other_dock[other == 0], dock[robot == 0]]))
+    rows = measure(log, observability.cues).associated(_anywhere(log))
+    modes = common_motions(rows, _anywhere(log), parts(rows), yaw_unknown=observability.yaw_unknown)
+    robot, _, dock, partner, partner_dock = rows.sensed_contacts.T
+    return modes, np.unique(np.concatenate([partner_dock[partner == 0], dock[robot == 0]]))
 
 
 def _anywhere(log: SensingLog) -> Reals:

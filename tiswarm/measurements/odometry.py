@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import breadth_first_order
-from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets, normal
+from tiswarm.compute.normal_equations import factored
 from tiswarm.records.sensing_log import LISTS, SensingLog, SensingNoise, Stances
 
 ASSUMED = SensingNoise(tilt_deg=1.0, yaw_deg=2.0)
@@ -82,26 +82,26 @@ def with_orientations(log: SensingLog) -> SensingLog:
     guess, is_lost = _chained(log, is_missing)
     noise = log.noise or ASSUMED
     yaw_deg = min(math.hypot(noise.yaw_deg, noise.yaw_bias_deg or 0.0), 180.0)
-    known = replace(
+    oriented = replace(
         _without(log, is_lost),
         orientation_wxyz=guess,
         noise=replace(noise, yaw_deg=yaw_deg, yaw_bias_deg=None),
     )
-    wxyz, sd = _averaged(known, is_missing & ~is_lost)
+    wxyz, sd = _averaged(oriented, is_missing & ~is_lost)
     sd[~is_missing] = np.nan
-    return replace(known, orientation_wxyz=wxyz, orientation_sd=sd)
+    return replace(oriented, orientation_wxyz=wxyz, orientation_sd=sd)
 
 
 def connections_of(log: SensingLog) -> Connections:
     """Look up the connections of final stances; all robots of the log have orientations."""
-    robot, other = log.connections[:, [0, 2]].astype(np.int64).T
-    found = Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
+    robot, partner = log.connections[:, [0, 2]].astype(np.int64).T
+    orientation = Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
     turn = Rotation.from_quat(log.connections[:, 4:], scalar_first=True)
     stated = log.stated(LISTS["connections"].noise)
     sd = LINK_SD if stated is None else math.radians(stated)
-    left = (found[robot] * turn * found[other].inv()).as_rotvec()
-    chained = np.zeros((len(found), 2)) if log.orientation_sd is None else log.orientation_sd
-    return Connections(robot, other, left, max(sd, _LEAST_SD), ~np.isnan(chained[:, 0]))
+    residual = (orientation[robot] * turn * orientation[partner].inv()).as_rotvec()
+    chained = np.zeros((len(orientation), 2)) if log.orientation_sd is None else log.orientation_sd
+    return Connections(robot, partner, residual, max(sd, _LEAST_SD), ~np.isnan(chained[:, 0]))
 
 
 def _averaged(log: SensingLog, is_chained: Bools) -> tuple[Reals, Reals]:
@@ -112,12 +112,16 @@ def _averaged(log: SensingLog, is_chained: Bools) -> tuple[Reals, Reals]:
         vertical, with the noise of the compasses that they follow from, shape (N, 2).
     """
     links = connections_of(log)
-    robots, count, weight = log.robot_count, len(links.robot), links.sd**-2.0
-    sign, row = np.repeat([1.0, -1.0], count), np.tile(np.arange(count), 2)
+    robots = log.robot_count
+    count = len(links.robot)
+    weight = links.sd**-2.0
+    sign = np.repeat([1.0, -1.0], count)
+    row = np.tile(np.arange(count), 2)
     ends = np.concatenate([links.robot, links.other])
     change: csc_array = csc_array((sign, (row, ends)), shape=(count, robots))
     hold = np.where(is_chained, 0.0, _HELD * weight)
-    factor = splu(csc_array(weight * (change.T @ change) + diags_array(hold)))
+    information = csc_array(weight * (change.T @ change) + diags_array(hold))
+    factor = factored(information, pivots="any")
     # The matrix depends on the graph alone: one factorization serves all rounds.
     for _ in range(_ROUNDS):
         step = factor.solve(weight * (change.T @ connections_of(log).residual))
@@ -167,7 +171,8 @@ def _chained(log: SensingLog, is_missing: Bools) -> tuple[Reals, Bools]:
 
 def _without(log: SensingLog, is_lost: Bools) -> SensingLog:
     """Leave out what docks of some robots, shape (N,), sensed or were sensed at, and vectors."""
-    final, earlier = {}, {}
+    final = {}
+    earlier = {}
     for name, key in LISTS.items():
         if key.is_of_body:
             ends = [0, 2] if key.is_of_docks else [0]
@@ -252,12 +257,12 @@ class Odometry:
             robots: Robots whose orientations these are, shape (K,).
             sd: Standard deviation about each axis [rad].
         """
-        found = copy(self)
-        found.wide = robots
+        wider = copy(self)
+        wider.wide = robots
         is_wide = np.isin(self.owner, robots)[:, None]
-        found.turn_sd = np.where(is_wide, np.maximum(sd, self.turn_sd), self.turn_sd)
-        found.walked = self._variance_walked(found.turn_sd)
-        return found
+        wider.turn_sd = np.where(is_wide, np.maximum(sd, self.turn_sd), self.turn_sd)
+        wider.walked = self._variance_walked(wider.turn_sd)
+        return wider
 
     def _variance_walked(self, turn_sd: Reals) -> Reals:
         """Sum the variances of all flips after each stance, of orientations that noisy."""

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import normal
+from tiswarm.compute.normal_equations import factored
 from tiswarm.measurements.model import Measurements
 
 _UNNOTICED = 1e-5
@@ -100,8 +101,8 @@ class Bodies(NamedTuple):
         if _is_too_large(core):
             return None
         factors = _factors(core)
-        left = 0 if factors is None else int((factors.U.diagonal() < 0.0).sum())
-        return peeled + left - self.has_gauge_yaw
+        core_modes = 0 if factors is None else int((factors.U.diagonal() < 0.0).sum())
+        return peeled + core_modes - self.has_gauge_yaw
 
 
 def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> Bodies:
@@ -121,7 +122,8 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
     center = np.concatenate([position - position[0], np.zeros((1, 3))])
     direction = _directions(rows, position, yaw_unknown=yaw_unknown)
     dof = direction.shape[1]
-    world, places = rows.robots, len(rows.places.value)
+    world = rows.robots
+    places = len(rows.places.value)
     # The world holds the anchor in all directions, and each measured coordinate in one.
     first = np.concatenate([rows.other, np.full(places + _SHIFTS, world)])
     second = np.concatenate([rows.robot, np.zeros(_SHIFTS, np.int64)])
@@ -165,8 +167,8 @@ def common_motions(
     moves = part == part[0]
     moves[0] = False
     # A row resists where one of its ends moves with the body and the other does not.
-    other = np.concatenate([moves[rows.other], np.zeros(len(rows.places.value), np.bool_)])
-    resisted = direction[moves[rows.robot] != other]
+    moves_partner = np.concatenate([moves[rows.other], np.zeros(len(rows.places.value), np.bool_)])
+    resisted = direction[moves[rows.robot] != moves_partner]
     dof = direction.shape[1]
     return dof - int(np.linalg.matrix_rank(resisted, tol=_UNNOTICED)) if moves.any() else 0
 
@@ -214,15 +216,16 @@ class FloppyMotions:
         Returns:
             Shift of each center and, where yaw is unknown, its turn, shape (N, dof, _PROBES).
         """
-        bodies, left = self.bodies, self._left
+        bodies = self.bodies
+        unresisted = self._left
         if further is not None:
             rows = further.matrix
             held = self._unresisted(rows.T)
             resisted = rows @ held - _UNNOTICED**2 * np.eye(len(rows))
             # Woodbury's formula with every term multiplied by -s, as `held` and `left` are.
-            left = left - held @ np.linalg.solve(resisted, rows @ left)
-        left = left.reshape(-1, bodies.dof, _PROBES)
-        moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
+            unresisted = unresisted - held @ np.linalg.solve(resisted, rows @ unresisted)
+        unresisted = unresisted.reshape(-1, bodies.dof, _PROBES)
+        moved = np.insert(unresisted, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
         if bodies.dof > _SHIFTS:
             # A body turns about its own center and takes its robots along.
             moved[:, :2] += _swept(moved[:, _SHIFTS], bodies.lever[:-1])
@@ -233,7 +236,8 @@ class FloppyMotions:
 
         Where the swarm may turn as a whole, we subtract the mean turn.
         """
-        moved, bodies = self.of_robots(further), self.bodies
+        moved = self.of_robots(further)
+        bodies = self.bodies
         if bodies.has_gauge_yaw and not (further and further.fixes_yaw):
             from_anchor = bodies.center[bodies.of_robot[:-1]] + bodies.lever[:-1]
             moved[:, :2] -= _swept(moved[:, _SHIFTS].mean(axis=0), from_anchor)
@@ -259,11 +263,12 @@ def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further
         rows: Further measurements.
         position: Centers at which to linearize them [R], shape (N, 3).
     """
-    world, dof = rows.robots, bodies.dof
+    world = rows.robots
+    dof = bodies.dof
     direction = _directions(rows, position, yaw_unknown=dof > _SHIFTS)
-    other = np.concatenate([rows.other, np.full(len(rows.places.value), world)])
+    partner = np.concatenate([rows.other, np.full(len(rows.places.value), world)])
     matrix = np.zeros((len(rows), bodies.size, dof))
-    for sign, robot in ((1.0, rows.robot), (-1.0, other)):
+    for sign, robot in ((1.0, rows.robot), (-1.0, partner)):
         body = bodies.of_robot[robot]
         way = sign * direction[:, None]
         if dof > _SHIFTS:
@@ -311,16 +316,19 @@ def _from(center: Reals) -> Reals:
     Shape (..., 4, 4).
     """
     change = np.tile(np.eye(4), (*center.shape[:-1], 1, 1))
-    change[..., 0, 3], change[..., 1, 3] = center[..., 1], -center[..., 0]
+    change[..., 0, 3] = center[..., 1]
+    change[..., 1, 3] = -center[..., 0]
     return change
 
 
-def _seen_from(center: Reals, stiffness: Reals, other: Reals | None = None) -> Reals:
+def _seen_from(center: Reals, stiffness: Reals, second_center: Reals | None = None) -> Reals:
     """Express stiffness by motions of bodies about their own centers, not the anchor's axis."""
     if stiffness.shape[1] == _SHIFTS:  # the same from everywhere
         return stiffness
     seen: Reals = (
-        _from(center).swapaxes(1, 2) @ stiffness @ _from(center if other is None else other)
+        _from(center).swapaxes(1, 2)
+        @ stiffness
+        @ _from(center if second_center is None else second_center)
     )
     return seen
 
@@ -340,7 +348,8 @@ def _peel(bodies: Bodies) -> tuple[int, Bodies]:
     Returns:
         Floppy modes of what was peeled off, and the rest.
     """
-    constraints, center = bodies.constraints, bodies.center
+    constraints = bodies.constraints
+    center = bodies.center
     rank = _rank(_seen_from(center[constraints.first], constraints.stiffness))
     rests = np.ones(bodies.size, np.bool_)
     modes = 0
@@ -350,7 +359,7 @@ def _peel(bodies: Bodies) -> tuple[int, Bodies]:
         held = _rank(
             _seen_from(center, _by_row(end, np.tile(constraints.stiffness, (2, 1, 1)), bodies.size))
         )
-        # Ranks that add up to that of the sum belong to constraints of which none repeats another.
+        # Where the ranks of the parts add up to that of the sum, no constraint repeats another.
         peels = rests & (total == held)
         peels[bodies.fixed] = False
         if not peels.any():
@@ -358,12 +367,13 @@ def _peel(bodies: Bodies) -> tuple[int, Bodies]:
         rests &= ~peels
         cut = peels[constraints.first] | peels[constraints.second]
         modes += bodies.dof * int(peels.sum()) - int(rank[cut].sum())
-        constraints, rank = _Constraints(*(column[~cut] for column in constraints)), rank[~cut]
+        constraints = _Constraints(*(column[~cut] for column in constraints))
+        rank = rank[~cut]
     number = np.cumsum(rests) - 1
-    left = _Constraints(
+    core_constraints = _Constraints(
         number[constraints.first], number[constraints.second], constraints.stiffness
     )
-    core = Bodies(number[[bodies.fixed]], np.zeros((1, 3)), center[rests], left)
+    core = Bodies(number[[bodies.fixed]], np.zeros((1, 3)), center[rests], core_constraints)
     return modes, core
 
 
@@ -381,16 +391,14 @@ def _factors(bodies: Bodies) -> SuperLU | None:
     block = np.concatenate([stiffness, stiffness, -stiffness, -stiffness])
     block = _seen_from(bodies.center[row], block, bodies.center[column])
     free = (row != bodies.fixed) & (column != bodies.fixed)
-    row, column, block = row[free], column[free], block[free]
-    row, column = row - (row > bodies.fixed), column - (column > bodies.fixed)
-    dof, unknowns = np.arange(bodies.dof), bodies.unknowns
+    row = row[free]
+    column = column[free]
+    block = block[free]
+    row = row - (row > bodies.fixed)
+    column = column - (column > bodies.fixed)
+    dof = np.arange(bodies.dof)
+    unknowns = bodies.unknowns
     rows = np.broadcast_to(len(dof) * row[:, None, None] + dof[:, None], block.shape)
     columns = np.broadcast_to(len(dof) * column[:, None, None] + dof, block.shape)
     matrix = csc_array((block.ravel(), (rows.ravel(), columns.ravel())), shape=(unknowns, unknowns))
-    # Symmetric mode takes pivots from the diagonal: so theirs are the signs to count.
-    return splu(
-        csc_array(matrix - _UNNOTICED**2 * eye_array(unknowns)),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    return factored(csc_array(matrix - _UNNOTICED**2 * eye_array(unknowns)))

@@ -14,36 +14,43 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
+from tiswarm.compute.normal_equations import factored
 from tiswarm.measurements.contacts import disconnected, parts, spans
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import OpenTurn
 
 _UNRESISTED = 1e-6
 """Change of a measurement for each R of motion below which it does not resist [1]."""
 
-_ANGLES, _DRAWS = 48, 256
-"""Angles about a line at which measurements are compared, and draws of all turns together."""
+_ANGLES = 48
+"""Angles about a line at which measurements are compared."""
 
-_BROAD, _RARE = 0.1, 1e-3
+_DRAWS = 256
+"""Draws of all turns together."""
+
+_BROAD = 0.1
 """Mean likelihood of these angles, relative to the best one, from which on a turn is free [1]: the
-linear problem knows the width of smaller arcs. Share of mirror images up to which none counts."""
+linear problem knows the width of smaller arcs."""
+
+_RARE = 1e-3
+"""Share of mirror images in the likelihood, up to which none counts [1]."""
 
 _STRAIGHT = 0.25
 """Width of a line of robots up to which others may turn about it, in its length [1]."""
 
-_MOST_CUT, _MOST_ROBOTS = 16, 1000
-"""Robots of unknown place up to which each two of them are tried as an axis, and robots up to which
-sets that turn are looked for at all: both take time."""
+_MOST_CUT = 16
+"""Robots of unknown place up to which each two of them are tried as an axis: that takes time."""
+
+_MOST_ROBOTS = 1000
+"""Robots up to which sets that turn are looked for at all: that takes time, too."""
 
 _MOST_UNKNOWNS = 20_000
 """Unknowns of configurations that are solved at once; more take memory."""
-
-_AXES = 3
 
 
 class Turn(NamedTuple):
@@ -99,11 +106,11 @@ class Turn(NamedTuple):
             level = np.concatenate([[0.0], np.cumsum(self.chance)])
             place = np.interp((order + 0.5) / _DRAWS, level / level[-1], np.arange(len(level)))
             return self.turned(position, _motions(axes[:, 0], place))
-        each = normal(stream, "turns", np.arange(_DRAWS // 4)[:, None], np.arange(4))
-        turns = 2.0 * np.eye(_AXES)[:, :, None] * np.eye(_AXES) - np.eye(_AXES)
-        half = np.concatenate([np.eye(_AXES)[None], turns])
-        matrices = half[:, None] @ Rotation.from_quat(each).as_matrix()
-        return self.turned(position, matrices.reshape(-1, _AXES, _AXES))
+        quaternion = normal(stream, "turns", np.arange(_DRAWS // 4)[:, None], np.arange(4))
+        turns = 2.0 * np.eye(AXES)[:, :, None] * np.eye(AXES) - np.eye(AXES)
+        half = np.concatenate([np.eye(AXES)[None], turns])
+        matrices = half[:, None] @ Rotation.from_quat(quaternion).as_matrix()
+        return self.turned(position, matrices.reshape(-1, AXES, AXES))
 
 
 class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
@@ -117,34 +124,36 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
         Sets are what hangs together once one or two robots, or none, are taken away.
         No frame is found if only those `among` robots may turn, shape (N,).
         """
-        part, near = parts(rows), np.zeros((rows.robots, rows.robots), np.bool_)
-        tied, of_pair = part == part[0], rows.robot[: len(rows.other)]
+        part = parts(rows)
+        near = np.zeros((rows.robots, rows.robots), np.bool_)
+        tied = part == part[0]
+        of_pair = rows.robot[: len(rows.other)]
         measured = spans(rows.robot[len(rows.other) :], rows.places.direction, rows.robots)
-        known = np.linalg.matrix_rank(measured, hermitian=True) == _AXES
-        known[0] = True
+        is_placed = np.linalg.matrix_rank(measured, hermitian=True) == AXES
+        is_placed[0] = True
         frame = free_frame(rows, position, tied & (among is None))
         # Nothing of the world but the anchor is known, and robots that move have a shape.
-        is_frame = bool(frame.names) and not (known & tied)[1:].any()
+        is_frame = bool(frame.names) and not (is_placed & tied)[1:].any()
         is_frame &= bool((tied[of_pair] & (of_pair > 0) & (rows.other > 0)).any())
-        found = [frame._replace(is_frame=True)] if is_frame else []
-        known |= among is not None and ~among
+        turns = [frame._replace(is_frame=True)] if is_frame else []
+        is_placed |= among is not None and ~among
         if rows.robots > _MOST_ROBOTS or not rows.is_central.any():
-            return cls(found)
+            return cls(turns)
         near[of_pair, rows.other] = near[rows.other, of_pair] = True
-        for members in _sets(near, np.flatnonzero(~known & ~disconnected(rows))):
+        for members in _sets(near, np.flatnonzero(~is_placed & ~disconnected(rows))):
             moves = np.isin(np.arange(rows.robots), members)
             about = np.flatnonzero(near[members].any(axis=0) & ~moves)
             if len(about) and not (is_frame and tied.sum() == len(members) + len(about)):
                 turn = _turn_about(rows, position, moves, about)
-                found += [turn] if turn.names else []
-        return cls(found)
+                turns += [turn] if turn.names else []
+        return cls(turns)
 
     def aligned(self, *chains: Reals, to: int) -> Iterator[Reals]:
         """Turn K configurations (K, N, 3), and others like them, to be nearest to one of them."""
         goal = chains[0][to]
         for turn in self:
             matrices = align(chains[0], goal, turn)
-            chains = tuple(turn.turned(each, matrices) for each in chains)
+            chains = tuple(turn.turned(chain, matrices) for chain in chains)
         return iter(chains)
 
     def motions(self, position: Reals) -> Reals:
@@ -177,22 +186,23 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
     def stated(self, position: Reals, unit: float) -> dict[str, Any]:
         """Write them as fields of an estimate, for positions (N, 3) and R in the log's unit."""
         frame: tuple[str, ...] = ()
-        found: dict[tuple[int, ...], OpenTurn] = {}
+        open_turns: dict[tuple[int, ...], OpenTurn] = {}
         for turn in self:
             if turn.is_frame:
                 frame = turn.names
                 continue
-            (center, axes), key = turn.pivot(position), tuple(turn.about.tolist())
+            (center, axes) = turn.pivot(position)
+            key = tuple(turn.about.tolist())
             robots = np.flatnonzero(turn.moves)
-            if key in found:
-                robots = np.union1d(robots, found[key].robots)
+            if key in open_turns:
+                robots = np.union1d(robots, open_turns[key].robots)
             # Noise has put robots beside their line, where they would resist the turn.
             along = (position[turn.about] - center) @ axes[0]
             line = center + along[:, None] * axes[0]
             place = unit * np.concatenate([position[robots], line])
             axis = axes[0] if len(axes) == 1 else None
-            found[key] = OpenTurn(robots=robots, about=turn.about, axis=axis, place=place)
-        return {"free_frame": frame, "turns": tuple(found.values())}
+            open_turns[key] = OpenTurn(robots=robots, about=turn.about, axis=axis, place=place)
+        return {"free_frame": frame, "turns": tuple(open_turns.values())}
 
 
 def free_frame(rows: Measurements, position: Reals, moves: Bools, about: int = 0) -> Turn:
@@ -204,21 +214,21 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools, about: int = 0
         moves: Robots that move, shape (N,).
         about: Robot about which they turn.
     """
-    held = Turn(moves, np.array([about]), np.empty((0, _AXES)), is_hand_free=False)
+    held = Turn(moves, np.array([about]), np.empty((0, AXES)), is_hand_free=False)
     arm = (position - position[about]) * moves[:, None]
     extent = np.linalg.norm(arm)
     if not extent:
         return held
-    turns = _turning(np.eye(_AXES), arm)
+    turns = _turning(np.eye(AXES), arm)
     changed = rows.jacobian(position)[:, : turns.shape[0]] @ turns
     _, size, axes = np.linalg.svd(np.linalg.qr(np.asarray(changed), mode="r"))
-    size = np.pad(size, (0, _AXES - len(size)))
+    size = np.pad(size, (0, AXES - len(size)))
     moved = np.linalg.norm(turns @ axes.T, axis=0)
     axes = axes[(size <= _UNRESISTED * extent) & (moved > _UNRESISTED * extent)]
 
-    def is_free(there: Reals) -> bool:
+    def is_free(moved_arm: Reals) -> bool:
         """Whether robots with these arms meet the measurements as well."""
-        image = np.where(moves[:, None], position[about] + there, position)
+        image = np.where(moves[:, None], position[about] + moved_arm, position)
         change = rows.residual(image) - rows.residual(position)
         return bool(np.abs(change).max(initial=0.0) <= _UNRESISTED * extent)
 
@@ -231,13 +241,15 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools, about: int = 0
 
 def _sets(near: Bools, robots: Ints) -> list[Ints]:
     """List sets of some robots that hang together by `near` (N, N), the largest first."""
-    most = _AXES if len(robots) <= _MOST_CUT else 1
-    found = {(i,) for i in robots.tolist() if near[i].sum() <= _AXES - 1}
+    most = AXES if len(robots) <= _MOST_CUT else 1
+    sets = {(i,) for i in robots.tolist() if near[i].sum() <= AXES - 1}
     for cut in chain(*(combinations(robots.tolist(), count) for count in range(most))):
         rest = np.setdiff1d(robots, cut)
         _, label = connected_components(near[np.ix_(rest, rest)], directed=False)
-        found |= {tuple(rest[label == k].tolist()) for k in np.unique(label)}
-    return [np.array(each) for each in sorted(found, key=lambda each: (-len(each), each))]
+        sets |= {tuple(rest[label == k].tolist()) for k in np.unique(label)}
+    return [
+        np.array(members) for members in sorted(sets, key=lambda members: (-len(members), members))
+    ]
 
 
 def _turn_about(rows: Measurements, position: Reals, moves: Bools, about: Ints) -> Turn:
@@ -261,7 +273,8 @@ def _turn_about(rows: Measurements, position: Reals, moves: Bools, about: Ints) 
     place = np.arange(2 * _ANGLES, dtype=np.float64) + 0.5
     every: Reals = np.tile(position, (len(place), 1, 1))
     every = turn.turned(every, _motions(np.tile(axes[0], (len(place), 1)), place))
-    every, few = np.concatenate([every, position[None]]), max(1, _MOST_UNKNOWNS // (3 * len(arm)))
+    every = np.concatenate([every, position[None]])
+    few = max(1, _MOST_UNKNOWNS // (3 * len(arm)))
     pieces = (every[k : k + few] for k in range(0, len(every), few))
     square = np.concatenate([_least_squares(rows, piece, turn) for piece in pieces])
     chance = np.exp(0.5 * (square.min() - square[:-1]))
@@ -279,17 +292,21 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     """
     members = np.flatnonzero(turn.moves)
     column = np.cumsum(turn.moves) * turn.moves - 1  # -1 of robots that stay
-    sd, (count, size) = np.sqrt(rows.variance()), (len(position), _AXES * len(members))
+    sd = np.sqrt(rows.variance())
+    count = len(position)
+    size = AXES * len(members)
     residual, way = rows.linearized(position)
-    residual, way = residual / sd, way / sd[:, None]
+    residual = residual / sd
+    way = way / sd[:, None]
     center, axes = turn.pivot(position)
     along = np.cross(axes, (position - center[:, None])[:, members]).reshape(count, size)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    entries, each = [], np.arange(count)[:, None, None]
+    entries = []
+    number = np.arange(count)[:, None, None]
     for robot, slope in ((rows.robot, way), (rows.other, -way[:, : len(rows.other)])):
         row = np.flatnonzero(turn.moves[robot])
-        place = (_AXES * column[robot[row], None] + np.arange(_AXES)) + size * each
-        line = row[:, None] + len(rows) * each
+        place = (AXES * column[robot[row], None] + np.arange(AXES)) + size * number
+        line = row[:, None] + len(rows) * number
         entries.append([slope[:, row], np.broadcast_to(line, place.shape), place])
     value, line, place = (
         np.concatenate([a.ravel() for a in parts]) for parts in zip(*entries, strict=True)
@@ -301,36 +318,37 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     most = information.diagonal().reshape(count, size).sum(axis=1)
     most -= (along * (information @ along.ravel()).reshape(count, size)).sum(axis=1)
     stiff = diags(np.repeat(_UNRESISTED * most, size), format="csc")
-    factor = splu(information + stiff, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    factor = factored(information + stiff, pivots="largest")
     step, held = (factor.solve(side.ravel()).reshape(count, size) for side in (pull, along))
     step -= held * ((along * step).sum(axis=1) / (along * held).sum(axis=1))[:, None]
     least: Reals = (residual**2).sum(axis=1) - (pull * step).sum(axis=1)
     return least
 
 
-def align(position: Reals, other: Reals, turn: Turn) -> Reals:
+def align(position: Reals, goal: Reals, turn: Turn) -> Reals:
     """Move robots by free motions so that they are nearest to where others are (Kabsch 1976).
 
     Args:
         position: Centers of K configurations [R], shape (K, N, 3).
-        other: Centers to be near to [R], shape (N, 3).
+        goal: Centers to be near to [R], shape (N, 3).
         turn: Free motions.
 
     Returns:
         Orthogonal matrices that rows of arms from the pivot are multiplied by, shape (K, 3, 3).
     """
-    matrices = np.tile(np.eye(_AXES), (len(position), 1, 1))
+    matrices = np.tile(np.eye(AXES), (len(position), 1, 1))
     if not len(turn.axes):
         return matrices
-    there = (other - turn.pivot(other)[0])[turn.moves]
+    goal_arm = (goal - turn.pivot(goal)[0])[turn.moves]
     for k, centers in enumerate(position):
         center, axes = turn.pivot(centers)
-        here = (centers - center)[turn.moves]
-        images = [here, _mirrored(here, axes)] if turn.is_hand_free else [here]
-        mirror = [np.eye(_AXES), _mirrored(np.eye(_AXES), axes)]
-        turns = [_turn(image, there, axes) for image in images]
+        arm = (centers - center)[turn.moves]
+        images = [arm, _mirrored(arm, axes)] if turn.is_hand_free else [arm]
+        mirror = [np.eye(AXES), _mirrored(np.eye(AXES), axes)]
+        turns = [_turn(image, goal_arm, axes) for image in images]
         off = [
-            np.linalg.norm(image @ turn - there) for image, turn in zip(images, turns, strict=True)
+            np.linalg.norm(image @ turn - goal_arm)
+            for image, turn in zip(images, turns, strict=True)
         ]
         best = int(np.argmin(off))
         matrices[k] = mirror[best] @ turns[best]
@@ -344,7 +362,7 @@ def _motions(axis: Reals, place: Reals) -> Reals:
     """
     matrices = Rotation.from_rotvec(-2.0 * np.pi / _ANGLES * place[:, None] * axis).as_matrix()
     for k in np.flatnonzero(place >= _ANGLES).tolist():
-        matrices[k] = _mirrored(np.eye(_AXES), axis[k : k + 1]) @ matrices[k]
+        matrices[k] = _mirrored(np.eye(AXES), axis[k : k + 1]) @ matrices[k]
     return matrices
 
 
@@ -357,23 +375,25 @@ def _turning(axes: Reals, arm: Reals) -> Reals:
 def _mirrored(arm: Reals, axes: Reals) -> Reals:
     """Mirror arms in a plane that contains the axis of free turns, or in any if all are free."""
     along = axes[0]
-    across = np.cross(along, np.eye(_AXES)[np.abs(along).argmin()])
+    across = np.cross(along, np.eye(AXES)[np.abs(along).argmin()])
     across /= np.linalg.norm(across)
     mirrored: Reals = arm - 2.0 * (arm @ across)[..., None] * across
     return mirrored
 
 
-def _turn(here: Reals, there: Reals, axes: Reals) -> Reals:
+def _turn(arm: Reals, goal_arm: Reals, axes: Reals) -> Reals:
     """Find the free turn that brings arms (n, 3) nearest to others: a matrix to multiply by."""
     if len(axes) == 1:
         basis = np.linalg.svd(axes)[2]  # the axis first
-        (_, a, b), (_, c, d) = (here @ basis.T).T, (there @ basis.T).T
+        (_, a, b) = (arm @ basis.T).T
+        (_, c, d) = (goal_arm @ basis.T).T
         angle = np.arctan2((a * d - b * c).sum(), (a * c + b * d).sum())
-        cos, sin = np.cos(angle), np.sin(angle)
+        cos = np.cos(angle)
+        sin = np.sin(angle)
         inner = np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]])
         turn: Reals = basis.T @ inner @ basis
         return turn
-    u, _, vt = np.linalg.svd(here.T @ there)
+    u, _, vt = np.linalg.svd(arm.T @ goal_arm)
     sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     proper: Reals = u @ sign @ vt
     return proper

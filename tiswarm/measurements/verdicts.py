@@ -43,54 +43,59 @@ def headline(log: SensingLog, estimate: Estimate) -> str:
 
     Empty where the method gave no verdict.
     """
-    if text := distrust(log, estimate):
-        return text
+    reason = distrust(log, estimate)
+    if reason:
+        return reason
     if estimate.convergence is None:
         return ""
-    found = ["converged", *_untestable(estimate.convergence)]
+    verdicts = ["converged", *_untestable(estimate.convergence)]
     more = [*_fitting(estimate), *_mirrored(log, estimate), *_turning(log, estimate)]
-    return "; ".join([*found, *_undetermined(estimate), *more])
+    return "; ".join([*verdicts, *_undetermined(estimate), *more])
 
 
-def _untestable(found: Convergence) -> Iterator[str]:
+def _untestable(convergence: Convergence) -> Iterator[str]:
     """State that too few measurements are spare to find that the log is not consistent."""
-    if not found.testable:
-        spare = counted(found.spare or 0, "spare measurement")
+    if not convergence.testable:
+        spare = counted(convergence.spare or 0, "spare measurement")
         yield f"consistency not testable ({spare}: too few to disagree)"
 
 
 def verdict(estimate: Estimate) -> str:
     """Give both verdicts in a word or two; empty where the method gave none."""
-    found = estimate.convergence
-    if found is None:
+    convergence = estimate.convergence
+    if convergence is None:
         return ""
-    if not found.converged:
-        return "not converged" if found.consistent else "neither converged nor consistent"
-    return "converged" if found.consistent else "not consistent"
+    if not convergence.converged:
+        return "not converged" if convergence.consistent else "neither converged nor consistent"
+    return "converged" if convergence.consistent else "not consistent"
 
 
 def distrust(log: SensingLog, estimate: Estimate) -> str:
     """Say why an estimate cannot be trusted, and what to do; empty if it can."""
-    found, beyond = estimate.convergence, _beyond_reach(log, estimate)
-    if found is None:
+    convergence = estimate.convergence
+    beyond = _beyond_reach(log, estimate)
+    if convergence is None:
         if not beyond.size:
             return ""
         where = f"beyond the reach of their contacts are {named(log, beyond)}"
         return f"not converged: {where}; look for wrong contacts, heights and spawn positions"
-    if found.trusted:
+    if convergence.trusted:
         return ""
-    text = verdict(estimate) + (f": {found.reason}" if found.reason else "")
-    if not found.consistent and (misfit := describe_misfit(found.misfit_sd)):
+    text = verdict(estimate) + (f": {convergence.reason}" if convergence.reason else "")
+    misfit = "" if convergence.consistent else describe_misfit(convergence.misfit_sd)
+    if misfit:
         text += f" ({misfit})"
-    clauses = [text] if found.converged else [text, "positions and sd may be far off"]
-    if found.sd_factor != 1.0 and estimate.sd is not None:
-        clauses.append(f"sd is multiplied by {found.sd_factor:.2g}")
+    clauses = [text] if convergence.converged else [text, "positions and sd may be far off"]
+    if convergence.sd_factor != 1.0 and estimate.sd is not None:
+        clauses.append(f"sd is multiplied by {convergence.sd_factor:.2g}")
     carriers = (
-        _carriers(estimate) if found.converged and found.misfit_sd > 0.0 else np.empty(0, int)
+        _carriers(estimate)
+        if convergence.converged and convergence.misfit_sd > 0.0
+        else np.empty(0, int)
     )
     if carriers.size:
         clauses.append(f"most of it is carried by {named(log, carriers)}")
-    remedy = _remedy(found, carriers, log, beyond)
+    remedy = _remedy(convergence, carriers, log, beyond)
     return "; ".join([*clauses, remedy])
 
 
@@ -102,15 +107,15 @@ def describe_misfit(misfit_sd: float) -> str:
     return f"chi-square {side} its expectation by {abs(misfit_sd):.0f} sd"
 
 
-def _remedy(found: Convergence, carriers: Ints, log: SensingLog, beyond: Ints) -> str:
-    if not found.converged and beyond.size:
+def _remedy(convergence: Convergence, carriers: Ints, log: SensingLog, beyond: Ints) -> str:
+    if not convergence.converged and beyond.size:
         return f"look for wrong contacts, heights and spawn positions of {named(log, beyond)}"
-    if found.chains <= 1:
+    if convergence.chains <= 1:
         return "localize by joint, with several chains"
-    if not found.converged:
-        other = "if that does not help, look for wrong measurements"
-        return f"try twice the steps or chains, or another seed; {other}"
-    if found.misfit_sd < -MOST_MISFIT_SD:
+    if not convergence.converged:
+        otherwise = "if that does not help, look for wrong measurements"
+        return f"try twice the steps or chains, or another seed; {otherwise}"
+    if convergence.misfit_sd < -MOST_MISFIT_SD:
         return "state smaller noise in the log"
     if carriers.size:
         return "look at the measurements of these robots, or leave them out"
@@ -122,7 +127,8 @@ def _remedy(found: Convergence, carriers: Ints, log: SensingLog, beyond: Ints) -
 
 def cautions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
     """Describe in lines what even an estimate that is trusted leaves ambiguous."""
-    if (torn := _torn(estimate)).size:
+    torn = _torn(estimate)
+    if torn.size:
         yield (
             f"only outliers tie {named(log, torn)} to the anchor (positions are guesses); look at "
             "the contacts and ranges of these robots"
@@ -152,31 +158,33 @@ def cautions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
 
 def describe_solutions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
     """Describe in lines the solutions that a method found, if there are several."""
-    found, unit = estimate.solutions, log.length_unit
-    if len(found) <= 1:
+    solutions = estimate.solutions
+    unit = log.length_unit
+    if len(solutions) <= 1:
         return
-    chains = sum(solution.chains for solution in found)
-    for number, solution in enumerate(found[:MOST_SHOWN], start=1):
+    chains = sum(solution.chains for solution in solutions)
+    for number, solution in enumerate(solutions[:MOST_SHOWN], start=1):
         text = solution_name(estimate, number)
-        more = solution.chi_square - found[0].chi_square
+        more = solution.chi_square - solutions[0].chi_square
         if number > 1 and np.isfinite(more):
             text += f", chi-square {more:+.3g}"
         text += f", {solution.chains} of {chains} chains"
         if number > 1:
-            away = ~log.is_gone * np.linalg.norm(solution.position - found[0].position, axis=1)
+            away = ~log.is_gone * np.linalg.norm(solution.position - solutions[0].position, axis=1)
             farthest = np.argsort(-away, kind="stable")
             elsewhere = farthest[away[farthest] > log.spacing]
             text += f"; up to {away.max():.3g} {unit} from solution 1"
             text += f": {named(log, elsewhere)}" if elsewhere.size else ""
         yield text
-    if (more_solutions := len(found) - MOST_SHOWN) > 0:
-        yield counted(more_solutions, "more solution")
+    if len(solutions) > MOST_SHOWN:
+        yield counted(len(solutions) - MOST_SHOWN, "more solution")
 
 
 def solution_name(estimate: Estimate, number: int) -> str:
     """Name a solution, counted from 1, with its weight."""
-    found = estimate.solutions
-    return f"solution {number} of {len(found)}, weight {percent(found[number - 1].weight)} %"
+    solutions = estimate.solutions
+    weight = percent(solutions[number - 1].weight)
+    return f"solution {number} of {len(solutions)}, weight {weight} %"
 
 
 def describe_outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
@@ -197,8 +205,11 @@ def describe_outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterat
 
 def named(log: SensingLog, rows: AnyInts, most: int = MOST_SHOWN) -> str:
     """Count robots, and list the first."""
-    names = [*map(str, log.robot_id[rows[:most]].tolist()), *["..."] * (len(rows) > most)]
-    return counted(len(rows), "robot") + (f" ({', '.join(names)})" if names else "")
+    names = [str(name) for name in log.robot_id[rows[:most]].tolist()]
+    if len(rows) > most:
+        names.append("...")
+    robots = counted(len(rows), "robot")
+    return f"{robots} ({', '.join(names)})" if names else robots
 
 
 def _line(log: SensingLog, path: Path, robot: int) -> str:
@@ -207,24 +218,28 @@ def _line(log: SensingLog, path: Path, robot: int) -> str:
 
 def _fitting(estimate: Estimate) -> Iterator[str]:
     """Count the configurations that fit, where a method looks for several."""
-    found = estimate.solutions
-    if len(found) > 1:
-        yield f"{len(found)} configurations fit, the likeliest has {percent(found[0].weight)} %"
-    elif found:
+    solutions = estimate.solutions
+    if len(solutions) > 1:
+        likeliest = percent(solutions[0].weight)
+        yield f"{len(solutions)} configurations fit, the likeliest has {likeliest} %"
+    elif solutions:
         yield "one configuration fits"
 
 
 def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:
-    if (found := estimate.mirrored) is not None and (found & ~log.is_gone).any():
-        yield f"mirrored: {named(log, np.flatnonzero(found & ~log.is_gone))}"
+    if estimate.mirrored is None:
+        return
+    mirrored = np.flatnonzero(estimate.mirrored & ~log.is_gone)
+    if mirrored.size:
+        yield f"mirrored: {named(log, mirrored)}"
 
 
 def _torn(estimate: Estimate) -> Ints:
     """Find the robots that measurements tie to the anchor, but outliers alone."""
-    known = estimate.observability
-    if known is None or not _outliers(estimate):
+    observability = estimate.observability
+    if observability is None or not _outliers(estimate):
         return np.empty(0, np.int64)
-    return np.flatnonzero(estimate.disconnected & ~known.disconnected)
+    return np.flatnonzero(estimate.disconnected & ~observability.disconnected)
 
 
 def _outliers(estimate: Estimate) -> int:
@@ -257,10 +272,11 @@ def says_open(estimate: Estimate) -> bool:
 
 def _undetermined(estimate: Estimate) -> Iterator[str]:
     """State that measurements leave open where more than half of the robots are."""
-    known, is_open = estimate.observability, estimate.is_open
-    if known is None or is_open is None:
+    observability = estimate.observability
+    is_open = estimate.is_open
+    if observability is None or is_open is None:
         return
-    tied = int((~known.disconnected).sum())
+    tied = int((~observability.disconnected).sum())
     if is_open.sum() > _MOSTLY * (tied - 1):
         yield f"measurements do not determine where {is_open.sum()} of {tied} robots are"
 
@@ -294,16 +310,17 @@ _Outlier = tuple[int, int, str, str]
 def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
     if estimate.outlier_contacts is None:
         return
-    name, measured = log.robot_id.tolist(), Measured(log)
+    name = log.robot_id.tolist()
+    measured = Measured(log)
     # Of cues with equal rows the last one counts: a displacement also says how far robots are.
     pairs = {
         cue: set(map(tuple, measured.rows([cue.name]).sensed_contacts.tolist()))
         for cue in reversed(CUES)
     }
     for row in estimate.outlier_contacts.tolist():
-        robot, stance, own, other, dock = row
+        robot, stance, own_dock, partner, dock = row
         cue = next(cue for cue, rows in pairs.items() if tuple(row) in rows or cue is CUES[0])
-        yield robot, stance, cue.key, cue.item.format(own=own, other=name[other], dock=dock)
+        yield robot, stance, cue.key, cue.item.format(own=own_dock, other=name[partner], dock=dock)
 
 
 def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
@@ -311,7 +328,8 @@ def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
     places = estimate.outlier_places
     if places is None or not len(places):
         return
-    measured, center = Measured(log), estimate.position / log.dock_radius
+    measured = Measured(log)
+    center = estimate.position / log.dock_radius
     wanted, number = np.unique(places, axis=0, return_counts=True)
     listed: dict[tuple[int, ...], list[tuple[float, str, str]]] = {}
     for cue in CUES:

@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any, Literal, TypeVar
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import register, registered, watch
+from tiswarm.base.registry import register, registered, watch
 
 FEWEST = 5
 """Structures below which there is a range, but no confidence interval and no test, and no error is

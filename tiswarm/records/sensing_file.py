@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import find
 from tiswarm.records import sensing_format
 from tiswarm.records.io import Opener, at_line, decode, raw_lines, replacing
 from tiswarm.records.messages import shown
@@ -545,8 +544,9 @@ def log_lines(path: Path, source: BinaryIO | None = None) -> Iterator[tuple[int,
         InputError: the file cannot be read, or a line is too long.
     """
     if source is None and path.suffix == ".mcap":
-        lines: Iterator[tuple[int, bytes]] = find("log_format", "mcap")(path)
-        return lines
+        from tiswarm.records.mcap import sensing_lines  # noqa: PLC0415 - needs an extra
+
+        return sensing_lines(path)
     return raw_lines(path, source=source)
 
 

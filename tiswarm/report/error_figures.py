@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tiswarm.base.aliases import Reals
-from tiswarm.base.parts import names
+from tiswarm.base.registry import names
 from tiswarm.records.measures import RMSE
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style

@@ -3,13 +3,12 @@
 import math
 import re
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from tiswarm.base.errors import EnvironmentTroubleError, InputError, did_you_mean
-from tiswarm.base.parts import find, guarded, names, register, registered
+from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.progress import Progress
+from tiswarm.base.registry import get, guarded, names, register, registered
 from tiswarm.records import outputs
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData
@@ -137,10 +136,8 @@ def painters_of(run: RunData) -> dict[str, figure_style.Painter]:
 
 
 def _modules() -> Iterator[Any]:
-    """Import what draws figures; a copy of the package may lack optional modules."""
-    for name in names("figure"):
-        with suppress(EnvironmentTroubleError):
-            yield find("figure", name)
+    """Import what draws figures."""
+    return (get("figure", name) for name in names("figure"))
 
 
 def caption_of(name: str, case: str = "", *, few: bool = False) -> str:

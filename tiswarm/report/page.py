@@ -25,10 +25,9 @@ from tiswarm.records.measures import FEWEST, RMSE
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report import page_tables
-from tiswarm.report.answers import read_pairs, result_of
 from tiswarm.report.figure_style import NARROW, SCALES, TRUE_BLUE
 from tiswarm.report.figures import caption_of
-from tiswarm.report.run_data import RunData, stated_scenario
+from tiswarm.report.run_data import RunData, read_pairs, stated_scenario
 from tiswarm.report.swarm_view import View, build_view
 
 if TYPE_CHECKING:
@@ -230,7 +229,7 @@ class Page:
     """Content of a page; the page leaves out what is empty."""
 
     name: str
-    result: str  # one sentence
+    result: str = ""  # one sentence
     what: str = ""  # one line: what was computed
     description: str = ""
     headline: page_tables.PageTable | None = None  # beside the 3D view
@@ -324,7 +323,6 @@ def _gather(run: RunData) -> Page:
     return Page(
         name=stated.get("name", run.folder.name),
         description=stated.get("description", ""),
-        result=result_of(run.folder, table, run.labels),
         what=_in_words(run, manifest),
         warnings=page_tables.warnings_of(run.summary),
         notes=page_tables.notes_of(run.summary, manifest),

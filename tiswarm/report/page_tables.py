@@ -2,7 +2,8 @@
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator
+import textwrap
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from tiswarm.records.measures import (
     DISPARITY,
     FEWEST,
     FLOPPY_MODES,
+    JOINED,
     MISFIT,
     PAGE,
     RMSE,
@@ -110,15 +112,42 @@ def paper_text(table: PageTable, form: str) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
+def console_text(table: PageTable, width: int = 100) -> str:
+    """Write a table in aligned columns below its note, which is wrapped to a width in letters.
+
+    The point of a sweep stands once, in a line above its conditions.
+    """
+    frame = table.frame[table.columns]
+    cells = [[*map(str, frame)], *frame.to_numpy().tolist()]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+
+    def aligned(row: Sequence[str]) -> str:
+        texts = [
+            cell.ljust(width) if name in table.words else cell.rjust(width)
+            for name, cell, width in zip(frame, row, widths, strict=True)
+        ]
+        return "  ".join(texts).rstrip()
+
+    lines = [*textwrap.wrap(table.note, width), aligned(cells[0])]
+    for point, rows in table.groups:
+        if point:
+            lines.append(f"{point}:")
+        lines += map(aligned, rows)
+    return "\n".join(lines)
+
+
 def headline_table(table: pd.DataFrame, question: str = "") -> PageTable:
-    """Format accuracy, and what a question asks for; the best condition of each point is first."""
-    place = with_points(table).groupby("point", sort=False).ngroup()
-    order = ["place", *({RMSE.mean} & set(table))]
-    rows = table.assign(place=place).sort_values(order, kind="stable")
-    columns = _means(rows, "accuracy") | _asked(rows, question)
-    if DISCONNECTED.mean in rows and (rows[DISCONNECTED.mean] > 0.0).any():
-        columns["robots disconnected"] = _mean(rows, DISCONNECTED.column)
+    """Format accuracy, and what a question asks for: a row for each condition and point.
+
+    The best condition of each point is first. Where conditions differ in their measurements, each
+    has its further ones beside its name.
+    """
+    rows = _best_first(table)
     shared, further = _measurements(rows)
+    columns: dict[str, pd.Series] = {}
+    if any(further):
+        columns[FURTHER] = pd.Series(further, rows.index, dtype=str)
+    columns |= _means(rows, "accuracy") | _asked(rows, question) | _doubts(rows)
     least, most = rows["cases"].min(), rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
@@ -133,24 +162,74 @@ def headline_table(table: pd.DataFrame, question: str = "") -> PageTable:
     notes.append("Conditions are ways to localize. R: a dock's radius. Disparity 0: right shape.")
     if "reached" in columns:
         notes.append("Reached: height, reach or depth [R]; of bridges, the share that closed.")
-    if "robots disconnected" in columns:
-        notes.append("No method can place robots that are disconnected from the anchor.")
+    notes += [note for label, note in _NOTES.items() if label in columns]
     words = _names(rows)
-    if any(further):
-        columns["also uses"] = pd.Series(further, rows.index, dtype=str)
     shown = _labeled(words, columns, "Accuracy", " ".join(notes))
-    return replace(shown, words=[*words, "also uses"]) if any(further) else shown
+    return replace(shown, words=[*words, FURTHER])
+
+
+def _best_first(table: pd.DataFrame) -> pd.DataFrame:
+    """Sort the rows of each point of the sweep by their mean RMSE; points stay in their order."""
+    point = with_points(table).groupby("point", sort=False).ngroup()
+    order = ["place"]
+    if RMSE.mean in table:
+        order.append(RMSE.mean)
+    return table.assign(place=point).sort_values(order, kind="stable")
+
+
+FURTHER = "also uses"
+"""Column of the measurements that a condition has and others lack."""
+
+_TIED = "robots tied [%]"
+_NOTES = {
+    _TIED: "Robots tied: the share that measurements connect to the anchor. No method can place "
+    "the others, whose errors count all the same.",
+    "converged": "Converged: the search settled on one best fit; elsewhere, errors may be large.",
+    "consistent": "Consistent: measurements agree within the noise that their logs state.",
+}
+"""Meaning of a column, by its label."""
+
+
+def _doubts(rows: pd.DataFrame) -> dict[str, pd.Series]:
+    """Format the robots that are tied, and estimates that may be trusted, where not all are."""
+    columns: dict[str, pd.Series] = {}
+    if DISCONNECTED.mean in rows and (rows[DISCONNECTED.mean] > 0.0).any():
+        robots = rows.get(JOINED.mean, math.nan)
+        columns[_TIED] = _numbers(100.0 * (1.0 - rows[DISCONNECTED.mean] / robots))
+    for measure in (CONVERGED, CONSISTENT):
+        share = rows.get(measure.mean, pd.Series(math.nan, rows.index)).astype(float)
+        if (share < 1.0).any():
+            count = (share * rows["cases"]).map("{:.0f}".format)
+            texts = count + " of " + rows["cases"].astype(str)
+            columns[measure.column] = texts.where(share.notna(), "")
+    return columns
 
 
 def _asked(rows: pd.DataFrame, question: str) -> dict[str, pd.Series]:
     """Format what a question asks for beside accuracy, by label."""
     if question == "traffic" and SENT.mean in rows:
         return {"sent by a robot [B]": _mean(rows, SENT.column)}
+    if question == "cues" and RMSE.mean in rows:
+        return _changes(rows)
     built = {kind: m for kind, m in BUILT_FOR.items() if m.mean in rows and "kind" in rows}
     if question != "reached" or not built:
         return {}
     parts = [_mean(rows[rows["kind"] == kind], m.column) for kind, m in built.items()]
     return {"reached": pd.concat(parts)}
+
+
+def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
+    """Format by how much the RMSE of each condition differs from that of the first one [%].
+
+    The first condition is that of `table.csv`, whose order the index of the rows has.
+    """
+    named = with_points(rows).sort_index(kind="stable")
+    first = named["condition"].iloc[0]
+    of_first = named[named["condition"] == first].set_index("point")[RMSE.mean]
+    change = 100.0 * (named[RMSE.mean] / named["point"].map(of_first) - 1.0)
+    texts = [_number(round(value), "+") if math.isfinite(value) else "" for value in change]
+    changes = pd.Series(texts, named.index, dtype=str).where(named["condition"] != first, "")
+    return {f"change from {first} [%]": changes.reindex(rows.index)}
 
 
 def _measurements(rows: pd.DataFrame) -> tuple[str, list[str]]:

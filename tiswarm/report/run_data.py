@@ -282,6 +282,18 @@ def swept_columns(table: pd.DataFrame, *, before: str = "cases") -> list[str]:
     return list(table.columns[: table.columns.get_loc(before)])
 
 
+def read_pairs(folder: Path, labels: Labels) -> pd.DataFrame:
+    """Read the differences of conditions of a run on the same structures; it may have none."""
+    words = ["condition", "against", "measure"]
+    numbers = ["structures", "difference_mean", "smaller", "wilcoxon_p"]
+    path = folder / "paired.csv"
+    if not path.exists():
+        return pd.DataFrame()
+    pairs = read_frame(path, words, gaps=numbers, numbers_after="measure", empty=True)
+    pairs = pairs.assign(equal_measurements=pairs.get("equal_measurements", False))
+    return labels.put(pairs, before="measure")
+
+
 def with_points(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
     """Put a column `point`, empty without a sweep, in the place of the labels of swept keys."""
     swept = [key for key in swept_columns(table, before=before) if key not in NO_KEYS]

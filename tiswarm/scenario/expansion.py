@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import load_plugins, watch
+from tiswarm.base.registry import load_plugins, watch
 from tiswarm.records.messages import Part, dotted
 from tiswarm.records.run_folder import LABEL, variant_name
 from tiswarm.scenario.labels import swept_keys, without_label

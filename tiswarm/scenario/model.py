@@ -7,7 +7,7 @@ import json
 import re
 from dataclasses import field
 from hashlib import sha256
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import (
@@ -23,7 +23,6 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET, Arch
-from tiswarm.base.parts import names
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import LocalizationParams, all_params
 from tiswarm.records.run_folder import LABEL
@@ -33,20 +32,12 @@ from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams, all_kinds, anchor_fault
 
-if TYPE_CHECKING:
-    _AnyQuestion = str
-else:
-    _AnyQuestion = Literal[names("question")]
-
 Question = Annotated[
-    _AnyQuestion,
+    Literal["least-error", "reached", "traffic", "cues"],
     Field(
-        description="What the last line of `run` and the first line of the page answer. "
-        "`least-error`: mean RMSE of conditions with equal measurements. `reached`: heights, "
-        "reaches and depths of structures, and bridges closed. `traffic`: RMSE of methods whose "
-        "robots send at most 1 kB each. `cues`: RMSE as cues are left out. `scaling`: exponents of "
-        "RMSE and CPU time against the number of robots. A question that the results cannot answer "
-        "counts as `least-error`."
+        description="What the table of results, which `run` prints at its end, has beside errors. "
+        "`least-error`: nothing. `reached`: heights, reaches and depths of structures, and bridges "
+        "closed. `traffic`: bytes that a robot sends. `cues`: changes from the first condition."
     ),
 ]
 """A question as a key of a scenario."""

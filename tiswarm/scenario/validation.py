@@ -14,8 +14,8 @@ from pydantic_core import ErrorDetails, InitErrorDetails
 
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import STRICT
-from tiswarm.base.parts import PARTS, load_plugins, watch
-from tiswarm.localization.methods import LocalizationParams, all_params, settings_of
+from tiswarm.base.registry import load_plugins, watch
+from tiswarm.localization.methods import LocalizationParams, all_params
 from tiswarm.localization.settings import SWITCHES
 from tiswarm.records.messages import (
     MISSING_KEY,
@@ -98,9 +98,6 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
         return adapter.validate_json(json.dumps(data))
     except ValidationError as found:
         errors = found.errors(include_url=False)
-        for error in errors:
-            if error["type"] == "union_tag_invalid" and error["ctx"]["tag"] in PARTS["method"]:
-                settings_of(error["ctx"]["tag"])  # raises what this copy of the package lacks
         return [_mistake(error, adapter) for error in errors if not _follows(error, errors)]
 
 

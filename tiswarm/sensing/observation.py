@@ -7,14 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.base.parts import find, registered
+from tiswarm.base.registry import registered
 from tiswarm.records.sensing_log import LISTS, SensingLog, Stances
-from tiswarm.sensing import noise
+from tiswarm.sensing import failures, fixes, flips, imu, touch
+from tiswarm.sensing.connections import sense_connections, sense_directions
 from tiswarm.sensing.params import SensingParams
+from tiswarm.sensing.ranges import sense_ranges
+from tiswarm.sensing.vibration import named_contacts
 from tiswarm.world.history import History
 
 COLUMNS = {name: 2 + len(key.columns) for name, key in LISTS.items() if not key.is_whole}
 """Numbers in a row of each list of the log that a sensor may fill, with robot and stance."""
+
+ADDED = {
+    "fixes": fixes.sense_fixes,
+    "ranges": sense_ranges,
+    "directions": sense_directions,
+    "connections": sense_connections,
+}
+"""Sensors beside FireAntV3's own, by the list of the log that each fills, as in `params.added`."""
 
 _Lists = dict[str, NDArray[Any]]
 """Rows of (robot, stance, ...) by the name of their list in the log."""
@@ -34,23 +45,22 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     >>> log.robot_count, log.noise.tilt_deg
     (3, 1.0)
     """
-    params = noise.of_shape(params, is_planar=history.is_planar)
-    is_mute, whole = noise.failing(history, params, "mute"), history
-    history = noise.sensed_part(history, params)
+    params = imu.of_shape(params, is_planar=history.is_planar)
+    is_mute, whole = failures.failing(history, params, "mute"), history
+    history = failures.sensed_part(history, params)
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
-    sensed = noise.sensed_orientation(history, length, params)
-    sensed = noise.failed_orientation(history, length, sensed, params)
+    sensed = imu.sensed_orientation(history, length, params)
+    sensed = imu.failed_orientation(history, length, sensed, params)
     lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
-    lists["contacts"] = noise.named_contacts(whole, history, params)
+    lists["contacts"] = touch.sensed_contacts(history, params)
+    if params.vibration is not None:
+        lists["contacts"] = named_contacts(whole, lists["contacts"], params.vibration)
     lists["ground_docks"] = history.table("ground_docks")
     lists["fixes"] = np.unique(
-        np.concatenate([noise.planes(history), noise.anchors(history)]), axis=0
+        np.concatenate([fixes.planar_fixes(history), fixes.anchor_fixes(history)]), axis=0
     )
-    added = (
-        (name, getattr(find("command", "sense"), f"sense_{name}")(history, params))
-        for name in params.added
-    )
+    added = ((name, ADDED[name](history, params)) for name in params.added)
     own = [found.value for name, found in registered("sensor").items() if name == params.suite]
     filled_by_own = ((each.fills, each.rows(history, params)) for each in own)
     for filled, every in chain(added, filled_by_own):
@@ -58,7 +68,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
     for name in ("contacts", "ground_docks"):
         lists[name] = lists[name] if params.senses(name) else lists[name][:0]
-    lists |= noise.split_touches(lists["contacts"], params)
+    lists |= touch.split_touches(lists["contacts"], params)
     final: dict[str, Any] = {
         name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
     }
@@ -68,7 +78,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         # Orientations of anchors are known, as their positions are.
         known = history.is_anchor
         orientation[known], orientation[~known] = history.orientation_wxyz[known], np.nan
-    height, spawn = noise.flip_height(history, sensed, end), noise.spawn_position(history, params)
+    height, spawn = flips.flip_height(history, sensed, end), flips.spawn_position(history, params)
     orientation[is_mute] = spawn[is_mute] = np.nan
     return SensingLog(
         robot_id=np.arange(history.robot_count),

@@ -8,7 +8,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
 from tiswarm.base.params import STRICT, UNLESS_SET
-from tiswarm.base.parts import Plugin, find, names, registered, watch
+from tiswarm.base.registry import Plugin, get, names, registered, watch
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
 
 USUAL = "fireant-v3"
@@ -199,7 +199,7 @@ class SensingParams:
         name = given.get("suite") if isinstance(given, dict) else None
         if name == USUAL or name not in names("sensor"):
             return data
-        return {**find("sensor", name).settings, **given}
+        return {**get("sensor", name).settings, **given}
 
     def __reduce_ex__(self, protocol: Any) -> Any:  # noqa: ANN401 - of any version
         """Send the plug-in of a suite ahead, so that a worker loads it first."""

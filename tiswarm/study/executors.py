@@ -24,7 +24,6 @@ from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
-from tiswarm.base.parts import find
 from tiswarm.base.process import child_command
 from tiswarm.base.progress import Advance, Note, Progress
 from tiswarm.compute import backend, kernel_cache
@@ -119,7 +118,9 @@ def open_executor(
     limit = execution.case_limit_s
     _ending.clear()
     if execution.scheduler is not None:
-        with find("command", "run --scheduler")(execution.scheduler) as (remote, width):
+        from tiswarm.study.cluster import connected  # noqa: PLC0415 - needs an extra
+
+        with connected(execution.scheduler) as (remote, width):
             try:
                 yield Executor(
                     lambda job: remote.submit(_run_in_process, job, limit), width, threads or 1

@@ -6,11 +6,10 @@ between repetitions; all other files of a run are the same to the byte on one ki
 
 import importlib.metadata
 import platform
-import re
 import resource
 import sys
 import time
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
@@ -19,85 +18,31 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
-from tiswarm.base.parts import PARTS, names, registered
+from tiswarm.base.registry import names, registered
 from tiswarm.base.version import __version__
 from tiswarm.compute import machine, numerics
 from tiswarm.compute.backend import Backend
-from tiswarm.localization import methods
 from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.scenario.model import Scenario
-from tiswarm.world.growth import grow
-from tiswarm.world.history_file import write_history
 
-_NAME = __name__.partition(".")[0]
-_IMPORT = re.compile(
-    rf"^[ \t]*(?:from ({_NAME}[\w.]*) import (\([^)]*\)|.*)|import ({_NAME}[\w.]*))", re.MULTILINE
-)
-_FOUND = re.compile(r'\bfind\("(\w+)", (?:"([^"]+)"\))?')
-"""A kind, and a name if it is constant, of what is imported by the table of `base.parts`."""
-
-_NAMED = re.compile(rf'"({_NAME}(?:\.\w+)+)(?::\w+)?"')
-"""A module as settings of a method name it."""
-
-_TYPES = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t].*\n|\n)+", re.MULTILINE)
-"""Imports that no running code needs."""
-
-_COMPOSES = "tiswarm.study.runner"
-"""Module that composes a case of all that computes it."""
+_SHOWING = {"__main__", "api", "app", "cli", "formats", "report"}
+"""Rooms and modules that compute no results: they ask for them, show them, or bring logs in."""
 
 
-def code_digest(
-    modules: Iterable[str],
-    apart: Mapping[str, Collection[str]] | None = None,
-    package: Path = Path(__file__).parents[1],
-) -> str:
-    """Return twelve hex digits of the source of modules and of all that they import.
+@cache
+def package_code() -> str:
+    """Return twelve hex digits of the source of all rooms that compute results.
 
-    Results of code with another digest may differ. The way line ends are written does not count,
-    and neither does a package if an import only names a module in it.
-
-    Args:
-        modules: Names of modules.
-        apart: Imports that do not count, by importing module: a registry imports all methods, and
-            a result needs one.
-        package: Folder of the package.
+    Results of code with another digest may differ. The way line ends are written does not count.
     """
-    found: dict[str, Path] = {}
-    waiting = sorted(modules)
-    while waiting:
-        name = waiting.pop()
-        file = _file(name, package)
-        if name not in found and file is not None:
-            found[name] = file
-            waiting += _imports(file, package) - {*(apart or {}).get(name, ())}
+    package = Path(__file__).parents[1]
     total = sha256()
-    for name, file in sorted(found.items()):
-        text = file.read_bytes().replace(b"\r\n", b"\n")
-        total.update(f"{name} {len(text)}\n".encode() + text)
+    for file in sorted(package.rglob("*.py")):
+        name = file.relative_to(package)
+        if name.with_suffix("").parts[0] not in _SHOWING:
+            text = file.read_bytes().replace(b"\r\n", b"\n")
+            total.update(f"{name.as_posix()} {len(text)}\n".encode() + text)
     return total.hexdigest()[:12]
-
-
-def _imports(file: Path, package: Path) -> frozenset[str]:
-    """List the modules of the package that a file imports, within functions too, or registers."""
-    text = file.read_text(encoding="utf-8")
-    names = {
-        place.partition(":")[0]
-        for kind, name in _FOUND.findall(text)
-        for part, place in PARTS[kind].items()
-        if name in {"", part}
-    }
-    if file != package / "base" / "parts.py":  # the table itself
-        names |= {*_NAMED.findall(text)}
-    for origin, parts, module in _IMPORT.findall(_TYPES.sub("", text)):
-        names |= {module or origin, *(f"{origin}.{part}" for part in re.findall(r"\w+", parts))}
-    return frozenset(name for name in names - {_NAME} if _file(name, package) is not None)
-
-
-def _file(name: str, package: Path) -> Path | None:
-    """Find the source of a module or package by its name; None if it is another name."""
-    place = package.joinpath(*name.split(".")[1:])
-    files = (place.with_suffix(".py"), place / "__init__.py")
-    return next((file for file in files if file.is_file()), None)
 
 
 def plugged(settings: Scenario) -> dict[str, str]:
@@ -110,13 +55,12 @@ def plugged(settings: Scenario) -> dict[str, str]:
 def case_code(method: str, **used: str) -> str:
     """Return the digest of the code that computes cases of a localization method in this process.
 
-    Other methods do not count, so that an edit of one leaves the cases of the others current. The
-    digests of plug-ins that the method and what else is `plugged` are from follow after "+". The
-    digest of an unknown method is empty.
+    The digests of plug-ins that the method and what else is `plugged` are from follow after "+".
+    The digest of an unknown method is empty.
     """
     if method not in names("method"):
         return ""
-    return "+".join([method_code(method), *_own_digests(method=method, **used)])
+    return "+".join([package_code(), *_own_digests(method=method, **used)])
 
 
 def _own_digests(**used: str) -> list[str]:
@@ -133,39 +77,15 @@ def is_current(method: str, code: str) -> bool:
     its = registered("method").get(method)
     return (
         method in names("method")
-        and package == method_code(method)
+        and package == package_code()
         and {*own} <= loaded
         and (its is None or its.plugin.digest in own)
     )
 
 
-@cache
-def method_code(method: str) -> str:
-    """Return the digest of the code that computes cases of a method, without that of plug-ins."""
-    modules = {name: methods.modules(name) for name in PARTS["method"]}
-    own = modules.get(method, set())
-    others = set().union(*modules.values()) - own
-    # Settings name the modules of their methods, and some stand in one file.
-    naming = {place.partition(":")[0] for place in PARTS["method"].values()}
-    apart = dict.fromkeys({methods.__name__, *naming}, others)
-    return code_digest([_COMPOSES, *own], apart)
-
-
 def structure_code(kind: str, rule: str) -> str:
     """Return the digest of the code that grows and keeps structures, as in `case_code`."""
-    return "+".join([growth_code(), *_own_digests(structure=kind, rule=rule)])
-
-
-@cache
-def growth_code() -> str:
-    """Return the digest of the code that grows and keeps structures, without that of plug-ins."""
-    return code_digest([grow.__module__, write_history.__module__])
-
-
-@cache
-def all_code() -> str:
-    """Return the digest of the code that computes cases of any method in this process."""
-    return code_digest([_COMPOSES])
+    return "+".join([package_code(), *_own_digests(structure=kind, rule=rule)])
 
 
 _LIBRARIES = (
@@ -248,7 +168,7 @@ def manifest(
     installed = {dist.name.lower(): dist.version for dist in importlib.metadata.distributions()}
     return Manifest(
         tiswarm=__version__,
-        code=all_code(),
+        code=package_code(),
         backend={
             key: getattr(main, key) for key in ("arch", "card", "threads", "precision", "library")
         },

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from tiswarm.base import errors
 from tiswarm.base.params import AnyArch, Arch
-from tiswarm.base.parts import PluginError
 from tiswarm.base.progress import Progress
+from tiswarm.base.registry import PluginError
 from tiswarm.localization import methods
 from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import Group, Plan, plan

@@ -10,9 +10,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from tiswarm.base.params import AnyPrecision, Arch
-from tiswarm.base.parts import find, registered
 from tiswarm.base.process import naming_shortage
 from tiswarm.base.progress import Advance, Progress
+from tiswarm.base.registry import get, registered
 from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation.tables import evaluate
@@ -24,6 +24,7 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Case, Group
 from tiswarm.sensing import observe
 from tiswarm.sensing.params import SensingParams
+from tiswarm.study.navigation import navigate
 from tiswarm.study.provenance import Costs, Used, case_code, plugged
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow
@@ -196,9 +197,9 @@ class _CaseRunner:
             settings = self.job.cases[0].settings
             structure = settings.structure
             if structure.kind in registered("structure"):  # code of plug-ins runs for cases alone
-                structure = find("structure", "tower")(plane=structure.plane)
+                structure = get("structure", "tower")(plane=structure.plane)
             if structure.rule.name in registered("rule"):
-                structure = replace(structure, rule=find("rule", "reactive-build")())
+                structure = replace(structure, rule=get("rule", "reactive-build")())
             with suppress(Exception):  # a case that cannot be computed says why itself
                 [self._sample] = grow(
                     structure, robots=SAMPLE_ROBOTS, seeds=[SAMPLE_SEED],
@@ -238,7 +239,7 @@ class _CaseRunner:
         self._warm_up_growth()
         by = {}
         if settings.structure.navigate_by != "truth":
-            by = find("command", "navigate")(settings)
+            by = navigate(settings)
         with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
             grown = grow(
                 settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,

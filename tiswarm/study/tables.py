@@ -21,8 +21,8 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.parts import find, has, registered
 from tiswarm.base.progress import Progress
+from tiswarm.base.registry import get, registered
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics, paper
 from tiswarm.evaluation.tables import own_scores
@@ -39,6 +39,7 @@ from tiswarm.scenario.expansion import Plan, load_scenario, plan
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.study.provenance import Cost
+from tiswarm.study.scaling import scaling
 from tiswarm.study.store import CaseRecord, RunFolder
 
 _RECRUITMENT = ("force_threshold", "recruit_base", "recruit_limit")
@@ -65,8 +66,7 @@ def write_tables(
         "paired": paired(records, settings),
         "profiles": profiles(records, run / "cases"),
     }
-    if has("command", "run: scaling"):
-        written |= find("command", "run: scaling")(run, whole.structures, stored, costs)
+    written |= scaling(run, whole.structures, stored, costs)
     if {setting.sensing.suite for setting in settings} != {SensingParams().suite}:
         written["suites"] = suites(records, settings, run / "cases")
     for name, content in written.items():
@@ -346,7 +346,7 @@ def suites(
     shown, rows = measures.PAGE["suites"], []
     for group in _grouped(records, lambda record: record.series):
         first, setting = group[0], setting_of[group[0].case]
-        suite, touch = find("sensor", setting.sensing.suite), setting.sensing.touch
+        suite, touch = get("sensor", setting.sensing.suite), setting.sensing.touch
         done = [
             {**record.scores, **_located(cases / record.case)} for record in group if record.is_done
         ]

@@ -718,12 +718,15 @@ def climb(
     it touches and where a flip ends are as they are.
 
     Args:
+        limits: Terrain, distances and limits.
         movers: Slots of the robots that move, shape (M,).
         state_out: How each walk ended, shape (slots,).
         flips_out: Item of the dock that the flip from each stance was planned to end at, or GROUND,
             and flips that failed there, shape (slots, stances, 2); written only where robots go by
             belief.
-    score: Function of (center, orientation, goal) in place of the distance to the goal.
+        turn: From the orientation at each stance to that which the robot senses, where it goes by
+            belief, wxyz, shape (slots, stances, 4).
+        score: Function of (center, orientation, goal) in place of the distance to the goal.
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
@@ -870,6 +873,7 @@ def join_undisturbed(
     to go on from the first stance that is disturbed.
 
     Args:
+        limits: Terrain, distances and limits.
         first_mover: First entry of `movers` of each structure, shape (S + 1,).
         movers: Slots of the movers, structure by structure, shape (M,).
         wants: Whether each slot's walk ends where it can stay, shape (slots,).
@@ -928,6 +932,9 @@ def list_docks(
         chosen: Structures to list, shape (C,).
         dock_count: Docks of every structure, shape (S,).
         present: Whether each robot has not left, shape (S, N).
+        head_out: First item of each bucket; see `CellList`.
+        following_out: Next item of each chain.
+        dock: Dock centers [R], shape (S, n N, 3).
     """
     cells = ti.static(CellList(head_out, following_out))
     for c, idle in ti.ndrange(chosen.shape[0], GRAIN):

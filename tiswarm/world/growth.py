@@ -8,7 +8,8 @@ any company and on any number of threads.
 
 After the joins of a round robots may leave or die. Those that reach the ground only by way of
 robots that left fall, and count as gone, too; robots that climb and have touched one of them are
-spawned again. Then the structure's mechanics are solved anew.
+spawned again. Then the structure's mechanics are solved anew. Robots under great load call others
+to their aid (`walks.py`).
 """
 
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_doc
 from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
 from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
 from tiswarm.world.params import ReactiveBuild, StructureParams, anchor_places
+from tiswarm.world.rules import climb_by_choice
 from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_belief, recruit
 
 _MAX_TRIES = 64
@@ -134,7 +136,11 @@ class _GrowthBatch:
     def round(self) -> int:
         """Let all movers climb, and those that can join; return how many did."""
         walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
-        walks.climb(self.arrays, self.believed, movers, self.sensed, self.present)
+        if hasattr(walks.rule, "choose"):
+            climb_by_choice(walks, self.arrays, movers, self.sensed, self.present)
+        else:
+            walks.climb_by_score(self.arrays, self.believed, movers)
+        walks.refuse_overlaps(movers)
         wants = np.zeros(len(self.structure_of), np.int32)
         founding = np.array([structure.founding for structure in self.structures])
         touching = walks.stances.touching[movers, walks.stances.stay[movers], :, 0].max(axis=1) >= 0
@@ -275,6 +281,7 @@ class GrowingStructure:
         if trial == robot % _DRAWN == 0:
             robots = robot + np.arange(_DRAWN)[:, None]
             self.first_draws = uniform(self.seed, "spawn", robots, np.arange(3))
+        # Numbered by robot and trial: no draw depends on how many others were made.
         draw: Reals = self.first_draws[robot % _DRAWN]
         return uniform(self.seed, "spawn", robot, 3 * trial + np.arange(3)) if trial else draw
 

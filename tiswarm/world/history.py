@@ -1,6 +1,8 @@
 """The history of a structure's growth: the true stances of every robot."""
 
+import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +73,26 @@ class Walk:
         return rows[rows[:, 0] == self.stance_count - 1, 1:]
 
 
-@dataclass(frozen=True, kw_only=True)
+class StanceRows(NamedTuple):
+    """L stances of all robots, from the spawn of the first robot to where the last one stays."""
+
+    structure: Ints
+    """Index of the structure in the batch, shape (L,)."""
+
+    robot: Ints
+    """Robot in join order, shape (L,)."""
+
+    center: Reals
+    """Centers [R], shape (L, 3)."""
+
+    orientation_wxyz: Reals
+    """Body to world, shape (L, 4)."""
+
+    pivot_dock: Ints
+    """Dock that stays put as the robot leaves the stance; -1 at the robot's last, shape (L,)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class History:
     """A structure of N robots as it grew; the truth that sensing and evaluation start from."""
 
@@ -95,8 +116,12 @@ class History:
     fell or died."""
 
     departures: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 3), np.int32))
-    """Who left, fell or died, in order: rows of (robot, robots that had joined by then, LEFT, FELL
-    or DIED), shape (D, 3). Robots of the same number joined and left in between two walks."""
+    """Who left, fell or died, in order, shape (D, 3).
+
+    Rows of (robot, robots that had joined by then, event); the event is 0 (LEFT) if the robot left,
+    1 (FELL) if it fell as others left, and 2 (DIED) if it died where it stands. Robots of the same
+    number joined and left in between two walks.
+    """
 
     crossed: bool = False
     """Whether a bridge joins both sides of its gap."""
@@ -111,9 +136,50 @@ class History:
 
     @property
     def is_anchor(self) -> Bools:
-        """Whether the position of each robot is known, shape (N,)."""
+        """Whether the position of each robot is known to all, shape (N,)."""
         known: Bools = np.arange(self.robot_count) < self.anchors
         return known
+
+    @property
+    def join_round(self) -> Ints:
+        """Round of growth in which each robot joined, from 0, shape (N,)."""
+        return np.array([walk.round for walk in self.walks])
+
+    @property
+    def leave_round(self) -> Ints:
+        """Round of growth in which each robot left, fell or died; -1 if none, shape (N,)."""
+        robot, joined, _ = self.departures.T
+        rounds = np.full(self.robot_count, -1)
+        rounds[robot] = self.join_round[joined - 1]
+        return rounds
+
+    @property
+    def flips(self) -> Ints:
+        """Flips of each robot, the way back to its best stance included, shape (N,)."""
+        return np.array([walk.stance_count - 1 for walk in self.walks])
+
+    @property
+    def is_recruited(self) -> Bools:
+        """Whether each robot stays because it was called for, shape (N,)."""
+        return np.array([walk.recruited for walk in self.walks])
+
+    @property
+    def sensed_load(self) -> Reals:
+        """Load that each robot senses in its links in the end [weight of a dock], shape (N,).
+
+        NaN of one that left, fell or died, or that joined after loads were last computed.
+        """
+        load = np.full(self.robot_count, math.nan)
+        load[: len(self.sensed)] = self.sensed
+        return load
+
+    @property
+    def peak_stress(self) -> Reals:
+        """Largest stress in any contact after each join [weight of a dock / R^2], shape (N,).
+
+        NaN where the mechanics were not solved after that join.
+        """
+        return np.array([load.peak for load in self.loads])
 
     @property
     def left_after(self) -> Ints:
@@ -125,7 +191,7 @@ class History:
 
     @property
     def is_gone(self) -> Bools:
-        """Whether each robot left or fell, shape (N,)."""
+        """Whether each robot left or fell; positions are then where it last stood, shape (N,)."""
         is_gone: Bools = self.left_after <= self.robot_count
         return is_gone
 
@@ -163,7 +229,10 @@ class History:
 
     @property
     def contacts(self) -> NDArray[np.int32]:
-        """Docked pairs in the end, by joiner, rows of (i, dock of i, j, dock of j), i < j."""
+        """Docked pairs in the end, by joiner, rows of (i, dock of i, j, dock of j), i < j.
+
+        Shape (C, 4).
+        """
         return self._remaining(self.contacts_at_join)
 
     @property
@@ -173,13 +242,33 @@ class History:
 
     @property
     def ground_docks(self) -> NDArray[np.int32]:
-        """Docks on flat ground in the end, rows of (robot, dock)."""
+        """Docks on flat ground in the end, rows of (robot, dock), shape (G, 2)."""
         return self._remaining(self._at_rest("ground_docks"))
 
     @property
     def edge_docks(self) -> NDArray[np.int32]:
-        """Docks on an edge or underside in the end, rows of (robot, dock)."""
+        """Docks on an edge or underside in the end, rows of (robot, dock), shape (E, 2)."""
         return self._remaining(self._at_rest("edge_docks"))
+
+    @property
+    def stance_contacts(self) -> NDArray[np.int32]:
+        """Contacts at each stance of each walk, shape (K, 5).
+
+        Rows of (robot, stance, own dock, other robot, other dock); stances count from 0.
+        """
+        return self.table("contacts")
+
+    @property
+    def stances(self) -> StanceRows:
+        """All stances of all robots; their structure is 0."""
+        length = [walk.stance_count for walk in self.walks]
+        return StanceRows(
+            structure=np.zeros(sum(length), np.int64),
+            robot=np.repeat(np.arange(len(self.walks)), length),
+            center=np.concatenate([walk.center for walk in self.walks]),
+            orientation_wxyz=np.concatenate([walk.orientation_wxyz for walk in self.walks]),
+            pivot_dock=np.concatenate([np.append(walk.pivot_dock, -1) for walk in self.walks]),
+        )
 
     def table(self, name: str) -> NDArray[np.int32]:
         """Gather the rows that all walks have in a table: (robot, stance, ...)."""

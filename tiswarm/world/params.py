@@ -21,7 +21,7 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 from scipy.spatial.distance import pdist, squareform
 
-from tiswarm.base import parts as door
+from tiswarm.base import registry as door
 from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.params import STRICT, UNLESS_SET
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
@@ -67,7 +67,7 @@ class ReactiveBuild:
 
 def _any_rule() -> Any:  # noqa: ANN401 - a type
     """Return the type of the settings of any rule, plug-ins included: a name alone, or all."""
-    ours = (door.find("rule", name) for name in door.PARTS["rule"])
+    ours = (door.get("rule", name) for name in door.BUILT_IN["rule"])
     own = (found.value for found in door.registered("rule").values())
     whole: Any = Annotated[Union[(*ours, *own)], Field(discriminator="name")]
     names: Any = Annotated[Literal[door.names("rule")], AfterValidator(_named)]
@@ -86,7 +86,7 @@ def _any_rule() -> Any:  # noqa: ANN401 - a type
 def _named(name: str) -> object:
     """Make the settings of a rule by its name alone."""
     try:
-        return door.find("rule", name)()
+        return door.get("rule", name)()
     except ValueError as error:
         problem = f"{name} has settings without defaults; write it like {{name: {name}, ...}}"
         raise ValueError(problem) from error
@@ -524,7 +524,7 @@ class ChainParams(EdgeParams):
 
 def all_kinds() -> Any:  # noqa: ANN401 - a type
     """Return the type of the settings of any kind of structure, those of plug-ins included."""
-    ours = (door.find("structure", name) for name in door.PARTS["structure"])
+    ours = (door.get("structure", name) for name in door.BUILT_IN["structure"])
     own = (found.value for found in door.registered("structure").values())
     return Annotated[Union[(*ours, *own)], Field(discriminator="kind")]
 
@@ -539,7 +539,7 @@ else:
 def _take_rules() -> None:
     """Let every kind of structure have the rules of plug-ins."""
     for name in door.names("structure"):
-        kind = door.find("structure", name)
+        kind = door.get("structure", name)
         door.rebuild(kind, partial(setattr, kind.__dataclass_fields__["rule"], "type", _any_rule()))
 
 

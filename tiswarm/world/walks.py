@@ -18,7 +18,6 @@ from scipy.spatial.distance import pdist
 
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import TiswarmError
-from tiswarm.base.parts import find
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.compute.user_functions import is_of_library, mistake_of_user, reads, undecorated
 from tiswarm.records.terrain import Terrain
@@ -51,7 +50,8 @@ class Belief(NamedTuple):
 
 
 Believe = Callable[[Sequence[History]], Sequence[Belief]]
-"""Returns what robots of some structures believe."""
+"""Returns what the robots of structures that have grown so far believe: of each structure where
+their docks are."""
 
 Turn = Callable[[int, int, int], Reals]
 """Returns the turns from the orientations of a robot to those that it senses, at as many stances:
@@ -185,29 +185,16 @@ class Walks:
         self.climbers.first_stance[slot] = 0
         self.robot[slot] = spawn.robot
 
-    def climb(
-        self,
-        structures: StructureArrays,
-        believed: BelievedDocks,
-        movers: _Slots,
-        *robots: NDArray[Any],
-    ) -> None:
-        """Let the robots in the slots `movers` walk on from their first stance.
-
-        What rules see of the `robots` of each structure is what they sensed at the last solve and
-        whether they are present, shape (S, N) each.
-        """
-        if hasattr(self.rule, "choose"):
-            find("command", "rule")(self, structures, movers, *robots)
-        else:
-            self._climb_by_score(structures, believed, movers)
-        if (self.state[movers] == climb_kernels.SCRATCH_FULL).any():
-            problem = "more docks than fit stand within one flip of a robot: the structure overlaps"
-            raise TiswarmError(problem)
-
-    def _climb_by_score(
+    def climb_by_score(
         self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots
     ) -> None:
+        """Let the robots in the slots `movers` walk on from their first stance, by a score.
+
+        Args:
+            structures: Structures that they climb.
+            believed: Where robots believe the docks of these.
+            movers: Slots of the robots, shape (M,).
+        """
         cells, *docks = structures
         try:
             climb_kernels.climb(
@@ -220,6 +207,12 @@ class Walks:
             if mistake is None:
                 raise
             raise mistake from error
+
+    def refuse_overlaps(self, movers: _Slots) -> None:
+        """Raise an error if a robot met more docks than fit around it."""
+        if (self.state[movers] == climb_kernels.SCRATCH_FULL).any():
+            problem = "more docks than fit stand within one flip of a robot: the structure overlaps"
+            raise TiswarmError(problem)
 
     def join(self, structures: StructureArrays, movers: _Slots, wants: NDArray[np.int32]) -> None:
         """Let movers join whose walks no earlier one disturbs; see `join_undisturbed`.

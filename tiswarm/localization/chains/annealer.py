@@ -65,7 +65,8 @@ class Annealed:
     """Square root of the end temperature [R]."""
 
     temperature: Reals
-    """Mean kinetic temperature of each chain with grown docks, over its target, shape (chains,)."""
+    """Mean kinetic temperature of each chain once docks are grown, relative to its target [1],
+    shape (chains,)."""
 
     iteration: Ints
     """Steps at which the trace was recorded, shape (K,)."""
@@ -76,10 +77,11 @@ class Annealed:
     yaw_trace: Reals
     """Yaw corrections of the first chain then [rad], shape (K, N)."""
 
-    def joined(self, other: "Annealed") -> "Annealed":
+    def joined(self, further: "Annealed") -> "Annealed":
         """Add the chains of others that ended at the same temperature."""
         arrays: dict[str, Any] = {
-            name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in _BY_CHAIN
+            name: np.concatenate([getattr(self, name), getattr(further, name)])
+            for name in _BY_CHAIN
         }
         return replace(self, **arrays)
 
@@ -90,19 +92,19 @@ class Annealed:
             within=np.zeros(yaw.shape), temperature=np.ones(len(yaw)),
         )  # fmt: skip
 
-    def with_chains(self, chosen: Bools, other: "Annealed") -> "Annealed":
-        """Replace some chains, chosen by an array of shape (chains,), by those of `other`."""
+    def with_chains(self, chosen: Bools, replacement: "Annealed") -> "Annealed":
+        """Replace some chains, chosen by an array of shape (chains,), by those of `replacement`."""
         arrays: dict[str, Any] = {
             name: np.where(
                 chosen.reshape(-1, *[1] * (getattr(self, name).ndim - 1)),
-                getattr(other, name),
+                getattr(replacement, name),
                 getattr(self, name),
             )
             for name in _BY_CHAIN
         }
         # Traces are those of the first chain.
         if chosen[0]:
-            arrays |= {"trace": other.trace, "yaw_trace": other.yaw_trace}
+            arrays |= {"trace": replacement.trace, "yaw_trace": replacement.yaw_trace}
         return replace(self, **arrays)
 
 
@@ -141,8 +143,9 @@ def annealer_of(
     """
     begin: Sequence[Reals | None] = start or [None] * len(logs)
     means = [problem.averaged() for problem in problems]
-    views = [view_of(*each) for each in zip(logs, params, means, begin, strict=True)]
-    seed, hold = params[0].seed, params[0].hold_steps
+    views = [view_of(*structure) for structure in zip(logs, params, means, begin, strict=True)]
+    seed = params[0].seed
+    hold = params[0].hold_steps
     return Annealer(views, seed=seed, hold=hold, by_block=by_block, inertia_factor=inertia_factor)
 
 
@@ -172,14 +175,18 @@ class Annealer:
         """
         running = backend.current()
         memory = Allocator(running, on_host=False)
-        self.memory = memory = memory.for_few_launches() if is_short else memory
+        if is_short:
+            memory = memory.for_few_launches()
+        self.memory = memory
         self.on_card = running.on_card
-        self.views, self.seed = views, seed
+        self.views = views
+        self.seed = seed
         self.size = [len(v.moves) for v in views]
         self.start = np.cumsum([0, *self.size])
         self.chains = len(views[0].begin)
         self.sigma = np.array([v.sigma for v in views])
-        self.hold, self.steps = hold, self.sigma.shape[1] - hold
+        self.hold = hold
+        self.steps = self.sigma.shape[1] - hold
         self.by_block = self._is_quicker_by_block(running) if by_block is None else by_block
         self.traits = traits_of(views, by_block=self.by_block)
         self.target = thermostat(self.sigma)
@@ -221,7 +228,8 @@ class Annealer:
         """Whether the busiest thread has fewer copies to move; launches count as copies."""
         if running.on_card:
             return False
-        copies, blocks = self.chains * int(self.start[-1]), self.chains * len(self.size)
+        copies = self.chains * int(self.start[-1])
+        blocks = self.chains * len(self.size)
         shared = ANNEALING.launch + GRAIN * -(-copies // (GRAIN * running.threads))
         return copies / blocks * -(-blocks // running.threads) <= shared
 
@@ -237,7 +245,9 @@ class Annealer:
         holding = self.hold
         at = np.linspace(0, self.steps + holding, frames).astype(np.int64)
         at = np.union1d(at, self.steps)
-        trace, yaw_trace, heat = [], [], []
+        trace = []
+        yaw_trace = []
+        heat = []
         for frame in at.tolist():
             self.advance(frame)
             on_progress(frame / (self.steps + holding))
@@ -253,7 +263,8 @@ class Annealer:
         if not np.isfinite(last).all() or (moves and np.array_equal(trace[0], trace[-1])):
             raise backend.faulty_driver()
         total = self.by_robot(self.swarm.total)
-        mean, square = total[..., : Moments.SQUARE] / holding, total[..., Moments.SQUARE] / holding
+        mean = total[..., : Moments.SQUARE] / holding
+        square = total[..., Moments.SQUARE] / holding
         # The difference of two sums may round to less than 0.
         within = np.maximum(square - (mean**2).sum(axis=2), 0.0)
         heading = self.by_robot(self.swarm.heading)
@@ -281,14 +292,16 @@ class Annealer:
             if not self.by_block and self.blocks.progress[0, BlockProgress.AGE] == STALE:
                 self._build_rows()
             self._take_steps(until)
-            before, self.taken = self.taken, self._taken()
+            before = self.taken
+            self.taken = self._taken()
             if not self.by_block and self.taken == before:
                 raise backend.faulty_driver()
             # A kernel counts entries that found no room and takes no step with them.
-            is_held = self.by_block and self.taken < until
-            if is_held and (entries := rows.fullest()) > rows.capacity:
-                rows.make_room(entries)
-                self.forget_rows()
+            if self.by_block and self.taken < until:
+                entries = rows.fullest()
+                if entries > rows.capacity:
+                    rows.make_room(entries)
+                    self.forget_rows()
 
     def _taken(self) -> int:
         """Return how many steps the slowest block has taken."""
@@ -301,7 +314,8 @@ class Annealer:
 
     def _build_rows(self) -> None:
         """Build the Verlet rows of the whole swarm."""
-        listed, progress = self.blocks.listed, self.blocks.progress
+        listed = self.blocks.listed
+        progress = self.blocks.progress
         note_places(self.swarm.position, listed)
         self.neighbors.cutoff = self.near + (
             THIN_SKIN if progress[0, BlockProgress.IS_THIN] else SKIN
@@ -312,7 +326,7 @@ class Annealer:
     def _take_steps(self, until: int) -> None:
         """Take steps, at most until so many have been taken."""
         rows, robots, contacts, plane = self.neighbors, *self.measured
-        known = (
+        arguments = (
             self.docks, self.traits, self.near, self.seed, until, self.schedule, *robots, *contacts,
             plane, *self.trees,
         )  # fmt: skip
@@ -320,11 +334,11 @@ class Annealer:
             from tiswarm.localization.chains import card_kernels  # noqa: PLC0415 - slow to import
 
             card_kernels.take_steps_on_card(
-                *known, self.sums, rows.entry_stride, *rows.rows, *self.swarm, *self.blocks
+                *arguments, self.sums, rows.entry_stride, *rows.rows, *self.swarm, *self.blocks
             )
         else:
             take_steps(
-                *known, rows.structure, *rows.cells, rows.connections.start, *rows.rows,
+                *arguments, rows.structure, *rows.cells, rows.connections.start, *rows.rows,
                 *self.swarm, *self.blocks,
             )  # fmt: skip
 
@@ -355,7 +369,8 @@ class Annealer:
 
     def relocate(self) -> None:
         """Place robots anew that chains have lost, in views that have a rule for it."""
-        position, heading = self.by_robot(self.swarm.position), self.by_robot(self.swarm.heading)
+        position = self.by_robot(self.swarm.position)
+        heading = self.by_robot(self.swarm.heading)
         moved = 0
         for view, (a, b) in zip(self.views, pairwise(self.start), strict=True):
             if view.relocate is not None:

@@ -378,7 +378,7 @@ def measured_arrays(
         lightest: Factor of every mass.
     """
     size = [len(v.moves) for v in views]
-    own = np.concatenate([np.diff(v.forest.first) for v in views])
+    subtree_robots = np.concatenate([np.diff(v.forest.first) for v in views])
     contact, contacts = _contact_arrays(memory, views, order)
     robot = _in_memory([v.planes.robot for v in views], size, order)
     planes = Planes(*map(np.concatenate, zip(*(v.planes for v in views), strict=True)))
@@ -394,7 +394,7 @@ def measured_arrays(
         NUMBER=np.concatenate([np.arange(robots) for robots in size])[order],
         MOVES=np.concatenate([v.moves for v in views])[order],
         NON_OVERLAP=np.concatenate([v.repels for v in views])[order],
-        SUBTREE=np.repeat(np.arange(len(own)), own),
+        SUBTREE=np.repeat(np.arange(len(subtree_robots)), subtree_robots),
         CONTACT=contact[:-1],
         CONTACT_END=contact[1:],
         PLANE=plane[:-1],
@@ -419,12 +419,12 @@ def _contact_arrays(
     """
     size = [len(v.moves) for v in views]
     robot = _in_memory([v.links.robot for v in views], size, order)
-    other = _in_memory([v.links.other for v in views], size, order)
+    partner = _in_memory([v.links.other for v in views], size, order)
     links = Links(*map(np.concatenate, zip(*(v.links for v in views), strict=True)))
     touch = np.full((2, len(robot)), -1)
     touch[:, links.is_touch] = np.arange(2 * len(links.candidates)).reshape(2, -1)
-    own = np.ones_like(robot)
-    label = {"PARTNER": other, "IS_FINAL": links.is_final, "IS_OWN": own, "TOUCH": touch[0]}
+    is_own = np.ones_like(robot)
+    label = {"PARTNER": partner, "IS_FINAL": links.is_final, "IS_OWN": is_own, "TOUCH": touch[0]}
     value = {
         "ARMS": links.arms,
         "LENGTH": links.length,
@@ -432,17 +432,21 @@ def _contact_arrays(
         "ACROSS": links.across,
         "EXTENSION": links.extension,
     }
-    back = {"ARMS": -links.arms}
+    partner_value = {"ARMS": -links.arms}
     if links.is_offset.any() or any(v.yaw_precision for v in views):
         value |= {"LEVERS": links.levers, "VECTOR": links.vector}
-        back |= {"LEVERS": links.levers[:, [2, 3, 0, 1]], "VECTOR": -links.vector}
+        partner_value |= {"LEVERS": links.levers[:, [2, 3, 0, 1]], "VECTOR": -links.vector}
     # The same contact as its other robot has it.
-    its_label = label | {"PARTNER": robot, "IS_OWN": np.zeros_like(robot), "TOUCH": touch[1]}
-    both = np.concatenate([robot, other])
+    partner_label = label | {"PARTNER": robot, "IS_OWN": np.zeros_like(robot), "TOUCH": touch[1]}
+    both = np.concatenate([robot, partner])
     # Stable: each robot sums its contacts in the order of the log, in any company.
     by_robot = np.argsort(both, kind="stable")
-    labels = np.concatenate([LinkLabel.pack(**each) for each in (label, its_label)])[by_robot]
-    values = np.concatenate([LinkValue.pack(**each) for each in (value, value | back)])[by_robot]
+    labels = np.concatenate([LinkLabel.pack(**columns) for columns in (label, partner_label)])[
+        by_robot
+    ]
+    values = np.concatenate(
+        [LinkValue.pack(**columns) for columns in (value, value | partner_value)]
+    )[by_robot]
     arms = links.candidates
     return _row_starts(both, len(order)), Contacts(
         label=_upload(memory, labels),
@@ -461,24 +465,24 @@ def subtree_arrays(memory: Allocator, views: Sequence[ChainView], chains: int) -
     """
     trees = [v.forest for v in views]
     count = np.array([len(tree.parent) for tree in trees])
-    own = np.concatenate([np.diff(tree.first) for tree in trees])
-    end = np.cumsum(own)
+    own_count = np.concatenate([np.diff(tree.first) for tree in trees])
+    end = np.cumsum(own_count)
     parent = np.concatenate(
         [t.parent + a for t, a in zip(trees, np.cumsum(count) - count, strict=True)]
     )
     last = end.copy()
     # Parents stand before what grows out of them: backward, each is whole when it is added.
-    for subtree in range(len(own) - 1, -1, -1):
+    for subtree in range(len(own_count) - 1, -1, -1):
         last[parent[subtree]] = max(last[parent[subtree]], last[subtree])
     ordinal = np.concatenate([np.arange(n) for n in count])
     stops = np.concatenate([v.stops[v.forest.order] for v in views])
     before = np.pad(np.cumsum(stops, axis=0), ((1, 0), (0, 0)))
     # Everyone together does not move.
-    moves = (before[last] == before[end - own]) & (ordinal > 0)[:, None]
+    moves = (before[last] == before[end - own_count]) & (ordinal > 0)[:, None]
     table = SubtreeLabel.pack(
-        OWN=end - own, OWN_END=end, END=last, PARENT=parent, MOVES=moves, ORDINAL=ordinal
+        OWN=end - own_count, OWN_END=end, END=last, PARENT=parent, MOVES=moves, ORDINAL=ordinal
     )
-    motion = np.zeros((chains, len(own), SubtreeMotion.TOTAL))
+    motion = np.zeros((chains, len(own_count), SubtreeMotion.TOTAL))
     motion[:, :, SubtreeMotion.WEIGHT] = np.concatenate([weights(tree) for tree in trees])
     return Subtrees(
         table=memory.upload(table),
@@ -495,8 +499,10 @@ def swarm_arrays(memory: Allocator, arm: Reals, position: Reals, lightest: float
         position: Where the copies begin, shape (C N, 3).
         lightest: Mass of each.
     """
-    upload, copies = memory.upload, len(position)
-    motion, heading = np.zeros((copies, BodyMotion.TOTAL)), np.zeros((copies, Heading.TOTAL))
+    upload = memory.upload
+    copies = len(position)
+    motion = np.zeros((copies, BodyMotion.TOTAL))
+    heading = np.zeros((copies, Heading.TOTAL))
     motion[:, BodyMotion.MASS] = lightest
     heading[:, Heading.COS] = 1.0
     heading[:, Heading.INERTIA] = lightest
@@ -530,7 +536,7 @@ def _in_memory(robot: Sequence[Ints], size: Sequence[int], order: Ints) -> Ints:
     """Number robots, given structure by structure, as they stand in memory."""
     first = np.cumsum([0, *size])[:-1]
     number: Ints = np.argsort(order)[
-        np.concatenate([own + a for own, a in zip(robot, first, strict=True)])
+        np.concatenate([of_structure + a for of_structure, a in zip(robot, first, strict=True)])
     ]
     return number
 

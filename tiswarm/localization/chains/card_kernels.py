@@ -118,9 +118,9 @@ def pull_branch(k, robots, sums: Ref, trees: Ref, swarm: Ref):
     n = k % trees.table.shape[0]
     start = k // trees.table.shape[0] * robots
     first = start + trees.table[n, SubtreeLabel.OWN]
-    own = _sum_between(first, start + trees.table[n, SubtreeLabel.OWN_END], sums, swarm)
-    every = _sum_between(first, start + trees.table[n, SubtreeLabel.END], sums, swarm)
-    note_pull(k, every, trees.motion[k, SubtreeMotion.WEIGHT] * own[3], trees)
+    of_own = _sum_between(first, start + trees.table[n, SubtreeLabel.OWN_END], sums, swarm)
+    of_all = _sum_between(first, start + trees.table[n, SubtreeLabel.END], sums, swarm)
+    note_pull(k, of_all, trees.motion[k, SubtreeMotion.WEIGHT] * of_own[3], trees)
 
 
 @ti.func

@@ -51,7 +51,8 @@ def push_inside(square_length, slope):
 @ti.func
 def turned(x, y, heading: Ref, r):
     """Turn a horizontal arm as far as copy `r` of a robot has been turned."""
-    c, s = heading[r, Heading.COS], heading[r, Heading.SIN]
+    c = heading[r, Heading.COS]
+    s = heading[r, Heading.SIN]
     return ti.Vector([c * x - s * y, s * x + c * y, 0.0])
 
 
@@ -67,17 +68,33 @@ def _pull_of_offset(
         sigma^2 c^2 / 2 log(1 + sum_k e_k^2 / (c^2 w_k)).
 
     The measured vector, and with it the axes, turn with the robot that measured it: the force on
-    that robot acts at the partner's dock. `apart` leads from the partner's dock to the robot's,
-    `arm` from the center of the robot to its dock, without its vertical part. `square` is sigma^2.
+    that robot acts at the partner's dock.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry of the offset.
+        apart: From the partner's dock to the robot's [R].
+        arm: From the center of the robot to its dock, horizontal part [R].
+        turning: Whether any robot turns.
+        square: Temperature sigma^2 [R^2].
+        robust: One over the squared width of the robust loss [1].
+        contacts: Contacts.
+        swarm: State of the copies.
+
+    Returns:
+        Force with its torque, stiffness and inertia.
     """
     vector = part_at(contacts.value, slot, LinkValue.VECTOR)
     lever = arm
     if ti.static(turning):
         owner = partner
         if contacts.label[slot, LinkLabel.IS_OWN] == 1:
-            owner, lever = r, arm - apart
+            owner = r
+            lever = arm - apart
         level = turned(vector[0], vector[1], swarm.heading, owner)
-        vector[0], vector[1] = level[0], level[1]
+        vector[0] = level[0]
+        vector[1] = level[1]
     # e = a + m, in two parts: (e m) m / m^2, and what is left
     residual = apart + vector
     along = residual.dot(vector) / vector.norm_sqr() * vector
@@ -98,48 +115,77 @@ def _pull_of_offset(
 def _nearest_docks(r, partner, slot, between, variant: Static, contacts: Ref, swarm: Ref):
     """Find which docks of copy r and its partner touch: those whose distance is nearest to D.
 
-    Of equally near pairs the first is taken. `between` leads from the partner's center to the
-    robot's.
+    Of equally near pairs the first is taken.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry of the touch.
+        between: From the partner's center to the robot's [R].
+        variant: What this is compiled for.
+        contacts: Contacts.
+        swarm: State of the copies.
 
     Returns:
         From the partner's dock to the robot's, and the horizontal arm of the robot's dock [R].
     """
     row = contacts.label[slot, LinkLabel.TOUCH]
-    nearest, arm = between, between
+    nearest = between
+    arm = between
     least = 1.0 / TINY
     for k in range(variant.docks):
-        own = ti.Vector([contacts.candidates[row, k, c] for c in range(3)])
+        own_arm = ti.Vector([contacts.candidates[row, k, c] for c in range(3)])
         if ti.static(variant.turning):
-            level = turned(own[0], own[1], swarm.heading, r)
-            own[0], own[1] = level[0], level[1]
+            level = turned(own_arm[0], own_arm[1], swarm.heading, r)
+            own_arm[0] = level[0]
+            own_arm[1] = level[1]
         for m in range(variant.docks):
-            its = ti.Vector([contacts.candidates[row, m, 3 + c] for c in range(3)])
+            partner_arm = ti.Vector([contacts.candidates[row, m, 3 + c] for c in range(3)])
             if ti.static(variant.turning):
-                level = turned(its[0], its[1], swarm.heading, partner)
-                its[0], its[1] = level[0], level[1]
-            apart = between + own - its
+                level = turned(partner_arm[0], partner_arm[1], swarm.heading, partner)
+                partner_arm[0] = level[0]
+                partner_arm[1] = level[1]
+            apart = between + own_arm - partner_arm
             off = ti.abs(apart.norm() - contacts.value[slot, LinkValue.LENGTH])
             if off < least:
-                least, nearest, arm = off, apart, own
+                least = off
+                nearest = apart
+                arm = own_arm
     arm[2] = 0.0
     return nearest, arm
 
 
 @ti.func
 def _docks_of(r, partner, slot, between, turns, variant: Static, contacts: Ref, swarm: Ref):
-    """Find the offset of the docks of an entry, and the robot's arm; see `_nearest_docks`."""
+    """Find the offset of the docks of an entry, and the robot's arm.
+
+    Docks of a touch are unknown: `_nearest_docks` chooses them.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry.
+        between: From the partner's center to the robot's [R].
+        turns: Whether the robot turns.
+        variant: What this is compiled for.
+        contacts: Contacts.
+        swarm: State of the copies.
+
+    Returns:
+        From the partner's dock to the robot's, and the horizontal arm of the robot's dock, 0 if it
+        does not turn [R].
+    """
     apart = between + part_at(contacts.value, slot, LinkValue.ARMS)
     arm = 0.0 * between
     if ti.static(variant.turning) and turns:
-        x, y = contacts.value[slot, LinkValue.LEVERS], contacts.value[slot, LinkValue.LEVERS + 1]
-        its_x, its_y = (
-            contacts.value[slot, LinkValue.LEVERS + 2],
-            contacts.value[slot, LinkValue.LEVERS + 3],
-        )
+        x = contacts.value[slot, LinkValue.LEVERS]
+        y = contacts.value[slot, LinkValue.LEVERS + 1]
+        partner_x = contacts.value[slot, LinkValue.LEVERS + 2]
+        partner_y = contacts.value[slot, LinkValue.LEVERS + 3]
         arm = turned(x, y, swarm.heading, r)
-        its = turned(its_x, its_y, swarm.heading, partner)
-        apart[0] += arm[0] - its[0] - x + its_x
-        apart[1] += arm[1] - its[1] - y + its_y
+        partner_arm = turned(partner_x, partner_y, swarm.heading, partner)
+        apart[0] += arm[0] - partner_arm[0] - x + partner_x
+        apart[1] += arm[1] - partner_arm[1] - y + partner_y
     if ti.static(variant.has_touches):
         if contacts.label[slot, LinkLabel.TOUCH] >= 0:
             apart, arm = _nearest_docks(r, partner, slot, between, variant, contacts, swarm)
@@ -182,9 +228,15 @@ def _push_of_extension(between, apart, arm, length, inverse, pushed):
     Robots extend outward: the farther apart their centers would be if their docks just touched, the
     likelier. This prior has the energy -sigma^2 `extension` times that distance, which only the
     direction between the docks decides. The push is perpendicular to the contact: along it, it
-    would lengthen uncertain contacts. Where a contact gives way, so does the push: its size
-    `pushed` is sigma^2 `extension` as far as the contact holds. `between` leads from the partner's
-    center to the robot's, `apart` from dock to dock; `inverse` is 1 / `length` of the latter.
+    would lengthen uncertain contacts. Where a contact gives way, so does the push.
+
+    Args:
+        between: From the partner's center to the robot's [R].
+        apart: From the partner's dock to the robot's [R].
+        arm: Horizontal arm of the robot's dock [R].
+        length: Distance of the docks [R].
+        inverse: 1 / `length` [R^-1].
+        pushed: Size of the push, sigma^2 `extension` as far as the contact holds [R].
     """
     # h = b + l a, l = D / d - 1: from center to center if the docks just touched
     lacking = SPACING * inverse - 1.0
@@ -204,20 +256,28 @@ def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts
     """Sum the forces of the contacts of copy r of robot i, their torque, stiffness and inertia.
 
     Docks in contact at the end do not repel each other as all others do: this function subtracts
-    the push that `push_docks` gives them, with `slope` for 1 / (2 D^2). `square` is sigma^2.
+    the push that `push_docks` gives them.
+
+    Args:
+        r: Copy of the robot.
+        i: The robot.
+        slope: 1 / (2 D^2) of overlaps [R^-2].
+        square: Temperature sigma^2 [R^2].
+        variant: What this is compiled for.
+        robots: Robots.
+        contacts: Contacts.
+        swarm: State of the copies.
     """
     base = r - i
-    turns, robust = (
-        robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0,
-        robots.weight[i, RobotWeight.ROBUST],
-    )
-    here = vector_at(swarm.position, r)
-    force = with_torque(0.0 * here, here)
-    stiffness = 0.0 * here[0]
+    turns = robots.weight[i, RobotWeight.YAW_PRECISION] > 0.0
+    robust = robots.weight[i, RobotWeight.ROBUST]
+    center = vector_at(swarm.position, r)
+    force = with_torque(0.0 * center, center)
+    stiffness = 0.0 * center[0]
     inertia = stiffness
     for slot in range(robots.label[i, RobotLabel.CONTACT], robots.label[i, RobotLabel.CONTACT_END]):
         partner = base + contacts.label[slot, LinkLabel.PARTNER]
-        between = here - vector_at(swarm.position, partner)
+        between = center - vector_at(swarm.position, partner)
         apart, arm = _docks_of(r, partner, slot, between, turns, variant, contacts, swarm)
         length = ti.max(apart.norm(), TINY)
         stiff, pull, trust, inverse = _pull_of_distance(slot, length, square, robust, contacts)
@@ -269,18 +329,18 @@ def _slope_of(i, step: Ref, robots: Ref):
 @ti.func
 def _is_there(robot, variant: Static, robots: Ref):
     """Whether a robot's docks are in the way of others: not if it has left."""
-    there = 1
+    is_present = 1
     if ti.static(variant.has_gone):
-        there = robots.label[robot, RobotLabel.NON_OVERLAP]
-    return there == 1
+        is_present = robots.label[robot, RobotLabel.NON_OVERLAP]
+    return is_present == 1
 
 
 @ti.func
-def _push_of_pair(between, own, other, slope, variant: Static, swarm: Ref):
+def _push_of_pair(between, arms, partner, slope, variant: Static, swarm: Ref):
     """Sum the forces between the docks of a robot and of another one that are too near.
 
     Integers make sums of pairs independent of their order. Seen from the other robot, `between` and
-    all forces have the opposite sign and the same bits. `own` are the arms of the first one's
+    all forces have the opposite sign and the same bits. `arms` are the arms of the first one's
     docks, `slope` is 1 / (2 D^2).
 
     Returns:
@@ -290,24 +350,26 @@ def _push_of_pair(between, own, other, slope, variant: Static, swarm: Ref):
     sums = ti.Vector([ti.i64(0) for _ in range(OverlapSums.TOTAL + 2)])
     widest = 0.5 / slope  # D^2
     for m in range(docks):
-        its = ti.Vector([swarm.arm[other, m, c] for c in range(3)])
+        partner_arm = ti.Vector([swarm.arm[partner, m, c] for c in range(3)])
         is_close = False
         for k in ti.static(range(docks)):
-            is_close |= (between + (own[k, :] - its)).norm_sqr() < widest
+            is_close |= (between + (arms[k, :] - partner_arm)).norm_sqr() < widest
         if is_close:
             for k in ti.static(range(docks)):
-                apart = between + (own[k, :] - its)
+                apart = between + (arms[k, :] - partner_arm)
                 square_length = apart.norm_sqr()
                 if square_length < widest:
                     push = push_inside(square_length, slope) * apart
-                    acting, opposite = with_torque(push, own[k, :]), with_torque(-push, its)
+                    acting = with_torque(push, arms[k, :])
+                    opposite = with_torque(-push, partner_arm)
                     for c in ti.static(range(4)):
                         sums[c] += ti.cast(acting[c] * _WHOLE, ti.i64)
-                    lag, its_lag = own[k, 0] ** 2 + own[k, 1] ** 2, its[0] ** 2 + its[1] ** 2
+                    lag = arms[k, 0] ** 2 + arms[k, 1] ** 2
+                    partner_lag = partner_arm[0] ** 2 + partner_arm[1] ** 2
                     sums[OverlapSums.INERTIA] += ti.cast(lag * _WHOLE, ti.i64)
                     sums[OverlapSums.COUNT] += 1
                     sums[OverlapSums.TOTAL] += ti.cast(opposite[3] * _WHOLE, ti.i64)
-                    sums[OverlapSums.TOTAL + 1] += ti.cast(its_lag * _WHOLE, ti.i64)
+                    sums[OverlapSums.TOTAL + 1] += ti.cast(partner_lag * _WHOLE, ti.i64)
     return sums
 
 
@@ -321,21 +383,22 @@ def push_docks(r, variant: Static, step: Ref, robots: Ref, grid: Ref, rows: Ref,
     i = r % robots.label.shape[0]
     total = ti.Vector([ti.i64(0) for _ in range(OverlapSums.TOTAL)])
     if robots.label[i, RobotLabel.NON_OVERLAP] == 1:
-        here, slope = vector_at(swarm.position, r), _slope_of(i, step, robots)
-        own = ti.Matrix([[swarm.arm[r, k, c] for c in range(3)] for k in range(docks)])
+        center = vector_at(swarm.position, r)
+        slope = _slope_of(i, step, robots)
+        arms = ti.Matrix([[swarm.arm[r, k, c] for c in range(3)] for k in range(docks)])
         for e in range(rows.count[r]):
-            other = rows.entry[rows.first[r] + e * grid.entry_stride] >> (grid.own_bits + 1)
-            between = here - vector_at(swarm.position, other)
+            partner = rows.entry[rows.first[r] + e * grid.entry_stride] >> (grid.own_bits + 1)
+            between = center - vector_at(swarm.position, partner)
             is_near = between.norm_sqr() < grid.near * grid.near
-            if is_near and _is_there(other - r + i, variant, robots):
-                sums = _push_of_pair(between, own, other, slope, variant, swarm)
+            if is_near and _is_there(partner - r + i, variant, robots):
+                sums = _push_of_pair(between, arms, partner, slope, variant, swarm)
                 for c in ti.static(range(OverlapSums.TOTAL)):
                     total[c] += sums[c]
                 if ti.static(variant.by_block):
                     if sums[OverlapSums.COUNT] > 0:
-                        its = [-sums[0], -sums[1], -sums[2], sums[6], sums[7], sums[5]]
+                        opposite = [-sums[0], -sums[1], -sums[2], sums[6], sums[7], sums[5]]
                         for c in ti.static(range(OverlapSums.TOTAL)):
-                            overlap[other, c] = overlap[other, c] + its[c]
+                            overlap[partner, c] = overlap[partner, c] + opposite[c]
     for c in ti.static(range(OverlapSums.TOTAL)):
         # No `+=`: it would be atomic.
         overlap[r, c] = total[c] + (overlap[r, c] if ti.static(variant.by_block) else 0)
@@ -354,23 +417,23 @@ def _hold_of_planes(r, i, square, stiffness, inertia, variant: Static, measured:
     With gap g, precision p, w = sigma^2 + 1 / p and c^2 = 1 / `PlaneValue.ROBUST`, each has the
     energy of Cauchy's loss, sigma^2 c^2 / 2 log(1 + g^2 / (c^2 w)).
     """
-    here = vector_at(swarm.position, r)
+    center = vector_at(swarm.position, r)
     plane = ti.static(measured.plane)
-    hold = with_torque(0.0 * here, here)
+    hold = with_torque(0.0 * center, center)
     for p in range(
         measured.robots.label[i, RobotLabel.PLANE], measured.robots.label[i, RobotLabel.PLANE_END]
     ):
-        walked = 0.0 * here
+        walked = 0.0 * center
         if ti.static(variant.turning):
             walked = turned(
                 plane[p, PlaneValue.WALK], plane[p, PlaneValue.WALK + 1], swarm.heading, r
             )
         normal = part_at(plane, p, PlaneValue.DIRECTION)
-        gap = normal.dot(part_at(plane, p, PlaneValue.POINT) - walked - here)
+        gap = normal.dot(part_at(plane, p, PlaneValue.POINT) - walked - center)
         # stiffness k, sigma^2 p / (1 + sigma^2 p + p g^2 / c^2)
-        known = square * plane[p, PlaneValue.PRECISION]
+        information = square * plane[p, PlaneValue.PRECISION]
         torn = plane[p, PlaneValue.PRECISION] * gap * gap * plane[p, PlaneValue.ROBUST]
-        stiff = known / (1.0 + known + torn)
+        stiff = information / (1.0 + information + torn)
         # force along the normal, k g n
         hold += with_torque(stiff * gap * normal, walked)
         stiffness += stiff * plane[p, PlaneValue.CROWD] / 3.0
@@ -415,7 +478,8 @@ def _pull_robot(r, i, variant: Static, step: Ref, measured: Ref, swarm: Ref):
     for c in ti.static(range(3)):
         motion[r, BodyMotion.FORCE + c] = pull[c] + hold[c]
     # v <- v sqrt(m / m'), so that m v^2 is kept
-    before, lightest = motion[r, BodyMotion.MASS], robots.weight[i, RobotWeight.LIGHTEST]
+    before = motion[r, BodyMotion.MASS]
+    lightest = robots.weight[i, RobotWeight.LIGHTEST]
     motion[r, BodyMotion.MASS] = _mass_for(stiffness / MOST_STIFFNESS, before, lightest)
     slower = ti.sqrt(before / motion[r, BodyMotion.MASS])
     for c in ti.static(range(3)):

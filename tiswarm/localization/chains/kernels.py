@@ -74,7 +74,7 @@ def _thermostat(table: Ref, i, column, force, mobility, kick):
     """
     # v' = v + F h / m
     speed = table[i, column] + force * mobility
-    # v <- a v' + s xi
+    # v <- a v' + s xi, s = sigma sqrt((1 - a^2) / m): `kick` is s xi
     kept = MEMORY * speed + kick
     table[i, column] = kept
     # x = h (v' + v) / 2
@@ -96,9 +96,11 @@ def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     heading[r, Heading.YAW] = yaw
     heading[r, Heading.COS] = ti.cos(yaw)
     heading[r, Heading.SIN] = ti.sin(yaw)
-    c, s = ti.cos(turn), ti.sin(turn)
+    c = ti.cos(turn)
+    s = ti.sin(turn)
     for k in range(swarm.arm.shape[1]):
-        x, y = swarm.arm[r, k, 0], swarm.arm[r, k, 1]
+        x = swarm.arm[r, k, 0]
+        y = swarm.arm[r, k, 1]
         swarm.arm[r, k, 0] = c * x - s * y
         swarm.arm[r, k, 1] = s * x + c * y
     if step.number >= step.hold:
@@ -137,7 +139,8 @@ def note_pull(k, pull, mass, trees: Ref):
 def gather_pulls(b, blocks: Ref, trees: Ref):
     """Add to the force on each subtree of block b those on all that grow out of it."""
     count = trees.table.shape[0]
-    first, last = blocks.progress[b, BlockProgress.TREE], blocks.progress[b, BlockProgress.TREE_END]
+    first = blocks.progress[b, BlockProgress.TREE]
+    last = blocks.progress[b, BlockProgress.TREE_END]
     chain = first // count
     for back in range(1, last - first):
         k = last - back
@@ -151,6 +154,13 @@ def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
     """Write the shift of copy k of a subtree, without that of the subtrees it grows out of.
 
     `gather_shifts` follows on cards, `spread_shifts` on processors.
+
+    Args:
+        k: Copy of the subtree.
+        on_card: Whether `gather_shifts` follows.
+        step: The step.
+        robots: Robots.
+        trees: Subtrees.
     """
     count = trees.table.shape[0]
     n = k % count
@@ -175,7 +185,8 @@ def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
 def spread_shifts(b, blocks: Ref, trees: Ref):
     """Add to the shift of each subtree of block b that of the subtree it grows out of."""
     count = trees.table.shape[0]
-    first, last = blocks.progress[b, BlockProgress.TREE], blocks.progress[b, BlockProgress.TREE_END]
+    first = blocks.progress[b, BlockProgress.TREE]
+    last = blocks.progress[b, BlockProgress.TREE_END]
     chain = first // count
     for k in range(first + 1, last):
         parent = chain * count + trees.table[k - chain * count, SubtreeLabel.PARENT]
@@ -187,12 +198,15 @@ def spread_shifts(b, blocks: Ref, trees: Ref):
 def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: Ref, swarm: Ref):
     """Move copy r by itself and with its subtree, and turn it if robots turn; anchors stay.
 
+    Where the step counts for the averages, the position is added to their sums.
+
     Returns:
         Its squared distance from where its Verlet row was built.
     """
     motion, position = ti.static(swarm.motion, swarm.position)
     count = robots.label.shape[0]
-    i, chain = r % count, r // count
+    i = r % count
+    chain = r // count
     strayed = 0.0 * motion[r, BodyMotion.MASS]
     if robots.label[i, RobotLabel.MOVES] == 1:
         number = robots.label[i, RobotLabel.NUMBER]
@@ -261,9 +275,20 @@ def _take_step(
     """Take one step of some blocks that stand in a row in memory.
 
     At the top of a kernel, all threads share each of these loops; within a loop of the kernel, one
-    thread runs them all. `span` is a struct of the first block, the one after the last, and the
-    same of copies of robots and of subtrees. `grid` is that of `neighbor_kernels`, with `near`, the
-    largest distance of robots whose docks overlap [R].
+    thread runs them all.
+
+    Args:
+        span: Struct of the first block, the one after the last, and the same of copies of robots
+            and of subtrees.
+        variant: What this is compiled for.
+        step: The step.
+        measured: All that is known of robots.
+        trees: Subtrees.
+        grid: Struct of `neighbor_kernels`, with `near`, the largest distance of robots whose docks
+            overlap [R].
+        rows: Verlet rows.
+        blocks: Progress of the blocks.
+        swarm: State of the copies.
 
     Returns:
         The largest squared distance of a robot from where its row was built [R^2].
@@ -368,10 +393,8 @@ def take_steps(
                         )
                         progress_out[b, BlockProgress.AGE] = 0
                     if fits(b, structure_out):
-                        t, hold = (
-                            progress_out[b, BlockProgress.TAKEN],
-                            progress_out[b, BlockProgress.HOLD],
-                        )
+                        t = progress_out[b, BlockProgress.TAKEN]
+                        hold = progress_out[b, BlockProgress.HOLD]
                         step = ti.static(Step(t, seed, hold, schedule))
                         farthest = _take_step(
                             span, variant, step, measured, trees, grid, rows, blocks, swarm

@@ -108,9 +108,11 @@ class Planes(NamedTuple):
         Returns:
             Centers [R], and which coordinates are measured, both of shape (N, 3).
         """
-        robot, direction = self.robot, self.direction
+        robot = self.robot
+        direction = self.direction
         point = self.point - np.pad(self.walk, ((0, 0), (0, 1)))
-        row, axis = np.arange(len(robot)), np.abs(direction).argmax(axis=1)
+        row = np.arange(len(robot))
+        axis = np.abs(direction).argmax(axis=1)
         center = np.zeros((robots, 3))
         center[robot, axis] = point[row, axis]  # exact along axes that one plane alone measures
         residual = (direction * (point - center[robot])).sum(axis=1)
@@ -136,7 +138,8 @@ def measured_planes(rows: Measurements, variance: Reals, *, is_solved: bool) -> 
         variance: Variance of each [R^2], shape (E,).
         is_solved: Whether yaw is solved for.
     """
-    links, direction = len(rows.other), rows.places.direction
+    links = len(rows.other)
+    direction = rows.places.direction
     arm = rows.arm[links:]
     # A turn about the vertical changes no height: walks of heights need not turn.
     is_level = np.any(direction[:, :2] != 0.0, axis=1, keepdims=True)
@@ -238,7 +241,8 @@ class Problem:
     @property
     def link(self) -> Ints:
         """First row of each link, shape (C,)."""
-        distances, rows = len(self.rows.distances.stance), len(self.rows.other)
+        distances = len(self.rows.distances.stance)
+        rows = len(self.rows.other)
         return np.concatenate([np.arange(distances), np.arange(distances, rows, 3)])
 
     @property
@@ -297,18 +301,14 @@ class Problem:
     @property
     def lever(self) -> Reals:
         """Horizontal arms, the robot's x and y with its vector, and the other's [R], (C, 4)."""
-        own, its = self.rows.arm[self.link], self.rows.other_arm[self.link]
-        return np.column_stack([own[:, :2], its[:, :2]])
+        arm = self.rows.arm[self.link]
+        other_arm = self.rows.other_arm[self.link]
+        return np.column_stack([arm[:, :2], other_arm[:, :2]])
 
     def by_link(self, square: Reals) -> Reals:
         """Sum squares, shape (..., P), over the rows of each link, shape (..., C)."""
         total: Reals = np.add.reduceat(square, self.link, axis=-1) if square.size else square
         return total
-
-    def any_of_link(self, flag: Bools) -> Bools:
-        """Extend flags of rows, shape (P,), to all rows of their links."""
-        flagged = self.by_link(flag.astype(np.float64)) > 0.0
-        return np.repeat(flagged, np.diff(self.link, append=len(flag)))
 
     def sensed_place(self) -> tuple[Reals, Bools]:
         """Return centers [R] and which coordinates are measured, both (N, 3); `Planes.centers`."""
@@ -365,13 +365,14 @@ class Problem:
         """
         fixed = np.linalg.norm(self.shift, axis=1)
         if self.yaw_precision:  # the horizontal parts of the vector may turn
-            own, its = np.split(self.lever, 2, axis=1)
-            level = np.linalg.norm(own, axis=1) + np.linalg.norm(its, axis=1)
+            lever, other_lever = np.split(self.lever, 2, axis=1)
+            level = np.linalg.norm(lever, axis=1) + np.linalg.norm(other_lever, axis=1)
             fixed = np.hypot(level, self.shift[:, 2])
         if len(self.rows.touch):
-            (own, _), (its, _) = self.rows.touch_arms
-            farthest = [np.linalg.norm(arm, axis=2).max(axis=1) for arm in (own, its)]
-            fixed[self.is_touch] = farthest[0] + farthest[1]
+            (arms, _), (other_arms, _) = self.rows.touch_arms
+            farthest = np.linalg.norm(arms, axis=2).max(axis=1)
+            other_farthest = np.linalg.norm(other_arms, axis=2).max(axis=1)
+            fixed[self.is_touch] = farthest + other_farthest
         variance = self.by_link(self.variance)
         longest = fixed + self.length + ALLOWED_SD * np.sqrt(variance + sigma**2)
         counts = slice(None) if inlier is None else inlier
@@ -448,7 +449,8 @@ def chosen_rows(
     is_wrong = (
         inconsistent_places(rows, variance) & params.robust & ~are_known(variance, len(rows.other))
     )
-    inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
+    inconsistent = rows.select(is_wrong)
+    rows = rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows, variance[~is_wrong]))
     # All fixes of a robot count, unlike other coordinates: none is a repetition of another.
     if not measured.used({*params.cues} & {"fixes"}):

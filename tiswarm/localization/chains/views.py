@@ -45,14 +45,16 @@ class AnnealSchedule:
     less of what is not measured."""
 
     underdetermined: float = 0.05
-    """Underdetermination from which on to end at `warmest` [1]: colder chains gain nothing."""
+    """Underdetermination from which on to end at `warmest` [1]: too little is measured to gain from
+    colder chains."""
 
     ranged: float = 2.0
     """Least square root of the start temperature where ranges alone tie robots to each other [R]:
     they leave more minima to escape from."""
 
     growing: float = 0.1
-    """Share of the steps in which docks grow [1]: robots pass through each other at first."""
+    """Share of the steps in which docks grow to their full size [1], so that robots pass through
+    each other at first."""
 
     smallest: float = 0.1
     """Size of docks in the first step, as a part of their full size [1]. Docks that are solid at
@@ -62,10 +64,12 @@ class AnnealSchedule:
     """Share of the steps after which lost robots are initialized anew [1]."""
 
     lost: float = 4.0
-    """A contact whose docks are farther apart than D + this is lost [R]: they no longer meet."""
+    """A contact whose docks are farther than D + this apart is lost [R]: docks that far apart no
+    longer find each other."""
 
     lost_sd: float = 3.0
-    """Least miss of a lost contact [standard deviations]: uncertain ones may be missed by more."""
+    """Least miss of a lost contact [standard deviations]: uncertain ones may be missed by more than
+    `lost`."""
 
     frames: int = 24
     """Frames of the trace [1], between which lost robots are looked for."""
@@ -227,7 +231,8 @@ def view_of(
     begin = start
     if begin is None:
         begin = initial_guess(log, problem, params.seed, params.chains_for(robots))
-    robust, planes = float(ROBUST_SD**-2 * params.robust), problem.planes
+    robust = float(ROBUST_SD**-2 * params.robust)
+    planes = problem.planes
     gives_way = planes.is_redundant(problem.part) & (planes.precision * KNOWN < 1.0)
     # Many robots that were measured would hold a subtree more stiffly than its mass allows. What
     # holds a root is in the root's own mass: a part moves as one toward its root's place.
@@ -260,7 +265,9 @@ def view_of(
 
 def _links_of(problem: Problem, extension: float) -> Links:
     """Lay out the links of a problem; `extension` is the prior's gain, shared by a robot's."""
-    is_offset, vector, levers = problem.is_offset, problem.vector, problem.lever
+    is_offset = problem.is_offset
+    vector = problem.vector
+    levers = problem.lever
     levers[:, :2] -= vector[:, :2]
     variance = problem.variance[problem.link]
     total = problem.by_link(problem.variance)
@@ -301,7 +308,8 @@ def end_sigma(problem: Problem, params: JointParams) -> float:
     """
     if params.end_sigma is not None:
         return params.end_sigma
-    coldest, warmest = ANNEALING.coldest, ANNEALING.warmest
+    coldest = ANNEALING.coldest
+    warmest = ANNEALING.warmest
     noise = float(np.sqrt(np.median(problem.variance))) if len(problem.variance) else warmest
     lacking = problem.underdetermination / ANNEALING.underdetermined
     return min(max(coldest + (warmest - coldest) * lacking, noise), warmest)
@@ -361,7 +369,8 @@ def _levels(robots: int, pair: Ints) -> Ints:
 
 def _grown(level: Ints, pair: Ints) -> tuple[Ints, Ints]:
     """Find the subtree of each robot and the parent of each, from the tips to the anchor."""
-    owner, parent = np.zeros(len(level), np.int64), [0]
+    owner = np.zeros(len(level), np.int64)
+    parent = [0]
     nearer = level[pair].min(axis=1)
     joined = DisjointSet(range(len(level)))
     tops: dict[int, list[int]] = {}  # subtrees of each set that have no parent yet
@@ -425,10 +434,14 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
     for i in np.argsort(problem.reach(), kind="stable").tolist():
         if is_placed[i]:
             continue
-        mine = rows[i][is_placed[partner[rows[i]]]]
-        met = guess[:, partner[mine]] - toward[mine] if len(mine) else guess[:, :1]
+        placed_rows = rows[i][is_placed[partner[rows[i]]]]
+        met = (
+            guess[:, partner[placed_rows]] - toward[placed_rows]
+            if len(placed_rows)
+            else guess[:, :1]
+        )
         guess[:, i] += met.mean(axis=1)
-        ranged = mine[is_range[mine]]
+        ranged = placed_rows[is_range[placed_rows]]
         for _ in range(ANNEALING.trilateration if len(ranged) else 0):
             away = guess[:, i, None] - guess[:, partner[ranged]]
             short = length[ranged] / np.maximum(np.linalg.norm(away, axis=2), _TINY)
@@ -460,14 +473,14 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
     moved = 0
     sd = np.sqrt(problem.by_link(problem.variance))
     far = np.maximum(ANNEALING.lost, ANNEALING.lost_sd * sd)
-    for here, missed in zip(position, gap > far, strict=True):
+    for centers, missed in zip(position, gap > far, strict=True):
         # A single lost contact may be wrong; the majority of them is not.
         lost = np.bincount(problem.robot[missed], minlength=len(count)) > 0.5 * count
         for i in np.flatnonzero(lost & problem.moves).tolist():
-            mine = rows[i]
+            robot_rows = rows[i]
             # The median: one wrong contact does not take the robot away from all others.
-            met = np.median(here[problem.other[mine]] - across[mine], axis=0)
-            here[i] = np.where(is_measured[i], here[i], met)
+            met = np.median(centers[problem.other[robot_rows]] - across[robot_rows], axis=0)
+            centers[i] = np.where(is_measured[i], centers[i], met)
             moved += 1
     return moved
 
@@ -486,7 +499,8 @@ def place_disconnected(mean: Reals, problem: Problem) -> tuple[Reals, Reals]:
         Positions with such parts placed [R], shape (chains, N, 3), and their mean square error, 0
         for all other robots [R^2], shape (chains, N).
     """
-    placed, square = mean.copy(), np.zeros(mean.shape[:2])
+    placed = mean.copy()
+    square = np.zeros(mean.shape[:2])
     firsts = np.unique(problem.part, return_index=True)[1]
     for first in np.sort(firsts[problem.untied[firsts]]).tolist():
         window = slice(max(first - ANNEALING.join_window, 0), first)

@@ -27,7 +27,8 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows
 from tiswarm.measurements import equations
-from tiswarm.measurements.contacts import close_docks
+from tiswarm.measurements.contacts import close_docks, overlaps
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Measurements, are_known
 from tiswarm.measurements.odometry import Connections
 from tiswarm.records.sensing_log import SensingLog
@@ -55,10 +56,14 @@ _LONGEST_TURN = 0.3
 _FALLING = 0.3
 """Share of the cost by which a round must lower it for more rounds than asked for [1]."""
 
-_SMALLER, _LEAST_RADIUS = 0.4, 1e-4
-"""Radius of trust relative to one that raised the cost [1], and the least radius [R]."""
+_SMALLER = 0.4
+"""Radius within which a step is trusted, relative to one that raised the cost [1]."""
 
-_AXES = np.arange(3)
+_LEAST_RADIUS = 1e-4
+"""Radius of trust below which no smaller step is tried [R]."""
+
+_AXIS: Ints = np.arange(AXES)
+"""Numbers of the coordinates of a vector among those of a robot."""
 _NO_ROWS = LinearRows(*(np.empty(0, kind) for kind in (float, int, int, float, float)))
 NOTHING: Reals = np.empty(0)
 _NO_PAIRS: Ints = np.empty((0, 2), np.int64)
@@ -96,9 +101,14 @@ L = TypeVar("L", bound=Solvable)
 class Cost(ABC, Generic[L]):
     """A cost of configurations whose robots and errors are unknown, all or some."""
 
-    most_rounds, widest, promised = 30, np.inf, -np.inf
-    """Rounds at most, where the cost still falls fast; radius within which a step is trusted at
-    first [R]; gain that a step must promise to be tried."""
+    most_rounds: int = 30
+    """Rounds at most, where the cost still falls fast."""
+
+    widest: float = np.inf
+    """Radius within which a step is trusted at first [R]."""
+
+    least_reduction: float = -np.inf
+    """Reduction of the cost that the linear problem must predict for a step to be tried [1]."""
 
     @abstractmethod
     def linearized(self, state: State) -> L:
@@ -106,9 +116,12 @@ class Cost(ABC, Generic[L]):
 
     @abstractmethod
     def moved(self, state: State, linear: L, radius: float) -> tuple[State, float]:
-        """Go to where the cost, linearized at a state, is least; return the promised gain, too.
+        """Go to where the cost, linearized at a state, is least.
 
         Steps of robots much beyond a radius [R] are damped, and none is too long to be trusted.
+
+        Returns:
+            The state there, and the predicted reduction of the cost [1].
         """
 
     def refine(self, state: State, rounds: int | None = None) -> tuple[State, L]:
@@ -122,25 +135,36 @@ class Cost(ABC, Generic[L]):
             The best state, and the cost linearized there.
         """
         linear = self.linearized(state)
-        rounds = self.most_rounds if rounds is None else rounds
-        radius, gain = self.widest, np.inf
-        for count in range(self.most_rounds * (rounds > 0)):
-            if count >= rounds and gain < _FALLING * linear.cost:
+        if rounds is None:
+            rounds = self.most_rounds
+        if not rounds:
+            return state, linear
+        radius = self.widest
+        actual_reduction = np.inf
+        for count in range(self.most_rounds):
+            if count >= rounds and actual_reduction < _FALLING * linear.cost:
                 break
-            trial, promised = self.moved(state, linear, radius)
-            if promised < self.promised:
+            trial_state, predicted_reduction = self.moved(state, linear, radius)
+            if predicted_reduction < self.least_reduction:
                 break
-            there = self.linearized(trial)
-            # The linear problem led uphill: trust it in a smaller region.
-            if there.cost > linear.cost + SETTLED:
-                far = np.linalg.norm(trial.position - state.position, axis=1).max()
-                radius = _SMALLER * min(radius, float(far))
+            trial_linear = self.linearized(trial_state)
+            # We accept a step by the sign of its actual reduction alone. Its ratio to the predicted
+            # one, the usual step quality, says little here: a robust loss falls by less than the
+            # squares that it is linearized to, and docks that come to overlap on the way raise the
+            # cost by terms that the linear problem does not have. A rise below `SETTLED` is one of
+            # rounding, or of these terms, near the minimum; a step that rises more led uphill, and
+            # the linear problem is trusted in a smaller region.
+            if trial_linear.cost > linear.cost + SETTLED:
+                longest = np.linalg.norm(trial_state.position - state.position, axis=1).max()
+                radius = _SMALLER * min(radius, float(longest))
                 if radius < _LEAST_RADIUS:
                     break
                 continue
-            gain = linear.cost - there.cost
-            state, linear, radius = trial, there, min(radius / _SMALLER, self.widest)
-            if gain < SETTLED:
+            actual_reduction = linear.cost - trial_linear.cost
+            state = trial_state
+            linear = trial_linear
+            radius = min(radius / _SMALLER, self.widest)
+            if actual_reduction < SETTLED:
                 break
         return state, linear
 
@@ -182,19 +206,19 @@ def moments(weight: Reals, position: Reals) -> tuple[Reals, Reals]:
     return mean, square
 
 
-def grouped(order: Ints, alike: Callable[[int, list[int]], Bools]) -> list[list[int]]:
+def grouped(order: Ints, agrees: Callable[[int, list[int]], Bools]) -> list[list[int]]:
     """Group items, each with the first one before it that it is like.
 
     Args:
         order: Items, shape (k,).
-        alike: Judges which of the first items of groups an item is like.
+        agrees: Judges which of the first items of groups an item is like.
 
     Returns:
         Items of each group, in this order.
     """
     groups: list[list[int]] = []
     for item in order.tolist():
-        same = np.flatnonzero(alike(item, [group[0] for group in groups]))
+        same = np.flatnonzero(agrees(item, [group[0] for group in groups]))
         if len(same):
             groups[same[0]].append(item)
         else:
@@ -239,11 +263,16 @@ class WholeCost(Cost[Linear]):
             moves: Robots that move; all others are constants, and rows of robots without a row
                 about one that moves do not count. All if None, shape (N,).
         """
-        self.robust_sd, self.non_overlap, self.hinged = robust_sd, non_overlap, hinged
+        self.robust_sd = robust_sd
+        self.non_overlap = non_overlap
+        self.hinged = hinged
         self.moving = np.ones(rows.robots, np.bool_) if moves is None else moves
         of_moving = np.bincount(rows.robot[: len(rows.other)], self.moving[rows.other], rows.robots)
         rows = rows.select((self.moving | (of_moving > 0.0))[rows.robot])
-        self.log, self.rows, self.walks, self.links = log, rows, rows.odometry, links
+        self.log = log
+        self.rows = rows
+        self.walks = rows.odometry
+        self.links = links
         variance = rows.variance()
         self.is_known = are_known(variance, len(rows.other))
         further_variance = np.where(self.is_known, 0.0, further_variance)
@@ -253,10 +282,10 @@ class WholeCost(Cost[Linear]):
         self.own_variance = self.variance
         if not are_independent:
             self.own_variance = rows.own_variance + further_variance
-        own, its = rows.noisy_arms()
-        self.is_own = np.repeat([True, False], [len(own[0]), len(its[0])])
-        self.row, self.stance = (np.concatenate([own[k], its[k]]) for k in (0, 1))
-        self.arm = np.concatenate([own[2], its[2]])
+        arms, other_arms = rows.noisy_arms()
+        self.is_own = np.repeat([True, False], [len(arms[0]), len(other_arms[0])])
+        self.row, self.stance = (np.concatenate([arms[k], other_arms[k]]) for k in (0, 1))
+        self.arm = np.concatenate([arms[2], other_arms[2]])
         self._turn_sd = self.walks.turn_sd[:, [0, 0, 1]]
         self.sd = self._turn_sd[self.stance]
         self.owner = self.walks.owner[self.stance]
@@ -274,9 +303,10 @@ class WholeCost(Cost[Linear]):
 
     def _number_unknowns(self, yaw_precision: float) -> None:
         """Set priors of all unknowns, columns of free ones, and places of derivatives."""
-        rows, robots = self.rows, self.rows.robots
+        rows = self.rows
+        robots = self.rows.robots
         turns = np.zeros(3 * robots)
-        turns[(3 * self.owner[self.of_final, None] + _AXES).ravel()] = 1.0
+        turns[(3 * self.owner[self.of_final, None] + _AXIS).ravel()] = 1.0
         if self.links is not None:
             turns[np.repeat(self.links.is_chained, 3)] *= NOMINAL
         sources = np.bincount(rows.source[rows.source >= 0], minlength=len(rows.shared_sd)) > 0
@@ -291,18 +321,18 @@ class WholeCost(Cost[Linear]):
         self.free = np.flatnonzero(is_free)
         self.column = np.where(is_free, np.cumsum(is_free) - 1, -1)
         self.has_turns = bool(len(self.of_final) or len(self.of_earlier) or yaw_precision)
-        every, pairs, with_source = (
-            np.arange(len(rows)), np.arange(len(rows.other)), np.flatnonzero(rows.source >= 0)
-        )  # fmt: skip
+        every = np.arange(len(rows))
+        pairs = np.arange(len(rows.other))
+        with_source = np.flatnonzero(rows.source >= 0)
         final = self.of_final
         self.of_yaw = np.arange(len(self.row) if yaw_precision else 0)
         self.of_axis = np.arange(len(rows.distances.stance), len(rows.other))[
             : None if yaw_precision else 0
         ]
         place = [
-            (every, 3 * rows.robot[:, None] + _AXES),
-            (pairs, 3 * rows.other[:, None] + _AXES),
-            (self.row[final], 3 * (robots + self.owner[final, None]) + _AXES),
+            (every, 3 * rows.robot[:, None] + _AXIS),
+            (pairs, 3 * rows.other[:, None] + _AXIS),
+            (self.row[final], 3 * (robots + self.owner[final, None]) + _AXIS),
             (self.row[self.of_yaw], 6 * robots + self.owner[self.of_yaw, None]),
             (self.of_axis, 6 * robots + rows.robot[self.of_axis, None]),
             (with_source, 7 * robots + rows.source[with_source, None]),
@@ -310,7 +340,8 @@ class WholeCost(Cost[Linear]):
         row = np.concatenate([np.repeat(row, c.shape[1]) for row, c in place])
         column = self.column[np.concatenate([unknown.ravel() for _, unknown in place])]
         self.moves = np.flatnonzero(column >= 0)
-        self.row_of, self.column_of = row[self.moves], column[self.moves]
+        self.row_of = row[self.moves]
+        self.column_of = column[self.moves]
         self.of_source = rows.shared_sd[rows.source[with_source]]
 
     def held(self, prior: Reals) -> "WholeCost":
@@ -340,22 +371,26 @@ class WholeCost(Cost[Linear]):
         far = np.linalg.norm(point - self._listed, axis=2).max(initial=0.0)
         if self.non_overlap and far > 0.5 * _MARGIN:
             docks = close_docks(self.log, point, SPACING + _MARGIN)
-            self._listed, self._docks = point, docks[self.moving[docks[:, [0, 2]]].any(axis=1)]
+            self._listed = point
+            self._docks = docks[self.moving[docks[:, [0, 2]]].any(axis=1)]
         return self._docks
 
     def linearized(self, state: State) -> Linear:
         """As for all costs."""
         rows, arm = self._turned(state)
         residual, direction = rows.linearized(state.position)
-        noise, final, yaw = self._no_noise, np.empty((0, 3)), np.empty(0)
+        noise = self._no_noise
+        final = np.empty((0, 3))
+        yaw = np.empty(0)
         turning: Reals = np.empty(0)
         if self.has_turns:
             across = _by_turns(direction[self.row], np.where(self.is_own[:, None], arm, -arm))
-            final, yaw = (across * self.sd)[self.of_final], -across[self.of_yaw, 2]
+            final = (across * self.sd)[self.of_final]
+            yaw = -across[self.of_yaw, 2]
         if len(self.of_earlier):
             # Three columns a stance; values of docks at the same stance add up.
             row = np.repeat(self.row[self.of_earlier], 3)
-            column = (3 * self.earlier[:, None] + _AXES).ravel()
+            column = (3 * self.earlier[:, None] + _AXIS).ravel()
             value = (across * self.sd)[self.of_earlier].ravel()
             noise = csc_array((value, (row, column)), shape=noise.shape)
             residual -= noise @ state.earlier.ravel()
@@ -402,9 +437,11 @@ class WholeCost(Cost[Linear]):
             yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
             arm = Rotation.from_rotvec(yaw).apply(arm)
         turn = np.empty((len(self.is_earlier), 3))
-        turn[self.walks.final], turn[self.is_earlier] = state.turn, state.earlier
+        turn[self.walks.final] = state.turn
+        turn[self.is_earlier] = state.earlier
         arm = Rotation.from_rotvec(-turn[self.stance] * self.sd).apply(arm)
-        offsets, size = self.rows.offsets, len(self.rows)
+        offsets = self.rows.offsets
+        size = len(self.rows)
         rows = replace(
             self.rows,
             offsets=offsets._replace(axis=self.rows.axes(state.yaw)),
@@ -429,7 +466,7 @@ class WholeCost(Cost[Linear]):
         missed = residual**2 / (square * self.variance)
         missed[self.is_known] = 0.0
         # The three rows of a vector give way together: they are one measurement.
-        offset = slice(len(self.rows.distances.stance), len(self.rows.other))
+        offset = self.rows.vector_rows
         missed[offset] = np.repeat(missed[offset].reshape(-1, 3).sum(axis=1), 3)
         excess = equations.loss_beyond(missed, np.log1p(missed), square)
         excess[offset] /= 3.0
@@ -448,53 +485,52 @@ class WholeCost(Cost[Linear]):
         """Compute the overlaps of docks that do not touch, and their derivatives."""
         arm = self._docks_at(state)
         point = state.position[:, None] + arm
-        docks = self._close_docks(point)
-        apart = point[docks[:, 0], docks[:, 1]] - point[docks[:, 2], docks[:, 3]]
-        length = np.linalg.norm(apart, axis=1)
-        chosen = np.flatnonzero((length < SPACING) & (length > 0.0))
-        if not len(chosen):
+        docks, depth, direction = overlaps(point, self._close_docks(point))
+        if not len(docks):
             return _NO_ROWS
-        later, own, earlier, its = docks[chosen].T
-        way = apart[chosen] / length[chosen, None]
+        later, later_dock, earlier, earlier_dock = docks.T
         robot = np.concatenate([later, earlier])
-        pull = np.concatenate([way, -way])
-        across = _by_turns(pull, np.concatenate([arm[later, own], arm[earlier, its]]))
+        pull = np.concatenate([direction, -direction])
+        arms = np.concatenate([arm[later, later_dock], arm[earlier, earlier_dock]])
+        across = _by_turns(pull, arms)
         turn = across * self._turn_sd[self.walks.final][robot]
         robots = self.rows.robots
         column = np.concatenate(
             [
-                3 * robot[:, None] + _AXES,
-                3 * (robots + robot[:, None]) + _AXES,
+                3 * robot[:, None] + _AXIS,
+                3 * (robots + robot[:, None]) + _AXIS,
                 6 * robots + robot[:, None],
             ],
             axis=1,
         )
         return self._rows_of(
-            length[chosen] - SPACING,
-            np.repeat(np.tile(np.arange(len(chosen)), 2), column.shape[1]),
+            -depth,
+            np.repeat(np.tile(np.arange(len(docks)), 2), column.shape[1]),
             column.ravel(),
             np.concatenate([pull, turn, -across[:, 2:]], axis=1).ravel(),
-            np.full(len(chosen), OVERLAP_SD**2),
+            np.full(len(docks), OVERLAP_SD**2),
         )
 
     def _links_of(self, state: State, links: Connections) -> LinearRows:
         """Compute residuals of connections [rad], and their derivatives by turns."""
         sd = self._turn_sd[self.walks.final]
-        turn, ends = state.turn * sd, np.stack([links.robot, links.other])
-        left = links.residual - turn[links.robot] + turn[links.other]
+        turn = state.turn * sd
+        ends = np.stack([links.robot, links.other])
+        residual = links.residual - turn[links.robot] + turn[links.other]
         slope = np.stack([-sd[links.robot], sd[links.other]])
-        return self._differences(left, self.rows.robots + ends, slope, links.sd)
+        return self._differences(residual, self.rows.robots + ends, slope, links.sd)
 
     def _hinges(self, pair: Ints) -> LinearRows:
         """Hold the offsets of pairs of robots where they are, along each axis."""
         slope = np.broadcast_to([[[1.0]], [[-1.0]]], (2, len(pair), 3))
         return self._differences(np.zeros((len(pair), 3)), pair.T, slope, HINGE_SD)
 
-    def _differences(self, left: Reals, ends: Ints, slope: Reals, sd: float) -> LinearRows:
+    def _differences(self, residual: Reals, ends: Ints, slope: Reals, sd: float) -> LinearRows:
         """Make rows about two triples of unknowns each, given by their numbers (2, n)."""
-        column = 3 * ends[:, :, None] + _AXES
-        row, variance = np.tile(np.arange(left.size), 2), np.full(left.size, sd**2)
-        return self._rows_of(left.ravel(), row, column.ravel(), slope.ravel(), variance)
+        column = 3 * ends[:, :, None] + _AXIS
+        row = np.tile(np.arange(residual.size), 2)
+        variance = np.full(residual.size, sd**2)
+        return self._rows_of(residual.ravel(), row, column.ravel(), slope.ravel(), variance)
 
     def _rows_of(
         self, residual: Reals, row: Ints, unknown: Ints, value: Reals, variance: Reals
@@ -524,7 +560,8 @@ class WholeCost(Cost[Linear]):
         step[self.free] = free
         count = state.position.size
         shift, turn, yaw, shared = np.split(step, [count, 2 * count, 2 * count + count // 3])
-        turn, wide = turn.reshape(-1, 3), self.walks.wide
+        turn = turn.reshape(-1, 3)
+        wide = self.walks.wide
         # Such turns are far from linear: a full step could lead to another minimum.
         angle = np.linalg.norm(turn[wide] * self.walks.turn_sd[self.walks.final[wide], :1], axis=1)
         turn[wide] = shortened(turn[wide], min(radius, _LONGEST_TURN), angle)

@@ -6,13 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
+from tiswarm.compute.normal_equations import factored, inverted
 
-DRAWS, FEW_DRAWS = 64, 16
-"""Draws of all errors from which the variance of the result is computed, of few and many robots."""
+DRAWS = 64
+"""Draws of all errors from which the variance of the result is computed, of few robots."""
+
+FEW_DRAWS = 16
+"""Draws of all errors from which the variance of the result is computed, of many robots."""
 
 _BLOCK = 1024
 """Rows whose draws are kept together, 0.5 MB: many problems take the same ones."""
@@ -71,9 +75,12 @@ class RelatedRows:
         # Blocks are filled up to the largest size by the identity: one call inverts them all.
         self._identity = np.tile(np.eye(most), (len(count), 1, 1))
         is_row = np.arange(most) < count[:, None]
-        self._entry = of, here, there = np.nonzero(is_row[:, :, None] & is_row[:, None, :])
+        self._entry = block_of, row_place, column_place = np.nonzero(
+            is_row[:, :, None] & is_row[:, None, :]
+        )
         self._alone = np.setdiff1d(np.arange(len(robot)), rows)
-        self._row, self._column = self.rows[first[of] + here], self.rows[first[of] + there]
+        self._row = self.rows[first[block_of] + row_place]
+        self._column = self.rows[first[block_of] + column_place]
 
     def inverse(self, noise: csc_array, own_variance: Reals) -> csr_array | Reals:
         """Invert B B^T + diag(own variance).
@@ -89,13 +96,15 @@ class RelatedRows:
             return 1.0 / own_variance
         shared = csr_array(noise)[self.rows, :]
         covariance = (shared @ shared.T).tocoo()
-        dense, block, place = self._identity.copy(), self._block, self._place
+        dense = self._identity.copy()
+        block = self._block
+        place = self._place
         i, j = covariance.coords
         dense[block[i], place[i], place[j]] = covariance.data
         dense[block, place, place] = covariance.diagonal() + own_variance[self.rows]
         # Rows beyond the measured ones, such as overlaps, are on the diagonal, too.
         alone = np.concatenate([self._alone, np.arange(noise.shape[0], len(own_variance))])
-        value = np.concatenate([np.linalg.inv(dense)[self._entry], 1.0 / own_variance[alone]])
+        value = np.concatenate([inverted(dense)[self._entry], 1.0 / own_variance[alone]])
         row, column = (np.concatenate([k, alone]) for k in (self._row, self._column))
         return csr_array((value, (row, column)), shape=(len(own_variance),) * 2)
 
@@ -171,31 +180,24 @@ class Linear:
             # Half of C^-1 on each side keeps the product symmetric, bit by bit.
             scaled = self.jacobian.copy()
             scaled.data *= np.repeat(np.sqrt(self.inverse), np.diff(scaled.indptr))
-            known = csc_array(scaled.T @ scaled)
+            information = csc_array(scaled.T @ scaled)
         else:
-            known = csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
-        known.eliminate_zeros()
-        known.sort_indices()
-        return known
+            information = csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
+        information.eliminate_zeros()
+        information.sort_indices()
+        return information
 
     def _factored(self, further: Reals, information: csc_array | None = None) -> SuperLU:
         """Factor information with further precision of each free unknown, shape (F,)."""
-        known = self.information if information is None else information
-        column = np.repeat(np.arange(len(further)), np.diff(known.indptr))
-        diagonal = np.flatnonzero(known.indices == column)
+        undamped = self.information if information is None else information
+        column = np.repeat(np.arange(len(further)), np.diff(undamped.indptr))
+        diagonal = np.flatnonzero(undamped.indices == column)
         if len(diagonal) == len(further):
-            total = known.copy()
+            total = undamped.copy()
             total.data[diagonal] += further
         else:  # nothing measures some unknowns
-            total = csc_array(known + diags_array(further))
-        # Symmetric mode takes pivots from the diagonal: their signs count eigenvalues, and their
-        # product is the determinant.
-        return splu(
-            total,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+            total = csc_array(undamped + diags_array(further))
+        return factored(total)
 
     @cached_property
     def undamped(self) -> SuperLU:
@@ -219,8 +221,8 @@ class Linear:
         step = -factors.solve(self.slope)
         # Turns of earlier stances are in the covariance, not among the unknowns: their likeliest
         # values follow from the residuals that are left.
-        left = self._weighted(self.residual + self.jacobian @ step)
-        return step, -(self.noise.T @ left[: self.noise.shape[0]])
+        weighted_residual = self._weighted(self.residual + self.jacobian @ step)
+        return step, -(self.noise.T @ weighted_residual[: self.noise.shape[0]])
 
     @property
     def log_volume(self) -> float:
@@ -239,8 +241,10 @@ class Linear:
         overlap[self._overlapping] = 1.0 / self.own_variance[self._overlapping]
         held = self.jacobian.T @ diags_array(overlap) @ self.jacobian
         shifted = np.where(says, self.precision, 0.0) - _FLOPPY * self._largest
-        known = int((self._factored(shifted, self.information - held).U.diagonal() > 0.0).sum())
-        return int((overlap == 0.0).sum()) + int(says.sum()) - known
+        determined = int(
+            (self._factored(shifted, self.information - held).U.diagonal() > 0.0).sum()
+        )
+        return int((overlap == 0.0).sum()) + int(says.sum()) - determined
 
     def gain_without(self, rows: Ints, columns: Ints) -> tuple[float, int]:
         """Predict by how much the cost falls without some rows and the priors of some unknowns.
@@ -255,22 +259,24 @@ class Linear:
         Returns:
             The gain [1], and how many of these k + l rows others check.
         """
-        first, size = len(rows), len(rows) + len(columns)
+        first = len(rows)
+        size = len(rows) + len(columns)
         if not size:
             return 0.0, 0
         prior = first + np.arange(len(columns))
-        derivative, covariance = np.zeros((size, len(self.precision))), np.zeros((size, size))
+        derivative = np.zeros((size, len(self.precision)))
+        covariance = np.zeros((size, size))
         derivative[:first] = csc_array(self.jacobian)[rows, :].toarray()
         derivative[prior, columns] = 1.0
         covariance[:first, :first] = (
             np.diag(1.0 / self.inverse[rows])
             if isinstance(self.inverse, np.ndarray)
-            else np.linalg.inv(csc_array(self.inverse)[rows, :][:, rows].toarray())
+            else inverted(csc_array(self.inverse)[rows, :][:, rows].toarray())
         )
         covariance[prior, prior] = 1.0 / self.precision[columns]
         scale = 1.0 / np.sqrt(covariance.diagonal())
-        left = covariance - derivative @ self.undamped.solve(derivative.T)
-        value, vector = np.linalg.eigh(left * scale[:, None] * scale)
+        open_covariance = covariance - derivative @ self.undamped.solve(derivative.T)
+        value, vector = np.linalg.eigh(open_covariance * scale[:, None] * scale)
         residual = np.concatenate([self.residual[rows], self.off[columns]])
         part = vector.T @ (residual * scale)
         # A row that nothing else checks fits anything: leaving it out gains nothing.
@@ -295,7 +301,8 @@ class Linear:
 
     def shifts_by(self, error: Reals) -> Reals:
         """Compute how far errors of the last rows, (k,), shift robots [R], shape (N, 3)."""
-        every, shift = np.zeros(len(self.residual)), np.zeros((len(self.moves), 3))
+        every = np.zeros(len(self.residual))
+        shift = np.zeros((len(self.moves), 3))
         every[len(every) - len(error) :] = error
         step = self.undamped.solve(np.asarray(self.jacobian.T @ self._weighted(every)))
         shift[self.moves] = step[: self.shifts].reshape(-1, 3)
@@ -304,20 +311,24 @@ class Linear:
     def left_of_draws(self) -> tuple[Reals, Reals]:
         """Draw all errors as stated: residuals that a fit leaves, and `square`, (E, draws) both."""
         error, off = self._drawn(DRAWS)
-        left, count = error - self.jacobian @ off, self.noise.shape[0]
-        return left[:count], (left * self._weighted(left))[:count]
+        residual = error - self.jacobian @ off
+        count = self.noise.shape[0]
+        return residual[:count], (residual * self._weighted(residual))[:count]
 
     def _drawn(self, draws: int) -> tuple[Reals, Reals]:
         """Draw errors of all rows, (n, draws), and solve for those of unknowns, (F, draws)."""
         turns = self.noise.shape[1]
         sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
         # The inverse of a sparse matrix is dense; draws of all errors take one solve.
-        blocks = [_standard_errors(k, draws) for k in range(-(-int(sizes[-1]) // _BLOCK))]
+        count = max(1, -(-int(sizes[-1]) // _BLOCK))
+        blocks = [_standard_errors(k, draws) for k in range(count)]
         draw = np.concatenate(blocks)[: sizes[-1]]
-        own, turn, prior = np.split(draw, sizes[:-1])
-        error = np.sqrt(self.own_variance)[:, None] * own
-        error[: self.noise.shape[0]] += self.noise @ turn
-        pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
+        row_draw, turn_draw, prior_draw = np.split(draw, sizes[:-1])
+        error = np.sqrt(self.own_variance)[:, None] * row_draw
+        error[: self.noise.shape[0]] += self.noise @ turn_draw
+        pull = (
+            self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior_draw
+        )
         return error, self.undamped.solve(pull)
 
 

@@ -36,7 +36,8 @@ class ConvergenceTest:
     """Share of the chains that must miss a contact before it bounds no distance [1]."""
 
     runaway: float = 2.0
-    """Kinetic temperature over its target from which on a chain failed [1]: its steps diverge."""
+    """Kinetic temperature, relative to its target, from which on a chain failed [1]: its steps
+    diverge."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +71,9 @@ class MixtureSettings:
     heats: int = 6
     """Divisors that are tried [1], from 1 to the largest one."""
 
-    alike: float = 2.0
-    """Excess up to which a cost counts as the least one, in widths of a chi-square [1]."""
+    least_cost_sd: float = 2.0
+    """Excess of a cost over the least one up to which both count as the same, in standard
+    deviations of a chi-square [1]."""
 
     same: float = 0.1
     """Excess of a cost over that of a minimum, in the latter, up to which chains agree on a misfit
@@ -125,7 +127,8 @@ class SdCalibration:
     chains do not know."""
 
     shared_noise_at: float = 11.4
-    """Deviation below which this power raises deviations; it lowers those above [sigma]."""
+    """Deviation below which deviations are raised by that power, and above which they are lowered
+    [sigma]."""
 
     underdetermined: float = 1.0
     """Relative increase of errors where nothing is measured [1]: chains sample too little of it."""

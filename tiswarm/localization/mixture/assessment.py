@@ -23,14 +23,18 @@ from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.mixture.verdict import Evidence, extent, judge, misfit_by_robot, widened
 from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
 from tiswarm.measurements.model import Measurements, are_known
+from tiswarm.measurements.turns import Turns
 from tiswarm.records.estimate import MOST_WITHIN, Convergence
 from tiswarm.records.sensing_log import SensingLog
 
 _ROUNDS = 8
 """Steps toward the minimum."""
 
-_ASIDE, _TURNED = 0.05, 15
-"""Random errors that move an estimate aside, in the median distance [1], and rounds back."""
+_ASIDE = 0.05
+"""Random errors that move an estimate aside, in the median distance [1]."""
+
+_TURNED = 15
+"""Rounds in which an estimate that was moved aside moves to a minimum [1]."""
 
 _STAYS = 1e-6
 """Width of the prior that leaves robots where they are [R]."""
@@ -71,9 +75,9 @@ class Assessment(NamedTuple):
             untied: Robots that no measurement ties to the world, shape (N,).
             unit: R, in the unit of the log.
         """
-        found = self._asdict() | {"disconnected": untied | self.torn} | self.motions
-        del found["torn"], found["motions"]
-        return found | {"sd": None if self.sd is None else self.sd * unit}
+        values = self._asdict() | {"disconnected": untied | self.torn} | self.motions
+        del values["torn"], values["motions"]
+        return values | {"sd": None if self.sd is None else self.sd * unit}
 
     def doubted(self, reason: str) -> "Assessment":
         """Take a method's own doubts of its search; whether noise explains rows stands."""
@@ -144,48 +148,49 @@ def assess(
     rows = problem.rows.select(counts)
     state = position, np.zeros(log.robot_count) if yaw is None else yaw
     unknowns = 3 * int((~is_guess[1:]).sum())
-    found = _itself(rows, state, unknowns) if is_large else _minimum(posed, rows, state, is_guess)
+    nearest = _itself(rows, state, unknowns) if is_large else _minimum(posed, rows, state, is_guess)
     missed = np.zeros(len(problem.rows), np.bool_)
-    missed[counts] = found.outlier
+    missed[counts] = nearest.outlier
     tied = problem.without(missed)
     torn = tied.untied & ~problem.untied
-    known = Evidence(
+    evidence = Evidence(
         log=log,
         rows=rows,
-        outlier=found.outlier,
+        outlier=nearest.outlier,
         is_guess=is_guess | torn,
         torn=int(torn.sum()),
-        chi_square=found.chi_square,
-        found=None if found.linear is None else (~found.outlier, found.linear),
+        chi_square=nearest.chi_square,
+        inlier_fit=None if nearest.linear is None else (~nearest.outlier, nearest.linear),
         unknowns=unknowns,
-        freedom=found.freedom,
+        freedom=nearest.freedom,
         is_counted=not is_large,
         has_sd=sd is not None,
-        overlap=found.overlap,
-        excess=found.excess,
-        is_within=_is_within(found.position - position, sd, is_guess | torn),
+        overlap=nearest.overlap,
+        excess=nearest.excess,
+        is_within=_is_within(nearest.position - position, sd, is_guess | torn),
         is_unsearched=is_large,
     )
-    verdicts = judge(known)
+    verdicts = judge(evidence)
     # What another minimum misses is no outlier of the estimate. Without sd, nothing is claimed.
-    if sd is None or (known.excess > known.chance and not known.is_within):
-        tied, torn = problem, np.zeros_like(torn)
+    if sd is None or (evidence.excess > evidence.chance and not evidence.is_within):
+        tied = problem
+        torn = np.zeros_like(torn)
     motions: dict[str, Any] = {}
     if sd is not None:
         placed, loose = place_disconnected(position[None], tied)
         loose += ((placed - position) ** 2).sum(axis=2)
         square = widened(sd, verdicts.sd_factor, position) ** 2
         if not is_large:
-            left = _left_open(posed, state, found.position, ~missed)
-            square = np.where(left > _NOTICED**2 * square, left, square)
+            open_variance = _left_open(posed, state, nearest.position, ~missed)
+            square = np.where(open_variance > _NOTICED**2 * square, open_variance, square)
             of_turns, motions = _opened(log, problem.rows.select(~missed), position)
             wide = widened(of_turns, verdicts.sd_factor, position)
             square = np.where(of_turns > 0.0, wide**2, square)
         sd = np.sqrt(square + np.where(torn, loose[0], 0.0))
-    misfit = misfit_by_robot(rows, found.square)
-    if not (verdicts.trusted and known.excess <= known.chance):
+    misfit = misfit_by_robot(rows, nearest.square)
+    if not (verdicts.trusted and evidence.excess <= evidence.chance):
         return Assessment(verdicts, misfit, None, None, torn, sd, motions)
-    outliers = rows.select(found.outlier)
+    outliers = rows.select(nearest.outlier)
     places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
     contacts = np.unique(outliers.sensed_contacts, axis=0)
     return Assessment(verdicts, misfit, contacts, places, torn, sd, motions)
@@ -200,9 +205,9 @@ def _left_open(posed: Posed, estimate: tuple[Reals, Reals], near: Reals, inlier:
     position, yaw = estimate
     rows = posed.problem.rows.select(inlier).averaged().associated(position, yaw)
     cost = posed.cost(rows, non_overlap=False, links=posed.problem.connections, robust_sd=ROBUST_SD)
-    there = cost.refine(cost.at(near, yaw), _ROUNDS)[0].position
-    away: Reals = np.where(posed.problem.untied, 0.0, ((there - position) ** 2).sum(axis=1))
-    return open_variance(posed, (there, yaw), inlier) + away
+    minimum = cost.refine(cost.at(near, yaw), _ROUNDS)[0].position
+    away: Reals = np.where(posed.problem.untied, 0.0, ((minimum - position) ** 2).sum(axis=1))
+    return open_variance(posed, (minimum, yaw), inlier) + away
 
 
 def open_variance(posed: Posed, state: tuple[Reals, Reals], inlier: Bools) -> Reals:
@@ -230,7 +235,7 @@ def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) ->
     """Take an estimate for the minimum."""
     variance = rows.variance()
     square = rows.residual(*estimate) ** 2 / variance
-    outlier = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    outlier = _outliers(rows, square, variance)
     square[outlier] = 0.0
     freedom = int((~outlier).sum()) - unknowns
     return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, 0.0, square)
@@ -246,21 +251,27 @@ def _minimum(
     robust = posed.cost(rows, links=links, robust_sd=ROBUST_SD)
     begin = robust.at(*start)
     # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
-    _, own = robust.held(np.full(len(is_guess), _STAYS)).refine(begin, _ROUNDS)
+    _, of_estimate = robust.held(np.full(len(is_guess), _STAYS)).refine(begin, _ROUNDS)
     state, least = robust.refine(begin, _ROUNDS)
     variance = rows.variance()
     missed = rows.residual(state.position, state.yaw) ** 2 / variance
-    outlier = (missed > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    outlier = _outliers(rows, missed, variance)
     within = posed.cost(rows.select(~outlier), links=links)
     _, linear = within.refine(within.at(state.position, state.yaw), _ROUNDS)
     square = np.zeros(len(rows))
     square[~outlier] = linear.square
-    excess = own.chi_square - least.chi_square
+    excess = of_estimate.chi_square - least.chi_square
     moved = np.where(is_guess[:, None], estimate[0], state.position)
     return _NearestMinimum(
         moved, excess, outlier, linear.chi_square, linear.freedom(),
         linear.overlap, square, linear,
     )  # fmt: skip
+
+
+def _outliers(rows: Measurements, square: Reals, variance: Reals) -> Bools:
+    """Find outliers by squared residuals in variances (E,); a vector is one measurement, (E,)."""
+    is_missed = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    return rows.any_of_vector(is_missed)
 
 
 def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
@@ -271,7 +282,8 @@ def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
     counts = ~is_guess[1:]
     if sd is None or not counts.any():
         return False
-    off, allowed = np.linalg.norm(away, axis=1)[1:][counts], sd[1:][counts]
+    off = np.linalg.norm(away, axis=1)[1:][counts]
+    allowed = sd[1:][counts]
     is_near = off <= MOST_WITHIN * allowed
     return bool(
         is_near.mean() >= _NINE_OF_TEN
@@ -280,7 +292,12 @@ def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
 
 
 def _opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals, dict[str, Any]]:
-    """Find how far free turns move robots from centers (N, 3) of one configuration, or the mean.
+    """Find how far free turns move robots from an estimate: one configuration, or the mean.
+
+    Args:
+        log: What was sensed.
+        rows: Measurements.
+        position: Centers [R], shape (N, 3).
 
     Returns:
         Standard deviation of the estimate, 0 of robots that do not turn [R], shape (N,), and the
@@ -296,7 +313,7 @@ def _opened(log: SensingLog, rows: Measurements, position: Reals) -> tuple[Reals
     rows = rows.associated(position)
     cost = WholeCost(log, rows, robust_sd=ROBUST_SD, non_overlap=False, are_independent=True)
     state, linear = cost.refine(cost.at(start, nowhere), _TURNED)
-    turns = rows.free_turns(state.position)
+    turns = Turns.of(rows, state.position)
     if not turns:
         return nowhere, {}
     square = turns.off(state.position, position)

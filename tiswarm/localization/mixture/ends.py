@@ -4,12 +4,13 @@ A chain failed if it put a robot farther away than its contacts reach, or if its
 ran away. Lengths in R.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
@@ -19,6 +20,7 @@ from tiswarm.localization.mixture import CONVERGENCE, MIXTURE
 from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.turns import Turns
 from tiswarm.records.sensing_log import SensingLog
 
 
@@ -88,13 +90,15 @@ class Ends:
     solution: Ints
     """Solution of each, counted by descending weight, shape (K,)."""
 
-    turns: Any = ()
-    """`Turns`, rigid motions that nothing resists, by which ends are aligned."""
+    turns: Turns = field(default_factory=Turns)
+    """Rigid motions that nothing resists, by which ends are aligned."""
 
     def at(self, position: Reals, yaw: Reals) -> "Ends":
         """Return one end at a configuration, (N, 3) and (N,), in place of all."""
-        chain, one = self.fit.annealed.still(position[None], yaw[None]), np.ones(1)
-        fit, place = replace(self.fit, annealed=chain), (chain.last, chain.last_yaw)
+        chain = self.fit.annealed.still(position[None], yaw[None])
+        one = np.ones(1)
+        fit = replace(self.fit, annealed=chain)
+        place = (chain.last, chain.last_yaw)
         return replace(self, fit=fit, position=place[0], yaw=place[1], cost=0.0 * one, weight=one)
 
 
@@ -103,7 +107,7 @@ def failed(problem: Problem, annealed: Annealed) -> Bools:
     missed = squares(problem, annealed)[:, : len(problem.variance)]
     # A wrong contact bounds no distance; most chains tear it.
     torn = (missed > CONVERGENCE.outlier_sd**2).mean(axis=0) >= CONVERGENCE.most_chains
-    torn = problem.any_of_link(torn)[problem.link]
+    torn = problem.by_link(torn.astype(np.float64)) > 0.0
     # Nothing measures how far a part without the anchor is away: count from its own first robot.
     first = np.unique(problem.part, return_index=True)[1][problem.part]
     distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
@@ -132,7 +136,8 @@ def ranked(fit: Fit) -> Ends:
     where it lets measurements be missed. Of many robots ends stay where they are.
     """
     annealed = fit.annealed
-    position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
+    position = annealed.last.copy()
+    yaw = annealed.last_yaw.copy()
     cost = np.full(len(position), np.inf)
     rounds = MIXTURE.rounds if fit.is_refined else 0
     # Where every chain failed, the least bad one has to do; the verdict says so.
@@ -189,25 +194,28 @@ def further_starts(posed: Posed) -> list[Reals]:
     """
     if not posed.is_refined:
         return []
-    anchor, rounds = posed.log.anchor_position / posed.log.dock_radius, MIXTURE.warm_rounds
-    found = []
+    anchor = posed.log.anchor_position / posed.log.dock_radius
+    rounds = MIXTURE.warm_rounds
+    minima = []
     for start in scaled_distances(posed.problem, anchor):
         position, _, cost = settled(posed, start, ANNEALING.warmest, rounds)
-        found.append((cost, position))
+        minima.append((cost, position))
     # By the cost alone: of equal costs, arrays would be compared, which fails.
-    found.sort(key=lambda pair: pair[0])
-    chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(posed.problem.rows))
-    return [position for cost, position in found if cost <= found[0][0] + chance]
+    minima.sort(key=lambda pair: pair[0])
+    chance = CONVERGENCE.chance_sd * chi_square_sd(len(posed.problem.rows))
+    return [position for cost, position in minima if cost <= minima[0][0] + chance]
 
 
 def aligned(ends: Ends) -> Ends:
     """Move all ends by rigid motions that nothing resists to where the best one is."""
-    problem, annealed = ends.fit.problem, ends.fit.annealed
+    problem = ends.fit.problem
+    annealed = ends.fit.annealed
     least = int(ends.cost.argmin())
-    rows = problem.rows.select(ends.missed[least] <= CONVERGENCE.outlier_sd**2)
+    is_missed = ends.missed[least] > CONVERGENCE.outlier_sd**2
+    rows = problem.rows.select(~problem.rows.any_of_vector(is_missed))
     if not rows.is_central.any():
         return ends
-    turns = rows.free_turns(ends.position[least])
+    turns = Turns.of(rows, ends.position[least])
     if not turns:
         return ends
     position, mean, last = turns.aligned(ends.position, annealed.mean, annealed.last, to=least)
@@ -227,7 +235,7 @@ def _weights(cost: Reals, measurements: int) -> Reals:
     up to the width of the chi-square, its cost says little about the whole: costs are divided by
     what leaves `MIXTURE.fewest` ends in the mixture, where that is in reach.
     """
-    hottest = max(1.0, np.sqrt(2.0 * measurements) / MIXTURE.chance)
+    hottest = max(1.0, chi_square_sd(measurements) / MIXTURE.chance)
     for heat in np.geomspace(1.0, hottest, MIXTURE.heats):
         weight = weights(cost, heat)
         if 1.0 / (weight**2).sum() >= MIXTURE.fewest:

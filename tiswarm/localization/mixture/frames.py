@@ -17,14 +17,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.base.aliases import Bools, Reals
+from tiswarm.compute.normal_equations import damped, solved
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.mixture import MIXTURE
-from tiswarm.measurements.contacts import close_docks, spans
-from tiswarm.measurements.model import SPACING, Measurements, turned
+from tiswarm.measurements.contacts import close_docks, overlaps, spans
+from tiswarm.measurements.equations import AXES
+from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog
 
-_AXES = 3
 MOST_ROBOTS = 1000
 """Robots beyond which the matrix of all distances takes too long."""
 
@@ -45,8 +46,9 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
     Returns:
         Two mirror images, shape (N, 3) each; none without ranges, or beyond `MOST_ROBOTS`.
     """
-    robots, rows = problem.rows.robots, problem.rows
-    if rows.is_contact.all() or not _AXES <= robots <= MOST_ROBOTS:
+    robots = problem.rows.robots
+    rows = problem.rows
+    if rows.is_contact.all() or not AXES <= robots <= MOST_ROBOTS:
         return []
     length = np.where(
         problem.is_offset,
@@ -68,7 +70,7 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
     # Double centering turns squared distances into products of arms from the mean.
     square -= square.mean(axis=0)
     square -= square.mean(axis=1)[:, None]
-    value, vector = eigh(square, subset_by_index=(robots - _AXES, robots - 1))
+    value, vector = eigh(square, subset_by_index=(robots - AXES, robots - 1))
     shape = vector * np.sqrt(np.maximum(value, 0.0))
     shape -= shape[0]
     return [_fitted(image, problem, anchor) for image in (shape, shape * [1.0, 1.0, -1.0])]
@@ -76,13 +78,15 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
 
 def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
     """Turn and shift a shape about its anchor to fit measured coordinates, shape (N, 3)."""
-    rows, links = problem.rows, len(problem.rows.other)
-    robot, direction = rows.robot[links:], rows.places.direction
+    rows = problem.rows
+    links = len(problem.rows.other)
+    robot = rows.robot[links:]
+    direction = rows.places.direction
     value = -rows.residual(np.tile(anchor, (rows.robots, 1)))[links:]
     # n . A x = value, with nine unknowns
-    matrix = (direction[:, :, None] * shape[robot][:, None, :]).reshape(-1, _AXES**2)
-    ridge = _RIDGE * max(float((matrix**2).sum()), 1.0) * np.eye(_AXES**2)
-    affine = np.linalg.solve(matrix.T @ matrix + ridge, matrix.T @ value).reshape(_AXES, _AXES)
+    matrix = (direction[:, :, None] * shape[robot][:, None, :]).reshape(-1, AXES**2)
+    ridge = _RIDGE * max(float((matrix**2).sum()), 1.0)
+    affine = solved(damped(matrix.T @ matrix, ridge), matrix.T @ value).reshape(AXES, AXES)
     u, _, vt = np.linalg.svd(affine)
     # The nearest proper rotation to the map (Kabsch 1976): no mirror image.
     turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -102,21 +106,25 @@ class PartImages:
         non_overlap: bool = True,
     ) -> None:
         """Find the parts; rows have some variance beside their noise [R^2]."""
-        self._log, self._rows, self._non_overlap = log, rows, non_overlap
+        self._log = log
+        self._rows = rows
+        self._non_overlap = non_overlap
         self._weight = 1.0 / (rows.variance() + further_variance)
         self.parts = hanging_parts(rows)
         """Robots of each part, shape (K, N)."""
         pairs = len(rows.other)
-        own, its = (self.parts.take(robots, axis=1) for robots in (rows.robot, rows.other))
+        is_member, is_other_member = (
+            self.parts.take(robots, axis=1) for robots in (rows.robot, rows.other)
+        )
         # How the vector of each row moves with each part: 1, -1, or not at all.
-        self._sign = own.astype(np.float64)
-        self._sign[:, :pairs] -= its
+        self._sign = is_member.astype(np.float64)
+        self._sign[:, :pairs] -= is_other_member
         is_oriented = np.any(rows.arm, axis=1)
         is_oriented[:pairs] |= rows.other_arm.any(axis=1)
         is_oriented[len(rows.distances.stance) : pairs] = True
-        own[:, :pairs] |= its
+        is_member[:, :pairs] |= is_other_member
         is_single = self.parts.sum(axis=1) == 1
-        self._is_shifted = (own & is_oriented).any(axis=1) | is_single
+        self._is_shifted = (is_member & is_oriented).any(axis=1) | is_single
         # Docks that only must not overlap leave no sphere.
         self._sign[:, np.flatnonzero(rows.distances.is_hinge)] = 0.0
 
@@ -131,19 +139,20 @@ class PartImages:
             Centers, and the cost beyond that of the minimum, all else as it is [1].
         """
         rows = self._rows
-        vector, missed = rows.vectors(position, yaw), rows.residual(position, yaw)
+        vector = rows.vectors(position, yaw)
+        missed = rows.residual(position, yaw)
         axes = np.concatenate([rows.axes(yaw), rows.places.direction])
         cost = self._weight @ missed**2 + self._overlap(position, yaw)
         for number, part in enumerate(self.parts):
             shift = self._shift(number, vector, axes, position)
             if shift is None or np.linalg.norm(shift, axis=-1).max() < MIXTURE.image_shift:
                 continue
-            there = np.where(part[:, None], position + shift, position)
-            excess = float(self._weight @ rows.residual(there, yaw) ** 2 - cost)
+            image = np.where(part[:, None], position + shift, position)
+            excess = float(self._weight @ rows.residual(image, yaw) ** 2 - cost)
             if excess <= MIXTURE.image_worst:
-                excess += self._overlap(there, yaw)
+                excess += self._overlap(image, yaw)
             if excess <= MIXTURE.image_worst:
-                yield there, excess
+                yield image, excess
 
     def _shift(self, number: int, vector: Reals, axes: Reals, position: Reals) -> Reals | None:
         """Find the shift of a part to its image, (3,), or of each robot, (N, 3), if there is one.
@@ -156,9 +165,11 @@ class PartImages:
         """
         distances = self._rows.distances
         moved = np.flatnonzero(self._sign[number])
-        sign, weight = self._sign[number, moved, None], self._weight[moved]
+        sign = self._sign[number, moved, None]
+        weight = self._weight[moved]
         count = int(np.searchsorted(moved, len(distances.stance)))
-        link, along = moved[:count], axes[moved[count:] - len(distances.stance)] * sign[count:]
+        link = moved[:count]
+        along = axes[moved[count:] - len(distances.stance)] * sign[count:]
         size, basis = np.linalg.eigh((along.T * weight[count:]) @ along)
         basis = basis[:, size < MIXTURE.image_fixed**-2]
         # With fewer distances than free directions, a motion is left: nothing to mirror.
@@ -178,13 +189,9 @@ class PartImages:
         """Sum the squares of all overlaps of docks [variances]."""
         if not self._non_overlap:
             return 0.0
-        arm = self._rows.odometry.arm[self._rows.odometry.final]
-        docks = turned(arm.reshape(-1, _AXES), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
-        point = position[:, None] + docks
-        close = close_docks(self._log, point, SPACING)
-        apart = point[close[:, 0], close[:, 1]] - point[close[:, 2], close[:, 3]]
-        deep = (SPACING - np.linalg.norm(apart, axis=1)) / OVERLAP_SD
-        return float(deep @ deep)
+        point = position[:, None] + self._rows.docks(yaw)
+        depth = overlaps(point, close_docks(self._log, point, SPACING)).depth / OVERLAP_SD
+        return float(depth @ depth)
 
 
 def _plane(point: Reals, weight: Reals, basis: Reals) -> tuple[Reals, Reals]:
@@ -205,25 +212,32 @@ def hanging_parts(rows: Measurements) -> Bools:
     """List the parts that lose their way to the world without one robot, or without two.
 
     The world is the anchor, and all robots whose coordinates are measured along all axes. Each
-    other robot is a part, too. Parts have rows, small ones first, and robots columns, (K, N).
+    other robot is a part, too.
+
+    Args:
+        rows: Measurements of N robots.
+
+    Returns:
+        Robots of each part, small parts first, shape (K, N).
     """
-    robots, pairs = rows.robots, len(rows.other)
+    robots = rows.robots
+    pairs = len(rows.other)
     place = rows.robot[pairs:], rows.places.direction
-    known = spans(*place, robots, 1.0 / rows.variance()[pairs:])
-    is_world = np.linalg.eigvalsh(known)[:, 0] > MIXTURE.image_fixed**-2
+    information = spans(*place, robots, 1.0 / rows.variance()[pairs:])
+    is_world = np.linalg.eigvalsh(information)[:, 0] > MIXTURE.image_fixed**-2
     is_world[0] = True
     # The world is one vertex, that of the anchor.
     vertex = np.where(is_world, 0, np.arange(robots))
     pair = vertex[np.column_stack([rows.robot[:pairs], rows.other])]
     near: list[list[int]] = [[] for _ in range(robots)]
-    for one, other in np.unique(pair[pair[:, 0] != pair[:, 1]], axis=0).tolist():
-        near[one].append(other)
-        near[other].append(one)
+    for one, another in np.unique(pair[pair[:, 0] != pair[:, 1]], axis=0).tolist():
+        near[one].append(another)
+        near[another].append(one)
     free = np.flatnonzero(~is_world).tolist()
-    found: set[tuple[int, ...]] = {(robot,) for robot in free}
+    sets: set[tuple[int, ...]] = {(robot,) for robot in free}
     for without in [-1, *(free if robots <= MIXTURE.image_robots else [])]:
-        found |= {tuple(sorted(part)) for part in _cut_off(near, without)}
-    ordered = sorted(found, key=lambda part: (len(part), part))
+        sets |= {tuple(sorted(part)) for part in _cut_off(near, without)}
+    ordered = sorted(sets, key=lambda part: (len(part), part))
     is_in = [np.isin(np.arange(robots), part) for part in ordered]
     return np.array(is_in, np.bool_).reshape(len(ordered), robots)
 
@@ -237,20 +251,22 @@ def _cut_off(near: list[list[int]], without: int) -> Iterator[list[int]]:
         near: Neighbors of each vertex.
         without: The vertex that is left out; none if -1.
     """
-    entered, low = [-1] * len(near), [0] * len(near)
-    order, stack = [0], [(0, iter(near[0]))]
+    entered = [-1] * len(near)
+    low = [0] * len(near)
+    order = [0]
+    stack = [(0, iter(near[0]))]
     entered[0] = 0
     while stack:
         vertex, further = stack[-1]
-        for other in further:
-            if other == without:
+        for neighbor in further:
+            if neighbor == without:
                 continue
-            if entered[other] < 0:
-                entered[other] = low[other] = len(order)
-                order.append(other)
-                stack.append((other, iter(near[other])))
+            if entered[neighbor] < 0:
+                entered[neighbor] = low[neighbor] = len(order)
+                order.append(neighbor)
+                stack.append((neighbor, iter(near[neighbor])))
                 break
-            low[vertex] = min(low[vertex], entered[other])
+            low[vertex] = min(low[vertex], entered[neighbor])
         else:
             stack.pop()
             if stack:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
@@ -83,7 +84,7 @@ class Minimum(NamedTuple):
     chains: int
     """Chains that lead to it."""
 
-    found: tuple[Bools, Linear] | None = None
+    inlier_fit: tuple[Bools, Linear] | None = None
     """Measurements that count, shape (E,), and their cost linearized there; None unless refined."""
 
     @property
@@ -103,19 +104,21 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
     """
     ends = aligned(ranked(fit))
     ends = ends if fit.is_refined else gathered(ends)
-    log, problem, annealed = fit.log, fit.problem, ends.fit.annealed
+    log = fit.log
+    problem = fit.problem
+    annealed = ends.fit.annealed
     outlier = _outliers(ends)
     open_sd = _open_sd(ends, ~outlier) if prior_sd is None else prior_sd
     minima, share = _minima(ends, ~outlier, open_sd)
     # A robot that some solution leaves open has no mean over all: chains say where it is.
-    is_held = np.all([each.is_held for each in minima], axis=0)
-    at = np.array([each.position for each in minima])
+    is_held = np.all([solution.is_held for solution in minima], axis=0)
+    at = np.array([solution.position for solution in minima])
     # The variance of a mixture: the mean within its parts, and that between their means.
     mean, between = moments(share, at)
-    within = share @ np.array([each.sd**2 for each in minima])
+    within = share @ np.array([solution.sd**2 for solution in minima])
     position = np.where(is_held[:, None], mean, np.tensordot(ends.weight, annealed.mean, 1))
     # Chains agree where disconnected parts are, but nothing measures it.
-    whole = [position, *(each.configuration for each in minima)]
+    whole = [position, *(solution.configuration for solution in minima)]
     tied = problem.without(outlier)
     placed, loose = place_disconnected(np.array(whole), tied)
     if len(ends.weight) < CONVERGENCE.jury:  # few chains tear contacts that are right
@@ -124,8 +127,9 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
     verdict = judge(_evidence(ends, outlier, tied.untied, minima[0]))
     sd = np.sqrt(widened(sd, verdict.sd_factor, placed[0]) ** 2 + loose[0])
-    yaw = np.tensordot(share, np.array([each.yaw for each in minima]), 1)
-    stuck, unit = stuck_robots(log), log.dock_radius
+    yaw = np.tensordot(share, np.array([solution.yaw for solution in minima]), 1)
+    stuck = stuck_robots(log)
+    unit = log.dock_radius
     motions = ends.turns.stated(minima[0].configuration, unit) if ends.turns else {}
     return Estimate(
         robot_id=log.robot_id,
@@ -137,7 +141,10 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
         outlier_robots=stuck if len(stuck) else None,
         misfit=misfit_by_robot(problem.rows, minima[0].square),
         mirrored=between > within,
-        solutions=tuple(map(_solution, [fit] * len(share), minima, share, placed[1:], loose[1:])),
+        solutions=tuple(
+            _solution(fit, *described)
+            for described in zip(minima, share, placed[1:], loose[1:], strict=True)
+        ),
         **_listed(problem, outlier) if verdict.converged else {},
         **_traced(fit, placed[0], yaw),
         **motions,
@@ -146,11 +153,14 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
 
 def gathered(ends: Ends) -> Ends:
     """Put all ends of many robots at the minimum that the mean of their chains leads to."""
-    fit, weight, annealed = ends.fit, ends.weight, ends.fit.annealed
+    fit = ends.fit
+    weight = ends.weight
+    annealed = ends.fit.annealed
     start = moments(weight, annealed.mean)[0], weight @ annealed.mean_yaw
     position, yaw, cost = descended(fit, start, annealed.sigma, MIXTURE.rounds)
     least = np.where(np.isfinite(ends.cost), cost, np.inf)
-    met = ends_of(fit, np.array([position] * len(weight)), np.array([yaw] * len(weight)), least)
+    positions = np.tile(position, (len(weight), 1, 1))
+    met = ends_of(fit, positions, np.tile(yaw, (len(weight), 1)), least)
     # Between chains that differ, the mean misses what each of them meets.
     return replace(met, weight=weight, missed=np.minimum(met.missed, ends.missed))
 
@@ -161,7 +171,9 @@ def _open_sd(ends: Ends, inlier: Bools) -> Reals:
     Chains agree on motions that the search has not tried. Robots that only their contacts hold are
     as uncertain as if hinges joined them.
     """
-    fit, problem, annealed = ends.fit, ends.fit.problem, ends.fit.annealed
+    fit = ends.fit
+    problem = ends.fit.problem
+    annealed = ends.fit.annealed
     sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
     if not fit.is_refined:
         return sd
@@ -180,7 +192,15 @@ def _open_sd(ends: Ends, inlier: Bools) -> Reals:
 
 
 def _solution(fit: Fit, minimum: Minimum, share: float, position: Reals, loose: Reals) -> Solution:
-    """Describe a minimum, with its centers as placed, (N, 3), and their further variance, (N,)."""
+    """Describe a minimum with its share in the mixture, in the unit of the log.
+
+    Args:
+        fit: Chains.
+        minimum: The minimum.
+        share: Its weight [1].
+        position: Its centers, those of disconnected robots as placed [R], shape (N, 3).
+        loose: Variance of these [R^2], shape (N,).
+    """
     unit = fit.log.dock_radius
     gap = fit.problem.residual(position[None], minimum.yaw[None])
     width = np.sqrt(fit.problem.variance + fit.annealed.sigma**2)
@@ -205,7 +225,9 @@ def _listed(problem: Problem, outlier: Bools) -> Mapping[str, Any]:
 
 def _traced(fit: Fit, position: Reals, yaw: Reals) -> Mapping[str, Any]:
     """Trace chains up to positions and yaws, by names of fields of an estimate."""
-    annealed, problem, unit = fit.annealed, fit.problem, fit.log.dock_radius
+    annealed = fit.annealed
+    problem = fit.problem
+    unit = fit.log.dock_radius
     width = np.sqrt(problem.variance + annealed.sigma**2)
     trace = place_disconnected(annealed.trace[:-1], problem)[0]
     trace = np.concatenate([trace, position[None]])
@@ -223,25 +245,25 @@ def _minima(ends: Ends, inlier: Bools, open_sd: Reals) -> tuple[list[Minimum], R
     if not ends.fit.is_refined:
         return [minimum(ends, ends.weight, inlier, open_sd)], np.ones(1)
     solution = np.where(ends.weight > 0.0, ends.solution, -1)
-    members = [np.flatnonzero(solution == n) for n in range(solution.max() + 1)]
-    minima = [_least(ends, each, inlier, open_sd) for each in members]
+    groups = [np.flatnonzero(solution == n) for n in range(solution.max() + 1)]
+    minima = [_least(ends, members, inlier, open_sd) for members in groups]
     # Where a mode is floppy, chains alone say how far a solution reaches.
     if _are_held(minima) and not ends.turns:
-        members = [
-            part
-            for each, least in zip(members, minima, strict=True)
-            for part in map(np.array, _parted(ends, each, least.sd))
+        groups = [
+            np.array(part)
+            for members, least in zip(groups, minima, strict=True)
+            for part in _parted(ends, members, least.sd)
         ]
-        minima = [_least(ends, each, inlier, open_sd) for each in members]
+        minima = [_least(ends, members, inlier, open_sd) for members in groups]
         minima += _mirrored(ends, minima, inlier, open_sd)
     share = np.ones(len(minima))
-    share[: len(members)] = [ends.weight[each].sum() for each in members]
+    share[: len(groups)] = [ends.weight[members].sum() for members in groups]
     return _weighed(minima, share)
 
 
 def _are_held(minima: list[Minimum]) -> bool:
     """Whether measurements hold all robots at all minima."""
-    return all(each.is_held[1:].all() for each in minima)
+    return all(solution.is_held[1:].all() for solution in minima)
 
 
 def _least(ends: Ends, members: Ints, inlier: Bools, open_sd: Reals) -> Minimum:
@@ -258,9 +280,9 @@ def _parted(ends: Ends, members: Ints, sd: Reals) -> list[list[int]]:
     return grouped(order, lambda k, firsts: _agree(place[firsts], place[k], sd))
 
 
-def _agree(position: Reals, other: Reals, sd: Reals) -> Bools:
+def _agree(position: Reals, reference: Reals, sd: Reals) -> Bools:
     """Find configurations (k, N, 3) that agree with another one to the sd of every robot, (k,)."""
-    away = np.linalg.norm(position - other, axis=2)
+    away = np.linalg.norm(position - reference, axis=2)
     return np.asarray((away <= np.maximum(sd, MIXTURE.image_nearest)).all(axis=1))
 
 
@@ -270,32 +292,36 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
     Images of the least cost come first. Those of a new minimum are tried, too, unless its weight is
     too small to count.
     """
-    fit, best = ends.fit, minima[0]
+    fit = ends.fit
+    best = minima[0]
     rows = fit.problem.rows.select(inlier).associated(best.configuration, best.yaw)
     further = (MIXTURE.tempered * fit.annealed.sigma) ** 2
     parts = PartImages(fit.log, rows, further, non_overlap=fit.params.non_overlap)
-    found, known = list(minima), [each.configuration for each in minima]
+    accepted = list(minima)
+    tried_places = [solution.configuration for solution in minima]
     waiting: list[tuple[float, int, Reals, Reals]] = []
-    number, expanded, tried = count(), 0, 0
+    number = count()
+    expanded = 0
+    tried = 0
     while tried < MIXTURE.most_images:
-        for each in found[expanded:]:
-            for position, excess in parts.of(each.configuration, each.yaw):
+        for solution in accepted[expanded:]:
+            for position, excess in parts.of(solution.configuration, solution.yaw):
                 # The number keeps arrays from being compared.
-                heappush(waiting, (each.cost + excess, next(number), position, each.yaw))
-        expanded = len(found)
+                heappush(waiting, (solution.cost + excess, next(number), position, solution.yaw))
+        expanded = len(accepted)
         if not waiting:
             break
         *_, position, yaw = heappop(waiting)
-        if _agree(np.array(known), position, best.sd).any():
+        if _agree(np.array(tried_places), position, best.sd).any():
             continue
         tried += 1
-        there = minimum(ends.at(position, yaw), np.ones(1), inlier, open_sd)
-        is_new = not _agree(np.array(known), there.configuration, best.sd).any()
-        known += [position, there.configuration]
-        least = max(each.log_height for each in found) + np.log(MIXTURE.least_weight)
-        if is_new and there.log_height >= least and _are_held([there]):
-            found.append(there._replace(chains=0))
-    return found[len(minima) :]
+        image = minimum(ends.at(position, yaw), np.ones(1), inlier, open_sd)
+        is_new = not _agree(np.array(tried_places), image.configuration, best.sd).any()
+        tried_places += [position, image.configuration]
+        least = max(solution.log_height for solution in accepted) + np.log(MIXTURE.least_weight)
+        if is_new and image.log_height >= least and _are_held([image]):
+            accepted.append(image._replace(chains=0))
+    return accepted[len(minima) :]
 
 
 def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]:
@@ -305,13 +331,13 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     widths (Laplace). Elsewhere nothing but the chains says how wide a solution is; those whose cost
     exceeds the least one by more than chance explains do not count.
     """
-    cost = np.array([each.cost for each in minima])
-    chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(minima[0].square))
+    cost = np.array([solution.cost for solution in minima])
+    chance = CONVERGENCE.chance_sd * chi_square_sd(len(minima[0].square))
     share = np.where(cost <= cost.min() + chance, share, 0.0)
     # Laplace's approximation needs a minimum that is curved along every coordinate.
     if _are_held(minima):
         minima, cost = _distinct(minima, cost)
-        height = np.array([each.log_height for each in minima])
+        height = np.array([solution.log_height for solution in minima])
         share = np.exp(height - height.max())
     share = np.where(share < MIXTURE.least_weight * share.max(), 0.0, share / share.sum())
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(share)]
@@ -321,8 +347,10 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
 def _distinct(minima: list[Minimum], cost: Reals) -> tuple[list[Minimum], Reals]:
     """Keep one of the minima that agree to the sd of every robot, the one of least cost."""
 
-    def alike(n: int, firsts: list[int]) -> Bools:
-        away = [np.linalg.norm(minima[n].position - minima[k].position, axis=1) for k in firsts]
+    def alike(candidate: int, firsts: list[int]) -> Bools:
+        away = [
+            np.linalg.norm(minima[candidate].position - minima[k].position, axis=1) for k in firsts
+        ]
         least = [np.maximum(minima[k].sd, SETTLED) for k in firsts]
         return np.array([(a <= b).all() for a, b in zip(away, least, strict=True)], np.bool_)
 
@@ -330,7 +358,7 @@ def _distinct(minima: list[Minimum], cost: Reals) -> tuple[list[Minimum], Reals]
         minima[group[0]]._replace(chains=sum(minima[n].chains for n in group))
         for group in grouped(np.argsort(cost, kind="stable"), alike)
     ]
-    return kept, np.array([each.cost for each in kept])
+    return kept, np.array([least.cost for least in kept])
 
 
 def _outliers(ends: Ends) -> Bools:
@@ -342,18 +370,16 @@ def _outliers(ends: Ends) -> Bools:
     order = np.argsort(np.argsort(ends.cost, kind="stable"))
     jury = (ends.weight > 0.0) | ((order < CONVERGENCE.jury) & np.isfinite(ends.cost))
     missed = (ends.missed[jury] > CONVERGENCE.outlier_sd**2).all(axis=0)
-    outlier: Bools = missed & ~problem.known
-    links = len(problem.variance)
-    outlier[:links] = problem.any_of_link(outlier[:links])
-    return outlier
+    return problem.rows.any_of_vector(missed & ~problem.known)
 
 
 def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evidence:
     """Gather what chains and the likeliest solution say of an estimate."""
-    problem, links = ends.fit.problem, len(ends.fit.problem.variance)
+    problem = ends.fit.problem
+    links = len(ends.fit.problem.variance)
     agreed = ends.cost <= (1.0 + MIXTURE.same) * ends.cost.min()
-    chance = MIXTURE.alike * np.sqrt(2.0 * len(problem.rows))
-    alike = ends.cost <= ends.cost.min() + chance
+    chance = MIXTURE.least_cost_sd * chi_square_sd(len(problem.rows))
+    is_least = ends.cost <= ends.cost.min() + chance
     is_missed = ends.missed[int(ends.cost.argmin()), :links] > CONVERGENCE.outlier_sd**2
     return Evidence(
         log=ends.fit.log,
@@ -362,12 +388,12 @@ def _evidence(ends: Ends, outlier: Bools, is_guess: Bools, best: Minimum) -> Evi
         is_guess=is_guess,
         torn=int((is_guess & ~problem.untied).sum()),
         chi_square=best.chi_square,
-        found=best.found,
+        inlier_fit=best.inlier_fit,
         unknowns=3 * (len(problem.part) - 1),
         freedom=best.freedom,
         chains=int((ends.weight > 0.0).sum()),
         all_failed=bool(ends.fit.has_failed.all()),
-        is_alone=len(alike) > 1 and int(alike.sum()) == 1,
+        is_alone=len(is_least) > 1 and int(is_least.sum()) == 1,
         is_single=len(agreed) > 1 and int(agreed.sum()) == 1,
         overlap=best.cost - best.chi_square,
         missed=int(is_missed[~outlier[:links]].sum()),
@@ -383,9 +409,12 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         inlier: Measurements that count, shape (E,).
         sd: Standard deviation of positions by the chains [R], shape (N,).
     """
-    problem, annealed = ends.fit.problem, ends.fit.annealed
-    members, best = weight > 0.0, int(np.where(weight > 0.0, ends.cost, np.inf).argmin())
-    position, yaw = ends.position[best], ends.yaw[best]
+    problem = ends.fit.problem
+    annealed = ends.fit.annealed
+    members = weight > 0.0
+    best = int(np.where(weight > 0.0, ends.cost, np.inf).argmin())
+    position = ends.position[best]
+    yaw = ends.yaw[best]
     used = inlier.copy()
     used[problem.rows.touch] &= _agreed(problem.rows, annealed, members)
     rows = problem.rows.select(used).associated(position, yaw)
@@ -400,22 +429,25 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
     loose = np.hypot(sd, extent(position)) if problem.is_chained else sd
     prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * loose, REFINEMENT.least_prior)
     state, linear = cost.held(prior).refine(cost.at(position, yaw), REFINEMENT.rounds)
-    free, mean, swept = None, state.position, np.zeros(sd.shape)
+    free = None
+    mean = state.position
+    swept = np.zeros(sd.shape)
     if ends.turns:
-        free, (mean, swept) = ends.turns.motions(mean), ends.turns.swept(mean)
+        free = ends.turns.motions(mean)
+        (mean, swept) = ends.turns.swept(mean)
     draws = DRAWS if ends.fit.is_refined else FEW_DRAWS
-    left = REFINEMENT.sd_scale * np.sqrt(linear.variance(free, draws))
+    linear_sd = REFINEMENT.sd_scale * np.sqrt(linear.variance(free, draws))
     is_biased = 0.0 < problem.yaw_precision < REFINEMENT.most_yaw_bias**-2
     is_biased &= bool(annealed.within.any())  # only chains say better
     small = np.maximum(REFINEMENT.open_sd * loose, REFINEMENT.linear_sd)
-    is_held = ((left <= small) | (swept > 0.0)) & ~problem.untied & (not is_biased)
+    is_held = ((linear_sd <= small) | (swept > 0.0)) & ~problem.untied & (not is_biased)
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
     return Minimum(
         configuration=state.position,
         position=np.where(is_held[:, None], mean, np.tensordot(weight, annealed.mean, 1)),
         yaw=np.where(is_held, state.yaw, weight @ annealed.mean_yaw),
-        sd=np.where(is_held, np.hypot(left, np.sqrt(swept)), sd),
+        sd=np.where(is_held, np.hypot(linear_sd, np.sqrt(swept)), sd),
         is_held=is_held,
         aside=((state.position - mean) ** 2).sum(axis=1),
         cost=linear.cost,
@@ -424,7 +456,7 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         square=square,
         log_volume=linear.log_volume,
         chains=int(members.sum()),
-        found=(used, linear) if ends.fit.is_refined else None,
+        inlier_fit=(used, linear) if ends.fit.is_refined else None,
     )
 
 
@@ -458,8 +490,8 @@ def deviation(
     between = between_chains(mean, weight)
     # Displacements that a robot shares with all others: few chains show them, so they weigh more.
     total = mean[:, 1:].sum(axis=1, keepdims=True)
-    others = (total - mean) / max(mean.shape[1] - 2, 1)
-    between += fit.shared * between_chains(others, weight)
+    other_mean = (total - mean) / max(mean.shape[1] - 2, 1)
+    between += fit.shared * between_chains(other_mean, weight)
     square = weight @ within + between
     noise = _noise_share(problem.variance)
     thermal = fit.thermal_variance * (1.0 - noise) * sigma**2

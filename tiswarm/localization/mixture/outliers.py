@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.compute.chi_square import MEDIAN_SQUARE, chi_square_chance
 from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import DISREGARDED_SD, pose_problem
 from tiswarm.localization.cost import ROBUST_SD
@@ -65,29 +65,30 @@ def without_outlier_robots(fit: Fit, estimate: Estimate) -> Estimate:
     A drift that is too small to be named may turn the rest of the structure. So the estimate stays
     as uncertain, and as little to be trusted, as the misfit of all measurements says.
     """
-    found = disregard(fit, estimate)
-    if found is None:
+    trial = disregard(fit, estimate)
+    if trial is None:
         return estimate
-    posed = found.posed
+    posed = trial.posed
     chains = anneal([posed.log], [posed.params], [posed.problem])[0]
-    again = mixed(Fit.of(posed, found.annealed.joined(chains)))
-    before, after = estimate.convergence, again.convergence
+    again = mixed(Fit.of(posed, trial.annealed.joined(chains)))
+    before = estimate.convergence
+    after = again.convergence
     if before is None or after is None or again.sd is None or not explains(before, after):
         return estimate
     factor = max(before.sd_factor, after.sd_factor)
-    missed = [each.outlier_contacts for each in (estimate, again)]
-    contacts = [each for each in missed if each is not None]
+    missed = [listed.outlier_contacts for listed in (estimate, again)]
+    contacts = [listed for listed in missed if listed is not None]
     verdict = replace(
         after,
         consistent=False,
         sd_factor=factor,
-        reason=f"the orientations of {counted(len(found.robots), 'robot')} are outliers",
+        reason=f"the orientations of {counted(len(trial.robots), 'robot')} are outliers",
     )
     return replace(
         again,
         convergence=verdict,
         sd=widened(again.sd, factor / after.sd_factor, again.position),
-        outlier_robots=np.sort(found.robots),
+        outlier_robots=np.sort(trial.robots),
         # Wrong contacts make a robot suspect, too: they stay listed.
         outlier_contacts=np.unique(np.concatenate(contacts), axis=0) if contacts else None,
     )
@@ -104,8 +105,10 @@ def disregard(fit: Fit, estimate: Estimate) -> Disregarded | None:
         The structure without them. None if there are none, or too many to be outliers, or if the
         structure is too large to be refined.
     """
-    log, problem = fit.log, fit.problem
-    verdict, stuck = estimate.convergence, stuck_robots(log)
+    log = fit.log
+    problem = fit.problem
+    verdict = estimate.convergence
+    stuck = stuck_robots(log)
     is_explained = verdict is None or verdict.misfit_sd <= MOST_MISFIT_SD
     if is_explained and not len(stuck):
         return None
@@ -117,10 +120,12 @@ def disregard(fit: Fit, estimate: Estimate) -> Disregarded | None:
     trial = _fitted(stuck, _posed(fit, stuck) if len(stuck) else fit, (position, yaw))
     for robot in stuck.tolist():
         trial = _searched(trial, robot)
-    while (further := None if is_explained else _next(trial)) is not None:
+    further = None if is_explained else _next(trial)
+    while further is not None:
         trial = further
         if len(trial.robots) - len(stuck) > OUTLIER_ROBOTS.most * log.robot_count:
             return None
+        further = _next(trial)
     trial = _justified(trial, stuck)
     if not len(trial.robots):
         return None
@@ -172,8 +177,9 @@ def _without(trial: _Trial, robots: Ints) -> _Trial:
 
     What the other minimum had to turn these robots by is given in widths of its priors.
     """
-    posed, state = _posed(trial.posed, robots), trial.state
-    sd, before = (each.problem.rows.odometry.turn_sd for each in (posed, trial.posed))
+    posed = _posed(trial.posed, robots)
+    state = trial.state
+    sd, before = (variant.problem.rows.odometry.turn_sd for variant in (posed, trial.posed))
     ratio = np.divide(before, sd, out=np.zeros_like(sd), where=sd > 0.0)[:, [0, 0, 1]]
     final = posed.problem.rows.odometry.final
     turns = state.turn * ratio[final], state.earlier * np.delete(ratio, final, axis=0)
@@ -186,16 +192,18 @@ def _next(trial: _Trial) -> _Trial | None:
     gain, freed = gains_without(rows, trial.linear, np.arange(rows.robots))
     predicted = _significance(gain, freed, trial)
     predicted[trial.robots] = 0.0
-    best, most = None, OUTLIER_ROBOTS.least
+    best = None
+    most = OUTLIER_ROBOTS.least
     for robot in np.argsort(-predicted, kind="stable")[: OUTLIER_ROBOTS.tried].tolist():
         # Sorted: no later robot is more promising.
         if predicted[robot] < OUTLIER_ROBOTS.promising:
             break
         further = _without(trial, np.append(trial.robots, robot))
         lower = np.array([trial.linear.chi_square - further.linear.chi_square])
-        found = _significance(lower, freed[[robot]], further)[0]
-        if found >= most:
-            best, most = further, found
+        significance = _significance(lower, freed[[robot]], further)[0]
+        if significance >= most:
+            best = further
+            most = significance
     return None if best is None else _searched(best, int(best.robots[-1]))
 
 
@@ -206,17 +214,17 @@ def _searched(trial: _Trial, robot: int) -> _Trial:
     missed by more than their noise, since far from all minima the robust loss is flat.
     """
     robots, posed, state, _ = trial
-    found = []
+    trials = []
     for axis in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         turn = state.turn.copy()
         # States hold turns in standard deviations.
         turn[robot] += axis * _TRIAL_TURN / DISREGARDED_SD
         start = state.position, state.yaw
-        found.append(_fitted(robots, posed, start, (turn, state.earlier), sd=_TRIAL_SD))
-    best = min(found, key=lambda each: each.linear.cost).state
+        trials.append(_fitted(robots, posed, start, (turn, state.earlier), sd=_TRIAL_SD))
+    best = min(trials, key=lambda candidate: candidate.linear.cost).state
     # Costs of the search let contacts be missed: only those without that can be compared.
     again = _fitted(robots, posed, (best.position, best.yaw), (best.turn, best.earlier))
-    return min(trial, again, key=lambda each: each.linear.cost)
+    return min(trial, again, key=lambda candidate: candidate.linear.cost)
 
 
 def _justified(trial: _Trial, stuck: Ints) -> _Trial:
@@ -247,15 +255,17 @@ def _significance(gain: Reals, freed: Ints, trial: _Trial) -> Reals:
     square = trial.linear.square
     spare = len(square) / max(trial.linear.freedom(), 1)
     # Where noise is stated too small, all squares are large, and the gain of one robot says little.
-    noise = max(1.0, float(np.median(square) / chdtri(1, 0.5)) * spare)
+    noise = max(1.0, float(np.median(square) / MEDIAN_SQUARE) * spare)
     with np.errstate(divide="ignore"):  # a gain beyond any chance is infinitely significant
-        significance = -np.log10(chdtrc(np.maximum(freed, 1), np.maximum(gain, 0.0) / noise))
+        significance = -np.log10(chi_square_chance(gain / noise, freed))
     return np.where(freed > 0, significance, 0.0)
 
 
 def _turned(trial: _Trial) -> SensingLog:
     """Turn robots whose orientations do not count as other measurements say."""
-    robots, log, walks = trial.robots, trial.posed.log, trial.posed.problem.rows.odometry
+    robots = trial.robots
+    log = trial.posed.log
+    walks = trial.posed.problem.rows.odometry
     final = walks.final[robots]
     yaw = Rotation.from_rotvec(np.outer(trial.state.yaw[robots], [0.0, 0.0, 1.0]))
     turn = Rotation.from_rotvec(-trial.state.turn[robots] * walks.turn_sd[final][:, [0, 0, 1]])
@@ -268,7 +278,9 @@ def _turned(trial: _Trial) -> SensingLog:
 
 def _placed(annealed: Annealed, trial: _Trial) -> Annealed:
     """Move robots whose orientations do not count to where other measurements put them."""
-    mean, last, within = annealed.mean.copy(), annealed.last.copy(), annealed.within.copy()
+    mean = annealed.mean.copy()
+    last = annealed.last.copy()
+    within = annealed.within.copy()
     mean[:, trial.robots] = last[:, trial.robots] = trial.state.position[trial.robots]
     within[:, trial.robots] = trial.linear.variance()[trial.robots]
     return replace(annealed, mean=mean, last=last, within=within)

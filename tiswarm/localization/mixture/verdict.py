@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.chi_square import chi_square_chance, chi_square_excess, chi_square_limit
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
 from tiswarm.localization.settings import LARGE
@@ -50,7 +50,7 @@ class Evidence:
     chi_square: float
     """Squared residuals of all others in variances, and priors [1]."""
 
-    found: tuple[Bools, Linear] | None = None
+    inlier_fit: tuple[Bools, Linear] | None = None
     """Measurements without outliers, shape (E,), and their cost linearized at its minimum."""
 
     unknowns: int
@@ -95,40 +95,42 @@ class Evidence:
     @property
     def chance(self) -> float:
         """Excess of a chi-square that noise explains [1]."""
-        return float(self.unknowns + CONVERGENCE.chance_sd * np.sqrt(2.0 * self.unknowns))
+        return float(chi_square_limit(self.unknowns, CONVERGENCE.chance_sd))
 
 
-def judge(known: Evidence) -> Convergence:
+def judge(evidence: Evidence) -> Convergence:
     """Give the verdicts on an estimate, by all rules, and the first reason for a bad one.
 
     Near 0 degrees of freedom, what a search leaves would look like a misfit: they count as at least
     `MIXTURE.spare` of the unknown coordinates.
     """
-    read = None
-    if known.found is not None and known.found[0].any():
-        read = _Readings.of(known.rows.select(known.found[0]), known.found[1])
-    spare = known.freedom - (0 if read is None else read.repeats)
-    chi_square = known.chi_square - (0.0 if read is None else read.scatter)
-    freedom = max(spare, int(MIXTURE.spare * known.unknowns))
-    misfit_sd = _misfit_sd(chi_square, freedom)
+    readings = None
+    if evidence.inlier_fit is not None:
+        inlier, linear = evidence.inlier_fit
+        if inlier.any():
+            readings = _Readings.of(evidence.rows.select(inlier), linear)
+    spare = evidence.freedom - (0 if readings is None else readings.repeats)
+    chi_square = evidence.chi_square - (0.0 if readings is None else readings.scatter)
+    freedom = max(spare, int(MIXTURE.spare * evidence.unknowns))
+    misfit_sd = chi_square_excess(chi_square, freedom)
     is_explained = misfit_sd <= MOST_MISFIT_SD
-    misfits = [*_misfits(read, known.log, is_explained=is_explained)]
-    trapped = [*_trapped(known, misfits)]
-    failures = [*trapped, *_failures(known, is_explained=is_explained)]
+    misfits = [*_misfits(readings, evidence.log, is_explained=is_explained)]
+    trapped = [*_trapped(evidence, misfits)]
+    failures = [*trapped, *_failures(evidence, is_explained=is_explained)]
     # What a search that failed misses says nothing about the measurements.
-    wrong = [*([] if trapped else misfits), *_wrong_sensors(known)]
+    wrong = [*([] if trapped else misfits), *_wrong_sensors(evidence)]
     factor = 1.0
-    if not is_explained and known.has_sd:
+    if not is_explained and evidence.has_sd:
         factor = float(np.sqrt(chi_square / max(freedom, 1)))
     return Convergence(
         converged=not failures,
         consistent=not wrong,
-        testable=bool(wrong) or not known.is_counted or spare == freedom > 0,
-        spare=spare if known.is_counted else None,
+        testable=bool(wrong) or not evidence.is_counted or spare == freedom > 0,
+        spare=spare if evidence.is_counted else None,
         misfit_sd=misfit_sd,
         sd_factor=factor,
         reason=next(iter([*failures, *wrong]), ""),
-        chains=known.chains,
+        chains=evidence.chains,
         restarted=0,
     )
 
@@ -164,29 +166,33 @@ class _Readings(NamedTuple):
             np.add.at(mean, quantity, weight / total[quantity] * residual)
             return np.asarray(weight * (residual - mean[quantity]) ** 2)
 
-        left, square = linear.left_of_draws()
-        own = scatter(linear.residual[: len(rows), None])[:, 0]
-        expected = (square - scatter(left)).mean(axis=1)
+        open_residual, square = linear.left_of_draws()
+        scatter_of_rows = scatter(linear.residual[: len(rows), None])[:, 0]
+        expected = (square - scatter(open_residual)).mean(axis=1)
         repeats = len(rows) - len(first)
-        return cls(rows, linear, linear.square - own, expected, float(own.sum()), repeats)
+        return cls(
+            rows,
+            linear,
+            linear.square - scatter_of_rows,
+            expected,
+            float(scatter_of_rows.sum()),
+            repeats,
+        )
 
 
 def _misfits(read: _Readings | None, log: SensingLog, *, is_explained: bool) -> Iterator[str]:
     """Say which measurements noise does not explain: all, or those of a group."""
     group = "" if read is None else _worst_group(read, log)
-    is_steady = read is None or _misfit_sd(read.scatter, read.repeats) <= MOST_MISFIT_SD
+    is_steady = read is None or chi_square_excess(read.scatter, read.repeats) <= MOST_MISFIT_SD
     is_shared = read is not None and read.repeats > 0 and is_steady
-    advice = "; readings of one pair share an error: state it as a source with shared_sd"
     if group or not is_explained:
         what = group if is_explained else "all rows"
-        yield f"noise as stated does not explain {what}{advice * is_shared}"
+        problem = f"noise as stated does not explain {what}"
+        if is_shared:
+            problem += "; readings of one pair share an error: state it as a source with shared_sd"
+        yield problem
     elif not is_steady:
         yield "readings of one quantity scatter more than their stated noise"
-
-
-def _misfit_sd(chi_square: float, freedom: int) -> float:
-    """Compute how far a chi-square is from its expectation, in its standard deviations."""
-    return float((chi_square - freedom) / np.sqrt(2.0 * max(freedom, 1)))
 
 
 def _worst_group(read: _Readings, log: SensingLog) -> str:
@@ -195,12 +201,15 @@ def _worst_group(read: _Readings, log: SensingLog) -> str:
     A sum over a large log hides a few wrong measurements. The sum over a group has a chi-square of
     at most as many degrees of freedom as its expectation says, as no part of it is more than one.
     """
-    rows, pairs, name = read.rows, len(read.rows.other), log.robot_id
+    rows = read.rows
+    pairs = len(read.rows.other)
+    name = log.robot_id
     kind = np.full(len(rows), 3)
     kind[:pairs] = np.where(rows.is_contact, rows.is_walked[:pairs], 2)
     both = np.column_stack([rows.robot[:pairs], rows.other])
     pair, of_pair = np.unique(both, axis=0, return_inverse=True)
-    every, sensed = np.arange(len(rows)), np.flatnonzero(rows.source >= 0)
+    every = np.arange(len(rows))
+    sensed = np.flatnonzero(rows.source >= 0)
     families: list[tuple[Ints, Ints, Callable[[int], str]]] = [
         (np.append(every, every[:pairs]), np.append(rows.robot, rows.other),
          lambda k: f"the measurements of robot {name[k]}"),
@@ -209,22 +218,26 @@ def _worst_group(read: _Readings, log: SensingLog) -> str:
         (sensed, rows.source[sensed], lambda k: f"source {log.source_name[k]}"),
         (every, kind, lambda k: _KINDS[k]),
     ]  # fmt: skip
-    tests, least, worst = rows.robots, 1.0, ""
+    tests = rows.robots
+    least = 1.0
+    worst = ""
     suspects: Ints = np.empty(0, np.int64)
     for row, group, text in families:
         square, expected = (np.bincount(group, part[row]) for part in (read.square, read.expected))
-        chance = chdtrc(np.maximum(expected, 1.0), np.maximum(square, 0.0))
+        chance = chi_square_chance(square, expected)
         tests += len(np.unique(group))
         if len(chance) and chance.min() < least:
-            least, worst = float(chance.min()), text(int(chance.argmin()))
+            least = float(chance.min())
+            worst = text(int(chance.argmin()))
         if not len(suspects):  # the first family is that of robots
             suspects = np.argsort(chance, kind="stable").astype(np.int64)[:_TRIED]
     gain, freed = gains_without(rows, read.linear, suspects)
     # One or two rows that others hardly check are off by what the linear problem leaves out.
-    chance = np.where(freed > 2, chdtrc(np.maximum(freed, 1), gain), 1.0)  # noqa: PLR2004
+    chance = np.where(freed > 2, chi_square_chance(gain, freed), 1.0)  # noqa: PLR2004
     if len(chance) and chance.min() < least:
         robot = suspects[chance.argmin()]
-        least, worst = float(chance.min()), f"the orientations of robot {name[robot]}"
+        least = float(chance.min())
+        worst = f"the orientations of robot {name[robot]}"
     return worst if least * tests < _CHANCE else ""
 
 
@@ -236,63 +249,65 @@ def gains_without(rows: Measurements, linear: Linear, robots: Ints) -> tuple[Rea
     Returns:
         Gains [1], and how many rows others check, (K,) both.
     """
-    gain, freed = np.zeros(len(robots)), np.zeros(len(robots), np.int64)
+    gain = np.zeros(len(robots))
+    freed = np.zeros(len(robots), np.int64)
     walked = np.flatnonzero(rows.is_walked)
     for k, robot in enumerate(robots.tolist()):
-        own = walked[rows.robot[walked] == robot]
+        robot_rows = walked[rows.robot[walked] == robot]
         turn = linear.column[3 * (rows.robots + robot) + np.arange(3)]
-        gain[k], freed[k] = linear.gain_without(own, turn[turn >= 0])
+        gain[k], freed[k] = linear.gain_without(robot_rows, turn[turn >= 0])
     return gain, freed
 
 
-def _trapped(known: Evidence, misfits: list[str]) -> Iterator[str]:
+def _trapped(evidence: Evidence, misfits: list[str]) -> Iterator[str]:
     """Say why the least cost was hardly found: robots are never inside each other."""
-    if known.all_failed:
+    if evidence.all_failed:
         yield "all chains ended out of reach of their contacts, or ran hot"
-    if known.is_alone:
+    if evidence.is_alone:
         yield "no two chains ended at the same least cost"
     # Of many robots a few may be in the way of others, as a few may miss contacts.
-    robots = len(known.is_guess)
+    robots = len(evidence.is_guess)
     room = CONVERGENCE.most_torn * robots if robots > LARGE else 1.0
-    if known.overlap > room * CONVERGENCE.outlier_sd**2:
+    if evidence.overlap > room * CONVERGENCE.outlier_sd**2:
         yield "docks overlap at the least cost found, which no measurement error explains"
-    if known.is_single and misfits:
+    if evidence.is_single and misfits:
         yield f"only one chain leads to the least cost found, where {misfits[0]}"
 
 
-def _failures(known: Evidence, *, is_explained: bool) -> Iterator[str]:
+def _failures(evidence: Evidence, *, is_explained: bool) -> Iterator[str]:
     """Say why no minimum was found, or not the right one."""
-    links = len(known.rows.other)
-    outliers = int(known.outlier[:links].sum())
-    if known.is_guess[1:].all() and len(known.is_guess) > 1:
+    links = len(evidence.rows.other)
+    outliers = int(evidence.outlier[:links].sum())
+    if evidence.is_guess[1:].all() and len(evidence.is_guess) > 1:
         yield "all positions are guesses"
-    if 2 * known.torn > len(known.is_guess):
-        yield f"outliers alone tie {known.torn} of {len(known.is_guess)} robots to the anchor"
-    if known.missed > CONVERGENCE.torn_anyway + CONVERGENCE.most_torn * links:
-        yield f"the best chain misses {known.missed} contacts or ranges"
+    if 2 * evidence.torn > len(evidence.is_guess):
+        yield f"outliers alone tie {evidence.torn} of {len(evidence.is_guess)} robots to the anchor"
+    if evidence.missed > CONVERGENCE.torn_anyway + CONVERGENCE.most_torn * links:
+        yield f"the best chain misses {evidence.missed} contacts or ranges"
     if outliers > CONVERGENCE.most_outliers * links:
         yield f"{outliers} of {links} contacts and ranges are outliers"
-    if known.excess > known.chance and not known.is_within:
+    if evidence.excess > evidence.chance and not evidence.is_within:
         yield (
             "positions nearby fit the measurements better: their chi-square is "
-            f"{known.excess:.3g} less, and noise explains {known.chance:.3g}"
+            f"{evidence.excess:.3g} less, and noise explains {evidence.chance:.3g}"
         )
-    if known.is_unsearched and not is_explained:
+    if evidence.is_unsearched and not is_explained:
         yield (
             f"of more than {LARGE} robots only the estimate itself is judged, and noise does not "
             "explain its chi-square"
         )
 
 
-def _wrong_sensors(known: Evidence) -> Iterator[str]:
+def _wrong_sensors(evidence: Evidence) -> Iterator[str]:
     """Say which sensors are wrong, or mute, in too many robots.
 
     Of a mute robot neither the orientation nor anything that chains it is known. Others lose their
     contacts with it, and the sd of those that are left has been too small.
     """
-    log, stuck = known.log, len(stuck_robots(known.log))
+    log = evidence.log
+    stuck = len(stuck_robots(evidence.log))
     unsensed = False if log.orientation_sd is None else ~np.isnan(log.orientation_sd[:, 0])
-    mute = int((known.is_guess & unsensed).sum())
+    mute = int((evidence.is_guess & unsensed).sum())
     if stuck:
         yield f"orientation sensors of {counted(stuck, 'robot')} are stuck"
     if mute > OUTLIER_ROBOTS.most_mute * log.robot_count:

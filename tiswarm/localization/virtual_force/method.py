@@ -365,7 +365,16 @@ def _localize_together(
     params: VirtualForceParams,
     on_progress: Callable[[float], None] = ignore,
 ) -> list[Estimate]:
-    """Localize structures of the same `_swarm_key`."""
+    """Localize structures of the same `_swarm_key`.
+
+    Args:
+        logs: What each swarm sensed.
+        params: Settings of all.
+        on_progress: Called with the share of the work that is done [1].
+
+    Returns:
+        One estimate a log. The residual is the root mean square step of the robots.
+    """
     from tiswarm.engine import relax  # noqa: PLC0415 - slow to import
 
     running = backend.device()

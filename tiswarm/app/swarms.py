@@ -1,0 +1,750 @@
+"""Grown structures as a caller has them: arrays; they sense, score, show and save themselves.
+
+swarms = tiswarm.grow("tower", robots=100, seeds=8)
+swarms.position, swarms[0].position                 # of all structures, of one
+estimates = [log.localize() for log in swarms.sense(tilt_noise_deg=1.0)]
+swarms.score(estimates)
+"""
+
+import math
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, TypeVar, overload
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tiswarm.app.console import ConsoleProgress
+from tiswarm.app.formats import export_view
+from tiswarm.app.logs import Localized, Log
+from tiswarm.app.results import Figures, File, PageFile, as_path, plain
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.base.errors import InputError, require_name, warn
+from tiswarm.base.params import AnyMovie
+from tiswarm.compute import backend
+from tiswarm.evaluation import tables
+from tiswarm.measurements.cues import cue_names
+from tiswarm.records import outputs
+from tiswarm.records.measures import DISPARITY, HEIGHT, JOINED, PEAK_STRESS, REACH, RMSE
+from tiswarm.records.messages import counted
+from tiswarm.report.page import Page
+from tiswarm.report.page_tables import MOST_ROWS, PageTable
+from tiswarm.report.swarm_view import (
+    MOST_ROBOTS,
+    Coloring,
+    SwarmView,
+    View,
+    space_data,
+    view_data,
+)
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.scenario.model import Scenario, dump_scenario, to_plain
+from tiswarm.scenario.yaml_source import parse_yaml
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.world import growth
+from tiswarm.world.history import History, StanceRows
+from tiswarm.world.history_file import DAMAGED, find_fault, from_arrays, to_arrays
+
+_Value = TypeVar("_Value", bound=np.generic)
+
+FORMAT = "tiswarm-swarms 1"
+"""First entry of a file of structures."""
+
+_SHOWN = [
+    "seed",
+    JOINED.column,
+    HEIGHT.column,
+    REACH.column,
+    PEAK_STRESS.column,
+    "growth_rounds",
+    "ended",
+]
+"""Columns of the table that structures print."""
+
+_MOST_ROWS = 10
+"""Rows of that table."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GrownStructure(History):
+    """The history of a structure of N robots, in join order, with what can be done with it."""
+
+    scenario: Scenario
+    """Settings that it was grown by."""
+
+    @classmethod
+    def of(cls, history: History, scenario: Scenario) -> "GrownStructure":
+        """Take a history that was grown by the settings of a scenario."""
+        values = {entry.name: getattr(history, entry.name) for entry in fields(History)}
+        return cls(**values, scenario=scenario)
+
+    @property
+    def history(self) -> History:
+        """All stances of all robots, and the loads after each join: the structure itself."""
+        return self
+
+    @property
+    def name(self) -> str:
+        """Kind and seed."""
+        return f"{self.scenario.structure.kind}-seed-{self.seed}"
+
+    @cached_property
+    def digest(self) -> str:
+        """Sixteen hex digits of the seed and of where robots stand, which its logs state."""
+        content = [np.int64(self.seed), self.position, self.orientation_wxyz, self.contacts]
+        digest = sha256()
+        for array in content:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()[:16]
+
+    @property
+    def growth(self) -> pd.DataFrame:
+        """Size and loads after each join, `growth.csv` of a run."""
+        return tables.by_join(self)
+
+    @cached_property
+    def totals(self) -> Mapping[str, float | int | str]:
+        """Size and loads in the end by name, as in `summary.csv` of a run; rounds and flips."""
+        return {
+            "seed": self.seed,
+            JOINED.column: self.robot_count,
+            **tables.totals(self),
+            "flips": int(self.flips.sum()),
+            "growth_rounds": int(self.join_round[-1]) + 1,
+            "ended": self.ended,
+        }
+
+    def sense(self, **settings: object) -> Log:
+        """Sense the structure; `Swarms.sense` explains the arguments."""
+        return _sense(self, _sensing(self.scenario, settings))
+
+    def score(self, estimate: Localized) -> dict[str, float]:
+        """Compare an estimate with the structure; `Swarms.score` explains it."""
+        return _score(self, estimate)
+
+    def view(self, out: File = "view.html", *, overwrite: bool = False) -> PageFile:
+        """Write a page with a 3D view; `Swarms.view` explains the arguments."""
+        return self._alone.view(out, overwrite=overwrite)
+
+    def render(
+        self,
+        out: File = "renders",
+        *,
+        renderer: str | None = None,
+        movie: AnyMovie | None = None,
+        overwrite: bool = False,
+        quiet: bool = False,
+    ) -> Figures:
+        """Draw 3D pictures into a folder.
+
+        Args:
+            out: Folder to write to.
+            renderer: "open3d" or "taichi"; the first that works if None.
+            movie: File format of an animation of the growth; none if None.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+            quiet: Whether to hide progress.
+
+        Returns:
+            The pictures by name.
+
+        Raises:
+            InputError: there is no such renderer, or a picture would replace another file.
+            EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
+        """
+        progress = ConsoleProgress(quiet=quiet)
+        from tiswarm.report.pictures.pictures import picture_files  # noqa: PLC0415 - slow to import
+
+        files = picture_files(self._shown(), progress, renderer=renderer, movie=movie)
+        written = outputs.write_folder(as_path(out, "out"), files, overwrite=overwrite)
+        for path in written:
+            progress.info(str(path))
+        return Figures.of(written)
+
+    def export(
+        self,
+        form: str = "gltf",
+        *,
+        out: File = "export",
+        overwrite: bool = False,
+        quiet: bool = False,
+    ) -> Path:
+        """Write the structure and its contacts for other programs; return the folder.
+
+        Args:
+            form: File format, as for `tiswarm.export`.
+            out: Folder to write to.
+            overwrite: Whether to replace files that no tiswarm command wrote.
+            quiet: Whether to hide progress.
+
+        Raises:
+            InputError: there is no such format, or a file would replace another one.
+            EnvironmentTroubleError: the folder cannot be made, or a library is missing.
+        """
+        folder = as_path(out, "out")
+        progress = ConsoleProgress(quiet=quiet)
+        export_view(self._shown(), form, folder, progress, overwrite=overwrite)
+        return folder
+
+    def save(self, path: File = "swarms.npz", *, overwrite: bool = False) -> Path:
+        """Write the structure to a file; `Swarms.save` explains the arguments."""
+        return self._alone.save(path, overwrite=overwrite)
+
+    @property
+    def _alone(self) -> "Swarms":
+        return Swarms([self], self.scenario)
+
+    def _shown(self) -> SwarmView:
+        unknown = np.full((self.robot_count, 7), np.nan)
+        unit = self.robot.dock_radius
+        pose = np.column_stack([self.position / unit, self.orientation_wxyz])
+        return SwarmView(
+            name=self.name,
+            robot=np.arange(self.robot_count),
+            pose=np.where(self.is_gone[:, None], np.nan, pose),  # robots that left are not shown
+            estimated_pose=unknown,
+            error=unknown[:, 0],
+            force=self.sensed_load,
+            sd=unknown[:, 0],
+            stood=pose,
+            dock_offset_body=self.robot.dock_offset_body / unit,
+            terrain=self.terrain,
+            read_log=lambda: observe(self, SensingParams()),
+        )
+
+    def __str__(self) -> str:
+        """Describe the structure in a line."""
+        return str(self._alone)
+
+    __repr__ = __str__
+
+
+class Swarms(Sequence[GrownStructure]):
+    """S grown structures of up to N robots: a batch with arrays, and a sequence of structures.
+
+    Arrays of all robots have the shape (S, N, ...). Where growth ended early, and fewer robots
+    joined, real numbers are NaN, integers are -1 and truth values are False. Lists of contacts and
+    docks have a row for each, which starts with the index of the structure in the batch.
+    """
+
+    def __init__(self, swarms: Sequence[GrownStructure], scenario: Scenario) -> None:
+        """Take structures that were grown by the settings of a scenario."""
+        self._swarms = tuple(swarms)
+        self.scenario = scenario
+
+    def __len__(self) -> int:
+        """S."""
+        return len(self._swarms)
+
+    @overload
+    def __getitem__(self, index: int) -> GrownStructure: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Swarms": ...
+    def __getitem__(self, index: int | slice) -> "GrownStructure | Swarms":
+        """Return one structure, or a batch of some."""
+        if isinstance(index, slice):
+            return Swarms(self._swarms[index], self.scenario)
+        return self._swarms[index]
+
+    def __iter__(self) -> Iterator[GrownStructure]:
+        """Yield the structures in the order of their seeds."""
+        return iter(self._swarms)
+
+    @property
+    def seed(self) -> Ints:
+        """Seed of each structure, shape (S,)."""
+        return np.array([each.seed for each in self], np.int64)
+
+    @property
+    def robot_count(self) -> Ints:
+        """Robots that joined each structure, shape (S,)."""
+        return np.array([each.robot_count for each in self], np.int64)
+
+    @property
+    def ended(self) -> list[str]:
+        """Reason why growth of each structure stopped early; empty where it did not."""
+        return [each.ended for each in self]
+
+    @property
+    def height(self) -> Reals:
+        """Height of the highest center above the ground [R], shape (S,)."""
+        return self._total(HEIGHT.column)
+
+    @property
+    def reach(self) -> Reals:
+        """Largest x of any center [R], shape (S,)."""
+        return self._total(REACH.column)
+
+    @property
+    def position(self) -> Reals:
+        """Final centers [R], shape (S, N, 3)."""
+        return self._padded(lambda each: each.position)
+
+    @property
+    def orientation_wxyz(self) -> Reals:
+        """Final orientations, body to world, shape (S, N, 4)."""
+        return self._padded(lambda each: each.orientation_wxyz)
+
+    @property
+    def join_round(self) -> Ints:
+        """Round of growth in which each robot joined, from 0, shape (S, N).
+
+        In a round, every robot that climbs walks until it joins, is turned away, or an earlier join
+        of the round disturbs its walk.
+        """
+        return self._padded(lambda each: each.join_round)
+
+    @property
+    def leave_round(self) -> Ints:
+        """Round of growth in which each robot left, fell or died; -1 if none, shape (S, N)."""
+        return self._padded(lambda each: each.leave_round)
+
+    @property
+    def departures(self) -> Ints:
+        """Who left, fell or died, shape (D, 4).
+
+        Rows of (structure, robot, robots that had joined by then, event); the event is 0 if the
+        robot left, 1 if it fell as others left, and 2 if it died where it stands.
+        """
+        return self._rows(lambda each: each.departures)
+
+    @property
+    def is_gone(self) -> Bools:
+        """Whether each robot left or fell; positions are then where it last stood, shape (S, N)."""
+        return self._padded(lambda each: each.is_gone)
+
+    @property
+    def flips(self) -> Ints:
+        """Flips of each robot, the way back to its best stance included, shape (S, N)."""
+        return self._padded(lambda each: each.flips)
+
+    @property
+    def is_anchor(self) -> Bools:
+        """Whether the position of each robot is known to all, shape (S, N)."""
+        return self._padded(lambda each: each.is_anchor)
+
+    @property
+    def is_recruited(self) -> Bools:
+        """Whether each robot stays because it was called for, shape (S, N)."""
+        return self._padded(lambda each: each.is_recruited)
+
+    @property
+    def sensed_load(self) -> Reals:
+        """Load that each robot senses in its links in the end [weight of a dock], shape (S, N)."""
+        return self._padded(lambda each: each.sensed_load)
+
+    @property
+    def peak_stress(self) -> Reals:
+        """Largest stress in any contact after each join [weight of a dock / R^2], shape (S, N).
+
+        NaN where the mechanics were not solved after that join.
+        """
+        return self._padded(lambda each: each.peak_stress)
+
+    @property
+    def contacts(self) -> Ints:
+        """Docked pairs, rows of (structure, i, dock of i, j, dock of j), i < j, shape (C, 5)."""
+        return self._rows(lambda each: each.contacts)
+
+    @property
+    def ground_docks(self) -> Ints:
+        """Docks on flat ground, rows of (structure, robot, dock), shape (G, 3)."""
+        return self._rows(lambda each: each.ground_docks)
+
+    @property
+    def edge_docks(self) -> Ints:
+        """Docks on an edge or underside, rows of (structure, robot, dock), shape (E, 3)."""
+        return self._rows(lambda each: each.edge_docks)
+
+    @property
+    def stance_contacts(self) -> Ints:
+        """Contacts at each stance of each walk, shape (K, 6).
+
+        Rows of (structure, robot, stance, own dock, other robot, other dock).
+        """
+        return self._rows(lambda each: each.stance_contacts)
+
+    @property
+    def stances(self) -> StanceRows:
+        """All stances of all robots of all structures."""
+        parts = [each.stances for each in self]
+        rows = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
+        number = np.repeat(np.arange(len(self)), [len(part.robot) for part in parts])
+        return StanceRows(number, *rows[1:])
+
+    @property
+    def growth(self) -> pd.DataFrame:
+        """Size and loads after each join, by seed; columns as in `growth.csv` of a run."""
+        return pd.concat(
+            {each.seed: each.growth for each in self}, names=["seed", None]
+        ).reset_index(level=0)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Size and loads of each structure in the end, columns as in `summary.csv` of a run.
+
+        Flips and rounds of growth, `growth_rounds`, stand beside them.
+        """
+        return pd.DataFrame([each.totals for each in self])
+
+    def sense(self, **settings: object) -> list[Log]:
+        """Sense each structure; the logs are those of a run with these settings and seeds.
+
+        Args:
+            settings: Settings of the section `sensing` of a scenario, such as `tilt_noise_deg`.
+
+        Returns:
+            One log a structure.
+
+        Raises:
+            InputError: there is no such setting, or its value is invalid.
+        """
+        params = _sensing(self.scenario, settings)
+        return [_sense(each, params) for each in self]
+
+    def score(self, estimates: Iterable[Localized]) -> pd.DataFrame:
+        """Compare estimates with the structures.
+
+        Args:
+            estimates: One for each structure: what `log.localize` returned, or `log.with_estimate`.
+                Estimates of logs that structures sensed may have any order. Others, of files, are
+                matched by the contacts in their logs; those without contacts need the structures'
+                order.
+
+        Returns:
+            A row for each structure: its seed, RMSE and disparity, then the other measures of
+            `summary.csv` of a run.
+
+        Raises:
+            InputError: their number is another, one has no log, or is of another structure, or they
+                cannot be matched.
+        """
+        found = list(estimates)
+        if len(found) != len(self):
+            problem = f"{len(found)} estimates are not {len(self)}, one for each structure; "
+            raise InputError(
+                f"{problem}score a part of the batch by its slice", argument="estimates"
+            )
+        ordered = _matched(self, found)
+        scores = [{"seed": s.seed, **_score(s, e)} for s, e in zip(self, ordered, strict=True)]
+        table = pd.DataFrame(scores)
+        first = ["seed", RMSE.column, DISPARITY.column]
+        return table[[*first, *table.columns.difference(first, sort=False)]]
+
+    def view(self, out: File = "view.html", *, overwrite: bool = False) -> PageFile:
+        """Write a page with structures in 3D, colored by loads, and a table of all.
+
+        Args:
+            out: File to write.
+            overwrite: Whether to replace a file that no tiswarm command wrote.
+
+        Returns:
+            The page, which a notebook shows.
+
+        Raises:
+            InputError: the page would replace another file.
+        """
+        path = as_path(out, "out")
+        outputs.check({"out": path}, overwrite=overwrite)
+        outputs.write(path, _page(self).html().encode(), overwrite=overwrite)
+        return PageFile(path)
+
+    def render(self, out: File = "renders", *, seed: int | None = None, **how: Any) -> Figures:  # noqa: ANN401
+        """Draw 3D pictures of one structure into a folder.
+
+        Args:
+            out: Folder to write to.
+            seed: Seed of the structure; the first of the largest if None.
+            how: Further arguments of `GrownStructure.render`.
+        """
+        return self._chosen(seed).render(out, **how)
+
+    def export(self, form: str = "gltf", *, seed: int | None = None, **how: Any) -> Path:  # noqa: ANN401
+        """Write one structure for other programs; return the folder.
+
+        Args:
+            form: File format, as for `tiswarm.export`.
+            seed: Seed of the structure; the first of the largest if None.
+            how: Further arguments of `GrownStructure.export`.
+        """
+        return self._chosen(seed).export(form, **how)
+
+    def save(self, path: File = "swarms.npz", *, overwrite: bool = False) -> Path:
+        """Write the batch to a file, which `tiswarm.open_swarms` reads; return its path.
+
+        Args:
+            path: File to write, NumPy's `.npz`.
+            overwrite: Whether to replace a file that no tiswarm command wrote.
+
+        Raises:
+            InputError: it would replace another file.
+            EnvironmentTroubleError: it cannot be written.
+        """
+        file = as_path(path, "path")
+        arrays = {"format": np.array(FORMAT), "scenario": np.array(dump_scenario(self.scenario))}
+        for number, each in enumerate(self):
+            arrays |= {f"{number}/{name}": v for name, v in to_arrays(each).items()}
+        with outputs.opened(file, overwrite=overwrite) as stream, zipfile.ZipFile(stream, "w") as z:
+            for name, values in arrays.items():
+                # Without a time of its own, an entry has the same bytes each time.
+                with z.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as entry:
+                    np.lib.format.write_array(entry, values, allow_pickle=False)  # type: ignore[no-untyped-call]
+        return file
+
+    def _total(self, name: str) -> Reals:
+        return np.array([each.totals[name] for each in self], np.float64)
+
+    def _padded(self, of: Callable[[GrownStructure], NDArray[_Value]]) -> NDArray[_Value]:
+        parts = [of(each) for each in self]
+        return np.array([_filled(part, self.scenario.robots) for part in parts])
+
+    def _rows(self, of: Callable[[GrownStructure], AnyInts]) -> Ints:
+        numbered = [np.insert(of(each), 0, n, axis=1) for n, each in enumerate(self)]
+        return np.concatenate(numbered).astype(np.int64)
+
+    def _chosen(self, seed: int | None) -> GrownStructure:
+        if seed is None:
+            return max(self, key=lambda each: each.robot_count)
+        require_name(str(seed), [str(each) for each in self.seed], "seed")
+        return next(each for each in self if each.seed == seed)
+
+    def __str__(self) -> str:
+        """Tabulate the structures: robots, height, reach, largest stress, rounds, early ends."""
+        table = self._short.to_string(index=False, max_rows=_MOST_ROWS, na_rep="")
+        return f"{self._heading}\n{table}"
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        table = self._short.to_html(index=False, max_rows=_MOST_ROWS, na_rep="")
+        return f"<p>{self._heading}</p>{table}"
+
+    @property
+    def _heading(self) -> str:
+        kind, robots = self.scenario.structure.kind, counted(self.scenario.robots, "robot")
+        return f"{counted(len(self), 'structure')} ({kind}) of {robots}"
+
+    @property
+    def _short(self) -> pd.DataFrame:
+        stress = PEAK_STRESS.column
+        shown = self.table[_SHOWN].round(1)
+        shown = shown.rename(columns={stress: f"{stress} [{PEAK_STRESS.unit}]"})
+        return shown if any(self.ended) else shown.drop(columns="ended")
+
+
+def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
+    """Grow the structures of a scenario; `tiswarm.grow` explains it.
+
+    Raises:
+        InputError: the structures need what is not there without a run, or no robot joined one.
+    """
+    structure = scenario.structure
+    if structure.navigate_by != "truth":
+        problem = "robots that build by estimates need sensing and a method; call tiswarm.run"
+        raise InputError(problem, key="structure.navigate_by")
+    backend.choose(threads=threads)
+    backend.processor()
+    name = "compile, grow" if backend.current().is_cold else "grow"
+    seeds = scenario.seed_list
+    with ConsoleProgress(quiet=quiet).task(name, len(seeds) * scenario.robots) as advance:
+        histories = growth.grow(
+            structure, robots=scenario.robots, seeds=seeds, robot=scenario.robot,
+            on_progress=advance,
+        )  # fmt: skip
+    for history in histories:
+        if not history.walks:
+            raise InputError(f"seed {history.seed}: no robot joined: {history.ended}")
+        if fault := find_fault(history, contact_gap=structure.climb.contact_gap):
+            warn(f"seed {history.seed}: the structure is invalid: {fault}")
+    # A bridge that closes has reached its aim, with any number of robots.
+    if early := [each for each in histories if each.ended and not each.crossed]:
+        count, reasons = counted(len(histories), "structure"), {each.ended for each in early}
+        more = f" (and {len(reasons) - 1} more reasons)" if len(reasons) > 1 else ""
+        warn(f"{len(early)} of {count} ended before all robots joined: {early[0].ended}{more}")
+    return Swarms([GrownStructure.of(history, scenario) for history in histories], scenario)
+
+
+def open_swarms(path: Path) -> Swarms:
+    """Read structures that were saved; `tiswarm.open_swarms` explains it."""
+    try:
+        with path.open("rb") as file, np.load(file) as entries:
+            arrays: dict[str, NDArray[Any]] = dict(entries)
+        if str(arrays.pop("format")) != FORMAT:
+            raise ValueError("unknown format")
+        stated = parse_yaml(str(arrays.pop("scenario"))).data
+    except FileNotFoundError as error:
+        raise InputError("there is no such file; name another one", path=path) from error
+    except DAMAGED as error:
+        problem = "is damaged, or no file of structures; name a file that Swarms.save wrote"
+        raise InputError(problem, path=path) from error
+    try:
+        scenario = load_scenario(stated)
+    except InputError as error:
+        raise InputError(error.problem, path=path, key=error.key) from error
+    parts: dict[str, dict[str, NDArray[Any]]] = {}
+    for name, values in arrays.items():
+        number, _, entry = name.partition("/")
+        parts.setdefault(number, {})[entry] = values
+    try:
+        histories = [
+            from_arrays(each, scenario.structure, scenario.robot) for each in parts.values()
+        ]
+    except DAMAGED as error:
+        problem = "is damaged; grow the structures again, and save them"
+        raise InputError(problem, path=path) from error
+    return Swarms([GrownStructure.of(history, scenario) for history in histories], scenario)
+
+
+def _sensing(scenario: Scenario, settings: Mapping[str, object]) -> SensingParams:
+    """Check settings of sensing as those of a scenario."""
+    return load_scenario({**to_plain(scenario), "sensing": plain(settings)}).sensing
+
+
+def _sense(swarm: GrownStructure, params: SensingParams) -> Log:
+    return Log.of(observe(swarm, params), Path(swarm.name), swarm.digest)
+
+
+def _matched(swarms: Swarms, estimates: Sequence[Localized]) -> list[Localized]:
+    """Put estimates into the order of their structures.
+
+    Raises:
+        InputError: an estimate is of none of the structures, or two are of the same one.
+    """
+    estimate_of: dict[int, int] = {}
+    for number, estimate in enumerate(estimates):
+        structure = _structure_of(swarms, number, estimate)
+        if structure in estimate_of:
+            numbers = f"{estimate_of[structure]} and {number}"
+            problem = f"estimates {numbers} are both of {swarms[structure].name}; give one of each"
+            raise InputError(problem, argument="estimates")
+        estimate_of[structure] = number
+    return [estimates[estimate_of[structure]] for structure in range(len(swarms))]
+
+
+def _structure_of(swarms: Swarms, number: int, estimate: Localized) -> int:
+    """Return the index of the structure that an estimate is of; `number` is its place in a list."""
+    log = _log_of(estimate)
+    if log.structure:
+        digests = [swarm.digest for swarm in swarms]
+        if log.structure not in digests:
+            raise _other_structure(log)
+        return digests.index(log.structure)
+    shares = [_shared_contacts(swarm, log) for swarm in swarms]
+    largest = max(shares)
+    if shares[number] == largest:  # which of equal ones, only the order says
+        return number
+    if shares.count(largest) > 1:
+        problem = f"estimate {number} ({log.path}) may be of several structures, but not of "
+        problem += f"{swarms[number].name}; give estimates in the order of structures"
+        raise InputError(problem, argument="estimates")
+    return shares.index(largest)
+
+
+def _shared_contacts(swarm: GrownStructure, log: Log) -> float:
+    """Return the share of the contacts of a log that a structure has; 0 where there are none."""
+    contacts = {*map(tuple, swarm.contacts.tolist())}
+    sensed = [tuple(contact) for contact in log.contacts.tolist()]
+    return sum(contact in contacts for contact in sensed) / max(len(sensed), 1)
+
+
+def _other_structure(log: Log) -> InputError:
+    problem = f"the estimate of {log.path} is of another structure; give that of one of these"
+    return InputError(problem, argument="estimates")
+
+
+def _log_of(estimate: Localized) -> Log:
+    if not isinstance(estimate, Localized):
+        problem = (
+            f"a value of type {type(estimate).__name__} has no log; give what log.localize or "
+        )
+        raise InputError(f"{problem}log.with_estimate returned", argument="estimates")
+    return estimate.log
+
+
+def _score(swarm: GrownStructure, estimate: Localized) -> dict[str, float]:
+    log = _log_of(estimate)
+    if log.structure not in ("", swarm.digest):
+        raise _other_structure(log)
+    if estimate.robot_count != swarm.robot_count:
+        robots, joined = estimate.robot_count, swarm.robot_count
+        problem = f"{counted(robots, 'robot')}, but {joined} joined {swarm.name}; keep the order"
+        raise InputError(problem, argument="estimates")
+    cues = cue_names() if estimate.observability is None else estimate.observability.cues
+    found = tables.evaluate(swarm, estimate.log, estimate, cues)
+    return {**found.scores, **tables.own_scores(found.truth, estimate)}
+
+
+def _filled(part: NDArray[_Value], length: int) -> NDArray[_Value]:
+    """Fill an array up to a length along its first axis."""
+    blank = {"f": math.nan, "i": -1, "b": False}[part.dtype.kind]
+    whole = np.full((length, *part.shape[1:]), blank, part.dtype)
+    whole[: len(part)] = part
+    return whole
+
+
+_COLUMNS = {
+    "seed": "seed",
+    JOINED.column: "robots",
+    HEIGHT.column: "height [R]",
+    REACH.column: "reach [R]",
+    PEAK_STRESS.column: "peak stress [dock weight / R^2]",
+    "sensed_max": "largest load [dock weights]",
+    "recruited": "recruited",
+    "flips": "flips",
+    "growth_rounds": "rounds",
+    "ended": "ended early",
+}
+"""Columns of the table of structures on their page, and their headings."""
+
+_MOST_STRUCTURES = 100
+"""Structures in the 3D view of that page."""
+
+
+def _page(swarms: Swarms) -> Page:
+    """Gather what the page of structures shows."""
+    frame = swarms.table[[*_COLUMNS]].rename(columns=_COLUMNS)
+    numbers = frame.drop(columns=["seed", "ended early"])
+    spread = numbers.agg(["mean", "min", "max"]).T.map("{:.4g}".format)
+    summary = pd.DataFrame({"quantity": spread.index, "mean": spread["mean"]})
+    summary["range"] = spread["min"] + " to " + spread["max"]
+    cells = numbers.map("{:.4g}".format)
+    cells.insert(0, "seed", frame["seed"].astype(str))
+    if any(swarms.ended):
+        cells["ended early"] = swarms.ended
+    height, left_out = swarms.height, len(swarms) - MOST_ROWS
+    sizes = f"{height.mean():.3g} R in the mean, {height.min():.3g} to {height.max():.3g} R"
+    if len(swarms) == 1:
+        summary, sizes = summary[["quantity", "mean"]], f"{height[0]:.3g} R"
+        summary = summary.rename(columns={"mean": "value"})
+    return Page(
+        name=swarms[0].name if len(swarms) == 1 else swarms.scenario.structure.kind,
+        result=f"{swarms._heading}: height {sizes}.",  # noqa: SLF001 - of this module
+        headline=PageTable(frame=summary, words=["quantity", "range"], title="Summary"),
+        view=_space(swarms),
+        rows=PageTable(
+            frame=cells.head(MOST_ROWS), words=["ended early"], title="Structures",
+            note=f"{counted(left_out, 'more structure')} in the table." if left_out > 0 else "",
+        ),
+        rows_example="robots",
+    )  # fmt: skip
+
+
+def _space(swarms: Swarms) -> View:
+    """Show the first structures, as many as a page has room for."""
+    room = 1 + np.searchsorted(np.cumsum(swarms.robot_count)[1:], MOST_ROBOTS, side="right")
+    views = [each._shown() for each in swarms[: min(int(room), _MOST_STRUCTURES)]]  # noqa: SLF001
+    shown = [
+        view_data(v, [Coloring("sensed load", "dock weights", v.force, "forces")]) for v in views
+    ]
+    lacks = len(views) < len(swarms)
+    return View(
+        data=space_data(views[0].dock_offset_body, shown),
+        title="Structures",
+        choice="Structure",
+        note=f"It contains the first {len(views)} of {len(swarms)} structures." if lacks else "",
+        robots="robots",
+    )

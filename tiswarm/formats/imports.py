@@ -1,0 +1,875 @@
+"""Imports poses of other simulators as a sensing log and a truth.
+
+A gap is the distance between the surfaces of two docks; overlaps are negative gaps. Each likely
+cause of few contacts is tried, and what docks would then do shows it. No cause is corrected unless
+an option says so: two errors may look alike.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from pydantic import ValidationError
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError, require_name
+from tiswarm.base.registry import BUILT_IN, get, guarded, registered
+from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
+from tiswarm.compute.math import dock_offsets
+from tiswarm.formats.columns import EULER, Sheet, read_table, refuse_other_files, turns_by
+from tiswarm.formats.motion import (
+    LOUDEST,
+    Rests,
+    find_rests,
+    stances_of,
+    step_of_noise,
+    turning_noise,
+    with_final_rests,
+    without_glitches,
+)
+from tiswarm.formats.poses import (
+    TOLERANCE,
+    UPWARD,
+    Assumptions,
+    Poses,
+    PoseTable,
+    horizontal_mirror,
+    poses_by_run,
+    read_contacts,
+    read_dock_offsets,
+    some,
+)
+from tiswarm.formats.ranges import read_ranges
+from tiswarm.measurements.contacts import dock_pairs
+from tiswarm.measurements.odometry import ASSUMED
+from tiswarm.records import outputs, sensing_log
+from tiswarm.records.io import at_line, make_folder
+from tiswarm.records.messages import counted, explain
+from tiswarm.records.positions import write_positions
+from tiswarm.records.sensing_file import check_header, write_sensing_log
+from tiswarm.records.sensing_format import MOST_CONTACTS
+
+GAINS = (
+    "on towers of 100 robots, joint's mean RMSE is 1.0 R from contacts and ground, 0.7 R with "
+    "heights, 0.2 R with contacts of stances too (docs/accuracy.md)"
+)
+"""What heights and stances gain."""
+
+
+class Imported(NamedTuple):
+    """What became of a table of poses."""
+
+    log: sensing_log.SensingLog  # what the robots would have sensed at rest
+    position: Reals  # true centers in join order, (N, 3); NaN where they are unknown
+    notes: list[str]  # contacts, gaps and what was assumed, in lines
+    warnings: list[str]  # why contacts or final poses are probably wrong, in lines
+
+
+def convert(
+    path: Path,
+    assumed: Mapping[str, Any],
+    *,
+    docks: Path | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> dict[str, Imported]:
+    """Import poses, and write what became of them if `out` is given.
+
+    Args:
+        path: File or folder of poses.
+        assumed: Fields of `Assumptions`.
+        docks: Table of the docks in the body frame, in place of `dock_offset_body`.
+        out: Folder to write to; nothing is written if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
+
+    Raises:
+        InputError: a table is malformed, there is no such field, or an output would replace
+            another file.
+    """
+    for name in assumed:
+        require_name(name, [field.name for field in fields(Assumptions)], "assumed")
+    body = {} if docks is None else {"dock_offset_body": read_dock_offsets(docks)}
+    given = {name: value for name, value in assumed.items() if value is not None}
+    stated = Assumptions(**{**given, **body})
+    if stated.beacons is None:
+        found = import_poses(path, stated)
+    else:
+        found = {"": _import_ranges(path, stated, given.get("dock_radius"))}
+    if out is not None:
+        inputs = [*(path.iterdir() if path.is_dir() else [path]), stated.contacts, docks]
+        inputs += [stated.beacons]
+        write_imports(found, out, inputs, overwrite=overwrite)
+    return found
+
+
+def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
+    """Turn a table of poses, as `read_table` describes it, into sensing logs and truths.
+
+    Returns:
+        What became of each structure, by its name in the column `run`, or "" without that column.
+
+    Raises:
+        InputError: a table is malformed or does not contain the anchors.
+    """
+    table = _read(path, assumed)
+    runs = poses_by_run(table, path, shape_error=assumed.largest_gap)
+    if assumed.contacts is not None and len(runs) > 1:
+        problem = "the poses have several runs; import each with its own contacts"
+        raise InputError(problem, path=path, argument="contacts")
+    found = {run: _import_run(path, poses, assumed) for run, poses in runs.items()}
+    for imported in found.values():
+        advised = f"--up {assumed.up}"  # what the user did needs no advice
+        imported.notes[:0] = [note for note in table.notes if not note.endswith(advised)]
+    return found
+
+
+def _import_ranges(path: Path, assumed: Assumptions, radius: float | None) -> Imported:
+    """Turn tables of ranges and beacons into a log; places of tags are unknown."""
+    log, notes, warnings = read_ranges(
+        path, Path(str(assumed.beacons)), columns=assumed.columns, sd=assumed.range_sd,
+        radius=radius, drop_incomplete=assumed.drop_incomplete,
+    )  # fmt: skip
+    with at_line(path, 1):
+        check_header(log)
+    return Imported(log, np.full((log.robot_count, 3), np.nan), notes, warnings)
+
+
+def _read(path: Path, assumed: Assumptions) -> PoseTable:
+    """Read poses in the first format that their file or folder has."""
+    for name, own in registered("import_format").items():
+        if path.name.endswith(own.value.suffix):
+            columns = guarded(own.plugin, name, partial(own.value.read, path))
+            return read_table(path, assumed, Sheet(pd.DataFrame(columns).to_csv(index=False)))
+    refuse_other_files(path)
+    readers = (get("import_format", name) for name in BUILT_IN["import_format"])
+    found: Iterator[PoseTable | None] = (read(path, assumed) for read in readers)
+    return next(table for table in found if table)
+
+
+def write_imports(
+    found: Mapping[str, Imported],
+    out: Path,
+    inputs: Sequence[object] = (),
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write `sensing.jsonl` and `truth.csv` of each structure to a folder of its name in `out`.
+
+    There is no truth of tags with ranges.
+
+    Args:
+        found: What became of each structure, by its name.
+        out: Folder, which is made if need be.
+        inputs: Files and folders that were read, which no output replaces.
+        overwrite: Whether to replace files that no tiswarm command wrote.
+
+    Raises:
+        InputError: an output would replace another file; then nothing is written.
+        EnvironmentTroubleError: `out` cannot be made or written to.
+    """
+    files = [out / run / "sensing.jsonl" for run in found]
+    files += [out / run / "truth.csv" for run in found if _is_known(found[run])]
+    outputs.check({"out": files}, inputs, overwrite=overwrite)
+    opened = partial(outputs.opened, overwrite=overwrite)
+    for run, (log, position, *_) in found.items():
+        make_folder(out / run)
+        write_sensing_log(log, out / run / "sensing.jsonl", opened=opened)
+        if _is_known(found[run]):
+            write_positions(
+                out / run / "truth.csv", log.robot_id, position, length_unit=log.length_unit,
+                opened=opened,
+            )  # fmt: skip
+
+
+def _is_known(imported: Imported) -> bool:
+    """Whether all true positions are known; those of tags with ranges are not."""
+    return not np.isnan(imported.position).any()
+
+
+def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
+    if assumed.up not in {"z", *UPWARD}:
+        problem = f"{assumed.up!r} is no axis; use z, {', '.join(UPWARD)}"
+        raise InputError(problem, argument="up")
+    if assumed.left_handed:
+        poses = poses.right_handed(assumed.up)
+        if (body := assumed.dock_offset_body) is not None:
+            assumed = replace(assumed, dock_offset_body=body * horizontal_mirror(assumed.up))
+    poses = poses if assumed.up == "z" else poses.upright(assumed.up)
+    poses = poses.conjugate() if assumed.conjugate else poses
+    poses, order_of_numbers = in_likely_order(poses, assumed)
+    poses, guessed = with_docks(poses, assumed, path)
+    poses, glitches = without_glitches(poses, with_limits(poses, assumed)[0])
+    moving, _ = with_limits(poses, assumed)
+    poses, left = with_final_rests(poses, moving)
+    assumed, widened = with_limits(poses, assumed, left)
+    if (seen := turning_noise(poses)) and assumed.tilt_deg is None and assumed.yaw_deg is None:
+        assumed = replace(assumed, tilt_deg=seen[0], yaw_deg=seen[1])
+        stated = (
+            "orientations of robots at rest vary by {:g} deg of tilt and {:g} deg of yaw (1 sd)"
+        )
+        widened.append(f"{stated.format(*seen)}, which the log states; --tilt-deg, --yaw-deg")
+    contacts, gaps, overlaps = find_contacts(poses, assumed)
+    rests = find_rests(poses, moving)
+    anchors = _anchors(poses, rests, assumed.anchors, path)
+    order, joined = _join_order(
+        poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected
+    )
+    stances, early = (None, 0) if rests is None else stances_of(rests, poses, order, moving)
+    log = _log(poses, contacts, anchors, order, stances, assumed)
+    with at_line(path, 1):
+        check_header(log)
+    refuse_crowds(log, path)
+    size = f"{counted(log.robot_count, 'robot')}, {counted(len(log.contacts), 'contact')}"
+    if log.stances is not None:
+        size = log.size
+    notes = [*order_of_numbers, *guessed, *glitches, *widened, *gaps, *joined]
+    notes += [*_describe_rests(poses, rests), *_describe(log), size]
+    # Docks at wrong places stand nowhere, so the ground says nothing more.
+    in_motion = 0 if rests is None else len(rests.in_motion)
+    warnings = few_contacts(poses, assumed, len(contacts), overlaps, in_motion)
+    warnings = warnings or _in_one_place(poses, assumed) or off_the_ground(poses, assumed)
+    warnings += _unrested(poses, rests)
+    if early:
+        problem = f"{counted(early, 'contact')} of stances left out: by the time, the other robot "
+        problem += "had not arrived; if robots have clocks of their own, set them to one"
+        warnings.append(f"{problem}, or give a column join")
+    return Imported(log, poses.position[order], notes, warnings)
+
+
+def _anchors(poses: Poses, rests: Rests | None, names: tuple[int, ...], path: Path) -> list[int]:
+    """Find the rows of the robots at known positions; the first is the anchor, and joins first."""
+    row = {name: row for row, name in enumerate(poses.robot_id.tolist())}
+    for name in names:
+        if name not in row:
+            problem = f"there is no robot {name}; name one of the file"
+            raise InputError(problem, path=path, argument="anchor")
+    key, first, is_first = "anchor", 0, np.ones(len(row), np.bool_)
+    if poses.join is not None:
+        key, first = "join", int(poses.join.argmin())
+        is_first = np.arange(len(row)) == first
+    elif rests is not None:
+        key, first = "time", int(np.lexsort(rests.arrival)[0])
+        is_first = (rests.arrival == rests.arrival[:, [first]]).all(axis=0)
+    anchors = [*dict.fromkeys(row[name] for name in names)] or [first]
+    if not is_first[anchors[0]]:
+        problem = f"robot {poses.robot_id[first]} joined first, not {names[0]}; name it first"
+        raise InputError(problem, path=path, key=key)
+    return anchors
+
+
+def _join_order(
+    poses: Poses,
+    contacts: Ints,
+    anchors: list[int],
+    rests: Rests | None,
+    *,
+    drop_disconnected: bool,
+) -> tuple[Ints, list[str]]:
+    """Sort robots by join index, or as they reach their final poses, or by hops; say which."""
+    neighbors: list[list[int]] = [[] for _ in poses.robot_id]
+    for i, _, j, _ in contacts.tolist():
+        neighbors[i].append(j)
+        neighbors[j].append(i)
+    tied, waiting = dict.fromkeys(anchors), deque(anchors)
+    while waiting:
+        new = sorted({other for other in neighbors[waiting.popleft()] if other not in tied})
+        tied |= dict.fromkeys(new)
+        waiting.extend(new)
+    notes = []
+    outward = np.array([*tied | dict.fromkeys(range(len(neighbors)))])
+    if poses.join is not None:
+        order = np.argsort(poses.join, kind="stable")
+    elif rests is not None:
+        order = outward[np.lexsort(rests.arrival[:, outward])]
+        notes.append("no column join: robots join as they reach their final poses")
+    else:
+        order = outward
+        name = poses.robot_id[anchors[0]]
+        notes.append(f"no column join: robots join outward from robot {name}, by contacts")
+    if lost := len(neighbors) - len(tied):
+        fate = "dropped" if drop_disconnected else "kept: drop them with --drop-disconnected"
+        notes.append(f"{counted(lost, 'robot')} disconnected from the anchor {fate}")
+    return order[np.isin(order, [*tied])] if drop_disconnected else order, notes
+
+
+def _log(
+    poses: Poses,
+    contacts: Ints,
+    anchors: list[int],
+    order: Ints,
+    stances: sensing_log.Stances | None,
+    assumed: Assumptions,
+) -> sensing_log.SensingLog:
+    """Derive what the robots in `order` would have sensed at rest."""
+    count = len(order)
+    place = np.full(len(poses.robot_id), -1)
+    place[order] = np.arange(count)
+    renamed = contacts.astype(np.int32)
+    renamed[:, [0, 2]] = place[contacts[:, [0, 2]]]
+    renamed = renamed[(renamed[:, [0, 2]] >= 0).all(axis=1)]
+    swapped = renamed[:, 0] > renamed[:, 2]
+    renamed[swapped] = renamed[swapped][:, [2, 3, 0, 1]]
+    least, greatest = assumed.level
+    height = poses.docks[order, :, 2]
+    standing = np.argwhere((height >= least) & (height <= greatest)).astype(np.int32)
+    known = sorted(anchors[1:], key=lambda row: place[row])
+    fixes = [
+        (place[row], *axis, along, sensing_log.KNOWN_SD * assumed.dock_radius, -1)
+        for row in known
+        for axis, along in zip(np.eye(3), poses.position[row], strict=True)
+    ]
+    return sensing_log.SensingLog(
+        robot_id=poses.robot_id[order],
+        dock_radius=assumed.dock_radius,
+        dock_offset_body=poses.dock_offset_body,
+        anchor_position=poses.position[order[0]],
+        orientation_wxyz=poses.orientation_wxyz[order],
+        contacts=sensing_log.canonical_contacts(renamed),
+        ground_z=assumed.ground_z,
+        ground_docks=standing,
+        fixes=np.array(fixes).reshape(-1, 7),
+        flip_height=poses.position[order, 2] if assumed.heights else np.full(count, np.nan),
+        spawn_position=np.full((count, 3), np.nan),
+        stances=stances,
+        noise=_noise(assumed),
+        length_unit=poses.length_unit,
+    )
+
+
+def _noise(assumed: Assumptions) -> sensing_log.SensingNoise | None:
+    """State the noise of orientations if it is given."""
+    tilt, yaw = assumed.tilt_deg, assumed.yaw_deg
+    if tilt is None and yaw is None:
+        return None
+    try:
+        return sensing_log.SensingNoise(
+            tilt_deg=ASSUMED.tilt_deg if tilt is None else tilt,
+            yaw_deg=ASSUMED.yaw_deg if yaw is None else yaw,
+        )
+    except ValidationError as found:
+        error = found.errors(include_url=False)[0]
+        raise InputError(explain(error), key=str(error["loc"][0])) from found
+
+
+def _describe_rests(poses: Poses, rests: Rests | None) -> Iterator[str]:
+    """Say in lines what became of poses over time."""
+    if rests is None or poses.samples is None:
+        return
+    number = len(rests.position) - len(poses.robot_id)
+    many = counted(len(poses.samples.time), "pose")
+    yield f"{counted(number, 'stance')} before the final poses, from {many} over time"
+    if rests.unseen:
+        yield f"{counted(rests.unseen, 'stance')} without a pose: where flips beside a gap lead"
+    if len(rests.cut):
+        why = "no flip about a dock leads from them to later ones"
+        yield f"earlier poses of {_named(poses, rests.cut)} left out: {why}"
+
+
+def _unrested(poses: Poses, rests: Rests | None) -> Iterator[str]:
+    """Warn of robots that move to the end of their tracks."""
+    if rests is not None and len(rests.in_motion):
+        robots = _named(poses, rests.in_motion)
+        yield f"the tracks of {robots} end in motion, not at final poses; record until they rest"
+
+
+def _in_one_place(poses: Poses, assumed: Assumptions) -> list[str]:
+    """Warn of robots whose docks are in one place, as of a body that changed its name."""
+    pair = dock_pairs(poses.docks, assumed.dock_radius)[:, [0, 2]]
+    if not len(pair):
+        return []
+    robots = [f"{a} and {b}" for a, b in np.unique(poses.robot_id[pair], axis=0).tolist()]
+    problem = f"docks of these robots are in one place: {some(robots)}; if they are one body, "
+    return [f"{problem}give it one name"]
+
+
+def _named(poses: Poses, robots: Ints) -> str:
+    """Count robots and name the first ones."""
+    return f"{counted(len(robots), 'robot')} ({some(poses.robot_id[robots].tolist())})"
+
+
+def _describe(log: sensing_log.SensingLog) -> Iterator[str]:
+    """Say in lines what a log lacks, and what it would gain."""
+    has = {
+        "ground contacts (--ground-z)": len(log.ground_docks) > 0,
+        "heights (--heights)": not np.isnan(log.flip_height).all(),
+        "stances": log.stances is not None,
+        "noise (--tilt-deg, --yaw-deg)": log.noise is not None,
+    }
+    if lacking := [what for what, is_there in has.items() if not is_there]:
+        yield f"the log lacks {', '.join(lacking)}"
+    if np.isnan(log.flip_height).all() or log.stances is None:
+        yield GAINS
+
+
+FARTHEST_SHOWN = 0.5
+"""Gaps and overlaps up to this many dock radii are in the histogram."""
+
+_EDGES = np.array([-0.5, -0.2, -0.1, -0.05, -0.02, -0.01, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5])
+"""Edges of its bins [dock radii]."""
+
+_LONGEST_BAR = 40
+_LONGEST_OFFSET = 10.0
+"""Dock offsets up to this many dock radii are guessed."""
+
+_NEAREST = 12
+"""Nearest robots whose docks may touch a robot's docks when the offset is guessed."""
+
+_STANDS_OUT = 2.0
+"""A guess has at least this many times the contacts of any other offset."""
+
+
+_WIDEST = 0.25
+"""Largest limit of gaps and overlaps that is found [dock radii]."""
+
+_STEPS_OF_NOISE = 2.0
+"""Largest error of a gap, in the median step of the dock that moves most: about 3.5 standard
+deviations of a gap."""
+
+_STEP = 1.1
+"""Ratio of limits that are tried."""
+
+_FEWEST_OVERLAPS = 10
+"""Overlaps in the peak from which on there is a limit to find."""
+
+_MARGIN = 1.3
+"""Largest error of a gap, per largest error that was seen as an overlap."""
+
+_RARE = 0.02
+"""Share of overlaps in the valley, up to twice the limit, beside those within it."""
+
+
+def surface_gaps(docks: Reals, pair: Ints, radius: float) -> Reals:
+    """Measure gaps from surface to surface, shape (n,).
+
+    Args:
+        docks: Centers of the docks, shape (N, D, 3).
+        pair: Rows of (robot, its dock, other robot, its dock), shape (n, 4).
+        radius: Radius of a dock sphere.
+    """
+    i, a, j, b = pair.T
+    gap: Reals = np.linalg.norm(docks[i, a] - docks[j, b], axis=1) - 2.0 * radius
+    return gap
+
+
+def guess_dock_offset(
+    position: Reals, orientation_wxyz: Reals, radius: float, width: float
+) -> float | None:
+    """Guess how far three docks in a plane are from the center: where most docks touch.
+
+    Docks p + rho u of two robots touch at the roots rho of |p' - p + rho (u' - u)| = 2 radius. We
+    return the median of the densest window of roots, if there are enough: one for every second
+    robot, and twice as many as in any other window.
+
+    Args:
+        position: Centers, shape (N, 3).
+        orientation_wxyz: Body to world, unit quaternions, shape (N, 4).
+        radius: Radius of a dock sphere.
+        width: Sum of the largest gap and the largest overlap of a contact.
+    """
+    count = len(position)
+    _, near = cKDTree(position).query(position, k=min(count, _NEAREST + 1))
+    first = np.repeat(np.arange(count), near.size // count)
+    i, j = np.unique(np.sort(np.stack([first, near.ravel()]), axis=0), axis=1)
+    i, j = i[i != j], j[i != j]
+    arm = dock_offsets(orientation_wxyz, docks_in_plane(1.0))
+    between = (position[j] - position[i])[:, None, None]
+    spread = arm[j][:, None] - arm[i][:, :, None]
+    a, b = (spread**2).sum(axis=-1), (between * spread).sum(axis=-1)
+    square = b**2 - a * ((between**2).sum(axis=-1) - 4.0 * radius**2)
+    crossing = (a > 1e-9) & (square >= 0.0)  # noqa: PLR2004 - parallel arms have no root
+    a, b, half = a[crossing], b[crossing], np.sqrt(square[crossing])
+    roots = np.sort(np.concatenate([-b - half, -b + half]) / np.tile(a, 2))
+    roots = roots[(roots > (TANGENT_RHO - 1e-3) * radius) & (roots < _LONGEST_OFFSET * radius)]
+    if not roots.size:
+        return None
+    inside = np.searchsorted(roots, roots + width, side="right") - np.arange(roots.size)
+    best = inside.argmax()
+    offset = float(np.median(roots[best : best + inside[best]]))
+    others = inside[np.abs(roots - offset) > 2.0 * width]
+    if inside[best] < max(0.5 * count, _STANDS_OUT * others.max(initial=0)):
+        return None
+    return float(f"{offset:.4g}")
+
+
+def contact_limit(gap: Reals, radius: float, least: float) -> float | None:
+    """Find the limit of the gaps and overlaps of contacts in the valley beyond their peak.
+
+    Rigid docks do not overlap: overlaps are errors, as of rounded poses, and gaps of contacts have
+    errors of the same size. The valley is where hardly any larger overlaps follow.
+
+    Args:
+        gap: Gaps of close docks.
+        radius: Radius of a dock sphere.
+        least: Least limit.
+
+    Returns:
+        The limit; None if there are too few overlaps or no valley, as for a wrong robot geometry.
+    """
+    overlap = -gap[gap < 0.0]
+    limit = least
+    while limit <= _WIDEST * radius:
+        inside = (overlap <= limit).sum()
+        beyond = overlap[(overlap > limit) & (overlap <= 2.0 * limit)]
+        if inside >= _FEWEST_OVERLAPS and len(beyond) <= _RARE * inside:
+            return limit if limit == least else float(f"{_MARGIN * max([limit, *beyond]):.2g}")
+        limit *= _STEP
+    return None
+
+
+def histogram(
+    gap: Reals, radius: float, *, largest_gap: float, largest_overlap: float, unit: str
+) -> Iterator[str]:
+    """Draw how many docks have which gap, in lines; contacts have bars of `#`, other gaps of `.`.
+
+    Args:
+        gap: Gaps of close docks.
+        radius: Radius of a dock sphere.
+        largest_gap: Largest gap of a contact; a further edge of the bins.
+        largest_overlap: Largest overlap of a contact; a further edge of the bins.
+        unit: Name of the unit of all lengths.
+    """
+    edges = np.unique(
+        np.concatenate([_EDGES * radius, [0.0 - largest_overlap, largest_gap]]).round(12)
+    )
+    number, _ = np.histogram(gap, edges)
+    filled = np.flatnonzero(number)
+    if not filled.size:
+        return
+    yield f"gaps between docks [{unit}], contacts marked #:"
+    for k in range(filled[0], filled[-1] + 1):
+        touches = edges[k] >= -largest_overlap and edges[k + 1] <= largest_gap
+        bar = "#."[not touches] * int(np.ceil(_LONGEST_BAR * number[k] / number.max()))
+        yield f"{edges[k]:>9.3g} to {edges[k + 1]:<8.3g}{number[k]:>6} {bar}".rstrip()
+
+
+ENOUGH = 0.5
+"""Fewer contacts per robot point to a wrong robot geometry."""
+
+FAR_MORE = 2.0
+"""Contacts by another meaning of the poses, per contact as stated, that point to that meaning."""
+
+
+def with_docks(
+    poses: Poses, assumed: Assumptions, path: Path | None = None
+) -> tuple[Poses, list[str]]:
+    """Add the docks in the body frame, and say where they are a guess.
+
+    Raises:
+        InputError: the file has docks, and offsets of docks are given.
+    """
+    radius, body = assumed.dock_radius, assumed.dock_offset_body
+    poses = poses._replace(length_unit=poses.length_unit or assumed.length_unit)
+    if len(poses.dock_offset_body):
+        if body is None:
+            return poses, []
+        problem = "the spheres are the docks; leave out offsets of docks"
+        raise InputError(problem, path=path, key="sphere")
+    if body is not None:
+        return poses._replace(dock_offset_body=body), []
+    width = assumed.largest_gap + assumed.largest_overlap
+    offset = guess_dock_offset(poses.position, poses.orientation_wxyz, radius, width)
+    if offset is not None:
+        note = f"dock offset {offset:g} {poses.length_unit}: most docks touch there"
+    else:
+        offset = FIREANT_RHO * radius
+        note = f"no dock offset stands out: {offset:g} {poses.length_unit}, FireAntV3's, is assumed"
+    return poses._replace(dock_offset_body=docks_in_plane(offset)), [note]
+
+
+def with_limits(
+    poses: Poses, assumed: Assumptions, left: float = 1.0
+) -> tuple[Assumptions, list[str]]:
+    """Set limits of gap and overlap that are not given, and say so where errors widen them.
+
+    Args:
+        poses: Robots, whose docks are known.
+        assumed: Limits that are given.
+        left: Part of the noise of samples that final poses have [1].
+    """
+    if assumed.gap is not None and assumed.overlap is not None:
+        return assumed, []
+    radius, least, samples = assumed.dock_radius, TOLERANCE * assumed.dock_radius, poses.samples
+    why = "about as far, docks overlap by errors of the poses"
+    if samples is not None:
+        docks = samples.docks(poses.dock_offset_body)
+        step = left * step_of_noise(docks, samples.robot, LOUDEST * radius)
+        if _STEPS_OF_NOISE * step > least:
+            least = float(f"{_STEPS_OF_NOISE * step:.2g}")
+            why = f"docks at rest vary by about {0.5 * step:.2g}"
+    pair = dock_pairs(poses.docks, (2.0 + FARTHEST_SHOWN) * radius)
+    limit = contact_limit(surface_gaps(poses.docks, pair, radius), radius, least) or least
+    if limit == TOLERANCE * radius:
+        return assumed, []
+    gap, overlap = (limit if given is None else given for given in (assumed.gap, assumed.overlap))
+    found = replace(assumed, gap=gap, overlap=overlap)
+    text = f"contacts have gaps up to {gap:g} and overlaps up to {overlap:g} {poses.length_unit}"
+    return found, [f"{text}: {why}"]
+
+
+def in_likely_order(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[str]]:
+    """Read quaternions in the other order where far more docks touch so, and say so."""
+    robots = len(poses.robot_id)
+    if poses.other_order == 0 or (touching := count_touching(poses, assumed)) >= ENOUGH * robots:
+        return poses, []
+    other = poses.reordered()
+    more = count_touching(other, assumed)
+    if more < max(ENOUGH * robots, FAR_MORE * touching):
+        return poses, []
+    names = "x, y, z, w" if poses.other_order == 1 else "w, x, y, z"
+    found = f"{counted(more, 'contact')} instead of {touching}"
+    note = f"quaternions read as {names}, though columns have the other order: {found}"
+    return other, [f"{note}; rename the columns"]
+
+
+def count_touching(poses: Poses, assumed: Assumptions) -> int:
+    """Count docks in contact, at offsets that are given or guessed.
+
+    The count is 0 if no offset stands out, or if more docks overlap: they are rigid.
+    """
+    radius, body = assumed.dock_radius, assumed.dock_offset_body
+    limits = assumed.largest_gap, assumed.largest_overlap
+    if body is None:
+        turn = poses.orientation_wxyz
+        offset = guess_dock_offset(poses.position, turn, radius, sum(limits))
+        body = None if offset is None else docks_in_plane(offset)
+    if body is None:
+        return 0
+    docks = poses._replace(dock_offset_body=body).docks
+    gap = surface_gaps(docks, dock_pairs(docks, 2.0 * radius + limits[0]), radius)
+    touching = int((gap >= -limits[1]).sum())
+    return touching if 2 * touching >= len(gap) else 0
+
+
+def find_contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], int]:
+    """Find contacts, describe gaps, and count the docks that overlap by more.
+
+    Contacts are rows of (robot, dock, later robot, its dock), shape (n, 4).
+    """
+    radius, unit = assumed.dock_radius, poses.length_unit
+    gap_limit, overlap_limit = assumed.largest_gap, assumed.largest_overlap
+    if assumed.contacts is None:
+        within = max(gap_limit, FARTHEST_SHOWN * radius)
+        pair = dock_pairs(poses.docks, 2.0 * radius + within)
+    else:
+        pair = read_contacts(assumed.contacts, poses)
+    gap = surface_gaps(poses.docks, pair, radius)
+    wide, deep = gap > gap_limit, gap < -overlap_limit
+    limits = {"largest_gap": gap_limit, "largest_overlap": overlap_limit}
+    notes = [*histogram(gap, radius, unit=unit, **limits)]
+    if deep.any():
+        by = f"by more than {overlap_limit:g} {unit}"
+        notes.append(f"{counted(deep.sum(), 'overlap')} of two docks {by}")
+    if assumed.contacts is None:
+        pair = pair[~wide & ~deep]
+    elif wide.any():
+        listed = counted(wide.sum(), "listed contact")
+        notes.append(f"{listed} with a gap of more than {gap_limit:g} {unit}")
+    return pair, notes, int(deep.sum())
+
+
+def refuse_crowds(log: sensing_log.SensingLog, path: Path) -> None:
+    """Refuse more contacts of a dock than a log may have."""
+    docks = len(log.dock_offset_body)
+    ends = log.contacts.reshape(-1, 2) @ [docks, 1]
+    number = np.bincount(ends, minlength=1)
+    if (most := int(number.max())) > MOST_CONTACTS:
+        robot, dock = divmod(int(number.argmax()), docks)
+        problem = f"dock {dock} of robot {log.robot_id[robot]} has {most} contacts, more than "
+        remedy = f"{MOST_CONTACTS}; correct radius and offset of docks, or give smaller limits"
+        raise InputError(problem + remedy, path=path)
+
+
+_MOST_ROBOTS = 200
+"""Robots for which causes are tried; more would show nothing else."""
+
+_OFF_CENTER = 1.0
+"""Largest coordinate of a tracked point in the body frame that is tried [dock radii]."""
+
+_SHIFT = 0.5
+"""Step between tried coordinates of that point [dock radii]."""
+
+_NEAR = 0.4
+"""Largest gap and overlap of docks that a step may put in contact [dock radii]."""
+
+_BEST = 12
+"""Number of tried points that are refined: those that put most docks in contact."""
+
+_UNKNOWNS = 3
+
+
+def few_contacts(
+    poses: Poses, assumed: Assumptions, contacts: int, overlaps: int, in_motion: int = 0
+) -> list[str]:
+    """Warn of too few contacts, or more overlaps than contacts, and say what may be the cause.
+
+    Args:
+        poses: Robots, whose docks are known or guessed.
+        assumed: Limits of contacts, and docks if they are given.
+        contacts: Number of docks in contact.
+        overlaps: Number of docks that overlap by more.
+        in_motion: Number of robots that move at the end, and touch nothing yet.
+    """
+    robots = len(poses.robot_id)
+    at_rest = robots - in_motion
+    if at_rest <= 1 or (contacts >= ENOUGH * at_rest and contacts >= overlaps):
+        return []
+    found = f"{counted(contacts, 'contact')} and {counted(overlaps, 'overlap')}"
+    problem = f"{counted(robots, 'robot')} have {found} of docks; "
+    usual = "correct --dock-radius and --dock-offset, or give larger --gap and --overlap"
+    # Spheres are docks wherever the frame of the body is.
+    cause = "" if poses.docks_are_spheres else _likely_cause(poses, assumed, contacts)
+    return [problem + (cause or usual)]
+
+
+_SCALES = (1000.0, 100.0, 10.0, 25.4, 2.0)
+"""Ratios of units that are mixed up, and of a diameter to a radius."""
+
+
+def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
+    """Name the other meaning of poses that would make far more docks touch; empty if none would."""
+    poses = poses.nearest(_MOST_ROBOTS)
+    least = max(ENOUGH * len(poses.robot_id), FAR_MORE * contacts, 1.0)
+    for other, found, remedy in _readings(poses, assumed):
+        if (touching := count_touching(other, assumed)) >= max(least, len(poses.robot_id) - 1.0):
+            return f"{found} {touching}: {remedy}"
+    quarter = Rotation.create_group("O")
+    for turn in (quarter[k] for k in range(1, len(quarter))):
+        turned = poses.turned(turn)
+        if (touching := count_touching(turned, assumed)) >= least:
+            bare = turned._replace(dock_offset_body=np.empty((0, 3)))
+            body = with_docks(bare, assumed)[0].dock_offset_body
+            return _by_docks(turn.apply(body), touching)
+    moved = poses.dock_offset_body + _off_center(poses, assumed)
+    as_moved = replace(assumed, dock_offset_body=moved)
+    # Fitted unknowns put as many docks in contact by chance, where a structure has N - 1 contacts.
+    least = max(least, len(poses.robot_id) - 1.0 + _UNKNOWNS)
+    if (touching := count_touching(poses, as_moved)) >= least:
+        return _by_docks(moved, touching)
+    return ""
+
+
+def _readings(poses: Poses, assumed: Assumptions) -> Iterator[tuple[Poses, str, str]]:
+    """Yield poses as they would be by another convention, what would give contacts, and a remedy.
+
+    These are conventions of orientations first, then of units and of handedness.
+    """
+    yield poses.conjugate(), "quaternions that turn world to body give", "add --conjugate"
+    if poses.other_order:
+        both = "quaternions in the other order that turn world to body give"
+        yield poses.reordered().conjugate(), both, "rename the columns, and add --conjugate"
+    angles = np.asarray(poses.angles)
+    orders = [*EULER, *(order.swapcase() for order in EULER), "rotvec"]
+    for scale, unit in ((1.0, ""), (np.pi / 180.0, "deg"), (180.0 / np.pi, "rad")):
+        for order in () if poses.angles is None else orders:
+            turned = poses._replace(orientation_wxyz=turns_by(scale * angles, order))
+            remedy = f"write [{unit}] behind their names, and " * bool(unit)
+            read = f"angles in {unit}, read as {order}," if unit else f"angles read as {order}"
+            yield turned, f"{read} give", f"{remedy}add --euler {order}"
+    for scale in (*_SCALES, *(1.0 / scale for scale in _SCALES)):
+        size = f"{assumed.dock_radius / scale:.4g}"
+        remedy = f"give --dock-radius {size}, and docks in that unit"
+        scaled = poses._replace(position=poses.position * scale)
+        yield scaled, f"a dock radius of {size} in the unit of the poses gives", remedy
+    for axis, name in enumerate("xyz"):
+        for scale in (*_SCALES[:-1], *(1.0 / scale for scale in _SCALES[:-1])):
+            position = poses.position * np.where(np.arange(3) == axis, scale, 1.0)
+            remedy = f"the axes have different units; multiply {name} by {scale:.4g}"
+            yield poses._replace(position=position), f"{name} times {scale:.4g} gives", remedy
+        position = poses.position * np.where(np.arange(3) == axis, -1.0, 1.0)
+        remedy = "positions and orientations have frames of different hands; export both alike"
+        yield poses._replace(position=position), f"{name} reversed gives", remedy
+    if assumed.dock_offset_body is not None:
+        mirrored = poses.right_handed("z")  # the docks are not
+        yield mirrored, "docks of the mirror image give", "reverse y in --docks"
+
+
+def _by_docks(offset: Reals, touching: int) -> str:
+    """Name the offsets at which docks would touch, and the remedy."""
+    places = ", ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in (offset + 0.0).tolist())
+    return f"docks at {places} in the body frame give {touching}: measure them, and add --docks"
+
+
+def off_the_ground(poses: Poses, assumed: Assumptions) -> list[str]:
+    """Warn if no dock stands on the ground, or if far more do with another axis up."""
+    if assumed.ground_z is None:
+        return []
+    standing, below = _on_ground(poses, assumed)
+    by_axis = {up: _on_ground(poses.upright(up), assumed) for up in UPWARD}
+    up = max(by_axis, key=lambda up: by_axis[up].standing * (by_axis[up].below == 0))
+    other = by_axis[up]
+    explains = below > 0 and other.below == 0 and other.standing >= max(1, FAR_MORE * standing)
+    if standing and not explains:
+        return []
+    docks = f"{standing or 'no'} dock{'s stand' if standing > 1 else ' stands'}"
+    problem = f"{docks} on the ground at z = {assumed.ground_z:g}, and {below} of "
+    problem += f"{poses.docks[..., 0].size} are below it"
+    if explains:
+        return [f"{problem}; with {up} up, {other.standing} stand and none is below: add --up {up}"]
+    lowest = float(poses.docks[..., 2].min()) - assumed.dock_radius
+    return [f"{problem}; the lowest reaches to z = {lowest:.4g}: correct --ground-z or --up"]
+
+
+class _OnGround(NamedTuple):
+    """Numbers of docks."""
+
+    standing: int
+    below: int
+
+
+def _on_ground(poses: Poses, assumed: Assumptions) -> _OnGround:
+    """Count the docks that stand on the ground and those below it."""
+    least, greatest = assumed.level
+    height = poses.docks[..., 2]
+    below = height < least
+    return _OnGround(int((~below & (height <= greatest)).sum()), int(below.sum()))
+
+
+def _off_center(poses: Poses, assumed: Assumptions) -> Reals:
+    """Find by how much docks are off their places in the body frame, all alike, shape (3,).
+
+    Steps at which most docks nearly touch, and none, are refined by the docks that do.
+    """
+    turn = Rotation.from_quat(poses.orientation_wxyz, scalar_first=True).as_matrix()
+    axis = assumed.dock_radius * np.arange(-_OFF_CENTER, _OFF_CENTER + 0.5 * _SHIFT, _SHIFT)
+    places = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    order = np.argsort([-len(_close(poses.docks, turn, at, assumed)) for at in places])
+    refined = []
+    for place in [np.zeros(3), *places[order[:_BEST]]]:
+        for _ in range(2):  # docks that touch are others after the first time
+            pair = _close(poses.docks, turn, place, assumed)
+            if len(pair) >= _UNKNOWNS:
+                place = _refined(poses.docks, turn, place, pair, assumed.dock_radius)  # noqa: PLW2901
+        refined.append(place)
+
+    def touching(place: Reals) -> int:
+        moved = poses.dock_offset_body + place
+        return count_touching(poses, replace(assumed, dock_offset_body=moved))
+
+    return max(refined, key=touching)
+
+
+def _close(docks: Reals, turn: Reals, off: Reals, assumed: Assumptions) -> Ints:
+    """List the docks that nearly touch where all are off by a vector in the body frame."""
+    docks = docks + (turn @ off)[:, None]
+    pair = dock_pairs(docks, (2.0 + _NEAR) * assumed.dock_radius)
+    return pair[surface_gaps(docks, pair, assumed.dock_radius) >= -_NEAR * assumed.dock_radius]
+
+
+def _refined(docks: Reals, turn: Reals, off: Reals, pair: Ints, radius: float) -> Reals:
+    """Let most of the docks of some pairs touch, shape (3,)."""
+
+    def misfit(place: Reals) -> Reals:
+        return surface_gaps(docks + (turn @ place)[:, None], pair, radius) / radius
+
+    found = least_squares(  # type: ignore[operator]
+        misfit, off, loss="cauchy", f_scale=TOLERANCE
+    )
+    return np.asarray(found.x)

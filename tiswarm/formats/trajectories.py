@@ -1,0 +1,374 @@
+"""Reads poses over time of other programs: GSD, TUM RGB-D, exports of motion capture, folders.
+
+    GSD        particles of all frames; a frame's step is its time
+    ROS        bags: messages of all types that have poses or transforms
+    TUM        time x y z qx qy qz qw, separated by spaces
+    Motive     CSV, rows Type, Name, ID, then Rotation and Position; quaternions or angles
+    Qualisys   TSV, columns X, Y, Z, Roll, Pitch, Yaw, Residual and maybe Rot[0] to Rot[8]; mm
+    Vicon      CSV, blocks Objects or Segments, columns RX, RY, RZ, maybe RW, TX, TY, TZ
+
+The head of an export becomes one line, with names of bodies before those of quantities; the rest is
+a table with all robots a row. A folder has a file for each robot, whose name is the number in that
+of the file. A single TUM file has one line for each robot, as `tiswarm export` writes it; its time
+is the join index. Bodies that the cameras lost have empty cells, or zeros in Qualisys' exports.
+"""
+
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.formats import columns, poses
+from tiswarm.formats.exports import gsd_library
+from tiswarm.records.io import LARGEST, numbered_lines, unreadable
+from tiswarm.records.messages import counted
+from tiswarm.records.sensing_file import FAR_FROM_UNIT
+
+_TUM = ["time", *"xyz", "qx", "qy", "qz", "qw"]
+
+LONGEST_TEXT = 2**28
+"""Largest content of a file of trajectories [byte], whose rows are all in memory."""
+
+
+def read_gsd(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
+    """Read the particles of all frames; return None if the file is not named `.gsd`.
+
+    A particle is the robot that the logged quantity `particles/robot` names, else that of its
+    index; constituents of rigid bodies are left out. Positions are from the logged `origin`, if
+    there is one, and unwrapped. Docks are the spheres of their shape, if they have one.
+
+    Raises:
+        InputError: the file is damaged, or its spheres have another radius.
+        EnvironmentTroubleError: the library gsd is not installed.
+    """
+    if path.suffix != ".gsd":
+        return None
+    hoomd = gsd_library()
+    if not path.is_file():
+        raise unreadable(
+            path, OSError(0, "no regular file") if path.exists() else FileNotFoundError()
+        )
+    tables, docks, left_out = [], None, 0
+    try:
+        with hoomd.open(path, mode="r") as frames:
+            for number, frame in enumerate(frames, start=1):
+                particles, box = frame.particles, np.asarray(frame.configuration.box, np.float64)
+                body = np.asarray(particles.body, np.int64)
+                is_robot = (body < 0) | (body == np.arange(particles.N))
+                left_out += int((~is_robot).sum())
+                place = np.asarray(particles.position, np.float64) + frame.log.get("origin", 0.0)
+                around = np.asarray(particles.image, np.float64)
+                if around.any() and box[3:].any():
+                    problem = (
+                        f"frame {number} wraps around a box that is not rectangular; unwrap it"
+                    )
+                    raise InputError(problem, path=path)
+                rows = pd.DataFrame(place + around * box[:3], columns=[*"xyz"])
+                rows[poses.QUATERNION] = np.asarray(particles.orientation, np.float64)
+                rows["robot"] = np.asarray(
+                    frame.log.get("particles/robot", np.arange(particles.N)), np.int64
+                )
+                rows["time"], rows["line"] = float(frame.configuration.step), number
+                tables.append(rows[is_robot])
+                docks = _docks(particles, path, assumed.dock_radius) if docks is None else docks
+    except (RuntimeError, OSError, LookupError, ValueError, TypeError, MemoryError) as error:
+        raise InputError(f"not a whole GSD file ({error}); copy it again", path=path) from error
+    if not sum(map(len, tables)):
+        raise InputError("there are no particles; name a file with robots", path=path)
+    rows = pd.concat(tables).assign(run="")
+    columns.refuse_far(rows, path, assumed.dock_radius)
+    notes = [f"{counted(left_out, 'constituent')} of rigid bodies left out"] if left_out else []
+    return poses.PoseTable(rows, "", (), notes, docks)
+
+
+def read_bag(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
+    """Read all poses of a bag of ROS; None if the path is no `.bag` and no folder of ROS 2.
+
+    These are messages of any type that have a position and an orientation, a transform, or a list
+    of either, with names beside it or not. A robot has the number in the name of its topic, of its
+    model or of its frame; the time is that of recording [s].
+
+    Raises:
+        InputError: the bag is damaged, or has no poses.
+        EnvironmentTroubleError: the library rosbags is not installed.
+    """
+    if path.suffix != ".bag" and not (path / "metadata.yaml").is_file():
+        return None
+    try:
+        from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError as error:
+        problem = "bags need the library rosbags; pip install 'tiswarm[ros]'"
+        raise EnvironmentTroubleError(problem) from error
+    found: list[tuple[str, float, list[float]]] = []
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+            for connection, stamp, raw in bag.messages():
+                message = bag.deserialize(raw, connection.msgtype)
+                found += (
+                    (name, stamp, pose) for name, pose in _poses_in(message, connection.topic)
+                )
+    except Exception as error:  # the library has many kinds, and bags are anybody's
+        problem = f"not a whole bag ({type(error).__name__}: {str(error)[:80]}); record it again"
+        raise InputError(problem, path=path) from error
+    if not found:
+        raise InputError("the bag has no poses; record odometry, poses or tf", path=path)
+    names = [*dict.fromkeys(name for name, *_ in found)]
+    numbers, notes = columns.robot_numbers(names)
+    robot = dict(zip(names, numbers, strict=True))
+    rows = pd.DataFrame([pose for *_, pose in found], columns=[*"xyz", *poses.QUATERNION])
+    rows["robot"] = [robot[name] for name, *_ in found]
+    rows["time"] = np.array([stamp - found[0][1] for _, stamp, _ in found]) * 1e-9
+    rows = rows.assign(line=1, run="").drop_duplicates(["robot", "time"])
+    rows = rows if rows["robot"].duplicated().any() else rows.drop(columns="time")
+    columns.refuse_far(rows, path, assumed.dock_radius)
+    return poses.PoseTable(rows, "m", poses.QUATERNION, notes)
+
+
+def _poses_in(message: Any, name: str) -> Iterator[tuple[str, list[float]]]:  # noqa: ANN401 - of ROS
+    """Yield the poses in a message: a name, then x, y, z, qw, qx, qy, qz."""
+    name = getattr(message, "child_frame_id", "") if hasattr(message, "transform") else name
+    for place, turn in (("position", "orientation"), ("translation", "rotation")):
+        if hasattr(message, place) and hasattr(message, turn):
+            p, q = getattr(message, place), getattr(message, turn)
+            yield name, [float(number) for number in (p.x, p.y, p.z, q.w, q.x, q.y, q.z)]
+            return
+    for key in ("pose", "poses", "transform", "transforms"):
+        inner = getattr(message, key, None)
+        if isinstance(inner, list):
+            names = getattr(message, "name", None) or [f"{name}_{k}" for k in range(len(inner))]
+            for each, named in zip(inner, names, strict=False):
+                yield from _poses_in(each, named)
+        elif inner is not None:
+            yield from _poses_in(inner, name)
+
+
+def _docks(particles: object, path: Path, dock_radius: float) -> Reals | None:
+    """Read the docks of the first type of particles, shape (D, 3); None if it has no spheres."""
+    shape = (getattr(particles, "type_shapes", None) or [{}])[0]
+    if shape.get("type") != "SphereUnion":
+        return None
+    for diameter in shape["diameters"]:
+        if not np.isclose(diameter, 2.0 * dock_radius, rtol=1e-5):
+            problem = f"the spheres have a radius of {diameter / 2.0:g}, not {dock_radius:g}"
+            raise InputError(f"{problem}; give that of the file", path=path, argument="dock_radius")
+    return np.array(shape["centers"], np.float64)
+
+
+def read_tum(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
+    """Read a folder with a file for each robot, or a TUM file with a robot a line.
+
+    Return None if the path is neither a folder nor named `.tum`.
+
+    Raises:
+        InputError: a line is malformed, or a file of the folder has no number in its name.
+    """
+    if not path.is_dir() and path.suffix != ".tum":
+        return None
+    drop, notes = assumed.drop_incomplete, list[str]()
+    if path.is_dir():
+        return _read_folder(path, assumed)
+    rows, lines = _trajectory(path, assumed.dock_radius)
+    notes += columns.report_incomplete(path, lines, drop=drop)
+    rank = rows["time"].argsort(kind="stable").argsort().to_numpy()
+    note = "a robot a line, numbered by time; for poses over time, name a folder with a file each"
+    return poses.PoseTable(
+        rows.drop(columns="time").assign(robot=rank, join=rank, run=""), "", (), [note, *notes]
+    )
+
+
+def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
+    """Read a file for each robot, whose number is in the file's name: `.tum`, else tables."""
+    tables, notes, named = [], list[str](), dict[int, str]()
+    files = sorted(path.glob("*.tum")) or sorted(
+        file for file in path.iterdir() if file.suffix in {".csv", ".txt", ".tsv"}
+    )
+    robots = columns.numbers_in([file.stem for file in files])
+    if files and not robots:
+        file = next((file for file in files if len(re.findall(r"\d+", file.stem)) != 1), files[0])
+        problem = "the name has no number, or several; name the file as robot_7.tum, or move it "
+        raise InputError(f"{problem}out of the folder if it is of no robot", path=file)
+    for file, robot in zip(files, robots, strict=True):
+        if (other := named.setdefault(robot, file.name)) != file.name:
+            problem = f"the name has the number of {other}; give each robot its own"
+            raise InputError(problem, path=file)
+        if file.suffix == ".tum":
+            rows, lines = _trajectory(file, assumed.dock_radius)
+            drop = assumed.drop_incomplete
+            notes += columns.report_incomplete(file, lines, drop=drop, name=file.name)
+            table = poses.PoseTable(rows.assign(robot=robot), "", (), notes)
+        else:
+            table = columns.read_table(file, assumed, robot=robot)
+        tables.append(table._replace(rows=table.rows.assign(file=str(file))))
+    if not tables:
+        problem = "there are no files *.tum or *.csv; add one for each robot"
+        raise InputError(problem, path=path)
+    rows = pd.concat([table.rows for table in tables]).assign(run="")
+    if files[0].suffix != ".tum":
+        rows = (
+            rows if rows["robot"].duplicated().any() else rows.drop(columns="time", errors="ignore")
+        )
+        notes = [*dict.fromkeys(note for table in tables for note in table.notes)]
+    if len(units := {table.length_unit for table in tables}) > 1:
+        listed = " and ".join(unit or "none" for unit in sorted(units))
+        problem = f"files have different units, {listed}; convert them to one"
+        raise InputError(problem, path=path)
+    return tables[0]._replace(rows=rows, notes=notes)
+
+
+def _trajectory(path: Path, dock_radius: float) -> tuple[pd.DataFrame, list[int]]:
+    """Read the lines of a file, with their numbers, and list the lines that have a NaN."""
+    rows, lines, incomplete = [], [], []
+    for line, text in numbered_lines(path, LONGEST_TEXT):
+        cells = text.split()
+        if not cells or cells[0].startswith("#"):
+            continue
+        try:
+            row = [*map(float, cells)]
+        except ValueError:
+            row = []
+        if len(row) == len(_TUM) and np.isnan(row).any():
+            incomplete.append(line)
+            continue
+        if len(row) != len(_TUM) or not np.abs(row).max() <= LARGEST:
+            problem = (
+                "is not time, x, y, z, qx, qy, qz, qw; write eight numbers with spaces between"
+            )
+            raise InputError(problem, path=path, line=line)
+        length = float(np.linalg.norm(row[-4:]))
+        if not abs(length - 1.0) <= FAR_FROM_UNIT:
+            problem = f"the quaternion has length {length:.6g}; scale it to 1"
+            raise InputError(problem, path=path, line=line)
+        rows.append(row)
+        lines.append(line)
+    if not rows and not incomplete:
+        raise InputError("there are no poses; add a line for each", path=path, line=1)
+    if not rows:
+        raise InputError("no line is complete; add a pose", path=path, line=incomplete[0])
+    table = pd.DataFrame(rows, columns=_TUM).assign(line=lines)
+    columns.refuse_far(table, path, dock_radius)
+    return table, incomplete
+
+
+_VICON = ("Objects", "Segments")
+_VICON_OTHERS = ("Trajectories", "Model Outputs", "Joints", "Devices", "Unlabeled")
+
+_LONGEST_HEAD = 100
+"""Lines after which a head without an end is none; events of Qualisys have a line each."""
+
+_Lines = list[list[str]]
+
+
+def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
+    """Read the rigid bodies of an export; return None if the file is none.
+
+    Raises:
+        InputError: a line is malformed, or the export lacks orientations or has them in angles
+            whose order it does not state.
+    """
+    _, first = next(numbered_lines(path, LONGEST_TEXT), (1, ""))
+    start = _cells(first.partition("\r")[0], path, 1)[0]
+    heads = {"Format Version": _motive, "FILE_VERSION": _qualisys, "NO_OF_FRAMES": _qualisys}
+    head = _vicon if start in {*_VICON, *_VICON_OTHERS} else heads.get(start)
+    if head is None:
+        return None
+    lines = [text.rstrip() for _, text in numbered_lines(path, LONGEST_TEXT)]
+    cells = [_cells(text, path, number) for number, text in enumerate(lines[:_LONGEST_HEAD], 1)]
+    names, last, sheet = head(path, cells, lines)
+    separator = "\t" if "\t" in lines[last] else ";" if ";" in lines[last] else ","
+    rows = [line if line.strip(f"{separator} ") else "#" for line in lines[last + 1 :]]
+    if head is _vicon and "#" in rows:  # a blank line ends a block
+        rows = rows[: rows.index("#")]
+    for k, row in enumerate(rows):
+        lacks = len(names) - row.count(separator) - 1
+        rows[k] = row if row == "#" else row + separator * lacks
+    if not any(row != "#" for row in rows):
+        raise InputError("there are no poses; export frames with bodies", path=path, line=1)
+    text = [*"#" * last, columns.header_line(names, separator), *rows]
+    return columns.read_table(path, assumed, sheet._replace(text="\n".join(text)))
+
+
+def _cells(text: str, path: Path, number: int) -> list[str]:
+    """Split a line of a head."""
+    separator = "\t" if "\t" in text else ";" if text.count(";") > text.count(",") else ","
+    try:
+        cells = next(csv.reader([text], delimiter=separator), [])
+    except csv.Error as error:
+        problem = f"not a table: {error}; export the file again"
+        raise InputError(problem, path=path, line=number) from error
+    return [cell.strip() for cell in cells] or [""]
+
+
+def _end(head: _Lines, path: Path, program: str, remedy: str) -> int:
+    """Find the last line of a head, which starts with Frame."""
+    end = next((k for k, cells in enumerate(head) if cells[0] == "Frame"), 0)
+    if end == 0:
+        raise InputError(f"{program} lacks {remedy}", path=path, line=1)
+    return end
+
+
+def _motive(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, columns.Sheet]:
+    """Name the columns of an export of Motive."""
+    facts = dict(zip(head[0][::2], head[0][1::2], strict=False))
+    if (space := facts.get("Coordinate Space", "Global")) != "Global":
+        problem = f"Coordinate Space is {space[:40]}; export again with Global"
+        raise InputError(problem, path=path, line=1)
+    remedy = "rows Type, Name and Frame; export it with them"
+    end = _end(head, path, "the head of Motive's export", remedy)
+    rows = {cells[1]: cells for cells in head[:end] if len(cells) > 1}
+    if not {"Type", "Name"} <= {*rows}:
+        problem = f"the head of Motive's export lacks {remedy}"
+        raise InputError(problem, path=path, line=1)
+    heads = zip(rows["Type"], rows["Name"], head[end - 1], head[end], strict=False)
+    names = [
+        f"{name}/{what} {axis}" if kind == "Rigid Body" and axis else ""
+        for kind, name, what, axis in heads
+    ]
+    names[:2] = head[end][:2]
+    turn = facts.get("Rotation Type", "Quaternion")
+    return names, end, columns.Sheet(
+        "", "Motive", facts.get("Length Units", "Meters").lower(), degrees=True,
+        euler="" if turn == "Quaternion" else turn,
+        notes=["Motive has y up unless an export maps its axes: --up y"],
+    )  # fmt: skip
+
+
+def _qualisys(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, columns.Sheet]:
+    """Name the columns of an export of Qualisys Track Manager."""
+    remedy = "BODY_NAMES and a column Frame; export 6D data with both headers"
+    end = _end(head, path, "Qualisys' export", remedy)
+    bodies = next((cells[1:] for cells in head if cells[0] == "BODY_NAMES"), [])
+    if not bodies:
+        raise InputError(f"Qualisys' export lacks {remedy}", path=path, line=1)
+    names, count, body = [], 0, ""
+    for cell in head[end]:
+        if found := re.fullmatch(r"(?:(.*) )?X", cell):
+            body = found[1] or (bodies[count] if count < len(bodies) else "")
+            count += 1
+        names.append(f"{body}/{cell.removeprefix(f'{body} ')}" if body else cell)
+    if "Time" in names:  # which is not counted in frames
+        names[names.index("Frame")] = ""
+    return names, end, columns.Sheet("", "Qualisys", "mm", degrees=True, euler="XYZ")
+
+
+def _vicon(path: Path, _: _Lines, lines: list[str]) -> tuple[list[str], int, columns.Sheet]:
+    """Name the columns of the first block of rigid bodies in an export of Vicon's programs."""
+    start = next((k for k, text in enumerate(lines) if text.split(",")[0] in _VICON), -1)
+    if start < 0 or len(lines) < start + 5:
+        problem = "Vicon's export has no block Objects or Segments, so no orientations; "
+        raise InputError(f"{problem}export rigid bodies, with quaternions", path=path, line=1)
+    bodies, axes, units = (_cells(lines[start + k], path, start + k + 1) for k in (2, 3, 4))
+    names, body = [], ""
+    for place, axis in enumerate(axes):
+        if place < len(bodies) and bodies[place]:
+            body = bodies[place].removeprefix("Global Angle ").partition(":")[0]
+        unit = units[place] if place < len(units) else ""
+        named = f"{body}/{axis} [{unit}]" if unit else f"{body}/{axis}"
+        names.append(named if body and re.fullmatch("[RT][XYZW]'*", axis) else axis)
+    return names, start + 4, columns.Sheet("", "Vicon", "mm", degrees=False)

@@ -1,0 +1,1 @@
+"""The method `distributed`: robots locate themselves by messages."""

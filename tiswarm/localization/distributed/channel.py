@@ -1,0 +1,394 @@
+"""How messages travel: from robot to robot by touch, or by radio to those in reach.
+
+A message has parts, each for one robot. It takes shortest ways along contacts, or by radio from
+robot to robot in reach; where ways part, each branch carries the parts of the robots behind it. By
+radio one transmission reaches all robots, or those that measured a range between them. Who passes a
+message on takes it in, and so does who is in reach of a radio that reaches all. Transmissions take
+a round and `delay` more. Who was to receive one acknowledges it; without an answer it is sent
+again, after pauses that double: they outlast bursts of loss. Which are heard is decided by the
+channel of the settings, for all of a round at once.
+
+Losses and the order of events depend on the seed and on numbers of messages and robots alone.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.registry import get
+from tiswarm.compute.math import uniform
+from tiswarm.localization.distributed.settings import DistributedParams
+from tiswarm.localization.distributed.wire import MOST_ROBOTS
+from tiswarm.records.sensing_format import RobotLine
+
+HEADER = 4
+"""Bytes before the parts of a message: its kind, sender, number and length."""
+
+ADDRESS = 2
+"""Bytes before each part: its robot, and the length of the part."""
+
+ACKNOWLEDGMENT = 3
+"""Bytes of an acknowledgment: the number of the message and its robot."""
+
+
+def pause(attempt: int) -> int:
+    """Choose for how many rounds to be silent before a transmission or a question is repeated.
+
+    Args:
+        attempt: Number of the repetition, from 1.
+    """
+    return int(2 ** min(attempt, _LONGEST)) - 1
+
+
+class Message(NamedTuple):
+    """What a robot sends."""
+
+    kind: str
+    """Name of what it is about."""
+
+    sender: int
+    """Number of the robot."""
+
+    common: bytes
+    """Content for all who hear it."""
+
+    parts: Mapping[int, bytes]
+    """Content for each receiver, by its number."""
+
+
+_LONGEST = 10
+"""Times that a pause doubles at most."""
+
+Hear = Callable[[int, Message], Message]
+"""Gives a robot a message, with those parts of it that passed by; returns what it passes on."""
+
+
+@dataclass
+class _Hop:
+    """A transmission under way."""
+
+    serial: int
+    """Number of the message."""
+
+    message: Message
+    sender: int
+    """Peer that transmits."""
+
+    tree: Mapping[int, list[int]]
+    """By robot, those that it passes the message on to."""
+
+    next: Mapping[int, set[int]]
+    """Robots that are to hear this transmission, each with those behind it and itself."""
+
+    attempt: int = 0
+    acknowledged: set[int] = field(default_factory=set)
+
+    @property
+    def waited(self) -> list[int]:
+        """Robots that have not acknowledged it."""
+        return [number for number in self.next if number not in self.acknowledged]
+
+    def transmitted(self) -> tuple[Message, int]:
+        """Return the message with the parts that still have to be heard, and its bytes."""
+        left = {number for other in self.waited for number in self.next[other]}
+        parts = {number: part for number, part in self.message.parts.items() if number in left}
+        size = HEADER + len(self.message.common) + sum(ADDRESS + len(p) for p in parts.values())
+        return self.message._replace(parts=parts), size
+
+
+def reached(line: RobotLine, params: DistributedParams) -> set[int]:
+    """List earlier robots that one touches, or by a radio of limited reach measured a range to."""
+    ranged = [] if params.radio_reach is None else line.ranges or []
+    return {other for _, other, _ in line.contacts} | {int(row[0]) for row in ranged}
+
+
+class Channel:
+    """The swarm's channel, with what each robot sent and heard."""
+
+    def __init__(self, params: DistributedParams, hear: Hear) -> None:
+        """Begin without robots.
+
+        Args:
+            params: Settings.
+            hear: Called with each robot that hears a message.
+        """
+        self._params, self._hear = params, hear
+        self._hears: Any = get("channel", params.channel)(params)
+        self._is_radio = params.channel != "touch"
+        self._reaches_all = self._is_radio and params.radio_reach is None
+        self._air: list[_Hop] = []
+        self._links: list[set[int]] = []
+        self._events: dict[int, list[tuple[int, Callable[[], None]]]] = {}
+        self._round, self._serial, self._drawn = 0, 0, 0
+        self.sent: list[int] = []
+        """Bytes that each robot transmitted, by its number."""
+        self.heard: list[int] = []
+        """Bytes that each robot heard."""
+        self.messages: list[int] = []
+        """Transmissions of each robot."""
+        self._had: set[tuple[int, int]] = set()
+
+    def traffic(self, memory: Ints, operations: Reals) -> dict[str, Reals]:
+        """List what localization cost each robot, as `Estimate.traffic` has it."""
+        counted = {
+            "sent": self.sent,
+            "heard": self.heard,
+            "messages": self.messages,
+            "memory": memory,
+            "operations": operations,
+            "rounds": np.full(len(self.sent), self.rounds),
+        }
+        return {name: np.asarray(count, np.float64) for name, count in counted.items()}
+
+    @property
+    def rounds(self) -> int:
+        """Rounds in which a message was under way, or a robot paused to repeat one."""
+        return self._round
+
+    def join(self, touching: set[int]) -> None:
+        """Add the next robot, with those that it touches, or by radio is in reach of."""
+        number = len(self._links)
+        self._links.append(set(touching))
+        for count in (self.sent, self.heard, self.messages):
+            count.append(0)
+        for other in touching:
+            self._links[other].add(number)
+
+    def send(self, message: Message, after: int = 0) -> None:
+        """Send a message after some silent rounds; parts of robots out of reach are lost."""
+        self._transmit(
+            self._serial,
+            message,
+            message.sender,
+            self._tree(message.sender, {*message.parts}),
+            after,
+        )
+        self._serial += 1
+
+    def wait(self, rounds: int) -> None:
+        """Let rounds pass in which nothing is under way."""
+        self._round += rounds
+
+    def settle(self) -> None:
+        """Let rounds pass until no message is under way."""
+        while self._events:
+            self._round += 1
+            due = self._events.pop(self._round, [])
+            # Events of a round come in an order of chance.
+            for _, event in sorted(due, key=lambda each: each[0]):
+                event()
+            self._deliver()
+
+    @property
+    def degree(self) -> Ints:
+        """Robots that each one touches, or by radio is in reach of, shape (N,)."""
+        return np.array([len(touching) for touching in self._links], np.int64)
+
+    def broadcast(self, size: int, times: int = 1, *, by_all: bool = True) -> None:
+        """Count messages of so many bytes of each robot to all others, without letting them pass.
+
+        Of repeated ones, the mean counts. By touch each robot hears all others through one contact;
+        where not all pass messages on, it hears those that it touches. By radio it hears those in
+        reach.
+        """
+        robots = range(len(self._links))
+        if self._is_radio:
+            self._count_by_radio([*robots], size, times)
+            return
+        for source in robots:
+            tree = {source: sorted(self._links[source])}
+            if by_all:
+                tree = self._tree(source, {*robots})
+            for sender, after in tree.items():
+                self._count_by_touch(sender, after, size, times)
+
+    def transmit(self, senders: Iterable[int], size: int) -> dict[int, list[int]]:
+        """Let robots transmit so many bytes each in one round by radio, and return who hears each.
+
+        Nobody acknowledges or repeats them.
+        """
+        self._round += 1
+        hops = [
+            _Hop(self._serial + k, Message("pose", sender, b"", {}), sender, {}, {})
+            for k, sender in enumerate(senders)
+        ]
+        self._serial += len(hops)
+        heard = self._heard(hops, [self._in_reach(hop) for hop in hops], [size] * len(hops))
+        for hop, listeners in zip(hops, heard, strict=True):
+            self.sent[hop.sender] += size
+            self.messages[hop.sender] += 1
+            for other in listeners:
+                self.heard[other] += size
+        return {hop.sender: listeners for hop, listeners in zip(hops, heard, strict=True)}
+
+    def ask(self, robot: int, size: int) -> None:
+        """Count a message of so many bytes of a robot to all in reach of its radio."""
+        self._count_by_radio([robot], size, 1)
+
+    def answer(self, robot: int, size: int, *, by_all: bool = False) -> None:
+        """Count messages of so many bytes to a robot, one of each that it touches or hears.
+
+        Only where all answer, those do that a radio without limits reaches.
+        """
+        senders = sorted(self._links[robot])
+        if by_all and self._reaches_all:
+            senders = [other for other in range(len(self._links)) if other != robot]
+        if self._is_radio:
+            self._count_by_radio(senders, size, 1)
+            return
+        for sender in senders:
+            self._count_by_touch(sender, [robot], size, 1)
+
+    def _count_by_radio(self, senders: list[int], size: int, times: int) -> None:
+        """Count transmissions of some robots, which all in reach hear."""
+        sending = {*senders}
+        for number in range(len(self._links)):
+            sends = number in sending
+            self.sent[number] += sends * times * size
+            self.messages[number] += sends * times
+            hears = len(senders) - sends
+            if not self._reaches_all:
+                hears = len(self._links[number] & sending)
+            self.heard[number] += times * size * hears
+
+    def _count_by_touch(self, sender: int, receivers: list[int], size: int, times: int) -> None:
+        """Count transmissions of a robot to each of some others, with repetitions in the mean."""
+        got = 1.0 - self._params.loss
+        # A transmission is repeated unless both it and its acknowledgment were heard.
+        failed = 1.0 - got**2
+        tries = times * sum(failed**k for k in range(self._params.retries + 1))
+        count = len(receivers)
+        self.sent[sender] += round(tries * count * size)
+        self.heard[sender] += round(tries * got**2 * count * ACKNOWLEDGMENT)
+        self.messages[sender] += round(tries * count)
+        for other in receivers:
+            self.heard[other] += round(tries * got * size)
+            self.sent[other] += round(tries * got * ACKNOWLEDGMENT)
+
+    def _tree(self, root: int, targets: set[int]) -> dict[int, list[int]]:
+        """Find ways to some robots: by robot, whom it passes a message on to."""
+        if self._reaches_all:
+            there = sorted(targets & {*range(len(self._links))} - {root})
+            return {root: there} if there else {}
+        before: dict[int, int] = {root: root}
+        queue, left = deque([root]), {*targets} - {root}
+        while queue and left:
+            here = queue.popleft()
+            for other in sorted(self._links[here]):
+                if other not in before:
+                    before[other] = here
+                    left.discard(other)
+                    queue.append(other)
+        tree: dict[int, list[int]] = {}
+        for target in sorted(targets & before.keys() - {root}):
+            here = target
+            while here != root and here not in tree.get(before[here], []):
+                tree.setdefault(before[here], []).append(here)
+                here = before[here]
+        return tree
+
+    def _behind(self, robot: int, tree: Mapping[int, list[int]]) -> set[int]:
+        """List a robot and all to which it passes a message on."""
+        found, queue = {robot}, [robot]
+        while queue:
+            after = tree.get(queue.pop(), [])
+            found.update(after)
+            queue += after
+        return found
+
+    def _transmit(
+        self,
+        serial: int,
+        message: Message,
+        sender: int,
+        tree: Mapping[int, list[int]],
+        after: int = 0,
+    ) -> None:
+        """Let a robot pass a message on to those that follow in the tree, after silent rounds."""
+        behind = {other: self._behind(other, tree) for other in tree.get(sender, [])}
+        # By touch, each contact has a transmission of its own.
+        each = [behind] if self._is_radio else [{other: its} for other, its in behind.items()]
+        for next_ones in filter(None, each):
+            self._begin(_Hop(serial, message, sender, tree, next_ones), after)
+
+    def _begin(self, hop: _Hop, after: int) -> None:
+        """Let a transmission begin in the next round, after silent ones."""
+        self._later(after, lambda: self._air.append(hop))
+
+    def _deliver(self) -> None:
+        """Let robots hear what is transmitted in a round; repeat what nobody acknowledged."""
+        hops, self._air = self._air, []
+        sent = [hop.transmitted() for hop in hops]
+        sizes = [size for _, size in sent]
+        heard = self._heard(hops, [self._in_reach(hop) for hop in hops], sizes)
+        waited = [
+            [other for other in of_hop if other in hop.waited]
+            for hop, of_hop in zip(hops, heard, strict=True)
+        ]
+        answered = self._heard(hops, waited, [])
+        for k, (hop, (message, size)) in enumerate(zip(hops, sent, strict=True)):
+            self.sent[hop.sender] += size
+            self.messages[hop.sender] += 1
+            for other in heard[k]:
+                self.heard[other] += size
+                is_new = (hop.serial, other) not in self._had
+                if is_new and (self._reaches_all or other in hop.next):
+                    self._had.add((hop.serial, other))
+                    self._later(self._params.delay, partial(self._arrive, hop, other, message))
+            # An acknowledgment may be lost, too: the message comes twice then, and counts twice.
+            for other in waited[k]:
+                self.sent[other] += ACKNOWLEDGMENT
+            self.heard[hop.sender] += ACKNOWLEDGMENT * len(answered[k])
+            hop.acknowledged.update(answered[k])
+            hop.attempt += 1
+            if hop.waited and hop.attempt <= self._params.retries:
+                self._begin(hop, self._params.delay + pause(hop.attempt))
+
+    def _in_reach(self, hop: _Hop) -> list[int]:
+        """List the robots that may hear a transmission."""
+        if not self._is_radio:
+            return hop.waited
+        if self._reaches_all:
+            return [other for other in range(len(self._links)) if other != hop.sender]
+        return sorted(self._links[hop.sender])
+
+    def _heard(
+        self, hops: Sequence[_Hop], reached: Sequence[Sequence[int]], sizes: Sequence[int]
+    ) -> list[list[int]]:
+        """Let the channel decide which robots hear transmissions.
+
+        Args:
+            hops: The transmissions of a round.
+            reached: By transmission, the robots that may hear it.
+            sizes: Bytes of each; none of acknowledgments, which those robots send.
+        """
+        of = np.repeat(np.arange(len(hops)), [len(each) for each in reached])
+        if not len(of):
+            return [[] for _ in hops]
+        serial, sender, attempt = np.array([(h.serial, h.sender, h.attempt) for h in hops])[of].T
+        listener = np.array([other for each in reached for other in each])
+        is_answer, seed = not sizes, self._params.seed
+        draw, key = 2 * attempt + is_answer, serial * MOST_ROBOTS
+        chance = uniform(seed, "loss", key + listener, draw)
+        own = uniform(seed, "slot", key + sender, draw)
+        size = np.full(len(of), ACKNOWLEDGMENT) if is_answer else np.array(sizes)[of]
+        ways = (listener, sender) if is_answer else (sender, listener)
+        heard = self._hears(self._round, *ways, size, chance, own, is_answer)
+        return [listener[heard & (of == k)].tolist() for k in range(len(hops))]
+
+    def _arrive(self, hop: _Hop, robot: int, message: Message) -> None:
+        message = self._hear(robot, message)
+        self._transmit(hop.serial, message, robot, hop.tree)
+
+    def _later(self, delay: int, event: Callable[[], None]) -> None:
+        """Let something happen after the next round and a delay."""
+        order = 0
+        if self._params.loss or self._params.delay or self._params.slots:
+            order = int(2**32 * uniform(self._params.seed, "order", self._drawn, 0)[()])
+        self._drawn += 1
+        self._events.setdefault(self._round + 1 + delay, []).append((order, event))

@@ -1,0 +1,1 @@
+"""The method `online`: robots are located as they join."""

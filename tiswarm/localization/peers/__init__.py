@@ -1,0 +1,1 @@
+"""Methods as other systems have them, to compare with."""

@@ -1,0 +1,86 @@
+"""Least squares from where `hop-by-hop` ends: the minimum of the chi-square of all measurements.
+
+Robots that solve for themselves, one after the other, end near the minimum where measurements
+suffice. There all of them move at once, by the same steps as at the end of `joint`. Further starts
+differ by random errors, so that the estimate says whether they lead to one minimum. Lengths in R.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tiswarm.base.aliases import Reals
+from tiswarm.base.progress import ignore
+from tiswarm.compute.math import normal
+from tiswarm.localization.chains.annealer import Annealed
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.views import set_apart
+from tiswarm.localization.mixture.assessment import open_variance
+from tiswarm.localization.mixture.ends import Fit, Posed, further_starts, settled
+from tiswarm.localization.mixture.mixture import mixed
+from tiswarm.localization.peers.hop_by_hop import place
+from tiswarm.localization.peers.settings import LeastSquaresParams
+from tiswarm.localization.settings import DOCKS_UNKNOWN
+from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.equations import AXES
+from tiswarm.measurements.model import SPACING
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
+
+_AXIS = np.arange(AXES)
+
+
+def localize(
+    log: SensingLog,
+    params: LeastSquaresParams,
+    _on_progress: Callable[[float], None] = ignore,
+) -> Estimate:
+    """Localize a structure.
+
+    Returns:
+        Its estimate: the mean over all minima found, weighted as in `joint`. `sd` follows from
+        their curvature; where measurements leave motions open, it is that of `hop-by-hop`. The
+        residual is the root mean square over contacts, ranges, and the components of measured
+        offsets.
+    """
+    posed = Posed(log, params, pose_problem(log, params))
+    precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
+    rows = measure(
+        log, [cue for cue in params.cues if cue not in DOCKS_UNKNOWN], precision=precision
+    )
+    placed = place(log, rows, non_overlap=params.non_overlap)
+    position = set_apart(posed.problem, placed.position)
+    ends = [
+        settled(posed, start, 0.0, params.rounds)
+        for start in [*_starts(position, placed.sd, params), *further_starts(posed)]
+    ]
+    end, yaw = (np.array([each[k] for each in ends]) for k in (0, 1))
+    still = Annealed(
+        mean=end,
+        within=np.zeros(end.shape[:2]),
+        last=end,
+        mean_yaw=yaw,
+        last_yaw=yaw,
+        sigma=0.0,
+        temperature=np.ones(len(end)),
+        iteration=_AXIS[:2],
+        trace=np.stack([position, end[0]]),
+        yaw_trace=np.stack([np.zeros_like(yaw[0]), yaw[0]]),
+    )
+    # Measurements decide where robots are that they determine; partners, where others are.
+    extent = float(np.sqrt(position.var(axis=0).sum() + SPACING**2))
+    inlier = np.ones(len(posed.problem.rows), np.bool_)
+    left_open = open_variance(posed, (end[0], yaw[0]), inlier)
+    prior_sd = np.where(placed.is_located, extent, np.maximum(placed.sd, np.sqrt(left_open)))
+    fit = Fit(log, params, posed.problem, still, np.zeros(len(end), np.bool_))
+    return mixed(fit, prior_sd=prior_sd)
+
+
+def _starts(position: Reals, sd: Reals, params: LeastSquaresParams) -> Reals:
+    """Add random errors to positions: none at first, at last of their `sd`, (starts, N, 3)."""
+    draw = 3 * np.arange(params.starts)[:, None, None] + _AXIS
+    robot = np.arange(len(sd))[:, None]
+    size = np.linspace(0.0, np.sqrt(1.0 / 3.0), params.starts)[:, None, None] * sd[:, None]
+    size[:, 0] = 0.0
+    moved: Reals = position + size * normal(params.seed, "starts", robot, draw)
+    return moved

@@ -1,1 +1,0 @@
-"""Optional parts: no other room imports them, and each can be left out of a copy."""

@@ -1,0 +1,601 @@
+"""The 3D pictures of a case, and animations of its growth as MP4, WebP or GIF.
+
+A study that sweeps the number of robots also has one picture of all sizes, side by side.
+"""
+
+import io
+import math
+import re
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.errors import EnvironmentTroubleError
+from tiswarm.base.params import AnyMovie
+from tiswarm.base.progress import Advance, Progress, ignore
+from tiswarm.measurements.observability import hops_from_anchors
+from tiswarm.records.io import write_bytes
+from tiswarm.records.messages import counted, three_digits
+from tiswarm.records.terrain import Terrain
+from tiswarm.report.figure_style import (
+    ERROR_COLORS,
+    ESTIMATE_ORANGE,
+    JOIN_COLORS,
+    SCALES,
+    TRUE_BLUE,
+    UNKNOWN_GRAY,
+    colors_along,
+    rgb,
+)
+from tiswarm.report.pictures.raycast import Pixels, draw_growth, draw_scenes, on_white
+from tiswarm.report.pictures.scene import TRUE_SIZE, Camera, Scene, build_scene, paint
+from tiswarm.report.run_data import RunData, StoredCase
+from tiswarm.report.swarm_view import Coloring, DrawnRobots, Look, SwarmView, read_case_view
+
+_GHOST_BLUE = "#80B8D8"  # TRUE_BLUE, translucent over white
+_NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
+
+_SEEN_ERROR = 0.3  # error from which a true robot is seen beside its estimate [R]
+_MOST_GHOSTS = 0.5  # share of robots above which translucent ones would hide each other
+
+_LETTERS, _LEGEND_HEIGHT, _BAR_LENGTH = 19, 44, 144  # of a legend, with its bar of colors [pixels]
+INK = (118, 118, 118)
+"""Color of letters, as far from white as from black."""
+
+NOTHING = (*INK, 0)
+"""Color where nothing is drawn: edges of letters on it are half transparent."""
+
+
+Keys = tuple[tuple[str, str], ...]
+"""A legend of single colors (hex), each with its meaning; a title has no color."""
+
+
+class Scale(NamedTuple):
+    """A legend of a range of colors (hex) and the meanings of its ends."""
+
+    colors: tuple[str, ...]
+    low: str
+    high: str
+    keys: Keys = ()  # behind the range
+
+
+class Picture(NamedTuple):
+    """A scene and the meaning of its colors."""
+
+    scene: Scene
+    legend: Keys | Scale
+
+
+def build_pictures(view: SwarmView) -> dict[str, Picture]:
+    """Build every picture of robots, by name; without a truth, of the estimated structure."""
+    structure = view.robots(view.best_pose, view.color_by_join, TRUE_SIZE)
+    around = structure.dock.reshape(-1, 3)
+    by_join = Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}")
+    name = "structure" if view.has_truth else "estimate"
+    scene = build_scene(structure, view.terrain)
+    pictures = {name: Picture(scene, by_join)}
+    if view.has_truth and view.has_estimate:
+        pictures["truth-and-estimate"] = _truth_and_estimate(view, around)
+    for each in view.colorings:
+        prefix = "color-" if any(each is own for own in view.own) else ""
+        pictures[prefix + re.sub(r"\W+", "-", each.label)] = _colored(view, scene, each)
+    pictures["contact-graph"] = _contact_graph(view, around)
+    return pictures
+
+
+def _truth_and_estimate(view: SwarmView, around: Reals) -> Picture:
+    """Draw the estimated robots solid, and the true ones translucent where the error is seen.
+
+    Where it is seen of most robots, they would hide each other: balls at true and estimated centers
+    stand for them, joined by rods.
+    """
+    keys = ((_GHOST_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
+    estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), TRUE_SIZE)
+    is_true, is_placed = (_known(pose) for pose in (view.pose, view.estimated_pose))
+    seen = is_true & ((view.error > _SEEN_ERROR) | ~is_placed)
+    if seen.sum() > _MOST_GHOSTS * is_true.sum():
+        ends = np.stack([view.pose[:, :3], view.estimated_pose[:, :3]], axis=1)
+        center = np.concatenate([ends[is_true, 0], ends[is_placed, 1]])
+        colors = [rgb(TRUE_BLUE), rgb(ESTIMATE_ORANGE)]
+        color = np.repeat(colors, [is_true.sum(), is_placed.sum()], 0)
+        ends = ends[is_true & is_placed]
+        nodes = DrawnRobots(center=center, dock=center[:, None], color=color, look=_NODE)
+        scene = build_scene(nodes, view.terrain, rods=ends, around=around)
+        return Picture(scene, ((TRUE_BLUE, "true"), *keys[1:]))
+    shown = np.where(seen[:, None], view.pose, np.nan)
+    ghosts = view.robots(shown, rgb(TRUE_BLUE), TRUE_SIZE) if seen.any() else None
+    return Picture(build_scene(estimate, view.terrain, ghosts=ghosts, around=around), keys)
+
+
+def _known(pose: Reals) -> Bools:
+    """Find the robots whose pose (N, 7) is known, which that of robots that left is not."""
+    return np.asarray(np.isfinite(pose).all(axis=1))
+
+
+def _colored(view: SwarmView, scene: Scene, by: Coloring) -> Picture:
+    """Color the structure by a value of each robot."""
+    (color, most), colors = paint(by), SCALES[by.scale]
+    gray = ((UNKNOWN_GRAY, "unknown"),) * bool(np.isnan(by.value[_known(view.best_pose)]).any())
+    legend: Keys | Scale = (("", by.title), *zip(colors, by.words, strict=False), *gray)
+    if not by.words:
+        legend = Scale(colors, f"{by.title}  {by.least:.3g}", three_digits(most), gray)
+    return Picture(scene.painted(view.robots(view.best_pose, color, TRUE_SIZE)), legend)
+
+
+def _contact_graph(view: SwarmView, around: Reals) -> Picture:
+    """Draw robots as balls, colored by hops from the anchor, and contacts as rods."""
+    away, is_known = hops_from_anchors(view.log), _known(view.best_pose)
+    farthest = max(np.max(away, initial=1.0, where=np.isfinite(away) & is_known), 1.0)
+    color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
+    center = view.best_pose[:, :3]
+    shown = center[is_known]
+    nodes = DrawnRobots(center=shown, dock=shown[:, None], color=color[is_known], look=_NODE)
+    pairs = view.log.contacts[:, [0, 2]]
+    rods = center[pairs[is_known[pairs].all(axis=1)]]
+    scene = build_scene(nodes, view.terrain, rods=rods, around=around)
+    return Picture(scene, Scale(JOIN_COLORS, "hops from an anchor  0", f"{farthest:.0f}"))
+
+
+def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) -> Image.Image:
+    """Add a band with a legend above a picture; `size` scales its letters and bar.
+
+    The band of a picture with opacity is transparent, others are white.
+    """
+    font, long = ImageFont.load_default(size * _LETTERS), round(size * _BAR_LENGTH)
+    start = left = size * 13.0
+    places: list[tuple[float, float]] = []
+    line = size * _LEGEND_HEIGHT / 2.0
+    keys = legend.keys if isinstance(legend, Scale) else legend
+    if isinstance(legend, Scale):
+        left += font.getlength(f"{legend.low}   {legend.high}   ") + long
+    for _, text in keys:
+        wide = size * 50 + font.getlength(text)
+        if places and left + wide > picture.width:
+            left, line = start, line + size * _LEGEND_HEIGHT
+        places.append((left, line))
+        left += wide
+    high = round(line + size * _LEGEND_HEIGHT / 2.0)
+    back = NOTHING if picture.mode == "RGBA" else "white"
+    whole = Image.new(picture.mode, (picture.width, picture.height + high), back)
+    whole.paste(picture, (0, high))
+    pen, line = ImageDraw.Draw(whole), size * _LEGEND_HEIGHT / 2.0
+    if isinstance(legend, Scale):
+        pen.text((start, line), legend.low, INK, font, anchor="lm")
+        left = start + pen.textlength(f"{legend.low}  ", font)
+        bar = colors_along(np.linspace(0.0, 1.0, long), legend.colors)
+        for x, color in enumerate((255.0 * bar).round().astype(int).tolist()):
+            pen.line((left + x, line - size * 7, left + x, line + size * 7), tuple(color))
+        pen.text((left + long, line), f" {legend.high}", INK, font, anchor="lm")
+    for (key, text), (left, line) in zip(keys, places, strict=True):
+        if key:
+            pen.ellipse((left, line - size * 9, left + size * 18, line + size * 9), fill=key)
+        pen.text((left + size * 25 * bool(key), line), text, INK, font, anchor="lm")
+    return whole
+
+
+class Rendered(NamedTuple):
+    """A picture file."""
+
+    path: Path
+    renderer: str
+    reason: str  # why a better renderer failed; empty if none did
+
+
+def render_view(
+    view: SwarmView, progress: Progress, renderer: str | None = None
+) -> tuple[dict[str, bytes], str, str]:
+    """Draw every picture of robots by a renderer, the best one that works if None.
+
+    Returns:
+        The PNGs by name, the renderer, and why a better one failed.
+
+    Raises:
+        InputError: the renderer is unknown, or the log is damaged.
+        EnvironmentTroubleError: the renderer does not work on this machine.
+    """
+    planned = build_pictures(view)
+    with progress.task("render", len(planned)) as advance:
+        scenes = [plan.scene for plan in planned.values()]
+        pictures, used, reason = draw_scenes(scenes, renderer, advance)
+    _name_renderer(progress, used, reason)
+    encoded = {
+        name: _encoded(Image.fromarray(picture), plan.legend)
+        for (name, plan), picture in zip(planned.items(), pictures, strict=True)
+    }
+    return encoded, used, reason
+
+
+def _name_renderer(progress: Progress, used: str, reason: str) -> None:
+    """Report which renderer drew, and why no better one did."""
+    progress.info(f"drawn by {used}" + (f" ({reason})" if reason else ""))
+
+
+def picture_files(
+    view: SwarmView,
+    progress: Progress,
+    *,
+    renderer: str | None = None,
+    movie: AnyMovie | None = None,
+) -> dict[str, bytes]:
+    """Draw every picture of robots, and an animation of the growth if a format is given, by file.
+
+    Centers are relative to the anchor: float32 resolves them well. Errors are those of
+    `render_view` and `animate_view`.
+    """
+    near = _near_anchor(view)
+    pictures, _, _ = render_view(near, progress, renderer)
+    files = {f"{name}.png": data for name, data in pictures.items()}
+    if movie:
+        files[f"growth.{movie}"] = animate_view(near, movie, progress, renderer)[0]
+    return files
+
+
+def encode_png(view: SwarmView) -> dict[str, bytes]:
+    """Draw every picture of robots, by file."""
+    return picture_files(view, view.progress)
+
+
+def _near_anchor(view: SwarmView) -> SwarmView:
+    """Return a view whose origin is the place of the anchor."""
+    pose, estimated, stood = map(view.from_origin, (view.pose, view.estimated_pose, view.stood))
+    terrain = view.terrain
+    if terrain is not None:
+        terrain = replace(terrain, ground_z=terrain.ground_z - float(view.origin[2]))
+    return replace(view, pose=pose, estimated_pose=estimated, stood=stood, terrain=terrain)
+
+
+def _encoded(picture: Image.Image, legend: Keys | Scale) -> bytes:
+    """Encode a picture with its legend as PNG."""
+    stream = io.BytesIO()
+    add_legend(picture, legend).save(stream, format="PNG", compress_level=4)
+    return stream.getvalue()
+
+
+def render_run(
+    run: RunData, *, progress: Progress, renderer: str | None = None, case: str | None = None
+) -> list[Rendered]:
+    """Draw every picture of one case of a run into `renders/`.
+
+    The best renderer that works draws the first of the largest cases, unless they are named. File
+    names contain the name of the case if it is given.
+
+    Raises:
+        InputError: the renderer or the case is unknown, or the run is damaged.
+        EnvironmentTroubleError: the renderer does not work on this machine.
+    """
+    chosen = run.choose(case)
+    pictures, used, reason = render_view(read_case_view(chosen), progress, renderer)
+    sizes, greatest = build_sizes(run, chosen) if case is None else ([], 0.0)
+    if sizes:
+        high = f"{three_digits(greatest)}    {chosen.condition}"
+        legend = Scale(ERROR_COLORS, "error [R]  0", high)
+        pictures["sizes"] = _encoded(draw_side_by_side(sizes, used), legend)
+    suffix = "" if case is None else f"-{case}"
+    drawn = []
+    for name, data in pictures.items():
+        path = run.subfolder("renders") / f"{name}{suffix}.png"
+        write_bytes(path, data)
+        progress.info(f"renders/{path.name}")
+        drawn.append(Rendered(path=path, renderer=used, reason=reason))
+    return drawn
+
+
+_MOST_SIZES = 8
+_WIDTH, _HEIGHT = 1870, 1000  # of the picture at most, approximately [pixels]
+_AROUND = 10.0  # room around a structure, where its ground fades [R]
+_LEAST_WIDTH = 187  # for a label [pixels]
+_LETTERS, _LABEL_HEIGHT = 19, 65  # of labels [pixels]
+
+
+class Tile(NamedTuple):
+    """A structure among others."""
+
+    scene: Scene
+    level: Reals  # point that all structures have at one height of the picture [R], shape (3,)
+    label: str
+
+
+def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
+    """Build a tile for each size of a kind and condition, colored by error, and the greatest error.
+
+    There are none unless a study swept the size.
+    """
+    cases: dict[int, StoredCase] = {}
+    for case in run.cases if run.sweeps_robots else []:
+        if case.done and (case.kind, case.condition) == (like.kind, like.condition):
+            cases.setdefault(case.robots, case)
+    sizes = sorted(cases)[-_MOST_SIZES:] if len(cases) > 1 else []
+    views = [read_case_view(cases[robots]) for robots in sizes]
+    greatest = max((float(np.nanmax(view.error, initial=1e-9)) for view in views), default=0.0)
+    tiles = []
+    for view in views:
+        color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
+        scene = build_scene(view.robots(view.pose, color, TRUE_SIZE), view.terrain)
+        level = np.nanmean(view.pose[:, :3], axis=0)
+        level[2] = view.terrain.ground_z if view.terrain else np.nanmin(view.pose[:, 2])
+        tiles.append(Tile(scene, level, _label(view)))
+    return tiles, greatest
+
+
+def _label(view: SwarmView) -> str:
+    """State size and RMSE."""
+    error = view.error[np.isfinite(view.error)]
+    rmse = f"RMSE {three_digits(math.sqrt(np.mean(error**2)))} R" if len(error) else "no estimate"
+    return f"{counted(len(view.pose), 'robot')}\n{rmse}"
+
+
+def draw_side_by_side(tiles: list[Tile], renderer: str) -> Image.Image:
+    """Draw structures at one scale, with labels below."""
+    cameras = [tile.scene.camera for tile in tiles]
+    scales = [
+        camera.pixels_per_slope / camera.project(tile.level[None])[0, 2]
+        for camera, tile in zip(cameras, tiles, strict=True)
+    ]
+    wide = sum(camera.width / scale for camera, scale in zip(cameras, scales, strict=True))
+    tall = max(camera.height / scale for camera, scale in zip(cameras, scales, strict=True))
+    common = min(_WIDTH / (wide + _AROUND * len(tiles)), _HEIGHT / tall)  # pixels per R
+    room = round(_AROUND * common)
+    scenes = [
+        tile.scene.seen_by(_enlarged(camera, common / scale, room))
+        for tile, camera, scale in zip(tiles, cameras, scales, strict=True)
+    ]
+    pictures, _, _ = draw_scenes(scenes, renderer)
+    rows = [
+        float(scene.camera.frame(tile.level[None])[0, 1])
+        for scene, tile in zip(scenes, tiles, strict=True)
+    ]
+    return _lay_out(pictures, rows, [tile.label for tile in tiles], room)
+
+
+def _enlarged(camera: Camera, times: float, room: int) -> Camera:
+    """Scale a camera's picture, and add room on all sides [pixels]."""
+    height = round(times * camera.height) + 2 * room
+    return replace(
+        camera,
+        width=round(times * camera.width) + 2 * room,
+        height=height,
+        half_height=camera.half_height * height / (times * camera.height),
+    )
+
+
+def _lay_out(
+    pictures: Sequence[Pixels], rows: Sequence[float], labels: Sequence[str], room: int
+) -> Image.Image:
+    """Put pictures side by side, with these rows at one height; their room overlaps [pixels]."""
+    above = max(rows)
+    below = max(len(picture) - row for picture, row in zip(pictures, rows, strict=True))
+    steps = [max(picture.shape[1] - room, _LEAST_WIDTH) for picture in pictures]
+    middles = [sum(steps[:k]) + (step + room) // 2 for k, step in enumerate(steps)]
+    size = (sum(steps) + room, round(above + below))
+    whole = Image.new("RGBA", size, NOTHING)
+    for picture, row, middle in zip(pictures, rows, middles, strict=True):
+        tile = Image.new("RGBA", size, NOTHING)
+        tile.paste(Image.fromarray(picture), (middle - picture.shape[1] // 2, round(above - row)))
+        whole.alpha_composite(tile)
+    content = whole.getchannel("A").getbbox() or (0, 0, *size)
+    whole = whole.crop((0, content[1], size[0], content[3] + _LABEL_HEIGHT))
+    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(_LETTERS)
+    for middle, label in zip(middles, labels, strict=True):
+        place = (middle, whole.height - _LABEL_HEIGHT // 2)
+        pen.multiline_text(place, label, INK, font, anchor="mm", align="center")
+    return whole
+
+
+LAST_MS = 2_500
+"""Duration of the last frame, which shows the whole structure [ms]."""
+
+FRAME_MS = 90
+"""Duration of another frame [ms]."""
+
+_MOST_FRAMES = 60
+_SIZES = {"mp4": (1920, 1080), "webp": (960, 720), "gif": (960, 720)}
+"""Most columns and rows of a frame without its legend, by file format [pixels]."""
+
+_LEGEND_WIDTH = 600  # of a frame for which the letters of a legend are made [pixels]
+_QUALITY = 80  # of a WebP
+_ALPHA_QUALITY = 40  # at 100 files are twice as large, and look alike
+_GRAYS = np.array([*range(0, 200, 8), *range(200, 256)], np.uint8)  # of a GIF, for the ground
+_GRAY = 8  # range of red, green and blue up to which a pixel is gray
+_BAR_HEIGHT = 60  # rows of the legend's colors that count when a GIF's are chosen [pixels]
+
+
+def best_movie() -> AnyMovie:
+    """Return the best file format of an animation that can be written here."""
+    return "mp4" if find_spec("imageio") and find_spec("imageio_ffmpeg") else "webp"
+
+
+def animate_run(
+    run: RunData,
+    form: AnyMovie,
+    *,
+    progress: Progress,
+    renderer: str | None = None,
+    case: str | None = None,
+) -> Rendered:
+    """Animate the growth of a case into `renders/growth`, with the end of the file format.
+
+    Every frame has the camera and the ground of the whole structure. Renderer, case and file name
+    are chosen as in `render_run`.
+
+    Raises:
+        InputError: the renderer or the case is unknown, or the run is damaged.
+        EnvironmentTroubleError: the renderer does not work here, or the library for MP4 is missing.
+    """
+    film, used, reason = animate_view(read_case_view(run.choose(case)), form, progress, renderer)
+    suffix = "" if case is None else f"-{case}"
+    path = run.subfolder("renders") / f"growth{suffix}.{form}"
+    write_bytes(path, film)
+    progress.info(f"renders/{path.name}")
+    return Rendered(path=path, renderer=used, reason=reason)
+
+
+def animate_view(
+    view: SwarmView, form: AnyMovie, progress: Progress, renderer: str | None = None
+) -> tuple[bytes, str, str]:
+    """Animate the growth of a structure, or, without a truth, of the estimate.
+
+    Returns:
+        The file, the renderer, and why a better one failed.
+
+    Raises:
+        InputError: the renderer is unknown.
+        EnvironmentTroubleError: the renderer does not work here, or the library for MP4 is missing.
+    """
+    robots = len(view.pose)
+    joined = np.linspace(1, robots, min(robots, _MOST_FRAMES)).round().astype(int).tolist()
+    index, left_after = np.flatnonzero(_known(view.stood)), np.full(robots, robots + 1)
+    left_after[view.log.gone] = view.log.left_after
+    standing = [np.flatnonzero((index < n) & (left_after[index] > n)) for n in joined]
+    whole = view.robots(view.stood, view.color_by_join, TRUE_SIZE)
+    with progress.task("animate", len(joined)) as advance:
+        pictures, used, reason = draw_states(
+            whole, view.terrain, standing, _SIZES[form], renderer, advance
+        )
+    _name_renderer(progress, used, reason)
+    ground = on_white if form != "webp" else np.asarray  # only WebP has half transparent pixels
+    frames = [
+        _with_legend(Image.fromarray(ground(picture)), n, robots, np.count_nonzero(left_after <= n))
+        for picture, n in zip(pictures, joined, strict=True)
+    ]
+    return _ENCODERS[form](frames), used, reason
+
+
+def draw_states(
+    robots: DrawnRobots,
+    terrain: Terrain | None,
+    shown: Sequence[Ints],
+    size: tuple[int, int],
+    renderer: str | None = None,
+    advance: Advance = ignore,
+    around: Reals | None = None,
+) -> tuple[list[Pixels], str, str]:
+    """Draw a structure in several states, before one camera.
+
+    Args:
+        robots: All robots.
+        terrain: The ground; None for no ground.
+        shown: The robots of each picture; neighboring pictures share most.
+        size: Most columns and rows of a picture [pixels].
+        renderer: Name of the renderer; the first that works if None.
+        advance: Called with the number of pictures drawn since.
+        around: Docks that fit into each picture [R], shape (n, 3); those of all robots if None.
+
+    Returns:
+        The pictures, of shape (height, width, 4), the renderer, and why a better one failed.
+    """
+    docks = robots.dock.reshape(-1, 3) if around is None else around
+    camera = build_scene(robots, terrain, around=docks).within(*size).camera
+    scenes, changed = [], []
+    for before, now in zip([shown[0][:0], *shown], shown, strict=False):
+        part = replace(
+            robots, center=robots.center[now], dock=robots.dock[now], color=robots.color[now]
+        )
+        scenes.append(build_scene(part, terrain, around=docks).seen_by(camera))
+        changed.append(robots.center[np.setxor1d(before, now)])
+    return draw_growth(scenes, changed, renderer, advance)
+
+
+def _with_legend(picture: Image.Image, count: int, robots: int, left: int) -> Image.Image:
+    """Add a legend to a frame, and make its size even, as MP4 requires."""
+    state = f"{count} of {robots} robots" + f", {left} left" * (left > 0)
+    legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}    {state}")
+    whole = add_legend(picture, legend, picture.width / _LEGEND_WIDTH)
+    return whole.crop((0, 0, whole.width // 2 * 2, whole.height // 2 * 2))
+
+
+def _webp(frames: Sequence[Image.Image]) -> bytes:
+    """Encode frames as an animated WebP."""
+    return encode_webp(frames, [FRAME_MS] * (len(frames) - 1) + [LAST_MS], _QUALITY)
+
+
+def encode_webp(frames: Sequence[Image.Image], durations: Sequence[int], quality: int) -> bytes:
+    """Encode frames, each with its duration [ms], in a quality of 1 to 100."""
+    stream = io.BytesIO()
+    first, *rest = frames
+    first.save(
+        stream, "WEBP", save_all=True, append_images=rest, duration=[*durations], loop=0,
+        quality=quality, method=2, alpha_quality=_ALPHA_QUALITY,
+    )  # fmt: skip
+    return stream.getvalue()
+
+
+def _gif(frames: Sequence[Image.Image]) -> bytes:
+    """Encode frames in one palette, to avoid flicker: colors of the last frame, and grays."""
+    last = frames[-1]
+    bar = colors_along(np.linspace(0.0, 1.0, last.width), JOIN_COLORS)
+    bar = np.tile(np.round(255.0 * bar).astype(np.uint8), (_BAR_HEIGHT, 1, 1))
+    pixels = np.concatenate([np.asarray(last), bar]).reshape(-1, 3)
+    colored = pixels[np.ptp(pixels, axis=1) > _GRAY]
+    count = 256 - len(_GRAYS)
+    colors = Image.fromarray(colored[None]).quantize(count).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*colors[: 3 * count], *_GRAYS.repeat(3).tolist()])
+    first, *rest = [_indexed(frame, palette, len(colors[: 3 * count]) // 3) for frame in frames]
+    durations = [FRAME_MS] * len(rest) + [LAST_MS]
+    stream = io.BytesIO()
+    first.save(stream, "GIF", save_all=True, append_images=rest, duration=durations, loop=0)
+    return stream.getvalue()
+
+
+def _indexed(frame: Image.Image, palette: Image.Image, colors: int) -> Image.Image:
+    """Choose a color of the palette, which grays follow from place `colors` on, for each pixel."""
+    indexed = frame.quantize(palette=palette, dither=Image.Dither.NONE)
+    pixels = np.asarray(frame)
+    gray = np.ptp(pixels, axis=2) <= _GRAY  # Pillow's choice is coarse; these are most of a frame
+    nearest = np.abs(np.arange(256)[:, None] - _GRAYS).argmin(axis=1)
+    index = np.asarray(indexed).copy()
+    index[gray] = colors + nearest[pixels[gray, 1]]
+    exact = Image.frombytes("P", frame.size, index.tobytes())
+    exact.putpalette(palette.getpalette() or [])
+    return exact
+
+
+def _mp4(frames: Sequence[Image.Image]) -> bytes:
+    """Encode frames as H.264."""
+    try:
+        import imageio.v3 as iio  # noqa: PLC0415 - an extra
+        import imageio_ffmpeg  # noqa: F401, PLC0415 - what imageio calls
+    except ImportError as error:
+        problem = (
+            "MP4 needs imageio and imageio-ffmpeg; pip install 'tiswarm[video]', or choose webp"
+        )
+        raise EnvironmentTroubleError(problem) from error
+    pictures = [np.asarray(frame) for frame in frames]
+    pictures += pictures[-1:] * (LAST_MS // FRAME_MS)
+    try:
+        with tempfile.TemporaryDirectory(prefix="tiswarm-movie-") as place:
+            path = Path(place, "growth.mp4")
+            iio.imwrite(
+                path, pictures, plugin="FFMPEG", fps=1000 / FRAME_MS, macro_block_size=2,
+                quality=None, output_params=["-preset", "veryfast", "-crf", "20"],
+            )  # fmt: skip
+            iio.immeta(path, plugin="FFMPEG")  # ffmpeg does not report a full disk
+            return path.read_bytes()
+    except (OSError, RuntimeError, ValueError, IndexError) as error:
+        problem = f"{tempfile.gettempdir()}: no movie can be written; check the free space"
+        raise EnvironmentTroubleError(problem) from error
+
+
+_ENCODERS: dict[AnyMovie, Callable[[Sequence[Image.Image]], bytes]] = {
+    "mp4": _mp4, "webp": _webp, "gif": _gif,
+}  # fmt: skip
+
+
+def _growth(form: AnyMovie, view: SwarmView) -> dict[str, bytes]:
+    """Animate the growth of a structure, by file."""
+    film, _, _ = animate_view(_near_anchor(view), form, view.progress)
+    return {f"growth.{form}": film}
+
+
+encode_growth_mp4, encode_growth_webp, encode_growth_gif = (
+    partial(_growth, form) for form in _ENCODERS
+)
+"""Formats of an export, as functions of a view."""

@@ -1,0 +1,39 @@
+"""Distances of centers to those of earlier robots within reach and in sight."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tiswarm.base.aliases import Reals
+from tiswarm.compute.math import normal
+from tiswarm.sensing.params import SensingParams
+from tiswarm.sensing.sight import Views, find_lookouts, in_sight
+from tiswarm.world.history import History
+
+
+def sense_ranges(history: History, params: SensingParams) -> Reals:
+    """Measure the distance of centers to that of earlier robots within reach and in sight.
+
+    Returns:
+        Rows of (robot, stance, other robot, distance, standard deviation, source), shape (D, 6).
+        The source is a place in `params.sources`, or -1. An error that makes a distance negative
+        leaves no row.
+    """
+    if params.range_reach is None:
+        return np.empty((0, 6))
+    lookouts = find_lookouts(history, params)
+    here, there = cKDTree(lookouts.center), cKDTree(history.position)
+    pairs = here.sparse_distance_matrix(there, params.range_reach, output_type="ndarray")
+    place, other = pairs["i"], pairs["j"]
+    is_earlier = other < lookouts.robot[place]
+    place, other = place[is_earlier], other[is_earlier]
+    robot, stance, center, joined = (column[place] for column in lookouts)
+    views = Views(center, history.position[other], joined, robot, other)
+    seen = in_sight(history, views)
+    length = np.linalg.norm(views.end - center, axis=1)
+    length += params.range_noise * normal(history.seed, "range", robot, (stance << 31) + other)
+    length += params.range_bias * normal(history.seed, "ranges", 0, 0)
+    source = len(params.sources) - 1 if params.range_bias else -1  # the last one
+    known = np.tile([params.range_noise, source], (len(robot), 1))
+    every = np.column_stack([robot, stance, other, length, known])
+    rows: Reals = every[seen & (length > 0.0)]
+    return rows

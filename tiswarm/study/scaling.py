@@ -1,0 +1,144 @@
+"""The table `scaling.csv`: accuracy, size, time to build and costs against numbers of robots."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tiswarm.evaluation import metrics
+from tiswarm.records import measures
+from tiswarm.records.frames import read_frame
+from tiswarm.scenario.expansion import Case, Group
+from tiswarm.study.provenance import Cost
+from tiswarm.study.store import CaseRecord
+
+AXES = {
+    "robots": lambda settings: settings.robots,
+    "threads": lambda settings: settings.threads,
+    "workers": lambda settings: settings.workers,
+    "structure.movers": lambda settings: settings.structure.movers,
+}
+"""Swept keys against which `scaling.csv` tabulates: the first with more than one value."""
+
+_SCORES = (*measures.MAIN, measures.HEIGHT, measures.REACH, measures.DEPTH, measures.SENSED_MAX)
+
+
+def scaling(
+    run: Path,
+    structures: Sequence[Group],
+    records: Mapping[str, CaseRecord],
+    costs: Mapping[str, Mapping[str, Cost]],
+) -> dict[str, pd.DataFrame]:
+    """Tabulate accuracy, size, time to build and costs against N, with exponents p of N^p.
+
+    Where all structures have the same N, threads, workers or movers take its place. `exponent` is
+    fitted to all points; `slope` is p between a point and the one before, where constant costs
+    matter less. The growth of a structure counts once for any number of its conditions. Memory is
+    that of the whole batch that a structure was computed in.
+
+    Args:
+        run: Folder of the run.
+        structures: Cases by the structure that they share, small ones first.
+        records: Records of stored cases by name.
+        costs: Costs of these cases by name and stage.
+
+    Returns:
+        `scaling` and its table; empty if the cases differ in none of these numbers.
+    """
+    cases = [case for group in structures for case in group]
+    axis = next((key for key in AXES if len({AXES[key](c.settings) for c in cases}) > 1), "")
+    if not axis:
+        return {}
+    column, rows = axis.rpartition(".")[2], []
+    for group in structures:
+        done = [case for case in group if case.name in records and records[case.name].is_done]
+        grown = _together([costs[case.name].get("grow", {}) for case in done])
+        built = _built(run / "cases" / done[0].name) if done else {}
+        for case in done:
+            record = records[case.name]
+            point = {key: value for key, value in record.point.items() if key != axis}
+            stages = {**costs[case.name], "grow": grown}
+            measured = {each.column: record.scores.get(each.column) for each in _SCORES}
+            measured |= built | _spent(case, record, stages)
+            row = {"series": replace(record, point=point).series, column: AXES[axis](case.settings)}
+            rows += [
+                row | {"measure": name, "mean": value}
+                for name, value in measured.items()
+                if value is not None
+            ]
+    table = pd.DataFrame(rows, columns=["series", "measure", column, "mean"])
+    alike = table.groupby(["series", "measure", column], sort=False)["mean"]
+    points = alike.agg(mean="mean", least="min", most="max", structures="count").reset_index()
+    points = points.sort_values(column, kind="stable")
+    parts = [
+        _with_powers(part, column) for _, part in points.groupby(["series", "measure"], sort=False)
+    ]
+    return {"scaling": pd.concat(parts) if parts else _with_powers(points, column)}
+
+
+def _built(case: Path) -> dict[str, float]:
+    """Return the time to build a structure, in flips and in rounds.
+
+    A robot that climbs alone takes all flips one after the other. Robots of a round climb at the
+    same time, and the round takes as long as the longest of their walks.
+    """
+    grown = read_frame(case / "growth.csv", numbers=["flips", "round"])
+    of_rounds = grown.groupby("round")["flips"].max()
+    return {
+        "flips": float(grown["flips"].sum()),
+        "growth_rounds": float(len(of_rounds)),
+        "makespan_flips": float(of_rounds.sum()),
+    }
+
+
+def _spent(case: Case, record: CaseRecord, stages: Mapping[str, Cost]) -> dict[str, float]:
+    """Return times and memory of the stages of a case, their shares, and throughput.
+
+    Workers compute structures at the same time.
+    """
+    found = {
+        f"{stage.replace(' ', '_')}_{unit}": number
+        for stage, cost in stages.items()
+        for unit, number in cost.items()
+    }
+    known = {stage: cost for stage, cost in stages.items() if cost}
+    if not known:
+        return found
+    for unit in ("cpu_s", "wall_s"):
+        found[f"total_{unit}"] = sum(cost[unit] for cost in known.values())
+    found["peak_memory_MB"] = max(cost["peak_memory_MB"] for cost in known.values())
+    whole = found["total_cpu_s"] or math.nan
+    for stage, cost in known.items():
+        found[f"{stage.replace(' ', '_')}_share"] = cost["cpu_s"] / whole
+    joined = record.scores.get(measures.JOINED.column) or math.nan
+    steps = record.scores.get(measures.STEPS.column) or math.nan
+    at_once = case.settings.workers or 1
+    for stage, name, count in (
+        ("total", "structures", 1.0),
+        ("grow", "joins", joined),
+        ("localize", "robot_steps", joined * steps),
+    ):
+        for unit in ("wall_s", "cpu_s"):
+            if (spent := found.get(f"{stage}_{unit}", 0.0)) > 0.0 and not math.isnan(count):
+                rate = f"{name}_per_{unit}"
+                found[rate] = count / spent * (at_once if unit == "wall_s" else 1)
+    return found
+
+
+def _together(costs: Sequence[Cost]) -> Cost:
+    """Return the cost that cases share."""
+    known = [cost for cost in costs if cost]
+    peak = max((cost["peak_memory_MB"] for cost in known), default=math.nan)
+    times = {unit: sum(cost[unit] for cost in known) for unit in ("wall_s", "cpu_s")}
+    return {**times, "peak_memory_MB": peak} if known else {}
+
+
+def _with_powers(points: pd.DataFrame, column: str) -> pd.DataFrame:
+    """Add the columns `exponent` and `slope` to the means of one measure, by ascending number."""
+    at, mean = points[column].to_numpy(float), points["mean"].to_numpy(float)
+    known = np.log(np.where(mean > 0.0, mean, math.nan))
+    slope = np.diff(known, prepend=math.nan) / np.diff(np.log(at), prepend=math.nan)
+    return points.assign(exponent=metrics.power_law_exponent(at, mean), slope=slope)

@@ -1,0 +1,472 @@
+"""Growth by code of users: rules of growth, and kinds of structures.
+
+A rule sees all climbers of all structures at once: kernels list what each touches and which flips
+it may take, and the rule chooses for all.
+
+    @tiswarm.rule("random")
+    class Random:
+        def choose(self, step):  # M climbers with K flips each
+            wish = step.uniform("flip", step.possible.shape[1])
+            return np.where(step.possible, wish, -1.0).argmax(axis=1)
+
+    @tiswarm.structure("leaning")
+    class Leaning(TowerParams):
+        def goal(self, side):
+            return np.array([20.0, 0.0, self.goal_height])
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass as plain_dataclass
+from functools import cached_property, partial, wraps
+from inspect import isfunction
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.base import registry as door
+from tiswarm.base.aliases import AnyInts, Bools, Reals
+from tiswarm.base.errors import InputError
+from tiswarm.compute.math import uniform
+from tiswarm.compute.user_functions import is_kernel_function
+from tiswarm.records.terrain import Terrain
+from tiswarm.world.climb_kernels import (
+    ENDED,
+    MAX_TOUCHING,
+    RECRUITED,
+    WALKING,
+    StructureArrays,
+)
+from tiswarm.world.params import GrowthParams
+from tiswarm.world.rule_kernels import FlipArrays, list_flips, sense_ends, settle_walks
+from tiswarm.world.walks import Walks
+
+_Slots = NDArray[np.int32]
+
+_DRAW_BITS = 16
+"""A climber draws up to two to this number of a stream at a stance."""
+
+STAY = -1
+"""A climber's choice to stay where it is."""
+
+_MOST_CALLED = 2**30
+"""Largest call of a plug-in."""
+
+_METHODS = ("choose", "score", "call", "spread")
+
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_SHAPES: Mapping[str, Callable[..., tuple[int, ...]]] = {
+    "goal": lambda _side: (3,),
+    "behind": lambda _side, docks: (len(docks),),
+    "start": lambda _side, _rim, _draw: (2,),
+    "spread": lambda count, _behind: (count, 2),
+}
+"""By method of a kind, the shape of what it returns for its arguments."""
+
+_FARTHEST = 1e6
+"""Largest length that a method of a plug-in may return [R]."""
+
+_Kind = TypeVar("_Kind", bound=GrowthParams)
+
+_Class = TypeVar("_Class", bound=type)
+
+
+class ClimbStep:
+    """What climbers that choose see: M of them in S structures, each with K flips.
+
+    A choice is the number of a possible flip, -1 to stay at the current stance, or `back(s)` to
+    go back to an earlier stance and stay there. Who stays where it touches no robot is taken away
+    and starts again. Arrays of the structures cannot be written: copy them first.
+    """
+
+    def __init__(
+        self, walks: Walks, structures: StructureArrays, flips: FlipArrays, called: _Slots,
+        slots: _Slots, sensed: Reals, present: AnyInts,
+    ) -> None:  # fmt: skip
+        """Take the arrays of all slots, and the slots of those who choose, shape (M,)."""
+        self._walks, self._structures, self._flips, self._slots = walks, structures, flips, slots
+        self.structure: AnyInts = walks.climbers.structure[slots]
+        """Structure that each climbs, shape (M,)."""
+        self.robot: AnyInts = walks.robot[slots]
+        """Robots that started in that structure before it, shape (M,)."""
+        self.stance: AnyInts = walks.stances.last[slots]
+        """Flips that it has taken: number of its current stance, shape (M,)."""
+        self.center: Reals = walks.stances.center[slots, self.stance]
+        """Its center [R], shape (M, 3)."""
+        self.orientation_wxyz: Reals = walks.stances.orientation[slots, self.stance]
+        """Its orientation, body to world, shape (M, 4)."""
+        self.touching: AnyInts = walks.stances.touching[slots, self.stance]
+        """Docks n i + k that its docks touch, or -1, shape (M, n, MAX_TOUCHING)."""
+        self.on_ground: AnyInts = walks.stances.on_ground[slots, self.stance]
+        """Whether its docks stand on flat ground, 1, or an edge, 2, else 0, shape (M, n)."""
+        self.goal: Reals = walks.climbers.goal[slots]
+        """Its goal [R], shape (M, 3)."""
+        self.patience: AnyInts = walks.climbers.patience[slots]
+        """`structure.climb.patience` of each, shape (M,)."""
+        self.called: Bools = called[slots] != 0
+        """Whether it touches a dock that passes a call on, shape (M,)."""
+        self.angle: Reals = flips.angle[slots]
+        """Angle of each flip [rad], negative if backward, 0 if there is none, shape (M, K)."""
+        self.possible: Bools = self.angle != 0.0
+        """Which flips there are: about an attached dock, and something stops them, (M, K)."""
+        self.dock, self.relay = _read_only(structures.dock), _read_only(structures.relay)
+        """Dock centers of all structures [R], (S, n N, 3), and what each passes on, (S, n N)."""
+        self.robot_count = _read_only(structures.robot_count)
+        """Robots that have joined; rows of others are meaningless, shape (S,)."""
+        self.sensed = _read_only(sensed)
+        """Load that each robot sensed at the last solve [weight of a dock], shape (S, N)."""
+        self.present: Bools = present != 0
+        """Whether each robot has not left again, shape (S, N)."""
+
+    @cached_property
+    def walk(self) -> Reals:
+        """Centers of its stances up to the current one, then NaN [R], (M, most stances, 3)."""
+        centers: Reals = self._walks.stances.center[self._slots, : self.stance.max() + 1]
+        centers[np.arange(centers.shape[1]) > self.stance[:, None]] = np.nan
+        return centers
+
+    @cached_property
+    def pivot(self) -> AnyInts:
+        """Dock about which each flip turns, shape (K,)."""
+        return np.repeat(np.arange(self._walks.docks), self.angle.shape[1] // self._walks.docks)
+
+    @cached_property
+    def end(self) -> Reals:
+        """Centers where flips end [R], meaningless where there is none, shape (M, K, 3)."""
+        end: Reals = self._flips.center[self._slots]
+        return end
+
+    @cached_property
+    def end_orientation_wxyz(self) -> Reals:
+        """Orientations where flips end, shape (M, K, 4)."""
+        orientation: Reals = self._flips.orientation[self._slots]
+        return orientation
+
+    @cached_property
+    def visited(self) -> Bools:
+        """Whether its walk has been where a flip ends, shape (M, K)."""
+        visited: Bools = self._flips.visited[self._slots] != 0
+        return visited
+
+    @cached_property
+    def _ends(self) -> tuple[AnyInts, AnyInts, AnyInts]:
+        walks, flips = self._walks, self._flips
+        shape = (*flips.angle.shape, walks.docks)
+        touching, ground = np.full((*shape, MAX_TOUCHING), -1, np.int32), np.zeros(shape, np.int32)
+        called = np.zeros(flips.angle.shape, np.int32)
+        cells, *docks = self._structures
+        sense_ends(
+            walks.limits, self._slots, walks.climbers.structure, walks.climbers.dock_offset_body,
+            *cells, *docks, *flips[:3], touching, ground, called,
+        )  # fmt: skip
+        return touching[self._slots], ground[self._slots], called[self._slots]
+
+    @property
+    def end_touching(self) -> AnyInts:
+        """Docks that docks touch where a flip ends, as `touching`, (M, K, n, MAX_TOUCHING)."""
+        return self._ends[0]
+
+    @property
+    def end_on_ground(self) -> AnyInts:
+        """Ground on which docks stand where a flip ends, as `on_ground`, shape (M, K, n)."""
+        return self._ends[1]
+
+    @property
+    def end_called(self) -> Bools:
+        """Whether a dock with a call is touched where a flip ends, shape (M, K)."""
+        called: Bools = self._ends[2] != 0
+        return called
+
+    def uniform(self, stream: str, count: int) -> Reals:
+        """Draw numbers in [0, 1), shape (M, count), by seed, stream, robot and stance alone."""
+        draw = (self.stance.astype(np.int64) << _DRAW_BITS)[:, None] + np.arange(count)
+        return uniform(self._walks.seed[self._slots, None], stream, self.robot[:, None], draw)
+
+    def back(self, stance: AnyInts | int) -> AnyInts:
+        """Return the choice to go back to a stance, 0 up to the current one, and stay there.
+
+        Args:
+            stance: That of each climber, shape (M,), or of all.
+        """
+        return -2 - np.asarray(stance)
+
+
+def climb_by_choice(
+    walks: Walks, structures: StructureArrays, movers: _Slots, sensed: Reals, present: AnyInts
+) -> None:
+    """Let robots walk on from their first stance as a rule chooses.
+
+    Args:
+        walks: Walks of the robots.
+        structures: What they climb.
+        movers: Slots of the robots that move, shape (M,).
+        sensed: Load that each robot sensed at the last solve, shape (S, N).
+        present: Whether each robot has not left, shape (S, N).
+    """
+    stances, patience = walks.stances, walks.climbers.patience
+    cells, *docks = structures
+    room, count = len(patience), 2 * walks.limits.twists * walks.docks
+    flips = FlipArrays(
+        angle=np.zeros((room, count)),
+        center=np.zeros((room, count, 3)),
+        orientation=np.zeros((room, count, 4)),
+        visited=np.zeros((room, count), np.int32),
+    )
+    called = np.zeros(room, np.int32)
+    stances.last[movers] = walks.climbers.first_stance[movers]
+    walks.state[movers] = WALKING
+    walking: AnyInts = movers
+    while len(walking):
+        list_flips(
+            walks.limits, walking, called, walks.state, *cells, *docks, *walks.climbers, *stances,
+            *flips,
+        )  # fmt: skip
+        choice = np.full(len(walking), STAY, np.int32)
+        asks = patience[walking] > 0  # others are put where they stay
+        if asks.any():
+            slots = walking[asks]
+            step = ClimbStep(walks, structures, flips, called, slots, sensed, present)
+            choice[asks] = walks.rule.choose(step)
+        last, goes = stances.last[walking], choice >= 0
+        stay = np.where(choice < STAY, -2 - choice, last)[~goes]
+        stayed = walking[~goes]
+        stances.best[stayed] = stances.stay[stayed] = stay
+        recruited = (called[stayed] != 0) & (stay == last[~goes])
+        walks.state[stayed] |= np.where(recruited, RECRUITED, ENDED)
+        walking, last, flip = walking[goes], last[goes], choice[goes]
+        stances.pivot_dock[walking, last] = flip // (count // walks.docks)
+        stances.center[walking, last + 1] = flips.center[walking, flip]
+        stances.orientation[walking, last + 1] = flips.orientation[walking, flip]
+        stances.last[walking] = last + 1
+    if walks.climbers.settles[movers].any():
+        settle_walks(walks.limits, movers, *cells, *docks, *walks.climbers, *stances)
+
+
+def rule(name: str) -> Callable[[_Class], _Class]:
+    """Register a class as a rule of growth, which scenarios choose as `structure.rule`.
+
+    Its annotated fields are settings. It has one of these methods:
+
+    - `choose(step)`: the choice of each of M climbers, integers of shape (M,) or one: a flip of
+      `step`, -1 to stay, or `step.back(s)` to go back to stance s and stay there.
+      `help(type(step))` lists what a step has.
+    - `score()`: a function of the kernel language of (center, orientation, goal), to be least in
+      place of the distance to the goal; robots do all else as in ReactiveBuild.
+
+    And it may have these, in place of what ReactiveBuild does:
+
+    - `call(sensed, params)`: the own call of each robot of a structure, integers from 0 up, by the
+      loads that they sense [weight of a dock], both of shape (N,).
+    - `spread(call, contacts)`: the call that each dock passes on, shape (n N,), by the own calls of
+      N robots of n docks. Docks n i + a and n j + b touch if `contacts`, (C, 2), has such a row.
+
+    Args:
+        name: Name of the rule: words of letters and digits, with "-".
+
+    Raises:
+        InputError: the name is taken or invalid, the class lacks a method, or a field cannot be
+            checked.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"{name!r} names no rule; use words like my-rule")
+
+    def add(settings: _Class) -> _Class:
+        given: Any = settings
+        if sum(hasattr(given, each) for each in ("choose", "score")) != 1:
+            raise InputError(f"{name} should have choose or score, one of the two; define it")
+        methods = [each for each in vars(given).values() if isfunction(each)]
+        if "__dataclass_fields__" not in vars(given):
+            given = plain_dataclass(frozen=True, kw_only=True)(given)
+        guards: dict[str, Any] = {
+            each: _guarded(name, each, getattr(given, each))
+            for each in _METHODS
+            if hasattr(given, each)
+        }
+        guards["__reduce__"] = door.sent_as("rule", "name")
+        made = door.own_section(name, "name", given, given, guards)
+        door.register("rule", name, made, next(iter(methods), given))
+        return made  # type: ignore[no-any-return]
+
+    return add
+
+
+def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
+    theirs = inherited
+    fault: Callable[..., str] = _FAULTS.get(method, lambda *_: "")
+    if isfunction(inherited):  # a rule may derive from another one, whose methods are wrapped
+        theirs = _unguarded.get(inherited, inherited)
+
+    @wraps(theirs)
+    def call(*given: Any) -> Any:  # noqa: ANN401 - as the method
+        plugin, what = door.registered("rule")[name].plugin, f"{name}.{method}"
+        shown = [_read_only(each) if isinstance(each, np.ndarray) else each for each in given]
+        found: Any = door.guarded(
+            plugin, what, lambda: theirs(*shown), repeats=theirs, owner=given[0]
+        )
+        if method == "score":
+            if not is_kernel_function(found):
+                advice = "return a function that ti.func decorates, and nothing else"
+                problem = f"{plugin.file}: {what} returned {_described(found)}; {advice}"
+                raise door.PluginError(problem, f"{problem}\n")
+            return found
+        found = np.asarray(found)
+        if method == "choose" and not found.ndim:  # one choice of all
+            found = np.full(given[1].stance.shape, found)
+        if wrong := _fault_of_integers(found) or fault(found, *given[1:]):
+            problem = f"{plugin.file}: {what} returned {wrong}"
+            raise door.PluginError(problem, f"{problem}\n")
+        return found.astype(np.int32)
+
+    _unguarded[call] = theirs
+    return call
+
+
+_unguarded: WeakKeyDictionary[Callable[..., Any], Callable[..., Any]] = WeakKeyDictionary()
+"""Methods of users by the functions that `_guarded` made of them."""
+
+
+def _described(value: object) -> str:
+    """Name what a method returned in place of a function of the kernel language."""
+    name = getattr(value, "__name__", "")
+    return f"{name}, a function of Python" if name else f"a {type(value).__name__}"
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a view that code of users cannot write: the array is that of the engine."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _fault_of_integers(found: NDArray[Any]) -> str:
+    is_none = found.dtype == np.object_ and found.size > 0 and found.flat[0] is None
+    kind = "None" if is_none else found.dtype
+    return "" if found.dtype.kind in "iu" else f"{kind}; return integers"
+
+
+def _fault_of_choice(choice: AnyInts, step: Any) -> str:  # noqa: ANN401 - of a part
+    """Say why climbers cannot do what a rule chose; empty if they can."""
+    if choice.shape != step.stance.shape:
+        return f"shape {choice.shape}; return a choice for each of {len(step.stance)} climbers"
+    flips = np.flatnonzero(choice >= 0)
+    last = step.possible.shape[1] - 1
+    cannot = flips[~step.possible[flips, np.minimum(choice[flips], last)]]
+    cannot = np.append(cannot, np.flatnonzero((choice > last) | (choice < step.back(step.stance))))
+    if not len(cannot):
+        return ""
+    m = int(cannot.min())
+    return (
+        f"{choice[m]} for climber {m}; return a possible flip, {STAY} to stay, or step.back(s) "
+        f"for an earlier stance s of its {step.stance[m] + 1}"
+    )
+
+
+def _fault_of_calls(call: AnyInts, sensed: Reals, _params: object) -> str:
+    if call.shape != sensed.shape:
+        return f"shape {call.shape}; return a call for each of {len(sensed)} robots"
+    return _fault_of_values(call)
+
+
+def _fault_of_spread(spread: AnyInts, call: AnyInts, _contacts: AnyInts) -> str:
+    if spread.ndim != 1 or len(spread) % len(call) or not len(spread):
+        return f"shape {spread.shape}; return a call for each dock of {len(call)} robots"
+    return _fault_of_values(spread)
+
+
+def _fault_of_values(call: AnyInts) -> str:
+    is_call = (call >= 0) & (call <= _MOST_CALLED)
+    return "" if is_call.all() else f"a call of {call[~is_call][0]}; return 0 to {_MOST_CALLED}"
+
+
+_FAULTS: dict[str, Callable[..., str]] = {
+    "choose": _fault_of_choice,
+    "call": _fault_of_calls,
+    "spread": _fault_of_spread,
+}
+"""By method, what says why its integers are wrong, of these and of its arguments."""
+
+
+def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
+    """Register a class as a kind of structure, which scenarios choose as `structure.kind`.
+
+    It derives from one of this package's kinds, such as `TowerParams`, from `EdgeParams` or from
+    `GrowthParams`. Its annotated fields are keys of scenarios. It may replace the property
+    `terrain` and these methods, whose lengths are in R; `side` is 0 if robots come from one side.
+
+    - `goal(side)`: what robots climb toward, shape (3,).
+    - `behind(side, docks)`: how far docks of shape (n, 3) are behind the edge, shape (n,).
+    - `start(side, rim, draw)`: where a robot starts, shape (2,). `rim` is how far the farthest dock
+      is behind, `draw` two random numbers in [0, 1).
+    - `spread(count, behind)`: places of anchors given by their number, shape (count, 2).
+
+    Args:
+        name: Name of the kind: words of letters and digits, with "-".
+
+    Raises:
+        InputError: the name is taken or invalid, the class lacks a method, or a field cannot be
+            checked.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"{name!r} names no kind of structure; use words like my-structure")
+
+    def add(settings: type[_Kind]) -> type[_Kind]:
+        if not (isinstance(settings, type) and issubclass(settings, GrowthParams)):
+            problem = f"{name}: {settings!r} is no kind of structure; derive it from TowerParams"
+            raise InputError(problem)
+        if lacking := [each for each in ("terrain", *_SHAPES) if not hasattr(settings, each)]:
+            problem = f"{name} lacks {', '.join(lacking)}; define it, or derive from TowerParams"
+            raise InputError(problem)
+        methods = [each for each in vars(settings).values() if isfunction(each)]
+        source = next(iter(methods), settings)  # a class of a session has no file
+        if "__dataclass_fields__" not in vars(settings):
+            settings = plain_dataclass(frozen=True, kw_only=True)(settings)
+        guards: dict[str, object] = {each: _checked(name, settings, each) for each in _SHAPES}
+        ground = partial(_ground, name, settings)
+        guards |= {"terrain": property(ground), "__reduce__": door.sent_as("structure", "kind")}
+        kind: type[_Kind] = door.own_section(name, "kind", settings, settings, guards)
+        door.register("structure", name, kind, source)
+        return kind
+
+    return add
+
+
+def _checked(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
+    """Wrap a method of a plug-in: what it raises or wrongly returns becomes a line."""
+    theirs = getattr(settings, method)
+
+    @wraps(theirs)
+    def call(self: GrowthParams, *given: Any) -> Any:  # noqa: ANN401 - as the method
+        plugin, what = door.registered("structure")[name].plugin, f"{name}.{method}"
+        found = door.guarded(
+            plugin, what, lambda: np.asarray(theirs(self, *given)), repeats=theirs, owner=self
+        )
+        shape, wrong = _SHAPES[method](*given), ""
+        if found.shape != shape:
+            kind = "None" if found.tolist() is None else f"shape {found.shape}"
+            wrong = f"{kind}; return numbers of shape {shape}"
+        elif fault := door.fault_of_numbers(found, _FARTHEST, f"within {_FARTHEST:g} R"):
+            wrong = f"numbers that are {fault}; correct them"
+        if wrong:
+            problem = f"{plugin.file}: {what} returned {wrong}"
+            raise door.PluginError(problem, f"{problem}\n")
+        return found.astype(np.float64)
+
+    return call
+
+
+def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
+    """Return the terrain of a plug-in's structure."""
+    plugin, what = door.registered("structure")[name].plugin, f"{name}.terrain"
+    theirs = getattr(settings.terrain, "fget", lambda _: settings.terrain)
+    found = door.guarded(plugin, what, lambda: theirs(of), repeats=theirs, owner=of)
+    if type(found) is not Terrain:
+        problem = f"{plugin.file}: {what} returned {type(found).__name__}; return a Terrain"
+        if isinstance(found, Terrain):  # kernels know the ground by the fields of Terrain alone
+            problem = (
+                f"{problem} itself: robots would not notice what a class derived from it changes"
+            )
+        raise door.PluginError(problem, f"{problem}\n")
+    return found
