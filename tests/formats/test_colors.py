@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import tiswarm
 from tests.browser import probe
+from tiswarm.base.errors import InputError
 from tiswarm.formats.colors import colored, read_colorings
 from tiswarm.report.figure_style import LABEL_COLORS, SCALES, UNKNOWN_GRAY, rgb
 from tiswarm.report.pictures.pictures import build_pictures
@@ -62,6 +63,71 @@ def test_series_of_pandas_are_read_as_tables(table):
 
     assert one[:2] == other[:2]
     assert np.array_equal(one.value, other.value, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        ["01", "02", "01"],
+        ["1.10", "1.9", "1.1"],
+        ["2026-11-28", "2026-11-29", "2026-11-28"],
+        ["28.11.2026", "29.11.2026", "1.12.2026"],
+        ["9007199254740993", "9007199254740992", "1"],
+        ["3rd", "1st", "2nd"],
+        ["1", "007", "7"],
+    ],
+)
+def test_labels_of_digits_stay_labels(cells, tmp_path, monkeypatch):
+    """Codes, versions, dates and long numbers: as numbers some would be equal, or others."""
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{robot},{cell}\n" for robot, cell in enumerate(cells))
+    (tmp_path / "values.csv").write_text(f"robot,code\n{rows}")
+
+    [code] = read_colorings("values.csv:code", np.arange(3))
+
+    assert [code.words[int(value)] for value in code.value] == cells
+
+
+@pytest.mark.parametrize(
+    "cells", [["1.10", "2.25"], ["1.0", "2.25"], ["-.5", "1e-3"], ["0", "100"], ["5.", "+7"]]
+)
+def test_numbers_stay_numbers(cells, tmp_path, monkeypatch):
+    """As programs and people write them."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "values.csv").write_text(f"robot,a\n0,{cells[0]}\n1,{cells[1]}\n")
+
+    [coloring] = read_colorings("values.csv:a", np.arange(2))
+
+    assert not coloring.words
+    assert coloring.value.tolist() == [float(cell) for cell in cells]
+
+
+def test_texts_of_a_series_are_labels():
+    """Its type says so, where a table has none."""
+    texts = pd.Series(["1.10", "1.20"], index=[0, 1], name="version")
+
+    [version] = read_colorings(texts, np.arange(2))
+
+    assert version.words == ["1.10", "1.20"]
+
+
+@pytest.mark.parametrize(
+    ("header", "column", "problem"),
+    [
+        ("robot,a,a", "a", "values.csv:1: a: 2 columns are called a; rename all but one"),
+        ("robot,a [V],a [A]", "a", "values.csv:1: a: 2 columns are called a; rename all but one"),
+    ],
+)
+def test_columns_with_equal_names_are_refused(header, column, problem, tmp_path, monkeypatch):
+    """The first would color robots, though the second may be meant."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "values.csv").write_text(f"{header}\n0,1,2\n1,3,4\n")
+
+    with pytest.raises(InputError, match=f"^{problem}"):
+        read_colorings(f"values.csv:{column}", np.arange(2))
+    if header != "robot,a,a":
+        [by_unit] = read_colorings("values.csv:a [A]", np.arange(2))
+        assert by_unit.value.tolist() == [2.0, 4.0]
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from tiswarm.report.page_tables import (
     console_text,
     headline_table,
     notes_of,
+    paper_text,
     result_tables,
     warnings_of,
 )
@@ -581,3 +582,19 @@ def test_paper_has_the_first_rows_of_a_long_table(tmp_path):
     assert (seen["shown"], seen["note"]) == (45, 0)
     assert (paper["shown"], paper["note"]) == (40, 1)
     assert "On paper: the first 40 of 45 rows." in html
+
+
+def test_latex_prints_each_letter_of_a_label():
+    """Bare, < and | print as inverted marks and dashes in LaTeX's default encoding."""
+    label = r"a < b | c > d & 5 % of $x_1$ #2 {e} ~f ^g \h"
+    frame = pd.DataFrame({"condition": [label], "p < q": ["1.0 ± 0.5"]})
+
+    text = paper_text(PageTable(frame=frame, words=["condition"], note=f"Of {label}."), "latex")
+
+    escaped = (
+        r"a \textless{} b \textbar{} c \textgreater{} d \& 5 \% of \$x\_1\$ \#2 \{e\} "
+        r"\textasciitilde{}f \textasciicircum{}g \textbackslash{}h"
+    )
+    assert rf"{escaped} & 1.0 $\pm$ 0.5 \\" in text
+    assert r"condition & p \textless{} q \\" in text
+    assert rf"\caption{{Of {escaped}.}}" in text

@@ -469,3 +469,60 @@ def test_a_score_that_kernels_cannot_compute_is_a_line(name, error, message):
         _grow(_by(TowerParams(), name), 3, [SEED])
 
     assert "\n" not in str(caught.value)
+
+
+RANDOM = """
+import random
+
+import numpy as np
+import tiswarm
+from numpy.random import default_rng
+
+KEPT = np.random.default_rng(1)
+
+
+@tiswarm.rule("draws")
+class Draws:
+    kept = np.random.RandomState(1)
+
+    def choose(self, step):
+        DRAW
+        return -1
+"""
+
+
+@pytest.mark.parametrize(
+    ("draw", "problem"),
+    [
+        ("np.random.random(3)", "the generator of numpy.random was used, whose numbers do not"),
+        ("np.random.normal()", "the generator of numpy.random was used"),
+        ("random.random()", "the generator of random was used"),
+        ("KEPT.normal()", "the generator KEPT was used"),
+        ("self.kept.normal()", "the generator kept was used"),
+        ("np.random.default_rng().normal()", r"default_rng\(\) without a seed does not repeat"),
+        ("default_rng().normal()", r"default_rng\(\) without a seed does not repeat"),
+    ],
+)
+def test_random_numbers_of_a_rule_that_would_not_repeat_are_refused(tmp_path, draw, problem):
+    """The same seed would grow another structure at each call, without a word."""
+    file = tmp_path / "draws.py"
+    file.write_text(RANDOM.replace("DRAW", draw))
+    plugins.load_plugins([file])
+
+    with pytest.raises(
+        plugins.PluginError, match=rf"draws\.py.*: draws\.choose failed: .*{problem}"
+    ):
+        _grow(_by(TowerParams(), "draws"), 3, [SEED])
+    np.random.default_rng()  # that of others needs no seed
+
+
+@pytest.mark.parametrize("draw", ["np.random.default_rng(3).normal()", "step.uniform('a', 2)"])
+def test_random_numbers_of_a_rule_that_repeat_are_its_own(tmp_path, draw):
+    """A generator of the call, and that of the step."""
+    file = tmp_path / "draws.py"
+    file.write_text(RANDOM.replace("DRAW", draw))
+    plugins.load_plugins([file])
+
+    [history] = _grow(_by(TowerParams(), "draws"), 2, [SEED])
+
+    assert history.robot_count >= 1

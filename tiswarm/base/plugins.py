@@ -10,7 +10,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -87,6 +87,8 @@ def call_plugin(
     fault: Callable[[Any], str] | None = None,
     *,
     method: str = "",
+    repeats: Callable[..., Any] | None = None,
+    owner: object = None,
 ) -> Any:  # noqa: ANN401 - as the plug-in returns it
     """Call code of the plug-in that registered a name, and check what it returns.
 
@@ -99,15 +101,19 @@ def call_plugin(
         fault: Says what the returned value wrongly is, a semicolon and what to return; empty if
             nothing is wrong.
         method: Name of the method that is called, if a class is registered.
+        repeats: Function of the plug-in, if what it returns has to follow from the seed.
+        owner: Object whose method that is.
 
     Raises:
-        PluginError: the code raised an exception, wanted to end the program, or returned a wrong
-            value.
+        PluginError: the code raised an exception, wanted to end the program, returned a wrong
+            value, or drew random numbers that do not repeat.
     """
+    from tiswarm.base.repeatable import watched  # noqa: PLC0415 - slow, and --help need not wait
+
     file = registry.registered(kind)[name].plugin.file
     called = f"{name}.{method}" if method else name
     try:
-        with _same_folder():
+        with _same_folder(), nullcontext() if repeats is None else watched(repeats, owner):
             value = call()
     except (Exception, SystemExit) as error:
         line = _line_in(file, error)

@@ -225,8 +225,8 @@ class MovingSwarm(PreparedSwarm):
         if not (hasattr(robot, "spacing") and hasattr(robot, "dock_offset_body")):
             problem = f"{robot!r} has no spacing and dock_offset_body; give a RobotGeometry"
             raise InputError(problem, argument="robot")
-        self.choose = partial(_chosen, force, integrator, is_guided=mobility is not None)
-        self.law = self.choose()
+        self._choose = partial(_chosen, force, integrator, is_guided=mobility is not None)
+        self.law = self._choose()
         super().__init__(
             position, orientation_wxyz, contacts, dynamics=self.law.dynamics, cutoff=cutoff,
             mobility=mobility, **options,
@@ -303,7 +303,7 @@ class MovingSwarm(PreparedSwarm):
 
     def _follow_functions(self) -> None:
         """Compile the functions anew if what they read has changed since the last call."""
-        self.law = self.choose()
+        self.law = self._choose()
         self.dynamics = self.law.dynamics
         if self.stepper is not None:
             self.stepper.dynamics = self.dynamics

@@ -39,7 +39,7 @@ def read_colorings(
             first one, a number or a label; names file and line.
     """
     return tuple(
-        _coloring(*_named_column(each), robots)
+        _coloring(*_named_column(each), robots, is_text=_is_text(each))
         for each in ([given] if isinstance(given, str | pd.Series) else given)
     )
 
@@ -58,16 +58,27 @@ def _named_column(given: "str | pd.Series[Any]") -> tuple[CsvFile, str]:
     return CsvFile(Path(file)), name.strip()
 
 
-def _coloring(table: CsvFile, name: str, robots: Ints) -> Coloring:
+def _is_text(given: "str | pd.Series[Any]") -> bool:
+    """Whether a series has labels by its type; tables say so by their cells."""
+    kinds = ("string", "categorical")
+    return isinstance(given, pd.Series) and pd.api.types.infer_dtype(given) in kinds
+
+
+def _coloring(table: CsvFile, name: str, robots: Ints, *, is_text: bool) -> Coloring:
     """Take the values of a column by robot."""
-    bare = {re.sub(r"\s*[\[(].*", "", column): column for column in table.columns}
-    column, first = bare.get(name, name), find_column(table.columns, "robot")
+    column, first = name, find_column(table.columns, "robot")
+    if column not in table.columns:
+        column = next((other for other in table.columns if _bare(other) == name), name)
     if not first:
         problem = "no column has numbers of robots; call one robot"
         raise InputError(problem, path=table.path, line=1)
     if column not in table.columns:
         some = ", ".join(other for other in table.columns if other != first)
         problem = f"there is no such column; choose one of {some}"
+        raise InputError(problem, path=table.path, line=1, key=name)
+    equal = [name for name in table.columns if _bare(name) == _bare(column)]
+    if table.columns.count(column) > 1 or (column != name and len(equal) > 1):
+        problem = f"{len(equal)} columns are called {_bare(column)}; rename all but one of them"
         raise InputError(problem, path=table.path, line=1, key=name)
     table.drop(table.incomplete([column]))
     place = {robot: n for n, robot in enumerate(robots.tolist())}
@@ -82,8 +93,7 @@ def _coloring(table: CsvFile, name: str, robots: Ints) -> Coloring:
     label, _, unit = map(str.strip, re.split(r"([\[(])", f"{column}[", maxsplit=1))
     label += f" of {table.path.name}" * (label in _OURS)
     cells, value = table.words(column).tolist(), np.full(len(robots), np.nan)
-    is_number = re.fullmatch(r"\s*[-+]?[.,]?\d.*", cells[0])
-    words = [] if is_number else [*dict.fromkeys(map(str.strip, cells))]
+    words = [*dict.fromkeys(map(str.strip, cells))] if is_text or _are_labels(cells) else []
     if len(words) > len(LABEL_COLORS):
         problem = f"has {len(words)} labels; give numbers, or at most {len(LABEL_COLORS)} labels"
         raise InputError(problem, path=table.path, line=1, key=column)
@@ -92,6 +102,31 @@ def _coloring(table: CsvFile, name: str, robots: Ints) -> Coloring:
     scale = "labels" if words else "joins"
     least = 0.0 if words else float(min(found))
     return Coloring(label, unit.strip("])[ "), value, scale, least, words)
+
+
+def _bare(column: str) -> str:
+    """Return the name of a column without its unit."""
+    return re.sub(r"\s*[\[(].*", "", column)
+
+
+_NUMBER = re.compile(r"[-+]?(\d+[.,]?|\d*[.,](\d+))(e[-+]?\d+)?", re.IGNORECASE)
+_CODE = re.compile(r"[-+]?0\d+|[-+]?\d{16,}")
+"""Digits that are no number, or that a real number of 64 bits would round."""
+
+
+def _are_labels(cells: Sequence[str]) -> bool:
+    """Whether cells of a column are labels: words, dates, codes such as 01, versions such as 1.10.
+
+    Digits are a label where a number would not keep them. Zeros at their end count if not all cells
+    have as many decimals, which programs write otherwise.
+    """
+    texts = [cell.strip() for cell in cells]
+    if not _NUMBER.fullmatch(texts[0]) or any(_CODE.fullmatch(text) for text in texts):
+        return True
+    numbers = [match for match in map(_NUMBER.fullmatch, texts) if match]
+    decimals = [match[2] or "" for match in numbers]
+    is_padded = any(len(digits) > 1 and digits.endswith("0") for digits in decimals)
+    return is_padded and len({len(digits) for digits in decimals}) > 1
 
 
 def colored(run: RunData, given: Any, name: str | None) -> RunData:  # noqa: ANN401 - as above

@@ -78,6 +78,21 @@ class PageTable:
         return [(str(point), part.to_numpy().tolist()) for point, part in parts]
 
 
+_LATEX = str.maketrans(
+    {
+        "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+        "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "±": r"$\pm$",
+        **{letter: f"\\{letter}" for letter in "&%$#_{}"},
+    }
+)  # fmt: skip
+"""Letters that LaTeX reads as commands, or prints as others in its default encoding OT1."""
+
+
+def _latex(text: object) -> str:
+    """Escape a text for LaTeX."""
+    return str(text).translate(_LATEX)
+
+
 def paper_text(table: PageTable, form: str) -> str:
     """Write a table for a paper, as "latex" with rules of booktabs, "markdown" or "csv".
 
@@ -90,11 +105,9 @@ def paper_text(table: PageTable, form: str) -> str:
         frame = frame.assign(**{POINT: frame[POINT].mask(frame[POINT].duplicated(), "")})
     if form == "latex":
         sides = "".join("l" if name in table.words else "r" for name in frame)
-        style = frame.style.hide(axis="index").format(escape="latex")
-        style = style.format_index(escape="latex", axis="columns")
-        caption = table.note.replace("%", r"\%")
-        text = style.to_latex(hrules=True, column_format=sides, caption=caption)
-        return text.replace("±", r"$\pm$")
+        style = frame.style.hide(axis="index").format(_latex)
+        style = style.format_index(_latex, axis="columns")
+        return style.to_latex(hrules=True, column_format=sides, caption=_latex(table.note))
     rule = [":--" if name in table.words else "--:" for name in frame]
     cells = frame.replace(r"\|", r"\\|", regex=True).to_numpy().tolist()
     rows = [[*map(str, frame)], rule, *cells]

@@ -178,10 +178,12 @@ class PluginSuite(Suite):
         Raises:
             PluginError: the sensor failed, or returned something else than rows.
         """
+        sense: Callable[..., Any] = self.sense
         rows: Reals = call_plugin(
             "sensor", params.suite,
-            lambda: np.asarray(self.sense(history, params)),
+            lambda: np.asarray(sense(history, params)),
             lambda returned: _fault(returned, COLUMNS[self.fills], history),
+            repeats=sense,
         ).astype(np.float64)  # fmt: skip
         return rows
 

@@ -308,8 +308,9 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
         ]
         if method == "score":
             return call_plugin(
-                "rule", name, lambda: unguarded(*shown), _fault_of_score, method=method
-            )
+                "rule", name, lambda: unguarded(*shown), _fault_of_score,
+                method=method, repeats=unguarded, owner=arguments[0],
+            )  # fmt: skip
 
         def integers() -> NDArray[Any]:
             returned = np.asarray(unguarded(*shown))
@@ -323,7 +324,10 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
                 return wrong_type
             return fault_of(returned, *arguments[1:])
 
-        return call_plugin("rule", name, integers, fault, method=method).astype(np.int32)
+        return call_plugin(
+            "rule", name, integers, fault,
+            method=method, repeats=unguarded, owner=arguments[0],
+        ).astype(np.int32)  # fmt: skip
 
     _unguarded[call] = unguarded
     return call
@@ -455,7 +459,7 @@ def _checked(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
             "structure", name,
             lambda: np.asarray(unchecked(self, *arguments)),
             lambda returned: _fault_of_lengths(returned, shape),
-            method=method,
+            method=method, repeats=unchecked, owner=self,
         )  # fmt: skip
         return numbers.astype(np.float64)
 
@@ -474,7 +478,13 @@ def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
     """Return the terrain of a plug-in's structure."""
     unchecked = getattr(settings.terrain, "fget", lambda _: settings.terrain)
     terrain: Terrain = call_plugin(
-        "structure", name, lambda: unchecked(of), _fault_of_terrain, method="terrain"
+        "structure",
+        name,
+        lambda: unchecked(of),
+        _fault_of_terrain,
+        method="terrain",
+        repeats=unchecked,
+        owner=of,
     )
     return terrain
 

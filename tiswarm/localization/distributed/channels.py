@@ -152,6 +152,7 @@ def _heard(name: str, hear: Callable[..., Any], air: Air, settings: Any) -> Bool
         "channel", name,
         lambda: np.asarray(hear(air, settings)),
         lambda returned: _fault(returned, air.sender.shape),
+        repeats=hear,
     )  # fmt: skip
     return heard
 
