@@ -6,6 +6,10 @@ of a user assigns a real number to a whole one, its kernel is traced again, with
 its first value on. Where the number has to stay whole, the line is an error. Whole numbers have 64
 bits there, on processors and on the cards of CUDA and AMD.
 
+Operators have the values of Python. Where the library would end the process, a value is NaN or the
+line is an error: negative powers of whole numbers, division by 0, truth values of real numbers,
+None, indices beyond a vector.
+
 A function without the decorator `ti.func` is run once, by Python, as the kernel is traced. There
 each `if` on a number of the kernel would be true. So a call of one is an error, too, and so is one
 of a random generator, which would draw one number for all calls of the kernel.
@@ -35,8 +39,14 @@ from tiswarm.compute.user_functions import is_kernel_function, is_of_user
 _Foreign = Any
 """An object of the library, or a value that it handles; the library has no types."""
 
-_REAL_OPERATIONS = ("Div",)
-"""Operations of augmented assignments whose result is real for whole numbers, too."""
+_divided = ti.raw_div
+"""Division of whole numbers that rounds toward 0, as the library has it."""
+
+_MOST_BITS = 62
+"""Greatest shift of a whole number: the result has 64 bits, one of them for the sign."""
+
+_MOST_EXPONENT = 4
+"""Greatest exponent of a power that stays whole: that of a number up to 55,000 has 64 bits."""
 
 
 @dataclass
@@ -91,8 +101,14 @@ def install() -> None:
     _replace(transformer, "build_Return", _checked_return)
     _replace(transformer, "build_range_for", _checked_range)
     _replace(_library("impl"), "subscript", _subscript)
-    _replace(_library("ops"), "floordiv", _floor_division)
-    _replace(_library("ops"), "mod", _remainder)
+    _replace(transformer, "build_Subscript", _read_entry)
+    _replace(_library("impl"), "ti_bool", _truth_of)
+    _replace(_library("impl"), "expr_init", _variable)
+    for name, hook in _OPERATORS.items():
+        before = getattr(_library("ops"), name)
+        _replace(_library("ops"), name, hook)
+        if getattr(ti, name, None) is before:  # a second name of the same function
+            setattr(ti, name, getattr(_library("ops"), name))
     if LIBRARY == "taichi":
         utilities, kernels = _library("ast.ast_transformer_utils"), _library("kernel_impl")
         _replace(utilities.ASTTransformerContext, "create_variable", _created)
@@ -172,7 +188,8 @@ def _called(
         trace.calls.pop()
     if is_outermost and trace.later:
         raise _WiderNamesError
-    return value
+    # The library ends the process where a kernel computes with truth values.
+    return _as_real(value) if is_outermost else value
 
 
 @contextmanager
@@ -224,19 +241,83 @@ def _read_name(original: Callable[..., Any], context: _Foreign, node: ast.Name) 
 def _subscript(
     original: Callable[..., Any], builder: _Foreign, value: _Foreign, *indices: _Foreign
 ) -> _Foreign:
-    """Return an entry; indices have 32 bits."""
-    if _trace is not None and _trace.calls and _trace.calls[-1][0] >= 0:
-        indices = tuple(ti.cast(i, ti.i32) if _is_long(i) else i for i in indices)
+    """Return an entry; indices have 32 bits, and are in the range of a vector or matrix."""
+    if _is_of_user():
+        if _is_tensor(value) and len(indices) == len(value.get_shape()):
+            pairs = zip(indices, value.get_shape(), strict=True)
+            indices = tuple(
+                _index_inside(index, size) if isinstance(index, int) or _is_whole(index) else index
+                for index, size in pairs
+            )
+        is_variable = any(isinstance(index, ti.lang.expr.Expr) for index in indices)
+        indices = tuple(
+            ti.cast(index, ti.i32)
+            if _is_long(index) or (is_variable and type(index) is int)
+            else index
+            for index in indices
+        )
     return original(builder, value, *indices)
+
+
+def _read_entry(original: Callable[..., Any], context: _Foreign, node: ast.Subscript) -> _Foreign:
+    """Read an entry of a vector or matrix: NaN where a variable index is out of its range."""
+    entry = original(context, node)
+    holder: _Foreign = node.value
+    if not (isinstance(node.ctx, ast.Load) and _is_of_user() and _is_tensor(holder.ptr)):
+        return entry
+    index: _Foreign = node.slice
+    indices = index.ptr if isinstance(index.ptr, list | tuple) else (index.ptr,)
+    for number, size in zip(indices, holder.ptr.get_shape(), strict=False):
+        if isinstance(number, ti.lang.expr.Expr) and _is_real(entry):
+            is_inside = (number >= -size) & (number < size)
+            entry = ti.select(is_inside, entry, ti.math.nan)
+    node.ptr = entry  # type: ignore[attr-defined]
+    return entry
+
+
+def _is_tensor(value: _Foreign) -> bool:
+    return isinstance(value, ti.lang.expr.Expr) and value.is_tensor()
+
+
+def _index_inside(index: _Foreign, size: int) -> _Foreign:
+    """Return an index of an entry; negative ones count from the end, as in Python."""
+    if not isinstance(index, int):
+        from_start = index + ti.select(index < 0, size, 0)
+        return ti.max(0, ti.min(size - 1, from_start))
+    if not -size <= index < size:
+        raise _RefusalError(f"index {index} is beyond the {size} entries")
+    return index % size
 
 
 def _floor_division(
     original: Callable[..., Any], dividend: _Foreign, divisor: _Foreign
 ) -> _Foreign:
-    """Round a quotient down; the library rounds that of whole constants toward 0."""
+    """Round a quotient down; the library rounds that of whole constants toward 0.
+
+    A divisor that is known only as the kernel runs may be 0, at which processors end the process.
+    The quotient is real there, and NaN for 0.
+    """
     if not _are_whole_of_user(dividend, divisor):
         return original(dividend, divisor)
-    quotient = ti.raw_div(dividend, divisor)
+    dividend, divisor = _counted(dividend), _counted(divisor)
+    if isinstance(divisor, int):
+        return _rounded_down(dividend, _nonzero(divisor))
+    # The least whole number has no negative: processors end the process there, too.
+    is_unsafe = (divisor == 0) | (divisor == -1)
+    quotient = _rounded_down(dividend, ti.select(is_unsafe, 1, divisor))
+    real = ti.cast(quotient, _real_type()) * ti.select(divisor == -1, -1.0, 1.0)
+    return ti.select(divisor == 0, ti.math.nan, real)
+
+
+def _nonzero(divisor: int) -> int:
+    if divisor == 0:
+        raise _RefusalError("divides by 0; divide by another number")
+    return divisor
+
+
+def _rounded_down(dividend: _Foreign, divisor: _Foreign) -> _Foreign:
+    """Divide whole numbers, at least one not a constant, and round down."""
+    quotient = _divided(dividend, divisor)
     rest = dividend - quotient * divisor
     is_between = (rest != 0) & ((rest < 0) != (divisor < 0))
     return quotient - ti.select(is_between, 1, 0)
@@ -246,15 +327,141 @@ def _remainder(original: Callable[..., Any], dividend: _Foreign, divisor: _Forei
     """Return the remainder of `_floor_division`."""
     if not _are_whole_of_user(dividend, divisor):
         return original(dividend, divisor)
+    dividend, divisor = _counted(dividend), _counted(divisor)
     return dividend - divisor * (dividend // divisor)
 
 
-def _are_whole_of_user(dividend: _Foreign, divisor: _Foreign) -> bool:
-    """Whether a function of a user divides whole numbers, at least one not a constant."""
-    if _trace is None or not _trace.calls or _trace.calls[-1][0] < 0:
-        return False
-    numbers = [n for n in (dividend, divisor) if not isinstance(n, int)]
-    return bool(numbers) and all(_is_whole(number) for number in numbers)
+def _are_whole_of_user(*numbers: _Foreign) -> bool:
+    """Whether a function of a user computes with whole numbers, at least one not a constant."""
+    variable = [number for number in numbers if not isinstance(number, int)]
+    return _is_of_user() and bool(variable) and all(map(_is_whole, variable))
+
+
+def _as_real(value: _Foreign) -> _Foreign:
+    """Return what a function of a user returned as a real number, or as a vector of such."""
+    if isinstance(value, bool | int | np.bool_):
+        return float(value)
+    is_real = _is_real(value) or not isinstance(value, ti.lang.expr.Expr)
+    return value if is_real else ti.cast(value, _real_type())
+
+
+def _is_of_user() -> bool:
+    """Whether a function of a user is being traced."""
+    return _trace is not None and bool(_trace.calls) and _trace.calls[-1][0] >= 0
+
+
+def _counted(value: _Foreign) -> _Foreign:
+    """Return a truth value as the whole number 0 or 1, and others as they are."""
+    if isinstance(value, bool | np.bool_):
+        return int(value)
+    return ti.cast(value, _whole_type()) if _is_truth(value) else value
+
+
+def _is_truth(value: _Foreign) -> bool:
+    """Whether a value of a kernel is true or false, or a vector of such."""
+    return isinstance(value, ti.lang.expr.Expr) and bool(_element_type(value) == ti.u1)
+
+
+def _of_numbers(original: Callable[..., Any], *operands: _Foreign) -> _Foreign:
+    """Compute with truth values as with numbers; the library has one bit for them."""
+    if _is_of_user():
+        operands = tuple(map(_counted, operands))
+    return original(*operands)
+
+
+def _power(original: Callable[..., Any], base: _Foreign, exponent: _Foreign) -> _Foreign:
+    """Raise a number to a power; that of whole numbers is real where it may be a fraction."""
+    if not _is_of_user():
+        return original(base, exponent)
+    base, exponent = _counted(base), _counted(exponent)
+    if not _is_whole_exponent(exponent) and _are_whole_of_user(base, exponent):
+        # The library ends the process for a negative exponent.
+        base = float(base) if isinstance(base, int) else ti.cast(base, _real_type())
+    return original(base, exponent)
+
+
+def _is_whole_exponent(exponent: _Foreign) -> bool:
+    """Whether the power of a whole number is whole, and has 64 bits."""
+    return isinstance(exponent, int) and 0 <= exponent <= _MOST_EXPONENT
+
+
+def _shifted(original: Callable[..., Any], value: _Foreign, bits: _Foreign) -> _Foreign:
+    """Shift a whole number by a constant; of other numbers of bits the library makes noise."""
+    if not _is_of_user():
+        return original(value, bits)
+    if not (isinstance(bits, int) and 0 <= bits <= _MOST_BITS):
+        problem = f"shifts by bits that are no constant from 0 to {_MOST_BITS}; use a power of 2"
+        raise _RefusalError(problem)
+    return original(_counted(value), int(bits))
+
+
+def _negation(original: Callable[..., Any], value: _Foreign) -> _Foreign:
+    """Compute `not`; the library has none of real numbers."""
+    return value == 0.0 if _is_of_user() and _is_real_scalar(value) else original(value)
+
+
+def _is_real_scalar(value: _Foreign) -> bool:
+    return isinstance(value, ti.lang.expr.Expr) and _is_real_type(_scalar_type(value))
+
+
+def _conjunction(original: Callable[..., Any], first: _Foreign, second: _Foreign) -> _Foreign:
+    """Compute `and`, which is one of the two values."""
+    if not _is_of_user() or _are_truths(first, second):
+        return original(first, second)
+    return _either(first, second, first)
+
+
+def _disjunction(original: Callable[..., Any], first: _Foreign, second: _Foreign) -> _Foreign:
+    """Compute `or`, which is one of the two values."""
+    if not _is_of_user() or _are_truths(first, second):
+        return original(first, second)
+    return _either(first, first, second)
+
+
+def _are_truths(*values: _Foreign) -> bool:
+    return all(isinstance(value, bool | np.bool_) or _is_truth(value) for value in values)
+
+
+def _either(condition: _Foreign, value: _Foreign, otherwise: _Foreign) -> _Foreign:
+    """Choose a value by whether a condition is true; the result has the type of both."""
+    if not isinstance(condition, ti.lang.expr.Expr):
+        return value if condition else otherwise
+    for choice in (condition, value, otherwise):
+        if not isinstance(choice, bool | int | float) and _scalar_type(choice) is None:
+            raise _RefusalError("`and` and `or` take numbers; compare lengths of vectors")
+    if not _are_truths(value, otherwise):
+        kind = _real_type() if _is_real(value) or _is_real(otherwise) else _whole_type()
+        value, otherwise = (ti.cast(choice, kind) for choice in (value, otherwise))
+    return _library("ops").ifte(condition, value, otherwise)
+
+
+def _variable(original: Callable[..., Any], value: _Foreign) -> _Foreign:
+    """Make a variable; of None the library makes one without a type, and ends the process."""
+    if value is None and _is_of_user():
+        raise _RefusalError("None is no number; give a number")
+    return original(value)
+
+
+def _truth_of(original: Callable[..., Any], value: _Foreign) -> _Foreign:
+    """Compute `bool` of a number; the library ends the process at that of a real one."""
+    return value != 0.0 if _is_of_user() and _is_real_scalar(value) else original(value)
+
+
+def _raw_divided(original: Callable[..., Any], dividend: _Foreign, divisor: _Foreign) -> _Foreign:
+    """Divide as processors do, unless they would end the process at a divisor of 0."""
+    if _are_whole_of_user(dividend, divisor) and not isinstance(divisor, int):
+        problem = "divides whole numbers by one that may be 0; use // or %, or a constant"
+        raise _RefusalError(problem)
+    return original(dividend, divisor)
+
+
+def _cast(original: Callable[..., Any], value: _Foreign, kind: _Foreign) -> _Foreign:
+    """Convert a number; to a truth value as `_truth_of`."""
+    if _is_of_user() and isinstance(value, list | tuple):
+        raise _RefusalError("converts several numbers at once; convert each, or a vector")
+    if _is_of_user() and kind in (bool, ti.u1) and _is_real_scalar(value):
+        return value != 0.0
+    return original(value, kind)
 
 
 def _checked_assignment(
@@ -303,9 +510,18 @@ def _checked_augmented(
         return found
     operand: _Foreign = node.value
     target: _Foreign = node.target
-    is_real = type(node.op).__name__ in _REAL_OPERATIONS
+    is_real = _makes_real(type(node.op).__name__, operand.ptr)
     _require_room(context, node.target, target.ptr, 0.5 if is_real else operand.ptr)
     return found
+
+
+def _makes_real(operation: str, operand: _Foreign) -> bool:
+    """Whether an operation makes a whole number real."""
+    if operation == "Pow":
+        return not _is_whole_exponent(operand)
+    if operation in ("FloorDiv", "Mod"):
+        return not isinstance(operand, int)
+    return operation == "Div"
 
 
 def _checked_range(original: Callable[..., Any], context: _Foreign, node: ast.For) -> _Foreign:
@@ -481,3 +697,21 @@ def _converted(value: _Foreign, kind: _Foreign) -> _Foreign:
     if isinstance(value, list | tuple):
         return type(value)(_converted(entry, kind) for entry in value)
     return _library("impl").expr_init(ti.cast(value, kind)) if _is_whole(value) else value
+
+
+_OPERATORS: dict[str, Callable[..., Any]] = {
+    "floordiv": _floor_division,
+    "mod": _remainder,
+    "pow": _power,
+    "logical_not": _negation,
+    "logical_and": _conjunction,
+    "logical_or": _disjunction,
+    "raw_div": _raw_divided,
+    "raw_mod": _raw_divided,
+    "cast": _cast,
+    **dict.fromkeys(["bit_shl", "bit_sar", "bit_shr"], _shifted),
+    **dict.fromkeys(
+        ["add", "sub", "mul", "truediv", "neg", "bit_not", "abs", "max", "min"], _of_numbers
+    ),
+}
+"""Hooks of the library's operators, by name."""
