@@ -245,6 +245,7 @@ class FloppyMotions:
         return np.asarray(shifted > SHIFTED)
 
     def _unresisted(self, motion: Reals) -> Reals:
+        """Compute the part of motions that measurements do not resist, shape (unknowns, n)."""
         if self._factors is None:
             return motion
         return np.asarray(-(_UNNOTICED**2) * self._factors.solve(motion))
@@ -280,6 +281,7 @@ def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further
 
 
 def _is_too_large(bodies: Bodies) -> bool:
+    """Whether factoring the stiffness matrix of bodies would take too much memory or time."""
     first, second, _ = bodies.constraints
     between = int(((first != bodies.fixed) & (second != bodies.fixed)).sum())
     # A spanning tree of the bodies has no loop, and each further constraint closes one.

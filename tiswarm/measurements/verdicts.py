@@ -108,6 +108,14 @@ def describe_misfit(misfit_sd: float) -> str:
 
 
 def _remedy(convergence: Convergence, carriers: Ints, log: SensingLog, beyond: Ints) -> str:
+    """Say what to do about an estimate that is not to be trusted.
+
+    Args:
+        convergence: The verdict.
+        carriers: Robots that carry most of the misfit, shape (n,).
+        log: What was sensed.
+        beyond: Robots beyond the reach of their contacts, shape (m,).
+    """
     if not convergence.converged and beyond.size:
         return f"look for wrong contacts, heights and spawn positions of {named(log, beyond)}"
     if convergence.chains <= 1:
@@ -213,6 +221,7 @@ def named(log: SensingLog, rows: AnyInts, most: int = MOST_SHOWN) -> str:
 
 
 def _line(log: SensingLog, path: Path, robot: int) -> str:
+    """Name the file and the line of a robot."""
     return f"{path}:{log.line_of(robot)}"
 
 
@@ -227,6 +236,7 @@ def _fitting(estimate: Estimate) -> Iterator[str]:
 
 
 def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    """Name the robots that are mirrored between solutions, if there are any."""
     if estimate.mirrored is None:
         return
     mirrored = np.flatnonzero(estimate.mirrored & ~log.is_gone)
@@ -308,6 +318,7 @@ _Outlier = tuple[int, int, str, str]
 
 
 def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
+    """Describe the outliers among measurements of two robots."""
     if estimate.outlier_contacts is None:
         return
     name = log.robot_id.tolist()

@@ -138,8 +138,8 @@ def annealer_of(
         params: Settings for each.
         problems: Measurements of each.
         start: Where the chains of each structure begin, as for `view_of`.
-        by_block: As for `Annealer`.
-        inertia_factor: The same.
+        by_block: Whether a thread takes all steps of a block of robots, as for `Annealer`.
+        inertia_factor: Factor of every mass; 4 halves the steps.
     """
     begin: Sequence[Reals | None] = start or [None] * len(logs)
     means = [problem.averaged() for problem in problems]

@@ -305,7 +305,8 @@ MOST_STIFFNESS = 1.2
 moved by itself and one of them by its branch too, at 2.8 times the square of that frequency. At 4
 times steps diverge."""
 _MOST_TURN_STIFFNESS = 0.25
-"""The same of turns; less, for a turn and a shift swing together."""
+"""Robots whose turns are held more stiffly are given the inertia to swing no faster. It is less
+than for shifts: a turn and a shift swing together."""
 _FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""
 _WHOLE = 2.0**44

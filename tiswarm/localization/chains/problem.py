@@ -321,6 +321,7 @@ class Problem:
 
     @cached_property
     def _sensed_place(self) -> tuple[Reals, Bools]:
+        """Centers as planes say [R], and which coordinates are measured, both of shape (N, 3)."""
         return self.planes.centers(len(self.part))
 
     @property

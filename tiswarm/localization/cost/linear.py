@@ -92,6 +92,10 @@ class RelatedRows:
         Returns:
             The inverse, shape (n, n); its diagonal, shape (n,), if there is no B.
         """
+        # B B^T couples rows of one robot only: the inverse has a dense block for each robot, and
+        # rows that share no such noise are on its diagonal. We invert the blocks as they are, and
+        # do not update 1 / variance by B (Woodbury 1950): rows whose own variance is tiny would
+        # lose their digits in a difference of large numbers.
         if not len(self.rows):
             return 1.0 / own_variance
         shared = csr_array(noise)[self.rows, :]
@@ -206,6 +210,7 @@ class Linear:
 
     @property
     def _largest(self) -> float:
+        """Largest information of a single unknown, at least 1."""
         return float(self.information.diagonal().max(initial=1.0))
 
     def step(self, radius: float) -> tuple[Reals, Reals]:
@@ -268,12 +273,16 @@ class Linear:
         covariance = np.zeros((size, size))
         derivative[:first] = csc_array(self.jacobian)[rows, :].toarray()
         derivative[prior, columns] = 1.0
-        covariance[:first, :first] = (
-            np.diag(1.0 / self.inverse[rows])
-            if isinstance(self.inverse, np.ndarray)
-            else inverted(csc_array(self.inverse)[rows, :][:, rows].toarray())
-        )
+        if isinstance(self.inverse, np.ndarray):
+            covariance[:first, :first] = np.diag(1.0 / self.inverse[rows])
+        else:
+            covariance[:first, :first] = inverted(
+                csc_array(self.inverse)[rows, :][:, rows].toarray()
+            )
         covariance[prior, prior] = 1.0 / self.precision[columns]
+        # C - J P J^T is what other rows leave open of these. Rows are in R, precise beside rough
+        # ones, and priors in standard deviations: in units of their own sd, eigenvalues are shares
+        # of a variance. What rounding leaves of a full cancellation is far below `_CHECKED`.
         scale = 1.0 / np.sqrt(covariance.diagonal())
         open_covariance = covariance - derivative @ self.undamped.solve(derivative.T)
         value, vector = np.linalg.eigh(open_covariance * scale[:, None] * scale)

@@ -51,7 +51,7 @@ class Posed:
 
 @dataclass(frozen=True)
 class Fit(Posed):
-    """The same, and K chains that were fitted to these rows."""
+    """A log of N robots, the rows that a method chooses, and K chains that were fitted to them."""
 
     annealed: Annealed
 

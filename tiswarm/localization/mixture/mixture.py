@@ -51,7 +51,8 @@ class Minimum(NamedTuple):
     """Centers at the minimum [R], shape (N, 3)."""
 
     position: Reals
-    """The same, but the means of chains for robots that measurements do not hold."""
+    """Centers at the minimum, but the means of chains for robots that measurements do not hold [R],
+    shape (N, 3)."""
 
     yaw: Reals
     """Yaw corrections [rad], shape (N,)."""
