@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.compute.normal_equations import factored
-from tiswarm.measurements.contacts import disconnected, parts, spans
+from tiswarm.measurements.contacts import connected_parts, disconnected, spans
 from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import OpenTurn
@@ -124,7 +124,7 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
         Sets are what hangs together once one or two robots, or none, are taken away.
         No frame is found if only those `among` robots may turn, shape (N,).
         """
-        part = parts(rows)
+        part = connected_parts(rows)
         near = np.zeros((rows.robots, rows.robots), np.bool_)
         tied = part == part[0]
         of_pair = rows.robot[: len(rows.other)]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Ints, Reals
-from tiswarm.measurements.contacts import parts, reach
+from tiswarm.measurements.contacts import connected_parts, reach
 from tiswarm.measurements.cues import CUES, WALKED, Measured, measure
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, OpenTurn
@@ -306,7 +306,7 @@ def _beyond_reach(log: SensingLog, estimate: Estimate) -> Ints:
     """Find robots where no chain of their contacts ends."""
     rows = measure(log, ["contacts"])
     arms = np.linalg.norm([rows.arm, rows.other_arm], axis=2).sum(axis=0)
-    part = parts(rows)
+    part = connected_parts(rows)
     bound = reach(np.column_stack([rows.robot, rows.other]), SPACING + arms, part)
     first = np.unique(part, return_index=True)[1][part]
     away = np.linalg.norm(estimate.position - estimate.position[first], axis=1)

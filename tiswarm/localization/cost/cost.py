@@ -177,7 +177,7 @@ def shortened(step: Reals, most: float, length: Reals | None = None) -> Reals:
     return short
 
 
-def weights(cost: Reals, temperature: float = 1.0) -> Reals:
+def boltzmann_weights(cost: Reals, temperature: float = 1.0) -> Reals:
     """Weigh configurations by their Boltzmann factors, exp(-cost / (2 T)).
 
     Args:

@@ -15,7 +15,7 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost import ROBUST_SD
-from tiswarm.localization.cost.cost import WholeCost, grouped, weights
+from tiswarm.localization.cost.cost import WholeCost, boltzmann_weights, grouped
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE
 from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.settings import ChiSquareParams
@@ -236,7 +236,7 @@ def _weights(cost: Reals, measurements: int) -> Reals:
     """
     hottest = max(1.0, chi_square_sd(measurements) / MIXTURE.chance)
     for heat in np.geomspace(1.0, hottest, MIXTURE.heats):
-        weight = weights(cost, heat)
+        weight = boltzmann_weights(cost, heat)
         if 1.0 / (weight**2).sum() >= MIXTURE.fewest:
             break
     weight[weight < MIXTURE.least_weight] = 0.0
