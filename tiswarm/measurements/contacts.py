@@ -43,7 +43,7 @@ def hops(log: SensingLog, start: Ints) -> Reals:
 
 
 def contact_count(log: SensingLog) -> Ints:
-    """Count the contacts that each robot takes part in, shape (N,)."""
+    """Count the contacts that each robot takes part in, shape (N,); they count at both ends."""
     return np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)
 
 

@@ -245,7 +245,10 @@ def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:
 
 
 def _torn(estimate: Estimate) -> Ints:
-    """Find the robots that measurements tie to the anchor, but outliers alone."""
+    """Find the robots that measurements tie to the anchor, but outliers alone.
+
+    Chains cannot bring a part of many robots to where a contact says that is far away.
+    """
     observability = estimate.observability
     if observability is None or not _outliers(estimate):
         return np.empty(0, np.int64)

@@ -200,7 +200,7 @@ class Problem:
 
     @property
     def is_gone(self) -> Bools:
-        """Whether each robot has left, shape (N,)."""
+        """Whether each robot has left, so that its docks are in nobody's way, shape (N,)."""
         return np.isin(np.arange(len(self.part)), self.gone)
 
     @property
@@ -247,7 +247,7 @@ class Problem:
 
     @property
     def is_offset(self) -> Bools:
-        """Which links are offsets, shape (C,)."""
+        """Which links are offsets: the vector between their docks is measured, shape (C,)."""
         is_offset: Bools = self.link >= len(self.rows.distances.stance)
         return is_offset
 

@@ -367,7 +367,7 @@ class WholeCost(Cost[Linear]):
     def _close_docks(self, point: Reals) -> Ints:
         """List docks at points (N, docks, 3) that do not touch, with all that overlap, (n, 4).
 
-        A list serves until docks have moved half the margin.
+        A list serves until docks have moved half the margin: then others may overlap.
         """
         far = np.linalg.norm(point - self._listed, axis=2).max(initial=0.0)
         if self.non_overlap and far > 0.5 * _MARGIN:
@@ -513,7 +513,12 @@ class WholeCost(Cost[Linear]):
         )
 
     def _links_of(self, state: State, links: Connections) -> LinearRows:
-        """Compute residuals of connections [rad], and their derivatives by turns."""
+        """Compute residuals of connections [rad], and their derivatives by turns of final stances.
+
+        Args:
+            state: Where to linearize.
+            links: Connections, Q of them, with three rows each.
+        """
         sd = self._turn_sd[self.walks.final]
         turn = state.turn * sd
         ends = np.stack([links.robot, links.other])

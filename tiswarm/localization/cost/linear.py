@@ -231,7 +231,10 @@ class Linear:
 
     @property
     def log_volume(self) -> float:
-        """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost."""
+        """Logarithm of the width of the minimum, the inverse square root of its determinant.
+
+        It is up to a sum that is the same for all minima of a cost.
+        """
         return -0.5 * float(np.log(np.abs(self.undamped.U.diagonal())).sum())
 
     def freedom(self) -> int:

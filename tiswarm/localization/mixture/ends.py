@@ -230,9 +230,9 @@ def aligned(ends: Ends) -> Ends:
 def _weights(cost: Reals, measurements: int) -> Reals:
     """Weigh ends by their least costs, shape (K,).
 
-    A chain makes mistakes of its own in many parts of a structure. So
-    up to the width of the chi-square, its cost says little about the whole: costs are divided by
-    what leaves `MIXTURE.fewest` ends in the mixture, where that is in reach.
+    A chain makes mistakes of its own in many parts of a structure, however the rest is. So up to
+    the width of the chi-square, its cost says little about the whole: costs are divided by what
+    leaves `MIXTURE.fewest` ends in the mixture, where that is in reach.
     """
     hottest = max(1.0, chi_square_sd(measurements) / MIXTURE.chance)
     for heat in np.geomspace(1.0, hottest, MIXTURE.heats):

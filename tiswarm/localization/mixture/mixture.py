@@ -80,7 +80,7 @@ class Minimum(NamedTuple):
     """Part of the chi-square that each measurement carries [1], shape (E,)."""
 
     log_volume: float
-    """Logarithm of the width of the minimum, up to a constant."""
+    """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost."""
 
     chains: int
     """Chains that lead to it."""
