@@ -1,4 +1,4 @@
-"""Optional: orientations that fit a robot's own flips.
+"""Orientations that fit a robot's own flips.
 
 A flip turns a robot about an axis through its pivot dock. Where a mechanism allows few axes, they
 are a finite set in the body; the angle is any, since a flip ends at the first contact. The axis

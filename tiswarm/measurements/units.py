@@ -1,4 +1,4 @@
-"""Optional: where a log contradicts itself, in lengths of another unit or contacts that cannot be.
+"""Where a log contradicts itself, in lengths of another unit or contacts that cannot be.
 
 Two robots are at most as far apart as a chain of contacts between them is long. A length that is
 longer many times over is no noise, but a slip of the unit or of the decimal point. Lengths in R.
