@@ -320,7 +320,7 @@ class Linear:
         shift[self.moves] = step[: self.shifts].reshape(-1, 3)
         return shift
 
-    def left_of_draws(self) -> tuple[Reals, Reals]:
+    def residual_of_draws(self) -> tuple[Reals, Reals]:
         """Draw all errors as stated: residuals that a fit leaves, and `square`, (E, draws) both."""
         error, off = self._drawn(DRAWS)
         residual = error - self.jacobian @ off
