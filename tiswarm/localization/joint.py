@@ -42,11 +42,11 @@ def localize_batch(
         problem. The residual is the root mean square over the contacts of the distance of their
         docks less D, or of the components of measured offsets.
     """
-    problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
+    problems = [pose_problem(log, settings) for log, settings in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, problems, on_progress=lambda share: on_progress(share / 2))
     estimates: list[Estimate] = []
-    for log, p, problem, chains in zip(logs, params, problems, annealed, strict=True):
-        estimates.append(_searched(Posed(log, p, problem), p, chains))
+    for log, settings, problem, chains in zip(logs, params, problems, annealed, strict=True):
+        estimates.append(_searched(Posed(log, settings, problem), settings, chains))
         on_progress(0.5 + len(estimates) / (2 * len(logs)))
     return estimates
 
@@ -71,7 +71,10 @@ def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate
 def _further(posed: Posed, annealed: Annealed) -> tuple[Fit, int]:
     """Anneal as many chains from where ranges fit, if there are any; else those that failed again.
 
-    Such starts unfold what the initial guess has folded. Returns as `_restarted`.
+    Such starts unfold what the initial guess has folded.
+
+    Returns:
+        All chains, and how many annealings were repeated.
     """
     starts = further_starts(posed)
     if not starts:
@@ -97,4 +100,5 @@ def _restarted(fit: Fit) -> tuple[Fit, int]:
 
 
 def _annealed(posed: Posed, **options: Any) -> Annealed:  # noqa: ANN401 - those of `anneal`
+    """Anneal the chains of one log; options as for `anneal`."""
     return anneal([posed.log], [posed.params], [posed.problem], **options)[0]

@@ -43,7 +43,7 @@ def hops(log: SensingLog, start: Ints) -> Reals:
 
 
 def contact_count(log: SensingLog) -> Ints:
-    """Count the contacts that each robot takes part in, shape (N,)."""
+    """Count the contacts that each robot takes part in, shape (N,); they count at both ends."""
     return np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)
 
 
@@ -53,7 +53,7 @@ def touching(pair: AnyInts, robots: int) -> coo_matrix:
     return coo_matrix((ones, (pair[:, 0], pair[:, 1])), shape=(robots, robots))
 
 
-def parts(rows: Measurements) -> NDArray[np.int32]:
+def connected_parts(rows: Measurements) -> NDArray[np.int32]:
     """Number the parts of the swarm that measured distances connect, shape (N,)."""
     pair = np.column_stack([rows.robot[: len(rows.other)], rows.other])
     _, part = connected_components(touching(pair, rows.robots), directed=False)
@@ -75,7 +75,7 @@ def untied_directions(rows: Measurements) -> Reals:
     Returns:
         Projector onto these directions, 0 for robots of parts that are tied, shape (N, 3, 3).
     """
-    part = parts(rows)
+    part = connected_parts(rows)
     of_row = part[rows.robot[len(rows.other) :]]
     span = spans(of_row, rows.places.direction, part.max() + 1)
     square, axis = np.linalg.eigh(span)

@@ -138,6 +138,7 @@ def in_plane(log: SensingLog) -> Bools:
 
 
 def _coordinates(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:  # noqa: ARG001
+    """Coordinates of centers along the normals of all fixes of a log, of any length."""
     stance, rows = _of_all_stances("fixes", log, odometry)
     if not len(rows):
         return NO_COORDINATES
@@ -206,6 +207,7 @@ def _of_all_stances(key: str, log: SensingLog, odometry: Odometry) -> tuple[Ints
 
 
 def _on_ground(log: SensingLog, stance: Ints, dock: AnyInts, precision: Precision) -> Coordinates:
+    """Docks on flat ground are R above it; none count where the height of the ground is unknown."""
     level = np.nan if log.ground_z is None else log.ground_z / log.dock_radius + 1.0
     value = np.full(len(stance), level)
     return Coordinates.of(stance, dock, _UP, value, variance=precision.height**2)

@@ -1,4 +1,4 @@
-"""Optional: orientations that fit a robot's own flips.
+"""Orientations that fit a robot's own flips.
 
 A flip turns a robot about an axis through its pivot dock. Where a mechanism allows few axes, they
 are a finite set in the body; the angle is any, since a flip ends at the first contact. The axis
@@ -126,6 +126,10 @@ def _fitted(
     standing = on_ground[..., None] / np.maximum(on_ground.sum(axis=2), 1)[..., None, None]
     turned = sensed
     size = 3 * stances
+    # Gauss-Newton steps. Turns are small, since all orientations were sensed, and rows are few: the
+    # information of a walk is dense, and its inverse gives the variances, too. Rows of axes and of
+    # docks on the ground have tiny standard deviations, which make them conditions; those of what
+    # was sensed keep the information regular along all turns that no condition resists.
     for _ in range(_STEPS):
         q = turned.as_quat(scalar_first=True).reshape(wxyz.shape)
         before = _turned(q[:, :-1], axis)

@@ -6,7 +6,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
-from tiswarm.measurements.contacts import disconnected, hops, parts
+from tiswarm.measurements.contacts import connected_parts, disconnected, hops
 from tiswarm.measurements.cues import Measured, cue_names, measure
 from tiswarm.measurements.rigidity import common_motions, floppy_motions, weld
 from tiswarm.records.estimate import Observability
@@ -77,7 +77,9 @@ def common_modes(log: SensingLog, observability: Observability) -> tuple[int, In
         measurements tie it, shape (n,).
     """
     rows = measure(log, observability.cues).associated(_anywhere(log))
-    modes = common_motions(rows, _anywhere(log), parts(rows), yaw_unknown=observability.yaw_unknown)
+    modes = common_motions(
+        rows, _anywhere(log), connected_parts(rows), yaw_unknown=observability.yaw_unknown
+    )
     robot, _, dock, partner, partner_dock = rows.sensed_contacts.T
     return modes, np.unique(np.concatenate([partner_dock[partner == 0], dock[robot == 0]]))
 

@@ -208,7 +208,7 @@ class FloppyMotions:
         self.bodies = bodies
         self._factors = _factors(bodies)
         coordinate = np.arange(bodies.unknowns)[:, None]
-        self._left = self._unresisted(normal(0, "floppy motion", coordinate, np.arange(_PROBES)))
+        self._floppy = self._unresisted(normal(0, "floppy motion", coordinate, np.arange(_PROBES)))
 
     def of_robots(self, further: Further | None = None) -> Reals:
         """Compute what neither the measurements nor further rows resist.
@@ -217,15 +217,15 @@ class FloppyMotions:
             Shift of each center and, where yaw is unknown, its turn, shape (N, dof, _PROBES).
         """
         bodies = self.bodies
-        unresisted = self._left
+        motion = self._floppy
         if further is not None:
             rows = further.matrix
             held = self._unresisted(rows.T)
             resisted = rows @ held - _UNNOTICED**2 * np.eye(len(rows))
             # Woodbury's formula with every term multiplied by -s, as `held` and `left` are.
-            unresisted = unresisted - held @ np.linalg.solve(resisted, rows @ unresisted)
-        unresisted = unresisted.reshape(-1, bodies.dof, _PROBES)
-        moved = np.insert(unresisted, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
+            motion = motion - held @ np.linalg.solve(resisted, rows @ motion)
+        motion = motion.reshape(-1, bodies.dof, _PROBES)
+        moved = np.insert(motion, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
         if bodies.dof > _SHIFTS:
             # A body turns about its own center and takes its robots along.
             moved[:, :2] += _swept(moved[:, _SHIFTS], bodies.lever[:-1])
@@ -245,6 +245,7 @@ class FloppyMotions:
         return np.asarray(shifted > SHIFTED)
 
     def _unresisted(self, motion: Reals) -> Reals:
+        """Compute the part of motions that measurements do not resist, shape (unknowns, n)."""
         if self._factors is None:
             return motion
         return np.asarray(-(_UNNOTICED**2) * self._factors.solve(motion))
@@ -280,6 +281,7 @@ def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further
 
 
 def _is_too_large(bodies: Bodies) -> bool:
+    """Whether factoring the stiffness matrix of bodies would take too much memory or time."""
     first, second, _ = bodies.constraints
     between = int(((first != bodies.fixed) & (second != bodies.fixed)).sum())
     # A spanning tree of the bodies has no loop, and each further constraint closes one.

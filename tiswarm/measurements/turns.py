@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.compute.normal_equations import factored
-from tiswarm.measurements.contacts import disconnected, parts, spans
+from tiswarm.measurements.contacts import connected_parts, disconnected, spans
 from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import OpenTurn
@@ -124,7 +124,7 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
         Sets are what hangs together once one or two robots, or none, are taken away.
         No frame is found if only those `among` robots may turn, shape (N,).
         """
-        part = parts(rows)
+        part = connected_parts(rows)
         near = np.zeros((rows.robots, rows.robots), np.bool_)
         tied = part == part[0]
         of_pair = rows.robot[: len(rows.other)]
@@ -289,6 +289,11 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     """Compute the chi-square of K turned configurations, each at the nearest minimum, shape (K,).
 
     Robots may move to it, to first order, but not on by the turn.
+
+    Args:
+        rows: Measurements about the robots that turn.
+        position: Configurations [R], shape (K, N, 3).
+        turn: The turn, whose direction at each configuration is a motion that does not count.
     """
     members = np.flatnonzero(turn.moves)
     column = np.cumsum(turn.moves) * turn.moves - 1  # -1 of robots that stay
@@ -309,11 +314,16 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
         line = row[:, None] + len(rows) * number
         entries.append([slope[:, row], np.broadcast_to(line, place.shape), place])
     value, line, place = (
-        np.concatenate([a.ravel() for a in parts]) for parts in zip(*entries, strict=True)
+        np.concatenate([part.ravel() for part in of_ends]) for of_ends in zip(*entries, strict=True)
     )
     jacobian = csr_matrix((value, (line, place)), shape=(count * len(rows), count * size))
     information = (jacobian.T @ jacobian).tocsc()  # a block for each configuration
     pull = (jacobian.T @ residual.ravel()).reshape(count, size)
+    # We minimize |J d + e|^2 under a^T d = 0, with the direction a of the turn: the pull loses its
+    # part along a, and a multiple of H^-1 a takes the step back to a^T d = 0 (Lagrange multiplier).
+    # H is singular where further motions are free, and a itself may be one: a stiffness far below
+    # that of any measurement makes it regular. It counts in what measurements resist beside a, so
+    # that it stays small where a is nearly all that they resist.
     pull -= (pull * along).sum(axis=1, keepdims=True) * along
     most = information.diagonal().reshape(count, size).sum(axis=1)
     most -= (along * (information @ along.ravel()).reshape(count, size)).sum(axis=1)

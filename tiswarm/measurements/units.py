@@ -1,4 +1,4 @@
-"""Optional: where a log contradicts itself, in lengths of another unit or contacts that cannot be.
+"""Where a log contradicts itself, in lengths of another unit or contacts that cannot be.
 
 Two robots are at most as far apart as a chain of contacts between them is long. A length that is
 longer many times over is no noise, but a slip of the unit or of the decimal point. Lengths in R.
@@ -34,7 +34,8 @@ _SCALED = 1.5
 """Factor for more than half of a column's lengths."""
 
 _FEWEST = 3
-"""Lengths from which on more than half of them speak for a column, each beyond `_SLIP`."""
+"""Lengths from which on more than half of them speak for a column, if each breaks its bound as a
+single length must, by `_SLIP`."""
 
 _MANY = 10
 """Lengths from which on `_SCALED` is enough: false contacts break a few bounds."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Ints, Reals
-from tiswarm.measurements.contacts import parts, reach
+from tiswarm.measurements.contacts import connected_parts, reach
 from tiswarm.measurements.cues import CUES, WALKED, Measured, measure
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, OpenTurn
@@ -108,6 +108,14 @@ def describe_misfit(misfit_sd: float) -> str:
 
 
 def _remedy(convergence: Convergence, carriers: Ints, log: SensingLog, beyond: Ints) -> str:
+    """Say what to do about an estimate that is not to be trusted.
+
+    Args:
+        convergence: The verdict.
+        carriers: Robots that carry most of the misfit, shape (n,).
+        log: What was sensed.
+        beyond: Robots beyond the reach of their contacts, shape (m,).
+    """
     if not convergence.converged and beyond.size:
         return f"look for wrong contacts, heights and spawn positions of {named(log, beyond)}"
     if convergence.chains <= 1:
@@ -213,6 +221,7 @@ def named(log: SensingLog, rows: AnyInts, most: int = MOST_SHOWN) -> str:
 
 
 def _line(log: SensingLog, path: Path, robot: int) -> str:
+    """Name the file and the line of a robot."""
     return f"{path}:{log.line_of(robot)}"
 
 
@@ -227,6 +236,7 @@ def _fitting(estimate: Estimate) -> Iterator[str]:
 
 
 def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    """Name the robots that are mirrored between solutions, if there are any."""
     if estimate.mirrored is None:
         return
     mirrored = np.flatnonzero(estimate.mirrored & ~log.is_gone)
@@ -235,7 +245,10 @@ def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:
 
 
 def _torn(estimate: Estimate) -> Ints:
-    """Find the robots that measurements tie to the anchor, but outliers alone."""
+    """Find the robots that measurements tie to the anchor, but outliers alone.
+
+    Chains cannot bring a part of many robots to where a contact says that is far away.
+    """
     observability = estimate.observability
     if observability is None or not _outliers(estimate):
         return np.empty(0, np.int64)
@@ -296,7 +309,7 @@ def _beyond_reach(log: SensingLog, estimate: Estimate) -> Ints:
     """Find robots where no chain of their contacts ends."""
     rows = measure(log, ["contacts"])
     arms = np.linalg.norm([rows.arm, rows.other_arm], axis=2).sum(axis=0)
-    part = parts(rows)
+    part = connected_parts(rows)
     bound = reach(np.column_stack([rows.robot, rows.other]), SPACING + arms, part)
     first = np.unique(part, return_index=True)[1][part]
     away = np.linalg.norm(estimate.position - estimate.position[first], axis=1)
@@ -308,6 +321,7 @@ _Outlier = tuple[int, int, str, str]
 
 
 def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
+    """Describe the outliers among measurements of two robots."""
     if estimate.outlier_contacts is None:
         return
     name = log.robot_id.tolist()

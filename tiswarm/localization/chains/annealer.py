@@ -117,7 +117,16 @@ def anneal(
     start: Sequence[Reals] | None = None,
     on_progress: Callable[[float], None] = ignore,
 ) -> list[Annealed]:
-    """Anneal structures side by side, in steps halved so often; arguments as for `annealer_of`."""
+    """Anneal structures side by side.
+
+    Args:
+        logs: One log a structure, all of one batch key with their settings.
+        params: Settings for each.
+        problems: Measurements of each.
+        halvings: How often steps are halved, from those that are usual.
+        start: Where the chains of each structure begin, as for `view_of`.
+        on_progress: Called with the share of the steps that is done [1].
+    """
     annealer = annealer_of(logs, params, problems, inertia_factor=4.0**halvings, start=start)
     return annealer.run(on_progress)
 
@@ -138,8 +147,8 @@ def annealer_of(
         params: Settings for each.
         problems: Measurements of each.
         start: Where the chains of each structure begin, as for `view_of`.
-        by_block: As for `Annealer`.
-        inertia_factor: The same.
+        by_block: Whether a thread takes all steps of a block of robots, as for `Annealer`.
+        inertia_factor: Factor of every mass; 4 halves the steps.
     """
     begin: Sequence[Reals | None] = start or [None] * len(logs)
     means = [problem.averaged() for problem in problems]

@@ -43,7 +43,7 @@ class Traits(Flag):
 
 
 class KernelVariant(NamedTuple):
-    """The same for functions of kernels, which ask in `ti.static`."""
+    """What functions of kernels are compiled for; they ask in `ti.static`."""
 
     docks: int
     """Docks of a robot."""
@@ -236,7 +236,7 @@ class SubtreeMotion(BodyMotion):
     SHIFT = 3
     """Shift in this step, its ancestors' included [R]."""
     OWN_SHIFT = 3
-    """The same without its ancestors', written on graphics cards [R]."""
+    """Shift in this step without its ancestors', written on graphics cards [R]."""
     WEIGHT = 1
     """Mass, in masses of its own robots."""
 
@@ -436,7 +436,7 @@ def _contact_arrays(
     if links.is_offset.any() or any(v.yaw_precision for v in views):
         value |= {"LEVERS": links.levers, "VECTOR": links.vector}
         partner_value |= {"LEVERS": links.levers[:, [2, 3, 0, 1]], "VECTOR": -links.vector}
-    # The same contact as its other robot has it.
+    # Each contact once more, as its partner has it.
     partner_label = label | {"PARTNER": robot, "IS_OWN": np.zeros_like(robot), "TOUCH": touch[1]}
     both = np.concatenate([robot, partner])
     # Stable: each robot sums its contacts in the order of the log, in any company.

@@ -303,9 +303,11 @@ def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts
 MOST_STIFFNESS = 1.2
 """Robots held more stiffly are given the mass to swing no faster: two that hold each other, each
 moved by itself and one of them by its branch too, at 2.8 times the square of that frequency. At 4
-times steps diverge."""
+times steps diverge, and from 3 on, a third of a turn a step, docks that pass through each other
+gain energy at every pass."""
 _MOST_TURN_STIFFNESS = 0.25
-"""The same of turns; less, for a turn and a shift swing together."""
+"""Robots whose turns are held more stiffly are given the inertia to swing no faster. It is less
+than for shifts: a turn and a shift swing together."""
 _FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""
 _WHOLE = 2.0**44

@@ -53,7 +53,7 @@ from tiswarm.localization.chains.arrays import (
 from tiswarm.localization.chains.force_kernels import pull_robot, push_docks, sigma_of
 
 MEMORY = 0.985
-"""What friction leaves of a velocity in one step."""
+"""What friction leaves of a velocity in one step [1]: a friction of 0.015 in a unit of time."""
 _SUBTREE_KICKS = 2**30
 """Number of the first subtree among those of robots, so that subtrees draw other random numbers."""
 
@@ -68,7 +68,10 @@ def _heat_of(sigma, mobility):
 def _thermostat(table: Ref, i, column, force, mobility, kick):
     """Change a velocity, a column of a table, by any force; return how far it leads.
 
-    A step of the force and friction, then a kick that keeps the temperature (Langevin). Robots,
+    A step of the force, half a step of motion, friction with a kick that keeps the temperature, and
+    the other half of the motion: the splitting BAOAB of Langevin dynamics (Leimkuhler and Matthews
+    2013), whose two half steps of the force between motions are one. Where forces are linear, its
+    positions have the variance of the temperature exactly, however long a stable step is. Robots,
     their turns and subtrees all move so. `mobility` is 1 / m. In a unit of time, the step h is 1,
     and a robot held by one equation swings in 2 pi.
     """

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.settings import ChiSquareParams
-from tiswarm.measurements.contacts import parts, reach, spans, untied_directions
+from tiswarm.measurements.contacts import connected_parts, reach, spans, untied_directions
 from tiswarm.measurements.cues import Measured, Precision
 from tiswarm.measurements.model import ALLOWED_SD, Measurements, are_known, inconsistent_places
 from tiswarm.measurements.odometry import (
@@ -200,7 +200,7 @@ class Problem:
 
     @property
     def is_gone(self) -> Bools:
-        """Whether each robot has left, shape (N,)."""
+        """Whether each robot has left, so that its docks are in nobody's way, shape (N,)."""
         return np.isin(np.arange(len(self.part)), self.gone)
 
     @property
@@ -225,7 +225,7 @@ class Problem:
         if not outlier.any():
             return self
         rows = self.rows.select(~outlier)
-        return replace(self, part=parts(rows), loose=untied_directions(rows))
+        return replace(self, part=connected_parts(rows), loose=untied_directions(rows))
 
     def averaged(self) -> "Problem":
         """Replace readings of the same quantity by their mean, as precise as one of them.
@@ -247,7 +247,7 @@ class Problem:
 
     @property
     def is_offset(self) -> Bools:
-        """Which links are offsets, shape (C,)."""
+        """Which links are offsets: the vector between their docks is measured, shape (C,)."""
         is_offset: Bools = self.link >= len(self.rows.distances.stance)
         return is_offset
 
@@ -316,6 +316,7 @@ class Problem:
 
     @cached_property
     def _sensed_place(self) -> tuple[Reals, Bools]:
+        """Centers as planes say [R], and which coordinates are measured, both of shape (N, 3)."""
         return self.planes.centers(len(self.part))
 
     @property
@@ -418,7 +419,7 @@ def pose_problem(
         variance=variance[: len(rows.other)],
         planes=measured_planes(rows, variance, is_solved=is_solved),
         loose=untied_directions(rows),
-        part=parts(rows),
+        part=connected_parts(rows),
         connections=None if log.orientation_sd is None else connections_of(log),
         yaw_precision=bias**-2 if is_solved else 0.0,
         gone=log.gone,

@@ -114,7 +114,7 @@ class Links(NamedTuple):
     """Robot that sensed each, shape (C,)."""
 
     other: Ints
-    """Robot that it sensed, shape (C,)."""
+    """Robot that it sensed, its partner, shape (C,)."""
 
     is_final: Bools
     """Whether docks of the two touch at their final stances, and neither has left, shape (C,)."""
@@ -132,13 +132,16 @@ class Links(NamedTuple):
     """Measured distance of the docks, 0 of an offset [R], shape (C,)."""
 
     variance: Reals
-    """Its variance, or that along an offset [R^2], shape (C,)."""
+    """Variance of the measured distance, or along an offset [R^2], shape (C,)."""
 
     across: Reals
     """Variance across an offset, 0 of distances [R^2], shape (C,)."""
 
     extension: Reals
-    """Gain in log-likelihood for each R more between the two centers [R^-1], shape (C,)."""
+    """Gain in log-likelihood for each R more between the two centers [R^-1], shape (C,).
+
+    Robots climb as far as they can.
+    """
 
     levers: Reals
     """Horizontal arms of the docks, which turn: the robot's x and y, the other's [R], (C, 4)."""
@@ -147,7 +150,10 @@ class Links(NamedTuple):
     """Measured vector from the robot's dock to the other's, 0 of distances [R], shape (C, 3)."""
 
     candidates: Reals
-    """Arms of the docks that each touch may be of, the robot's and the other's, (H, docks, 6)."""
+    """Arms of the docks that each touch may be of, as sensed: the robot's, and the other's [R].
+
+    Shape (H, docks, 6).
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,8 +353,11 @@ def find_subtrees(pair: Ints, roots: Ints, robots: int) -> Forest:
 def weights(tree: Forest) -> Reals:
     """Weigh each subtree, in masses of its own robots, so that no robot is moved by too many.
 
-    Thin subtrees that grow out of each other are heavier the more of them there are; the longest
-    continuation of a subtree decides.
+    Thin subtrees that grow out of each other are heavier the more of them there are; what a subtree
+    needs for its longest continuation holds for all others.
+
+    Returns:
+        Weight of each subtree [1], shape (T,).
     """
     mobility = 1.0 / (_SUBTREE_WEIGHT * np.diff(tree.first))
     mobility[0] = 0.0  # everyone together does not move

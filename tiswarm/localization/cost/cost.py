@@ -80,7 +80,8 @@ class State(NamedTuple):
     shape (N, 3)."""
 
     earlier: Reals = NOTHING
-    """As `turn`, of stances before the final ones, shape (M, 3)."""
+    """Error of each orientation before the final ones, as a rotation vector in standard deviations,
+    shape (M, 3)."""
 
     yaw: Reals = NOTHING
     """Yaw corrections [rad], shape (N,)."""
@@ -176,7 +177,7 @@ def shortened(step: Reals, most: float, length: Reals | None = None) -> Reals:
     return short
 
 
-def weights(cost: Reals, temperature: float = 1.0) -> Reals:
+def boltzmann_weights(cost: Reals, temperature: float = 1.0) -> Reals:
     """Weigh configurations by their Boltzmann factors, exp(-cost / (2 T)).
 
     Args:
@@ -366,7 +367,7 @@ class WholeCost(Cost[Linear]):
     def _close_docks(self, point: Reals) -> Ints:
         """List docks at points (N, docks, 3) that do not touch, with all that overlap, (n, 4).
 
-        A list serves until docks have moved half the margin.
+        A list serves until docks have moved half the margin: then others may overlap.
         """
         far = np.linalg.norm(point - self._listed, axis=2).max(initial=0.0)
         if self.non_overlap and far > 0.5 * _MARGIN:
@@ -376,7 +377,7 @@ class WholeCost(Cost[Linear]):
         return self._docks
 
     def linearized(self, state: State) -> Linear:
-        """As for all costs."""
+        """Linearize the cost at a state, which is where priors of positions are."""
         rows, arm = self._turned(state)
         residual, direction = rows.linearized(state.position)
         noise = self._no_noise
@@ -403,18 +404,15 @@ class WholeCost(Cost[Linear]):
         if len(self.of_source):
             residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
         own_variance, excess = self._robust(residual)
+        value = np.concatenate([values_of.ravel() for values_of in values])[self.moves]
         tables = [
-            LinearRows(
-                residual,
-                self.row_of,
-                self.column_of,
-                np.concatenate([v.ravel() for v in values])[self.moves],
-                own_variance,
-            ),
+            LinearRows(residual, self.row_of, self.column_of, value, own_variance),
             self._overlaps(state),
-            *([] if self.links is None else [self._links_of(state, self.links)]),
-            *([self._hinges(self.hinged)] if len(self.hinged) else []),
         ]
+        if self.links is not None:
+            tables.append(self._links_of(state, self.links))
+        if len(self.hinged):
+            tables.append(self._hinges(self.hinged))
         at_rest = np.zeros_like(state.position)
         off = (at_rest, state.turn, state.yaw, state.shared)
         return Linear(
@@ -462,6 +460,9 @@ class WholeCost(Cost[Linear]):
         """
         if self.robust_sd is None:
             return self.own_variance, np.zeros(len(residual))
+        # Iteratively reweighted least squares: with its variance multiplied by 1 + t, a square has
+        # the slope of the loss at this residual, and so the linear problem leads to a minimum of
+        # the loss. The square itself is smaller than the loss; the rest is a constant of the step.
         square = self.robust_sd**2
         missed = residual**2 / (square * self.variance)
         missed[self.is_known] = 0.0
@@ -512,7 +513,12 @@ class WholeCost(Cost[Linear]):
         )
 
     def _links_of(self, state: State, links: Connections) -> LinearRows:
-        """Compute residuals of connections [rad], and their derivatives by turns."""
+        """Compute residuals of connections [rad], and their derivatives by turns of final stances.
+
+        Args:
+            state: Where to linearize.
+            links: Connections, Q of them, with three rows each.
+        """
         sd = self._turn_sd[self.walks.final]
         turn = state.turn * sd
         ends = np.stack([links.robot, links.other])
@@ -554,7 +560,11 @@ class WholeCost(Cost[Linear]):
         return np.asarray(part * linear.variance() + (strained**2).sum(axis=1))
 
     def moved(self, state: State, linear: Linear, radius: float) -> tuple[State, float]:
-        """Step all unknowns."""
+        """Go to where the cost, linearized at a state, is least: one step of all unknowns.
+
+        Returns:
+            The state there, and the predicted reduction of the cost [1].
+        """
         free, earlier = linear.step(radius)
         step = np.zeros(len(self.precision))
         step[self.free] = free
@@ -562,17 +572,21 @@ class WholeCost(Cost[Linear]):
         shift, turn, yaw, shared = np.split(step, [count, 2 * count, 2 * count + count // 3])
         turn = turn.reshape(-1, 3)
         wide = self.walks.wide
-        # Such turns are far from linear: a full step could lead to another minimum.
+        # Residuals are linear in turns only while these are small. The prior of an orientation that
+        # is hardly known does not keep them small, and a full step could lead to the minimum of
+        # another orientation: such turns are shortened, and the next rounds go on from there.
         angle = np.linalg.norm(turn[wide] * self.walks.turn_sd[self.walks.final[wide], :1], axis=1)
         turn[wide] = shortened(turn[wide], min(radius, _LONGEST_TURN), angle)
         shift = shortened(shift.reshape(-1, 3), _LONGEST_STEP * max(1.0, self.reach))
-        return State(
+        moved = State(
             state.position + shift,
             state.turn + turn,
             earlier.reshape(-1, 3),
             state.yaw + yaw,
             state.shared + shared,
-        ), float(-linear.slope @ free)
+        )
+        # The cost falls by g^T H^-1 g up to its quadratic minimum, with slope g and information H.
+        return moved, float(-linear.slope @ free)
 
 
 def _by_turns(direction: Reals, arm: Reals) -> Reals:

@@ -92,6 +92,10 @@ class RelatedRows:
         Returns:
             The inverse, shape (n, n); its diagonal, shape (n,), if there is no B.
         """
+        # B B^T couples rows of one robot only: the inverse has a dense block for each robot, and
+        # rows that share no such noise are on its diagonal. We invert the blocks as they are, and
+        # do not update 1 / variance by B (Woodbury 1950): rows whose own variance is tiny would
+        # lose their digits in a difference of large numbers.
         if not len(self.rows):
             return 1.0 / own_variance
         shared = csr_array(noise)[self.rows, :]
@@ -206,6 +210,7 @@ class Linear:
 
     @property
     def _largest(self) -> float:
+        """Largest information of a single unknown, at least 1."""
         return float(self.information.diagonal().max(initial=1.0))
 
     def step(self, radius: float) -> tuple[Reals, Reals]:
@@ -226,7 +231,10 @@ class Linear:
 
     @property
     def log_volume(self) -> float:
-        """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost."""
+        """Logarithm of the width of the minimum, the inverse square root of its determinant.
+
+        It is up to a sum that is the same for all minima of a cost.
+        """
         return -0.5 * float(np.log(np.abs(self.undamped.U.diagonal())).sum())
 
     def freedom(self) -> int:
@@ -268,12 +276,16 @@ class Linear:
         covariance = np.zeros((size, size))
         derivative[:first] = csc_array(self.jacobian)[rows, :].toarray()
         derivative[prior, columns] = 1.0
-        covariance[:first, :first] = (
-            np.diag(1.0 / self.inverse[rows])
-            if isinstance(self.inverse, np.ndarray)
-            else inverted(csc_array(self.inverse)[rows, :][:, rows].toarray())
-        )
+        if isinstance(self.inverse, np.ndarray):
+            covariance[:first, :first] = np.diag(1.0 / self.inverse[rows])
+        else:
+            covariance[:first, :first] = inverted(
+                csc_array(self.inverse)[rows, :][:, rows].toarray()
+            )
         covariance[prior, prior] = 1.0 / self.precision[columns]
+        # C - J P J^T is what other rows leave open of these. Rows are in R, precise beside rough
+        # ones, and priors in standard deviations: in units of their own sd, eigenvalues are shares
+        # of a variance. What rounding leaves of a full cancellation is far below `_CHECKED`.
         scale = 1.0 / np.sqrt(covariance.diagonal())
         open_covariance = covariance - derivative @ self.undamped.solve(derivative.T)
         value, vector = np.linalg.eigh(open_covariance * scale[:, None] * scale)
@@ -308,7 +320,7 @@ class Linear:
         shift[self.moves] = step[: self.shifts].reshape(-1, 3)
         return shift
 
-    def left_of_draws(self) -> tuple[Reals, Reals]:
+    def residual_of_draws(self) -> tuple[Reals, Reals]:
         """Draw all errors as stated: residuals that a fit leaves, and `square`, (E, draws) both."""
         error, off = self._drawn(DRAWS)
         residual = error - self.jacobian @ off

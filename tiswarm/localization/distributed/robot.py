@@ -47,7 +47,7 @@ from tiswarm.localization.chains.views import (
     find_subtrees,
 )
 from tiswarm.localization.cost import EXTENSION, ROBUST_SD
-from tiswarm.localization.cost.cost import Cost, State, weights
+from tiswarm.localization.cost.cost import Cost, State, boltzmann_weights
 from tiswarm.localization.distributed import wire
 from tiswarm.localization.distributed.channel import Message, pause
 from tiswarm.localization.distributed.settings import DistributedParams
@@ -387,7 +387,7 @@ class LocalSwarm:
         score = np.array([each[1].cost - _gain(opened, alone, each[0], reach) for each in found])
         shift = np.array([(each.position - layers.state.position)[body[0]] for each, _ in found])
         best = int(score.argmin())
-        spread = weights(score, _TEMPERED) @ ((shift - shift[best]) ** 2).sum(axis=1)
+        spread = boltzmann_weights(score, _TEMPERED) @ ((shift - shift[best]) ** 2).sum(axis=1)
         stays = (root < 0) & (np.arange(robots) != k)
         return shift[best], float(
             np.hypot(self._sd(found[best][1], basis, stays)[body[0]], np.sqrt(spread))
@@ -1261,7 +1261,7 @@ def annealed(
     best = int(score.argmin())
     state = found[best][0]
     # Ends that are nearly as likely as the best one make its position uncertain.
-    weight = weights(score, _TEMPERED)
+    weight = boltzmann_weights(score, _TEMPERED)
     away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
     spread = weight @ np.array(away)
     return NearAnnealed(state, np.sqrt(spread))

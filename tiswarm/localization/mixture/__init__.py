@@ -187,7 +187,7 @@ class OutlierRobotSettings:
     outlier [1]. Of 100 robots without errors, one in 10,000 structures would have one."""
 
     promising: float = 2.5
-    """The same by a linear prediction, from which on a robot is tried [1]."""
+    """-log10 of that chance by a linear prediction, from which on a robot is tried [1]."""
 
     tried: int = 5
     """Robots that are tried for each that is found, the most promising first [1]."""

@@ -181,8 +181,8 @@ def assess(
         loose += ((placed - position) ** 2).sum(axis=2)
         square = widened(sd, verdicts.sd_factor, position) ** 2
         if not is_large:
-            open_variance = _left_open(posed, state, nearest.position, ~missed)
-            square = np.where(open_variance > _NOTICED**2 * square, open_variance, square)
+            open_square = _left_open(posed, state, nearest.position, ~missed)
+            square = np.where(open_square > _NOTICED**2 * square, open_square, square)
             of_turns, motions = _opened(log, problem.rows.select(~missed), position)
             wide = widened(of_turns, verdicts.sd_factor, position)
             square = np.where(of_turns > 0.0, wide**2, square)

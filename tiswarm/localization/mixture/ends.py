@@ -15,7 +15,7 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost import ROBUST_SD
-from tiswarm.localization.cost.cost import WholeCost, grouped, weights
+from tiswarm.localization.cost.cost import WholeCost, boltzmann_weights, grouped
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE
 from tiswarm.localization.mixture.frames import scaled_distances
 from tiswarm.localization.settings import ChiSquareParams
@@ -51,7 +51,7 @@ class Posed:
 
 @dataclass(frozen=True)
 class Fit(Posed):
-    """The same, and K chains that were fitted to these rows."""
+    """A log of N robots, the rows that a method chooses, and K chains that were fitted to them."""
 
     annealed: Annealed
 
@@ -231,13 +231,13 @@ def aligned(ends: Ends) -> Ends:
 def _weights(cost: Reals, measurements: int) -> Reals:
     """Weigh ends by their least costs, shape (K,).
 
-    A chain makes mistakes of its own in many parts of a structure. So
-    up to the width of the chi-square, its cost says little about the whole: costs are divided by
-    what leaves `MIXTURE.fewest` ends in the mixture, where that is in reach.
+    A chain makes mistakes of its own in many parts of a structure, however the rest is. So up to
+    the width of the chi-square, its cost says little about the whole: costs are divided by what
+    leaves `MIXTURE.fewest` ends in the mixture, where that is in reach.
     """
     hottest = max(1.0, chi_square_sd(measurements) / MIXTURE.chance)
     for heat in np.geomspace(1.0, hottest, MIXTURE.heats):
-        weight = weights(cost, heat)
+        weight = boltzmann_weights(cost, heat)
         if 1.0 / (weight**2).sum() >= MIXTURE.fewest:
             break
     weight[weight < MIXTURE.least_weight] = 0.0

@@ -51,7 +51,8 @@ class Minimum(NamedTuple):
     """Centers at the minimum [R], shape (N, 3)."""
 
     position: Reals
-    """The same, but the means of chains for robots that measurements do not hold."""
+    """Centers at the minimum, but the means of chains for robots that measurements do not hold [R],
+    shape (N, 3)."""
 
     yaw: Reals
     """Yaw corrections [rad], shape (N,)."""
@@ -79,7 +80,7 @@ class Minimum(NamedTuple):
     """Part of the chi-square that each measurement carries [1], shape (E,)."""
 
     log_volume: float
-    """Logarithm of the width of the minimum, up to a constant."""
+    """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost."""
 
     chains: int
     """Chains that lead to it."""

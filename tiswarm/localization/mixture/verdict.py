@@ -166,7 +166,7 @@ class _Readings(NamedTuple):
             np.add.at(mean, quantity, weight / total[quantity] * residual)
             return np.asarray(weight * (residual - mean[quantity]) ** 2)
 
-        open_residual, square = linear.left_of_draws()
+        open_residual, square = linear.residual_of_draws()
         scatter_of_rows = scatter(linear.residual[: len(rows), None])[:, 0]
         expected = (square - scatter(open_residual)).mean(axis=1)
         repeats = len(rows) - len(first)

@@ -14,7 +14,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.problem import chosen_rows
 from tiswarm.localization.cost import ROBUST_SD
-from tiswarm.localization.cost.cost import State, moments, weights
+from tiswarm.localization.cost.cost import State, boltzmann_weights, moments
 from tiswarm.localization.methods import centered
 from tiswarm.localization.mixture import CONVERGENCE
 from tiswarm.localization.mixture.verdict import extent
@@ -265,7 +265,7 @@ class LocalLayers:
         if len(found) > 1:
             for k, (state, linear) in enumerate(found):
                 score[k] = linear.cost - extension(block, state, state.position[number, None])[0]
-        return *found[int(score.argmin())], weights(score)
+        return *found[int(score.argmin())], boltzmann_weights(score)
 
     def blocks_about(self, robots: Ints) -> list[Block]:
         """List the blocks with rows about some robots."""

@@ -35,7 +35,7 @@ from tiswarm.localization.cost import EXTENSION, OVERLAP_SD
 from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.mixture.verdict import rms
 from tiswarm.localization.peers.settings import HopByHopParams
-from tiswarm.measurements.contacts import disconnected, nearest_overlap, parts
+from tiswarm.measurements.contacts import connected_parts, disconnected, nearest_overlap
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.equations import components, missed_along, missed_distance
 from tiswarm.measurements.model import SPACING, Measurements
@@ -418,7 +418,7 @@ class _HopByHopSwarm:
         """Place the anchor."""
         self.robots = rows.robots
         self.non_overlap, self.is_gone = non_overlap, log.is_gone
-        self.part = parts(rows)
+        self.part = connected_parts(rows)
         self.docks = rows.odometry.arm[rows.odometry.final]
         self.position = np.zeros((self.robots + 1, 3))
         self.position[0] = log.anchor_position / log.dock_radius

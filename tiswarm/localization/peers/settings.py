@@ -1,4 +1,4 @@
-"""Optional: methods by which rival systems, and general solvers, localize; here their settings."""
+"""Methods by which rival systems, and general solvers, localize; here their settings."""
 
 from typing import Annotated, ClassVar, Literal
 

@@ -36,7 +36,13 @@ from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.settings import BackPropagation, MethodParams, VirtualForceParams
 from tiswarm.localization.virtual_force import kernels
-from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach, stand_across
+from tiswarm.measurements.contacts import (
+    connected_parts,
+    contact_count,
+    disconnected,
+    reach,
+    stand_across,
+)
 from tiswarm.measurements.cues import in_plane, measure
 from tiswarm.measurements.model import SPACING
 from tiswarm.records import sensing_format
@@ -471,7 +477,7 @@ def _chained(log: SensingLog, is_planar: Bools) -> Reals:
         Centers [R], shape (N, 3).
     """
     arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
-    part = parts(measure(log, ["contacts"]))
+    part = connected_parts(measure(log, ["contacts"]))
     contact = np.concatenate([log.contacts, log.contacts[:, [2, 3, 0, 1]]])
     position = log.known_position / log.dock_radius
     is_anchor = np.isfinite(position[:, 0])

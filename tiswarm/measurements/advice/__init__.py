@@ -1,1 +1,1 @@
-"""Optional: what to measure next, and how measurements narrow the places of one robot."""
+"""What to measure next, and how measurements narrow the places of one robot."""

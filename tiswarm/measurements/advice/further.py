@@ -188,6 +188,11 @@ class _Question(NamedTuple):
 
     @property
     def _posterior(self) -> Posterior:
+        """Expected errors.
+
+        Raises:
+            ValueError: they are not computed of so many robots.
+        """
         if self.posterior is None:
             raise ValueError("expected errors of so many robots are not computed")
         return self.posterior
