@@ -30,6 +30,7 @@ from tiswarm.compute import backend
 from tiswarm.evaluation import tables
 from tiswarm.measurements.cues import cue_names
 from tiswarm.records import outputs
+from tiswarm.records.io import open_input
 from tiswarm.records.measures import DISPARITY, HEIGHT, JOINED, PEAK_STRESS, REACH, RMSE
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page
@@ -684,13 +685,11 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
 def open_swarms(path: Path) -> Swarms:
     """Read structures that were saved; `tiswarm.open_swarms` explains it."""
     try:
-        with path.open("rb") as file, np.load(file) as entries:
+        with open_input(path) as file, np.load(file) as entries:
             arrays: dict[str, NDArray[Any]] = dict(entries)
         if str(arrays.pop("format")) != FORMAT:
             raise ValueError("unknown format")
         stated = parse_yaml(str(arrays.pop("scenario"))).data
-    except FileNotFoundError as error:
-        raise InputError("there is no such file; name another one", path=path) from error
     except DAMAGED as error:
         problem = "is damaged, or no file of structures; name a file that Swarms.save wrote"
         raise InputError(problem, path=path) from error

@@ -547,7 +547,7 @@ def log_lines(path: Path, source: BinaryIO | None = None) -> Iterator[tuple[int,
     if source is None and path.suffix == ".mcap":
         lines: Iterator[tuple[int, bytes]] = find("log_format", "mcap")(path)
         return lines
-    return raw_lines(path, source=source)
+    return raw_lines(path, source=source, takes_pipe=True)
 
 
 def write_sensing_log(log: SensingLog, path: Path, *, opened: Opener = replacing) -> None:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.records.io import replacing
+from tiswarm.records.io import replacing, run_file
 from tiswarm.world.history import History, Walk
 from tiswarm.world.mechanics import MAX_UNBORNE, LoadSummary
 from tiswarm.world.params import StructureParams
@@ -45,9 +46,9 @@ def write_history(history: History, path: Path) -> None:
 def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> History | None:
     """Read a structure that was grown by these settings; None where it is missing or damaged."""
     try:
-        with path.open("rb") as file, np.load(file) as tables:
+        with run_file(path).open("rb") as file, np.load(file) as tables:
             return from_arrays(dict(tables), params, robot)
-    except DAMAGED:
+    except (InputError, *DAMAGED):
         return None
 
 

@@ -52,7 +52,7 @@ from tiswarm.parts.formats.poses import (
 )
 from tiswarm.parts.formats.ranges import read_ranges
 from tiswarm.records import outputs, sensing_log
-from tiswarm.records.io import at_line, make_folder
+from tiswarm.records.io import at_line, make_folder, refuse_special
 from tiswarm.records.messages import counted, explain
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import check_header, write_sensing_log
@@ -150,6 +150,9 @@ def _read(path: Path, assumed: Assumptions) -> PoseTable:
             columns = guarded(own.plugin, name, partial(own.value.read, path))
             return read_table(path, assumed, Sheet(pd.DataFrame(columns).to_csv(index=False)))
     refuse_other_files(path)
+    for file in path.iterdir() if path.is_dir() else ():
+        if file.exists():  # a link to nothing may stand beside what is read
+            refuse_special(file)
     readers = (find("import_format", name) for name in PARTS["import_format"])
     found: Iterator[PoseTable | None] = (read(path, assumed) for read in readers)
     return next(table for table in found if table)
