@@ -702,13 +702,29 @@ def open_swarms(path: Path) -> Swarms:
         number, _, entry = name.partition("/")
         parts.setdefault(number, {})[entry] = values
     try:
+        if [*parts] != [str(number) for number in range(max(1, len(parts)))]:
+            raise ValueError("not numbered in order")
         histories = [
             from_arrays(each, scenario.structure, scenario.robot) for each in parts.values()
         ]
+        for history in histories:
+            _refuse_fault(history, scenario)
     except DAMAGED as error:
         problem = "is damaged; grow the structures again, and save them"
         raise InputError(problem, path=path) from error
     return Swarms([Structure(history, scenario) for history in histories], scenario)
+
+
+def _refuse_fault(history: History, scenario: Scenario) -> None:
+    """Refuse a structure that growth by a scenario would not leave.
+
+    Raises:
+        ValueError: it has more robots, or a robot where none can stand.
+    """
+    gap = scenario.structure.climb.contact_gap
+    fault = find_fault(history, contact_gap=gap)
+    if history.robot_count > scenario.robots or fault:
+        raise ValueError(fault)
 
 
 def _sensing(scenario: Scenario, settings: Mapping[str, object]) -> SensingParams:
