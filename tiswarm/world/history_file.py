@@ -169,7 +169,7 @@ def _array(array: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
 
 def _facts(text: str) -> dict[str, Any]:
     """Read the facts of a structure that are no arrays."""
-    facts = json.loads(text)
+    facts: dict[str, Any] = json.loads(text)
     _require(isinstance(facts, dict) and {*facts} == {*_FACTS}, "facts")
     for name in ("seed", "spawns"):
         number = facts[name]
