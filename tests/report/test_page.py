@@ -1,5 +1,6 @@
 """The page of a run warns of limits, and shows runs without results."""
 
+import io
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.parts.pictures.pictures import build_pictures
 from tiswarm.records.run_folder import Manifest, Origin
+from tiswarm.report import page as page_module
 from tiswarm.report import swarm_view
 from tiswarm.report.answers import result_of
 from tiswarm.report.figures import caption_of, draw_figures
@@ -529,3 +531,17 @@ def test_paper_has_the_first_rows_of_a_long_table(tmp_path):
     assert (seen["shown"], seen["note"]) == (45, 0)
     assert (paper["shown"], paper["note"]) == (40, 1)
     assert "On paper: the first 40 of 45 rows." in html
+
+
+def test_a_picture_keeps_its_levels_of_transparency(tmp_path):
+    """Soft edges and shadows of renders had 16 levels, seen as rings."""
+    path = tmp_path / "soft.png"
+    alpha = np.tile(np.arange(256, dtype=np.uint8), (64, 1))
+    picture = np.full((64, 256, 4), 128, np.uint8)
+    picture[..., 3] = alpha
+    Image.fromarray(picture).save(path)
+
+    _, data, _ = page_module._encoded(path)  # noqa: SLF001 - the page holds it as text
+
+    with Image.open(io.BytesIO(data)) as stored:
+        assert np.array_equal(np.array(stored.convert("RGBA"))[..., 3], alpha)
