@@ -3,6 +3,7 @@
 import io
 import itertools
 import re
+import signal
 import sys
 from functools import partial
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import pytest
 
 from tiswarm.app import console
 from tiswarm.base.errors import InputError
+from tiswarm.cli import options
 from tiswarm.localization.methods import by_share, localize
 from tiswarm.localization.settings import JointParams
 from tiswarm.scenario.expansion import find_mistakes
@@ -221,3 +223,27 @@ def test_an_error_without_its_file_is_one_line(mistakes, capsys, monkeypatch):
     console.fail(mistakes[0])
 
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "ending"),
+    [
+        ("run", "the same command again lets a run go on from its finished cases"),
+        ("import", "outputs are whole, or as before"),
+        ("localize", "outputs are whole, or as before"),
+    ],
+)
+def test_an_interrupted_command_speaks_of_a_run_only_where_one_is(
+    tiswarm, monkeypatch, command, ending
+):
+    """Whoever ends an import has no run that could go on."""
+
+    def interrupted(*_arguments, **_options):
+        sys.exit(128 + signal.SIGTERM)
+
+    monkeypatch.setattr(options, "app", interrupted)
+
+    done = tiswarm(command, "file")
+
+    assert done.returncode == 128 + signal.SIGTERM
+    assert done.stderr == f"tiswarm: error: interrupted; {ending}\n"

@@ -1,5 +1,8 @@
 """Files appear whole or not at all, and tables are read whole."""
 
+import os
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -9,8 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tiswarm.base.errors import InputError
+from tiswarm.records import io
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import replacing, write_bytes
+
+HERE = io._HOST  # noqa: SLF001 - as names of temporary files have it
 
 
 def test_nothing_is_left_of_a_write_that_failed(tmp_path):
@@ -36,6 +42,59 @@ def test_a_reader_never_sees_a_part(tmp_path):
 
     assert during == b"old"
     assert path.read_bytes() == b"new"
+
+
+@pytest.fixture(scope="module")
+def ended():
+    """Number of a process that has ended."""
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    return process.pid
+
+
+def temporary(path, monkeypatch, *, process=None, host=None):
+    """Make a temporary file of a path, as a process of some machine would."""
+    with monkeypatch.context() as patch:
+        patch.setattr(io.os, "getpid", lambda: process or os.getppid())
+        patch.setattr(io, "_HOST", host or HERE)
+        made = io.path_for(path, "tmp")
+    made.write_bytes(b"half of the ne")
+    return made
+
+
+def test_a_write_removes_what_killed_writers_left(tmp_path, monkeypatch, ended):
+    """Kills of large writes would fill the disk with hidden files."""
+    path = tmp_path / "file"
+    for _ in range(3):
+        temporary(path, monkeypatch, process=ended)
+
+    write_bytes(path, b"new")
+
+    assert [*tmp_path.iterdir()] == [path]
+    assert path.read_bytes() == b"new"
+
+
+def test_a_write_removes_no_file_of_others(tmp_path, monkeypatch, ended):
+    """A live process still writes its file, and one of another machine may."""
+    path = tmp_path / "file"
+    kept = {
+        temporary(path, monkeypatch),
+        temporary(path, monkeypatch, process=os.getpid()),
+        temporary(path, monkeypatch, process=ended, host="0123ab"),
+        temporary(tmp_path / "file.csv", monkeypatch, process=ended),
+        temporary(tmp_path / "fil", monkeypatch, process=ended),
+    }
+    for name in (".file.notes.tmp", f".file.{HERE}-{ended}.tmp"):
+        (tmp_path / name).write_text("of the user")
+        kept.add(tmp_path / name)
+    aim = temporary(tmp_path / "aim", monkeypatch)
+    link = temporary(path, monkeypatch, process=ended)
+    link.unlink()
+    link.symlink_to(aim)
+
+    write_bytes(path, b"new")
+
+    assert {*tmp_path.iterdir()} == {path, link, aim, *kept}
 
 
 def test_a_wide_table_takes_further_columns(tmp_path, monkeypatch):

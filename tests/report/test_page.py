@@ -1,5 +1,6 @@
 """The page of a run warns of limits, and shows runs without results."""
 
+import io
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records.run_folder import Manifest, Origin
+from tiswarm.report import page as page_module
 from tiswarm.report import swarm_view
 from tiswarm.report.figures import caption_of, draw_figures
 from tiswarm.report.page import Page, Shown, show_pictures, write_page
@@ -598,3 +600,17 @@ def test_latex_prints_each_letter_of_a_label():
     assert rf"{escaped} & 1.0 $\pm$ 0.5 \\" in text
     assert r"condition & p \textless{} q \\" in text
     assert rf"\caption{{Of {escaped}.}}" in text
+
+
+def test_a_picture_keeps_its_levels_of_transparency(tmp_path):
+    """Soft edges and shadows of renders had 16 levels, seen as rings."""
+    path = tmp_path / "soft.png"
+    alpha = np.tile(np.arange(256, dtype=np.uint8), (64, 1))
+    picture = np.full((64, 256, 4), 128, np.uint8)
+    picture[..., 3] = alpha
+    Image.fromarray(picture).save(path)
+
+    _, data, _ = page_module._encoded(path)  # noqa: SLF001 - the page holds it as text
+
+    with Image.open(io.BytesIO(data)) as stored:
+        assert np.array_equal(np.array(stored.convert("RGBA"))[..., 3], alpha)

@@ -163,7 +163,7 @@ def _excerpt(error: InputError) -> str:
     if error.path is None or error.line is None or error.column is None:
         return ""
     try:
-        line = error.path.read_text(errors="replace").splitlines()[error.line - 1]
+        line = error.path.read_text(errors="replace").removesuffix("\n").split("\n")[error.line - 1]
     except (OSError, IndexError):  # the file has changed
         return ""
     start = max(0, error.column - _EXCERPT + _AFTER)

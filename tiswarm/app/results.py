@@ -278,13 +278,17 @@ def as_path(file: File, argument: str) -> Path:
     """Return the path of a file or folder, or refuse an argument that names none.
 
     Raises:
-        InputError: the argument is of another type.
+        InputError: the argument is of another type, or has a NUL character.
     """
     try:
-        return Path(file)
+        path = Path(file)
     except TypeError as error:
         problem = f"a value of type {type(file).__name__} is no file; give the path of one"
         raise InputError(problem, argument=argument) from error
+    if "\0" in str(path):
+        problem = "the path has a NUL character, as no file may have; delete it"
+        raise InputError(problem, argument=argument)
+    return path
 
 
 def plain(values: Mapping[str, object]) -> dict[str, object]:

@@ -30,6 +30,7 @@ from tiswarm.compute import backend
 from tiswarm.evaluation import tables
 from tiswarm.measurements.cues import cue_names
 from tiswarm.records import outputs
+from tiswarm.records.io import open_input
 from tiswarm.records.measures import DISPARITY, HEIGHT, JOINED, PEAK_STRESS, REACH, RMSE
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page
@@ -571,13 +572,11 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
 def open_swarms(path: Path) -> Swarms:
     """Read structures that were saved; `tiswarm.open_swarms` explains it."""
     try:
-        with path.open("rb") as file, np.load(file) as entries:
+        with open_input(path) as file, np.load(file) as entries:
             arrays: dict[str, NDArray[Any]] = dict(entries)
         if str(arrays.pop("format")) != FORMAT:
             raise ValueError("unknown format")
         stated = parse_yaml(str(arrays.pop("scenario"))).data
-    except FileNotFoundError as error:
-        raise InputError("there is no such file; name another one", path=path) from error
     except DAMAGED as error:
         problem = "is damaged, or no file of structures; name a file that Swarms.save wrote"
         raise InputError(problem, path=path) from error
@@ -590,13 +589,29 @@ def open_swarms(path: Path) -> Swarms:
         number, _, entry = name.partition("/")
         parts.setdefault(number, {})[entry] = values
     try:
+        if [*parts] != [str(number) for number in range(max(1, len(parts)))]:
+            raise ValueError("not numbered in order")
         histories = [
             from_arrays(each, scenario.structure, scenario.robot) for each in parts.values()
         ]
+        for history in histories:
+            _refuse_fault(history, scenario)
     except DAMAGED as error:
         problem = "is damaged; grow the structures again, and save them"
         raise InputError(problem, path=path) from error
     return Swarms([GrownStructure.of(history, scenario) for history in histories], scenario)
+
+
+def _refuse_fault(history: History, scenario: Scenario) -> None:
+    """Refuse a structure that growth by a scenario would not leave.
+
+    Raises:
+        ValueError: it has more robots, or a robot where none can stand.
+    """
+    gap = scenario.structure.climb.contact_gap
+    fault = find_fault(history, contact_gap=gap)
+    if history.robot_count > scenario.robots or fault:
+        raise ValueError(fault)
 
 
 def _sensing(scenario: Scenario, settings: Mapping[str, object]) -> SensingParams:

@@ -246,7 +246,11 @@ def _status(arguments: list[str]) -> int:
     except SystemExit as end:  # of SIGTERM, or because nobody reads the output
         status = end.code
     if status in _INTERRUPTED:
-        fail("interrupted; the same command again lets a run go on from its finished cases")
+        goes_on = "; the same command again lets a run go on from its finished cases"
+        fail(
+            "interrupted"
+            + (goes_on if arguments[:1] == ["run"] else "; outputs are whole, or as before")
+        )
     return status if isinstance(status, int) else 0
 
 

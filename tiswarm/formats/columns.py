@@ -7,6 +7,7 @@ tables below; what a table does not state, an import has to assume.
 import csv
 import io
 import re
+import string
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain
@@ -20,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.formats.poses import QUATERNION, Assumptions, PoseTable, some
-from tiswarm.records.io import MAX_TABLE_BYTES, CsvFile, numbered_lines
+from tiswarm.records.io import MAX_TABLE_BYTES, CsvFile, numbered_lines, open_input
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import FARTHEST
 
@@ -57,31 +58,29 @@ _TIMES = ("s", "sec", "seconds", "ms", "us", "µs", "ns", "min", "steps", "frame
 _ANGLES = {"deg": True, "degrees": True, "°": True, "rad": False, "radians": False}
 """Whether a unit of angles that a column may name is the degree."""
 
-_UNIT = re.compile(
-    r"(?P<name>.*?)(?:(?:_|/| in )(?P<suffix>[A-Za-z°µ]+)"
-    r"|[\s_]*[\[(]\s*(?P<brackets>[^\])\d]*?)\s*[\])]|\s[\[(]1[\])])"
-)
-"""A name with its unit: `x_mm`, `x/mm`, `x in mm`, `x [mm]`, `x (mm)`, or `qw [-]`, `qw [1]`."""
+_BEFORE_UNIT = ("_", "/", " in ")
+_LETTERS_OF_UNITS = f"{string.ascii_letters}°µ"
 
 _QUANTITIES = {
-    r"(?P<body>.*)qpos[\W_]*(?P<number>\d+)\]?": "",
+    r"(?P<body>.*)qpos[\W_]{0,8}(?P<number>\d+)\]?": "",
     r"(?P<body>)p(?:_[a-z]{1,2})+_(?P<axis>[xyz])": "",
     r"(?P<body>)q(?:_[a-z]{1,2})+_(?P<axis>[wxyz])": "q",
     r"(?P<body>.*?)(?P<axis>roll|pitch|yaw|alpha|beta|gamma)": "",
-    r"(?P<body>.*?)(?:rotation|rot)?[\W_]*(?P<axis>angle)": "",
+    r"(?P<body>.*?)(?:rotation|rot)?[\W_]{0,8}(?P<axis>angle)": "",
     r"(?P<body>.*?)(?:rotation|rot|r)(?P<axis>[wxyz])": "r",
-    r"(?P<body>.*?)(?:rotation|rot)[\W_]+(?P<axis>[wxyz])": "r",
-    r"(?P<body>.*?)(?:orientation|quaternion|x?quat|q)[\W_]*(?P<axis>[wxyz])": "q",
-    r"(?P<body>.*?)(?:axis[\W_]*|a)(?P<axis>[xyz])": "a",
-    r"(?P<body>.*?)(?:rot\[|matrix[\W_]*|m)(?P<axis>\d)\]?": "m",
-    r"(?P<body>.*?)(?:rotation|rot|matrix|r|m)[\W_]*(?P<axis>[0-3]{2})\]?": "m",
-    r"(?P<axis>[xyz])[\W_]*(?P<body>\d+)": "",
-    r"q(?P<axis>[wxyz])[\W_]*(?P<body>\d+)": "q",
-    r"(?P<body>.*?)(?P<axis>[xyz])[\W_]*(?:position|pos)": "",
-    r"(?P<body>.*?)(?:position|x?pos|translation|trans|location|p|t)?[\W_]*(?P<axis>[xyz])": "",
+    r"(?P<body>.*?)(?:rotation|rot)[\W_]{1,8}(?P<axis>[wxyz])": "r",
+    r"(?P<body>.*?)(?:orientation|quaternion|x?quat|q)[\W_]{0,8}(?P<axis>[wxyz])": "q",
+    r"(?P<body>.*?)(?:axis[\W_]{0,8}|a)(?P<axis>[xyz])": "a",
+    r"(?P<body>.*?)(?:rot\[|matrix[\W_]{0,8}|m)(?P<axis>\d)\]?": "m",
+    r"(?P<body>.*?)(?:rotation|rot|matrix|r|m)[\W_]{0,8}(?P<axis>[0-3]{2})\]?": "m",
+    r"(?P<axis>[xyz])[\W_]{0,8}(?P<body>\d+)": "",
+    r"q(?P<axis>[wxyz])[\W_]{0,8}(?P<body>\d+)": "q",
+    r"(?P<body>.*?)(?P<axis>[xyz])[\W_]{0,8}(?:position|pos)": "",
+    r"(?P<body>.*?)(?:position|x?pos|translation|trans|location|p|t)?[\W_]{0,8}(?P<axis>[xyz])": "",
 }
 """Names of quantities as programs write them, in lower case, and how their meanings begin. The body
-is the rest; the numbers of `qpos` are those of free joints in a row."""
+is the rest; the numbers of `qpos` are those of free joints in a row. Repetitions within a pattern
+have limits, so that its time is linear in the length of a name."""
 
 _QPOS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
@@ -229,11 +228,7 @@ def plain_sheet(path: Path) -> Sheet:
 
     Lines keep their numbers. A line of units below the head becomes part of it.
     """
-    lines = [
-        line
-        for _, text in numbered_lines(path, MAX_TABLE_BYTES)
-        for line in text.rstrip("\r\n").split("\r")
-    ]
+    lines = [text.rstrip("\r\n") for _, text in numbered_lines(path, MAX_TABLE_BYTES)]
     bare = [k for k, text in enumerate(lines) if text.strip() and not text.startswith("#")]
     if not bare:
         return Sheet("\n".join(lines))
@@ -281,8 +276,8 @@ def _head(lines: Sequence[str], bare: Sequence[int]) -> int:
 
 def refuse_other_files(path: Path) -> None:
     """Refuse a file whose first bytes are those of another format, and name what to do."""
-    if path.is_file():
-        with path.open("rb") as file:
+    if not path.is_dir():
+        with open_input(path) as file:
             start = file.read(64).lstrip()
         if path.suffix in {".yaml", ".yml"}:
             raise InputError("this is YAML, no table; give a scenario to tiswarm run", path=path)
@@ -533,13 +528,38 @@ def _positions(columns: Sequence[_Column], path: Path) -> tuple[dict[str, str], 
 
 
 def split_unit(column: str, units: Collection[str]) -> tuple[str, str]:
-    """Split a column's name into what it names and its unit, of lengths or angles."""
-    found = _UNIT.fullmatch(column)
-    if found is None:
-        return column.strip(), ""
-    unit = found["suffix"] or (found["brackets"] or "").strip("-")
-    is_unit = unit.lower() in {*units, *_ANGLES} or not (unit or found["suffix"])
-    return (found["name"].strip(), unit) if is_unit else (column.strip(), "")
+    """Split a column's name into what it names and its unit, of lengths or angles.
+
+    Names have units as in `x_mm`, `x/mm`, `x in mm`, `x [mm]`, `x (mm)`, `qw [-]` and `qw [1]`.
+    """
+    name, unit = _split_suffix(column) or _split_brackets(column) or (column, "")
+    is_unit = not unit or unit.lower() in {*units, *_ANGLES}
+    return (name.strip(), unit) if is_unit else (column.strip(), "")
+
+
+def _split_suffix(column: str) -> tuple[str, str] | None:
+    """Split off the letters behind the last sign that a unit may follow; None without them."""
+    start = column.rstrip(_LETTERS_OF_UNITS)
+    suffix = column[len(start) :]
+    for sign in _BEFORE_UNIT:
+        if suffix and start.endswith(sign):
+            return start.removesuffix(sign), suffix
+    return None
+
+
+def _split_brackets(column: str) -> tuple[str, str] | None:
+    """Split off what stands in brackets at the end, and is no number but 1; None without it."""
+    if re.search(r"\s[\[(]1[\])]\Z", column):
+        return column[: -len(" [1]")], ""
+    if not column.endswith(("]", ")")):
+        return None
+    inner = column[:-1]
+    first = max((match.end() for match in re.finditer(r"[\])\d]", inner)), default=0)
+    bracket = re.compile(r"[\[(]").search(inner, first)
+    if bracket is None:
+        return None
+    name = inner[: len(inner[: bracket.start()].replace("_", " ").rstrip())]
+    return name, inner[bracket.end() :].strip().strip("-")
 
 
 def find_column(header: Sequence[str], meaning: str) -> str:

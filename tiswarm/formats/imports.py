@@ -50,7 +50,7 @@ from tiswarm.formats.ranges import read_ranges
 from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.records import outputs, sensing_log
-from tiswarm.records.io import at_line, make_folder
+from tiswarm.records.io import at_line, make_folder, refuse_special
 from tiswarm.records.messages import counted, explain
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import check_header, write_sensing_log
@@ -151,6 +151,9 @@ def _tables(path: Path, assumed: Assumptions) -> Iterator[PoseTable | None]:
     for name in registered("import_format"):
         yield get("import_format", name)(path, assumed)
     refuse_other_files(path)
+    for file in path.iterdir() if path.is_dir() else ():
+        if file.exists():  # a link to nothing may stand beside what is read
+            refuse_special(file)
     for name in BUILT_IN["import_format"]:
         yield get("import_format", name)(path, assumed)
 

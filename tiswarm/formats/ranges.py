@@ -375,7 +375,7 @@ def _by_beacon(columns: Sequence[str], beacons: Sequence[str]) -> dict[str, str]
     """Find columns that are named after beacons, such as `range_A1 [m]`."""
     found = {}
     for column in columns:
-        name = re.sub(r"^(?:range|distance|dist|d)[\W_]*|[\W_]*(?:range|distance|dist)$", "",
+        name = re.sub(r"^(?:range|distance|dist|d)[\W_]*|[\W_]{0,8}(?:range|distance|dist)$", "",
                       split_unit(column, LENGTHS)[0], flags=re.IGNORECASE)  # fmt: skip
         if name in beacons:
             found[column] = name

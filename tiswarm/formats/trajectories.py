@@ -13,7 +13,6 @@ of the file. A single TUM file has one line for each robot, as `tiswarm export` 
 is the join index. Bodies that the cameras lost have empty cells, or zeros in Qualisys' exports.
 """
 
-import csv
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,7 +25,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.formats import columns, poses
 from tiswarm.formats.exports import gsd_library
-from tiswarm.records.io import LARGEST, numbered_lines, unreadable
+from tiswarm.records.io import LARGEST, numbered_lines, refuse_special, split_cells
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import FAR_FROM_UNIT
 
@@ -50,10 +49,7 @@ def read_gsd(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
     if path.suffix != ".gsd":
         return None
     hoomd = gsd_library()
-    if not path.is_file():
-        raise unreadable(
-            path, OSError(0, "no regular file") if path.exists() else FileNotFoundError()
-        )
+    refuse_special(path)
     tables, docks, left_out = [], None, 0
     try:
         with hoomd.open(path, mode="r") as frames:
@@ -273,7 +269,7 @@ def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None
             whose order it does not state.
     """
     _, first = next(numbered_lines(path, LONGEST_TEXT), (1, ""))
-    start = _cells(first.partition("\r")[0], path, 1)[0]
+    start = _cells(first, path, 1)[0]
     heads = {"Format Version": _motive, "FILE_VERSION": _qualisys, "NO_OF_FRAMES": _qualisys}
     head = _vicon if start in {*_VICON, *_VICON_OTHERS} else heads.get(start)
     if head is None:
@@ -297,11 +293,7 @@ def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None
 def _cells(text: str, path: Path, number: int) -> list[str]:
     """Split a line of a head."""
     separator = "\t" if "\t" in text else ";" if text.count(";") > text.count(",") else ","
-    try:
-        cells = next(csv.reader([text], delimiter=separator), [])
-    except csv.Error as error:
-        problem = f"not a table: {error}; export the file again"
-        raise InputError(problem, path=path, line=number) from error
+    cells = split_cells(text, separator, path, number, is_strict=False)
     return [cell.strip() for cell in cells] or [""]
 
 

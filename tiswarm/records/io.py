@@ -33,11 +33,12 @@ _LENGTH = 200
 
 _HOST = sha256(gethostname().encode()).hexdigest()[:6]
 _START = secrets.token_hex(4)
-_NAME = re.compile(
-    r"\..+\.(?P<host>[0-9a-f]{6})-(?P<process>\d+)-(?P<start>[0-9a-f]{8})-"
-    r"[0-9a-f]{8}\.(?:part|tmp)"
+_END_OF_NAME = re.compile(
+    r"(?P<host>[0-9a-f]{6})-(?P<process>\d+)-(?P<start>[0-9a-f]{8})-[0-9a-f]{8}\.(?:part|tmp)"
 )
 """Machine, process, random digits of the process and of the file."""
+
+_NAME = re.compile(rf"\..+\.{_END_OF_NAME.pattern}")
 
 _LONGEST_S = 3600.0
 """Time without a change after which a writer on another machine is taken for dead [s]."""
@@ -46,8 +47,13 @@ _LONGEST_S = 3600.0
 def path_for(path: Path, suffix: str) -> Path:
     """Return a hidden path beside one that nobody else writes to; it names the writer."""
     token = f"{_HOST}-{os.getpid()}-{_START}-{secrets.token_hex(4)}"
+    return path.with_name(f"{_start_of_name(path)}{token}.{suffix}")
+
+
+def _start_of_name(path: Path) -> str:
+    """Return how the names of all temporary files of a path begin."""
     kept = os.fsencode(path.name)[:_LENGTH].decode(errors="ignore")
-    return path.with_name(f".{kept}.{token}.{suffix}")
+    return f".{kept}."
 
 
 def is_temporary(path: Path) -> bool:
@@ -60,20 +66,40 @@ def is_abandoned(path: Path) -> bool:
 
     Processes of other machines cannot be seen: what they write is abandoned after an hour.
     """
-    import psutil  # noqa: PLC0415 - slow to import
-
     writer = _NAME.fullmatch(path.name)
     if writer is None:
         return False
-    process = int(writer["process"])
     if writer["host"] != _HOST:
         return _age_s(path) > _LONGEST_S
+    return _has_ended(writer)
+
+
+def _has_ended(writer: re.Match[str]) -> bool:
+    """Whether the process of this machine that a temporary name states has ended."""
+    import psutil  # noqa: PLC0415 - slow to import
+
+    process = int(writer["process"])
     if process == os.getpid():
         return writer["start"] != _START  # numbers come again, in a container after each start
     try:
         return psutil.Process(process).status() == psutil.STATUS_ZOMBIE
     except psutil.Error as error:
         return isinstance(error, psutil.NoSuchProcess)
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove the temporary files that processes of this machine left when they were killed.
+
+    Those of other machines stay: their processes cannot be seen.
+    """
+    start = _start_of_name(path)
+    with suppress(OSError):  # the write itself names what is wrong with the folder
+        for entry in os.scandir(path.parent):
+            if not entry.name.startswith(start) or not entry.is_file(follow_symlinks=False):
+                continue
+            writer = _END_OF_NAME.fullmatch(entry.name, len(start))
+            if writer and writer["host"] == _HOST and _has_ended(writer):
+                Path(entry).unlink(missing_ok=True)
 
 
 def _age_s(path: Path) -> float:
@@ -121,31 +147,38 @@ def numbered_lines(path: Path, most: int = MAX_LOG_BYTES) -> Iterator[tuple[int,
 
 
 def raw_lines(
-    path: Path, most: int = MAX_LOG_BYTES, *, source: BinaryIO | None = None
+    path: Path,
+    most: int = MAX_LOG_BYTES,
+    *,
+    source: BinaryIO | None = None,
+    takes_pipe: bool = False,
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield the bytes of each line with its number, counted from 1; a byte-order mark is dropped.
+    r"""Yield the bytes of each line with its number, counted from 1; a byte-order mark is dropped.
 
-    The last line needs no newline at its end.
+    Lines end with `\n`, `\r\n` or, as in files of old programs for the Mac, with `\r`; the last one
+    may have no end.
 
     Args:
         path: File, or what messages call an open input.
         most: Largest content of a compressed file [byte].
         source: Open input to read in place of the file; a line that arrives in parts is waited for.
+        takes_pipe: Whether the file may be a pipe, as for `open_input`.
 
     Raises:
-        InputError: the file cannot be read or decompressed, has a line of more than 64 MiB, or is
-            compressed and has more than `most` [byte].
+        InputError: the file cannot be opened, read or decompressed, has a line of more than 64 MiB,
+            or is compressed and has more than `most` [byte].
     """
     number, is_packed = 0, source is None and path.suffix == ".zst"
     try:
-        with _opened(path) if source is None else nullcontext(source) as file:
-            while raw := file.readline(MAX_LINE_BYTES + 1):
+        opened = nullcontext(source) if source else _opened(path, takes_pipe=takes_pipe)
+        with opened as file:
+            for raw in _split_lines(file):
                 number += 1
                 if is_packed and file.tell() > most:
                     problem = f"has more than {most // 2**20} MiB; decompress it if that is right"
                     raise InputError(problem, path=path, line=number)
                 if number == 1:
-                    raw = raw.removeprefix(BOM_UTF8)
+                    raw = raw.removeprefix(BOM_UTF8)  # noqa: PLW2901
                 if len(raw) > MAX_LINE_BYTES:
                     problem = "the line is longer than 64 MiB; write one robot a line"
                     raise InputError(problem, path=path, line=number)
@@ -161,9 +194,83 @@ def raw_lines(
         raise InputError(problem, path=path, line=number + 1) from error
 
 
-def _opened(path: Path) -> Any:  # noqa: ANN401 - a file in all but its type
+def _split_lines(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines of a file; of one that is too long, the start.
+
+    Several carriage returns before a newline are one end, as double conversion of a file leaves.
+    """
+    start = b""
+    while part := file.readline(MAX_LINE_BYTES + 1):
+        has_newline = part.endswith(b"\n")
+        if has_newline and not start and b"\r" not in part:
+            yield part
+            continue
+        text = start + part
+        end = text[len(text.rstrip(b"\r\n")) :] if has_newline else b""
+        *lines, last = text.removesuffix(end).split(b"\r")
+        yield from (line + b"\n" for line in lines)
+        if has_newline:
+            yield last + end
+        start = b"" if has_newline else last
+        if len(start) > MAX_LINE_BYTES:
+            break
+    if start:
+        yield start
+
+
+@contextmanager
+def _opened(path: Path, *, takes_pipe: bool) -> Iterator[Any]:
     """Open a file to read its content, which is compressed where the name says so."""
-    return zstd.ZstdFile(path) if path.suffix == ".zst" else path.open("rb")
+    with open_input(path, takes_pipe=takes_pipe) as file:
+        if path.suffix != ".zst":
+            yield file
+            return
+        with zstd.ZstdFile(file) as content:
+            yield content
+
+
+_OPENED_BY_SHELL = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
+"""How names begin of pipes that the shell has opened already, as for `<(...)`."""
+
+
+def open_input(path: Path, *, takes_pipe: bool = False) -> BinaryIO:
+    """Open a file of the user to read its bytes.
+
+    Args:
+        path: File.
+        takes_pipe: Whether it may be a pipe that the shell has opened, which can be read once.
+
+    Raises:
+        InputError: there is no such file, it cannot be read, or it is a pipe or a device.
+    """
+    refuse_special(path, takes_pipe=takes_pipe)
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise unreadable(path, error) from error
+
+
+def refuse_special(path: Path, *, takes_pipe: bool = False) -> None:
+    """Refuse a file of the user that is no regular file: a pipe may block, a device never end.
+
+    Args:
+        path: File; whether a folder can be read is up to the reader.
+        takes_pipe: Whether it may be a pipe that the shell has opened.
+
+    Raises:
+        InputError: there is no such file, or it is a pipe, a socket or a device.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise unreadable(path, error) from error
+    except ValueError as error:  # of a NUL
+        raise InputError("no path of a file; name a file", path=path) from error
+    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
+        return
+    if not (takes_pipe and str(path).startswith(_OPENED_BY_SHELL)):
+        problem = "is a pipe or a device; write its content to a file, and name that"
+        raise InputError(problem, path=path)
 
 
 def unpacked(data: bytes, size: int) -> bytes:
@@ -256,7 +363,7 @@ class CsvFile:
         self.path = path
         lines: Iterable[tuple[int, str]] = numbered_lines(path, MAX_TABLE_BYTES)
         if text is not None:
-            lines = enumerate(text.splitlines(), start=1)
+            lines = enumerate(text.removesuffix("\n").split("\n"), start=1)
         self._lines = ((line, text) for line, text in lines if not text.startswith("#"))
         first, header = next(self._lines, (1, ""))
         if header.startswith("{"):
@@ -264,6 +371,9 @@ class CsvFile:
             raise InputError(problem, path=path, line=first)
         self._separator = max(",;\t", key=header.count)
         self.columns = [name.strip() for name in self._split(first, header)]
+        for number, name in enumerate(self.columns, start=1):
+            if problem := _fault_of_name(name):
+                raise InputError(f"the name of column {number} {problem}", path=path, line=first)
 
     @cached_property
     def rows(self) -> dict[int, list[str]]:
@@ -331,12 +441,53 @@ class CsvFile:
         return values
 
     def _split(self, line: int, text: str) -> list[str]:
-        try:
-            row = csv.reader([text], delimiter=self._separator, strict=True, skipinitialspace=True)
-            return next(row, [])
-        except csv.Error as error:
-            problem = f"not a row of a table: {error}; write numbers with commas between them"
-            raise InputError(problem, path=self.path, line=line) from error
+        return split_cells(text, self._separator, self.path, line)
+
+
+def split_cells(
+    text: str, separator: str, path: Path, line: int, *, is_strict: bool = True
+) -> list[str]:
+    """Split a line of a table into its cells, some of which may be quoted.
+
+    Args:
+        text: The line.
+        separator: Sign between cells.
+        path: Its file.
+        line: Its number.
+        is_strict: Whether quotes at wrong places are refused.
+
+    Raises:
+        InputError: the line is damaged; names file and line.
+    """
+    if "\0" in text:
+        problem = (
+            "has NUL characters, as files after a power cut; restore the file, or export it anew"
+        )
+        raise InputError(problem, path=path, line=line)
+    try:
+        rows = csv.reader([text], delimiter=separator, strict=is_strict, skipinitialspace=True)
+        return next(rows, [])
+    except csv.Error as error:
+        longest = csv.field_size_limit()
+        problem = "a quote has no end, or text behind it; write numbers with commas between them"
+        if len(text) > longest:
+            problem += f", and at most {longest} characters a cell"
+        raise InputError(f"not a row of a table: {problem}", path=path, line=line) from error
+
+
+LONGEST_NAME = 200
+"""Characters of the longest name of a column; longer ones are damage, and slow to understand."""
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+
+
+def _fault_of_name(name: str) -> str:
+    """Say what is wrong with the name of a column; empty if nothing is."""
+    if len(name) > LONGEST_NAME:
+        return f"has {len(name)} characters; shorten it to at most {LONGEST_NAME}"
+    if found := _CONTROL.search(name):
+        return f"has the control character 0x{ord(found[0]):02x}; delete it"
+    return ""
 
 
 _NO_VALUE = (
@@ -366,7 +517,8 @@ def replacing(
 ) -> Iterator[BinaryIO]:
     """Open a file that replaces `path` when the block ends without an exception.
 
-    A reader finds the old file or the new one, never a part, even if the writer is killed.
+    A reader finds the old file or the new one, never a part, even if the writer is killed. What a
+    killed writer left of the same file is removed first.
 
     Args:
         path: File to write.
@@ -375,6 +527,7 @@ def replacing(
     Raises:
         EnvironmentTroubleError: the folder is missing or not writable, or the disk is full.
     """
+    _remove_abandoned(path)
     temporary = path_for(path, "tmp")
     try:
         with temporary.open("xb") as file:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.io import MAX_LINE_BYTES, unpacked, unreadable
+from tiswarm.records.io import MAX_LINE_BYTES, open_input, unpacked, unreadable
 
 SENSING = "sensing"
 """Topic of a sensing log."""
@@ -60,7 +60,7 @@ def sensing_lines(path: Path) -> Iterator[tuple[int, bytes]]:
         raise _missing_library() from error
     number = 0
     try:
-        with path.open("rb") as file:
+        with open_input(path) as file:
             for data in _messages(file):
                 number += 1
                 if len(data) > MAX_LINE_BYTES:

@@ -547,7 +547,7 @@ def log_lines(path: Path, source: BinaryIO | None = None) -> Iterator[tuple[int,
         from tiswarm.records.mcap import sensing_lines  # noqa: PLC0415 - needs an extra
 
         return sensing_lines(path)
-    return raw_lines(path, source=source)
+    return raw_lines(path, source=source, takes_pipe=True)
 
 
 def write_sensing_log(log: SensingLog, path: Path, *, opened: Opener = replacing) -> None:

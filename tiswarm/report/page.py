@@ -150,7 +150,7 @@ def _encoded(path: Path) -> tuple[str, bytes, tuple[int, int]]:
             if form != "PNG":
                 return f"image/{form.lower()}", path.read_bytes(), image.size
             stream = io.BytesIO()
-            image.convert("RGBA").save(stream, "WEBP", quality=85, alpha_quality=70, method=2)
+            image.convert("RGBA").save(stream, "WEBP", quality=85, alpha_quality=100, method=2)
             return "image/webp", stream.getvalue(), image.size
     except Exception as error:  # a damaged picture can raise any error
         raise _unreadable(path, error) from error

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from tiswarm.base.errors import InputError, did_you_mean
-from tiswarm.records.io import decode, unreadable
+from tiswarm.records.io import decode, open_input, unreadable
 from tiswarm.records.messages import Part, dotted
 
 _MAX_BYTES = 256 * 2**10
@@ -66,7 +66,7 @@ class YamlSource:
 def read_yaml(path: Path) -> YamlSource:
     """Read a YAML file, or raise InputError."""
     try:
-        with path.open("rb") as file:
+        with open_input(path) as file:
             raw = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise unreadable(path, error) from error

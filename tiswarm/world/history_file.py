@@ -5,16 +5,17 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import astuple, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.records.io import replacing
-from tiswarm.world.history import History, Walk
+from tiswarm.records.io import replacing, run_file
+from tiswarm.world.history import DIED, LEFT, History, Walk
 from tiswarm.world.mechanics import MAX_UNBORNE, LoadSummary
 from tiswarm.world.params import StructureParams
 
@@ -23,6 +24,14 @@ _SINGLE = ("recruited", "round")
 
 _TABLES = tuple(field.name for field in fields(Walk) if field.name not in _SINGLE)
 _FACTS = ("seed", "spawns", "crossed", "ended")
+
+_FARTHEST = 1e9
+"""Largest coordinate of a center that is read [R]; mechanics of such a structure have no digits."""
+
+_LARGEST_SEED = 2**63 - 1
+
+_NOT_UNIT = 1e-6
+"""Largest difference from 1 of the length of a quaternion that is read."""
 
 _MAX_OVERLAP = 1e-9
 """Deepest overlap that rounding may leave [R]."""
@@ -45,10 +54,12 @@ def write_history(history: History, path: Path) -> None:
 def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> History | None:
     """Read a structure that was grown by these settings; None where it is missing or damaged."""
     try:
-        with path.open("rb") as file, np.load(file) as tables:
-            return from_arrays(dict(tables), params, robot)
-    except DAMAGED:
+        with run_file(path).open("rb") as file, np.load(file) as tables:
+            history = from_arrays(dict(tables), params, robot)
+    except (InputError, *DAMAGED):
         return None
+    is_damaged = find_fault(history, contact_gap=params.climb.contact_gap)
+    return None if is_damaged else history
 
 
 def to_arrays(history: History) -> dict[str, NDArray[Any]]:
@@ -73,24 +84,133 @@ def from_arrays(
 ) -> History:
     """Build a structure that was grown by these settings from its arrays.
 
+    Types, shapes, indices and finiteness are checked here, once; whether robots stand where they
+    can stand is up to `find_fault`.
+
     Raises:
         LookupError, TypeError, ValueError: the arrays are damaged.
     """
-    fields_of: dict[str, list[Any]] = {name: arrays[name].tolist() for name in _SINGLE}
-    fields_of |= {name: np.split(arrays[name], arrays[f"{name}_end"][:-1]) for name in _TABLES}
+    geometry = params.robot(robot)
+    columns = {name: _column(arrays, name) for name in (*_SINGLE, *_TABLES)}
+    robots = len(columns["round"])
+    _require(robots > 0 and len(columns["recruited"]) == robots, "a walk for each robot")
+    _require((columns["round"] >= 0).all(), "rounds from 0")
+    fields_of: dict[str, list[Any]] = {name: columns[name].tolist() for name in _SINGLE}
+    for name in _TABLES:
+        end = _array(arrays[f"{name}_end"], "i", 0)
+        total = np.diff(end, prepend=0)
+        _require(len(end) == robots and (total >= 0).all(), f"rows of {name} by robot")
+        _require(int(end[-1]) == len(columns[name]), f"all rows of {name}")
+        fields_of[name] = np.split(columns[name], end[:-1])
     rows = zip(*fields_of.values(), strict=True)
     walks = [Walk(**dict(zip(fields_of, row, strict=True))) for row in rows]
-    loads = [LoadSummary(*row) for row in arrays["strain"].tolist()]
+    for number, walk in enumerate(walks):
+        _check_walk(walk, number, robots=robots, docks=geometry.dock_count)
+    strain = _array(arrays["strain"], "f", len(fields(LoadSummary)))
+    _require(len(strain) == robots and not np.isinf(strain).any(), "loads after each join")
+    loads = [LoadSummary(*row) for row in strain.tolist()]
+    sensed = _array(arrays["sensed"], "f", 0)
+    _require(len(sensed) <= robots and not np.isinf(sensed).any(), "loads that robots sense")
+    departures = _array(arrays.get("departures", np.empty((0, 3), np.int32)), "i", 3)
+    robot_of, joined, event = departures.T
+    _require_within(robot_of, 0, robots, "departures")
+    _require_within(joined, 1, robots + 1, "departures")
+    _require_within(event, LEFT, DIED + 1, "departures")
     return History(
-        **json.loads(str(arrays["facts"])),
-        robot=params.robot(robot),
+        **_facts(str(arrays["facts"])),
+        robot=geometry,
         terrain=params.terrain,
         anchors=params.anchor_count,
         walks=tuple(walks),
         loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
-        sensed=arrays["sensed"],
-        departures=arrays.get("departures", np.empty((0, 3), np.int32)),
+        sensed=sensed,
+        departures=departures,
     )
+
+
+class _Layout(NamedTuple):
+    """What the array of a field of all walks is."""
+
+    kind: str  # b, i or f, as NumPy calls truth values, whole numbers and others
+    width: int  # numbers in a row; 0 where a row is a number
+
+
+_LAYOUTS = {
+    "recruited": _Layout("b", 0),
+    "round": _Layout("i", 0),
+    "center": _Layout("f", 3),
+    "orientation_wxyz": _Layout("f", 4),
+    "pivot_dock": _Layout("i", 0),
+    "contacts": _Layout("i", 4),
+    "ground_docks": _Layout("i", 2),
+    "edge_docks": _Layout("i", 2),
+    "planned_robot": _Layout("i", 0),
+    "failed_flips": _Layout("i", 0),
+    "belief": _Layout("f", 0),
+}
+
+_BELIEFS = 5
+"""Numbers that a walk's `belief` has, unless it is empty."""
+
+
+def _column(arrays: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
+    return _array(arrays[name], *_LAYOUTS[name])
+
+
+def _array(array: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
+    """Return an array of numbers of some kind in rows of some width, as growth would have it."""
+    shape = array.shape[1:] if array.ndim else None
+    _require(array.dtype.kind == kind and shape == ((width,) if width else ()), "types and shapes")
+    if kind != "i":
+        return array.astype({"b": np.bool_, "f": np.float64}[kind])
+    _require((np.abs(array.astype(np.float64)) < 2.0**31).all(), "whole numbers of 32 bits")
+    return array.astype(np.int32)
+
+
+def _facts(text: str) -> dict[str, Any]:
+    """Read the facts of a structure that are no arrays."""
+    facts: dict[str, Any] = json.loads(text)
+    _require(isinstance(facts, dict) and {*facts} == {*_FACTS}, "facts")
+    for name in ("seed", "spawns"):
+        number = facts[name]
+        _require(type(number) is int and 0 <= number <= _LARGEST_SEED, name)
+    _require(isinstance(facts["crossed"], bool) and isinstance(facts["ended"], str), "facts")
+    return facts
+
+
+def _check_walk(walk: Walk, number: int, *, robots: int, docks: int) -> None:
+    """Refuse a walk whose numbers cannot be those of robot `number`.
+
+    Raises:
+        ValueError: they cannot.
+    """
+    stances = walk.stance_count
+    _require(stances > 0 and len(walk.orientation_wxyz) == stances, "poses of each stance")
+    _require((np.abs(walk.center) <= _FARTHEST).all(), "centers")  # also false of NaN
+    length = np.linalg.norm(walk.orientation_wxyz, axis=1)
+    _require((np.abs(length - 1.0) <= _NOT_UNIT).all(), "unit quaternions")
+    _require(len(walk.pivot_dock) == stances - 1, "a pivot of each flip")
+    _require_within(walk.pivot_dock, 0, docks, "pivot_dock")
+    for name, limits in (
+        ("contacts", (stances, docks, number, docks)),
+        ("ground_docks", (stances, docks)),
+        ("edge_docks", (stances, docks)),
+    ):
+        for column, limit in zip(getattr(walk, name).T, limits, strict=True):
+            _require_within(column, 0, limit, name)
+    _require_within(walk.planned_robot, -1, robots, "planned_robot")
+    _require(len(walk.planned_robot) < stances, "planned_robot")
+    _require((walk.failed_flips >= 0).all() and len(walk.failed_flips) <= stances, "failed_flips")
+    _require(len(walk.belief) in {0, _BELIEFS} and not np.isinf(walk.belief).any(), "belief")
+
+
+def _require_within(numbers: NDArray[Any], least: int, end: int, what: str) -> None:
+    _require(((numbers >= least) & (numbers < end)).all(), what)
+
+
+def _require(is_right: object, what: str) -> None:
+    if not is_right:
+        raise ValueError(f"damaged: {what}")
 
 
 def find_fault(history: History, *, contact_gap: float) -> str:

@@ -271,3 +271,16 @@ def test_a_channel_that_nobody_registered_is_a_line():
     """The message lists those there are."""
     with pytest.raises((ValueError, InputError), match="touch"):
         DistributedParams(channel="smoke")
+
+
+@pytest.mark.parametrize("retries", [0, 1, 4])
+def test_lost_messages_by_touch_are_counted_with_all_repetitions(retries):
+    """Half of all transmissions and half of their acknowledgments are lost: 3 of 4 fail."""
+    channel = Channel(DistributedParams(loss=0.5, retries=retries), lambda _number, heard: heard)
+    for links in (set(), {0}):
+        channel.join(links)
+    expected = sum(0.75**earlier for earlier in [*range(retries), retries])
+
+    channel.answer(0, 2**20)
+
+    assert channel.sent[1] == round(expected * 2**20)
