@@ -4,14 +4,14 @@ Solids and particles have float32 numbers, relative to the place of the anchor: 
 the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from tiswarm.base.progress import Progress
 from tiswarm.base.registry import get, guarded, register, registered
-from tiswarm.records import outputs
+from tiswarm.records.outputs import NEW, Outputs
 from tiswarm.report.swarm_view import SwarmView
 
 
@@ -75,14 +75,42 @@ def import_format(name: str, suffix: str) -> Callable[[_Read], _Read]:
     return add
 
 
+_CERTAIN = {
+    "csv": "contacts.csv", "parquet": "contacts.parquet", "png": "contact-graph.png",
+    "gsd": "{pose}.gsd", "ply": "{pose}.ply", "tum": "{pose}.tum",
+    "gif": "growth.gif", "mp4": "growth.mp4", "webp": "growth.webp",
+    "gltf": "case.glb", "mcap": "case.mcap", "mjcf": "case.xml", "pyfg": "case.pyfg",
+    "wbt": "case.wbt",
+}  # fmt: skip
+"""A file that an export has in any case, by its format."""
+
+
+def check_export(
+    form: str, out: Path, outputs: Outputs, pose: Literal["estimate", "structure"] = "estimate"
+) -> None:
+    """Refuse an export that cannot be written, before what it is of takes long to compute.
+
+    Args:
+        form: Name of the format.
+        out: Folder to write to.
+        outputs: What may be written.
+        pose: Poses that are known for certain: those of the estimate, or the true ones.
+
+    Raises:
+        InputError: there is no such format, or a file that the export has in any case is an input,
+            or exists and is to stay.
+    """
+    value = get("export_format", form, "form")
+    name = value.file if isinstance(value, OwnFormat) else _CERTAIN[form].format(pose=pose)
+    outputs.check({"out": out / name})
+
+
 def export_view(
     view: SwarmView,
     form: str,
     out: Path,
     progress: Progress,
-    *,
-    inputs: Sequence[object] = (),
-    overwrite: bool = False,
+    outputs: Outputs = NEW,
 ) -> None:
     """Write the structure, if the truth is known, the estimate and the contacts.
 
@@ -91,12 +119,11 @@ def export_view(
         form: Name of the format.
         out: Folder to write to.
         progress: Receives progress reports.
-        inputs: Files and folders that were read, which no file replaces.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        outputs: What may be written.
 
     Raises:
         InputError: there is no such format, the log of the view is damaged, or a file of the export
-            would replace another one.
+            is an input, or exists and is to stay.
         EnvironmentTroubleError: `out` cannot be made or a library is missing.
         PluginError: a format of a plug-in failed.
     """
@@ -105,5 +132,5 @@ def export_view(
         files = {file: guarded(own.plugin, form, lambda: bytes(encode(view)))}
     else:
         files = get("export_format", form, "form")(replace(view, progress=progress))
-    for path in outputs.write_folder(out, files, inputs, overwrite=overwrite):
+    for path in outputs.write_folder(out, files):
         progress.info(str(path))
