@@ -102,7 +102,7 @@ def test_the_same_command_restores_all_drawings(small_run, result, monkeypatch):
 def test_figures_that_a_run_no_longer_has_are_removed(result, killed):
     """They show what the run had; figures of the user stay, and so do those that a user changed."""
     folder, manifest = result.folder, read_manifest(result.folder)
-    stale, changed, mine = (folder / "figures" / f"{name}.png" for name in ("old", "own", "mine"))
+    stale, changed, mine = (folder / "figures" / f"{name}.pdf" for name in ("old", "own", "mine"))
     for path in (stale, changed, mine):
         path.write_bytes(b"a figure of an earlier call")
     drawn = {f"figures/{path.name}": digest(path) for path in (stale, changed)}
@@ -116,7 +116,7 @@ def test_figures_that_a_run_no_longer_has_are_removed(result, killed):
     assert not stale.exists()
     assert changed.read_bytes() == b"with a note of the user"
     assert mine.read_bytes() == b"a figure of an earlier call"
-    names = {path.name for path in (folder / "figures").iterdir()} - {"own.png", "mine.png"}
+    names = {path.name for path in (folder / "figures").iterdir()} - {"own.pdf", "mine.pdf"}
     assert {name for name in read_manifest(folder).ever_drawn if name.startswith("figures/")} == {
         f"figures/{name}" for name in names
     }
