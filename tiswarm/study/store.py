@@ -408,7 +408,7 @@ class RunFolder:
             return Manifest()
 
     def _write_manifest(self, manifest: Manifest) -> None:
-        """Write the manifest, in place of whatever has its name."""
+        """Write the manifest, also in place of a folder or link that has its name."""
         path = self.path / "manifest.json"
         if path.is_dir():
             remove(path)
