@@ -30,9 +30,9 @@ def _git(clone, *arguments):
     ).stdout
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def clone(tmp_path_factory):
-    """The files of this repository as they are now, in a folder of their own, and an empty home.
+    """The files of this repository as they are now, in a folder of each page, and an empty home.
 
     The environment has no package of its own: `make run` installs tiswarm there, and finds all
     others in the environment of this test, so that it downloads nothing.

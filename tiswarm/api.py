@@ -17,7 +17,6 @@ run.export("ply")
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, fields, is_dataclass
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -40,8 +39,8 @@ from tiswarm.app.results import (
 from tiswarm.base.errors import InputError, require_name, warn
 from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.plugins import load_plugins
-from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.outputs import Outputs, refuse_same
 from tiswarm.records.positions import write_estimate
 from tiswarm.records.sensing_file import log_lines
 from tiswarm.records.sensing_log import SensingLog
@@ -102,7 +101,7 @@ def localize(
         plugins: Python files that register methods, see `tiswarm.method`.
         out: Table of positions to write; none if None.
         report: Page to write; none if None.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        overwrite: Whether to replace files that exist.
         quiet: Whether to hide progress.
         settings: Settings of the method by name, nested ones as dictionaries.
 
@@ -112,12 +111,12 @@ def localize(
 
     Raises:
         InputError: the log, method, a cue or a setting is invalid, there is no such solution, or an
-            output would replace another file.
+            output is an input, or exists and is to stay.
         EnvironmentTroubleError: the machine lacks the device.
     """
     table = None if out is None else as_path(out, "out")
     page = None if report is None else as_path(report, "report")
-    outputs.check({"out": table, "report": page}, [log, *plugins], overwrite=overwrite)
+    Outputs(inputs=[log, *plugins], overwrite=overwrite).check({"out": table, "report": page})
     load_plugins(plugins)
     method_params(method, cues, overrides, settings)  # before a log is read, which may take long
     found = open_log(log).localize(
@@ -155,7 +154,7 @@ def run(
         scenario: YAML file, the name of a shipped scenario, or a dictionary as such a file has.
         overrides: Values by dotted key that replace the file's, or texts `KEY=VALUE`.
         out: Parent of the run folder.
-        overwrite: Whether to use a folder of that name that no run made, and replace files there.
+        overwrite: Whether to take a folder of that name that no run made, and replace files there.
         arch: Compute device, as for `localize`.
         threads: CPU threads; all that this process may use if None.
         workers: Number of worker processes; none if None. One process computes what takes less than
@@ -367,7 +366,7 @@ def import_poses(
         docks: Table `dock,x,y,z` of the docks in the body frame, in place of `dock_offset_body`.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
         plugins: Python files that register formats, see `tiswarm.import_format`.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        overwrite: Whether to replace files that exist.
         assumed: What the poses do not state, such as `dock_radius`.
 
     Returns:
@@ -375,8 +374,8 @@ def import_poses(
         Warnings say why contacts or final poses are probably wrong.
 
     Raises:
-        InputError: the table is malformed, there is no such field, or an output would replace
-            another file.
+        InputError: the table is malformed, there is no such field, or an output is an
+            input, or exists and is to stay.
     """
     from tiswarm.formats.imports import convert  # noqa: PLC0415 - slow to import
 
@@ -407,7 +406,7 @@ def score(
         estimate: Estimate, or its table.
         out: Figure to draw, .png or .pdf: the error of each robot in join order, and truth and
             estimate from two sides; none if None.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        overwrite: Whether to replace files that exist.
         quiet: Whether to hide the name of the figure.
 
     Returns:
@@ -415,20 +414,19 @@ def score(
 
     Raises:
         InputError: a table is malformed, the estimate has another unit or other robots, or the
-            figure has another format or would replace another file.
+            figure has another format, is a table, or exists and is to stay.
     """
     from tiswarm.evaluation.tables import score_files  # noqa: PLC0415 - slow to import
 
     figure = None if out is None else as_path(out, "out")
-    outputs.check({"out": figure}, [truth, estimate], overwrite=overwrite)
+    outputs = Outputs(inputs=[truth, estimate], overwrite=overwrite)
+    outputs.check({"out": figure})
     found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
     scores = score_files(as_path(truth, "truth"), found)
     if figure is not None:
         from tiswarm.report.pictures.swarm_figures import write_score  # noqa: PLC0415
 
-        write_score(
-            figure, scores.true, scores.estimated, scores.errors, scores.unit, overwrite=overwrite
-        )
+        write_score(figure, scores.true, scores.estimated, scores.errors, scores.unit, outputs)
         ConsoleProgress(quiet=quiet).info(str(figure))
     return scores
 
@@ -441,22 +439,23 @@ def compare(
     Args:
         runs: Two or more runs, or their folders.
         out: Folder to write to.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        overwrite: Whether to replace files that exist.
 
     Returns:
         A comparison, with data frames `table` and `paired` and a `figure`, which prints its table.
 
     Raises:
-        InputError: there are fewer than two different runs, one has no results, or an output would
-            replace another file.
+        InputError: there are fewer than two different runs, one has no results, or an output
+            exists and is to stay.
     """
     from tiswarm.app import comparison  # noqa: PLC0415 - slow to import
 
     folder = as_path(out, "out")
     folders = [run.folder if isinstance(run, Run) else as_path(run, "runs") for run in runs]
     files = [folder / name for name in comparison.FILES]
-    outputs.check({"out": files}, [each / "cases" for each in folders], overwrite=overwrite)
-    return comparison.compare(folders, folder, overwrite=overwrite)
+    outputs = Outputs(inputs=[run / "cases" for run in folders], overwrite=overwrite)
+    outputs.check({"out": files})
+    return comparison.compare(folders, folder, outputs)
 
 
 def advise(
@@ -565,7 +564,7 @@ def view(
         color: Values that color robots, as "values.csv:charge" or as a series of pandas whose index
             has the names of robots; several in a list. A unit stands in brackets: `charge [V]`.
         out: Page to write for a log; `view.html` if None.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        overwrite: Whether to replace files that exist.
         quiet: Whether to hide progress.
 
     Returns:
@@ -580,7 +579,7 @@ def view(
     if isinstance(shown, Run):
         return shown.view(quiet=quiet)
     page = as_path(out or "view.html", "out")
-    outputs.check({"out": page}, [shown.path, estimate, truth], overwrite=overwrite)
+    Outputs(inputs=[shown.path, estimate, truth], overwrite=overwrite).check({"out": page})
     shown.positions(truth)  # mistakes are found before the log is localized
     shown.colorings(color)
     found = shown.with_estimate(estimate, quiet=quiet)
@@ -611,21 +610,26 @@ def export(
         case: Case of a run; the largest if None.
         color: Values that color robots, as `view` takes them.
         plugins: Python files that register formats, see `tiswarm.export_format`.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        overwrite: Whether to replace files that exist.
         quiet: Whether to hide progress.
 
     Returns:
         The folder with the files.
     """
+    from tiswarm.app.formats import check_export  # noqa: PLC0415 - slow to import
+
     load_plugins(plugins)
     of_log = {"estimate": estimate, "truth": truth}
     shown = open_source(source, of_log=of_log, of_run={"case": case})
     if isinstance(shown, Run):
         return shown.export(form, out=out, case=case, color=color, overwrite=overwrite, quiet=quiet)
+    folder = as_path(out or "export", "out")
+    outputs = Outputs(inputs=[shown.path, estimate, truth], overwrite=overwrite)
+    check_export(form, folder, outputs)  # before the log is localized
     shown.positions(truth)
     shown.colorings(color)
     return shown.with_estimate(estimate, quiet=quiet).export(
-        form, truth, color=color, out=out or "export", overwrite=overwrite, quiet=quiet
+        form, truth, color=color, out=folder, overwrite=overwrite, quiet=quiet
     )
 
 
@@ -659,7 +663,7 @@ def track(
             None.
         estimate: Table of positions to write at the end, of the final answer; none if None.
         overrides: Settings of the method `online`, as for `localize`.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        overwrite: Whether to replace files that exist.
         settings: Settings of the method by name.
 
     Returns:
@@ -667,14 +671,15 @@ def track(
 
     Raises:
         InputError: the input cannot be read, its header or a setting is invalid, or an output is an
-            input, or a file that no tiswarm command wrote.
+            input, or exists and is to stay.
     """
     from tiswarm.localization.online.tracker import follow  # noqa: PLC0415 - slow to import
 
     file, terminal = (as_path(out, "out"), None) if isinstance(out, _NAME) else (None, out)
     table = None if estimate is None else as_path(estimate, "estimate")
-    outputs.check({"out": file, "estimate": table}, [source], overwrite=overwrite)
-    outputs.refuse_same(terminal, source)
+    outputs = Outputs(inputs=[source], overwrite=overwrite)
+    outputs.check({"out": file, "estimate": table})
+    refuse_same(terminal, source)
     params = method_params("online", None, overrides, settings)
     if isinstance(source, _NAME):
         path = as_path(source, "source")
@@ -682,8 +687,7 @@ def track(
     else:
         path = Path("-")
         lines = log_lines(path, source)
-    opened = partial(outputs.opened, overwrite=overwrite)
-    with opened(file) if file else nullcontext() as whole:
+    with outputs.opened(file) if file else nullcontext() as whole:
 
         def answer(text: str) -> None:
             if whole is not None:
@@ -697,5 +701,5 @@ def track(
         )
         final = None if table is None else tracker.estimate(final=True)
     if table is not None and final is not None:
-        write_estimate(table, final, opened=opened)
+        write_estimate(table, final, opened=outputs.opened)
     return tracker

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,11 +12,13 @@ from tiswarm.app import drawing
 from tiswarm.app.drawing import draw_all
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.records.run_folder import read_manifest
+from tiswarm.records.io import digest
+from tiswarm.records.run_folder import read_manifest, write_manifest
 from tiswarm.report.pictures import pictures
 from tiswarm.report.pictures.pictures import Rendered
 from tiswarm.report.run_data import load_run
 from tiswarm.study.run import RunResult
+from tiswarm.study.store import RunFolder
 
 
 @pytest.fixture
@@ -93,6 +96,40 @@ def test_the_same_command_restores_all_drawings(small_run, result, monkeypatch):
     assert len(read_manifest(result.folder).renders) == 5
     monkeypatch.delattr(drawing, "draw")
     draw_all(result, Progress())
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_figures_that_a_run_no_longer_has_are_removed(result, killed):
+    """They show what the run had; figures of the user stay, and so do those that a user changed."""
+    folder, manifest = result.folder, read_manifest(result.folder)
+    stale, changed, mine = (folder / "figures" / f"{name}.pdf" for name in ("old", "own", "mine"))
+    for path in (stale, changed, mine):
+        path.write_bytes(b"a figure of an earlier call")
+    drawn = {f"figures/{path.name}": digest(path) for path in (stale, changed)}
+    changed.write_bytes(b"with a note of the user")
+    write_manifest(folder, replace(manifest, drawn={**manifest.drawn, **drawn}))
+    if killed:  # the next run starts with the manifest of one that was killed as it began to draw
+        write_manifest(folder, replace(manifest, drawn={}, outdated=drawn))
+
+    drawing.draw(load_run(folder), Progress(), figures=True)
+
+    assert not stale.exists()
+    assert changed.read_bytes() == b"with a note of the user"
+    assert mine.read_bytes() == b"a figure of an earlier call"
+    names = {path.name for path in (folder / "figures").iterdir()} - {"own.pdf", "mine.pdf"}
+    assert {name for name in read_manifest(folder).ever_drawn if name.startswith("figures/")} == {
+        f"figures/{name}" for name in names
+    }
+
+
+def test_a_run_that_goes_on_knows_its_earlier_figures(result):
+    """Cases of other code are computed, and figures drawn anew, beside those of earlier ones."""
+    drawn = read_manifest(result.folder).drawn
+
+    RunFolder(result.folder).reopen(Progress(), computes=True)
+
+    assert read_manifest(result.folder).outdated == drawn
+    assert read_manifest(result.folder).drawn == {}
 
 
 @pytest.mark.parametrize(

@@ -224,9 +224,14 @@ def test_results_print_what_commands_print(run, tiswarm, tmp_path):
     estimate.write(table)
     called = {
         ("check", log): f"{log}: {library.check(log)}",
-        ("localize", log, "--method=virtual-force", "--set=iterations=5", f"--out={table}"): (
-            f"{estimate} -> {table}"
-        ),
+        (
+            "localize",
+            log,
+            "--method=virtual-force",
+            "--set=iterations=5",
+            f"--out={table}",
+            "--overwrite",
+        ): (f"{estimate} -> {table}"),
         ("advise", log, table): library.advise(log, table),
         ("score", case / "truth.csv", table): library.score(case / "truth.csv", estimate),
     }

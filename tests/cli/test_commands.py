@@ -208,7 +208,7 @@ def test_an_estimate_that_did_not_converge_is_written_with_a_warning(tiswarm, tm
     chosen = ("--method", "joint", "--set", "steps=600", "--set", "chains=3", "--out", out)
 
     done = tiswarm("localize", tmp_path / "bad.jsonl", *chosen)
-    quiet = tiswarm("localize", tmp_path / "bad.jsonl", *chosen, "--quiet")
+    quiet = tiswarm("localize", tmp_path / "bad.jsonl", *chosen, "--quiet", "--overwrite")
 
     assert done.returncode == quiet.returncode == 4
     assert done.stderr.splitlines()[-1] == quiet.stderr.strip()

@@ -1,14 +1,16 @@
-"""No command replaces an input or a file of somebody else; each replaces its own output."""
+"""No command replaces an input, or a file that exists unless `--overwrite` says so."""
 
 import shutil
 
 import pytest
 
 from tests.runs import REPOSITORY
+from tiswarm.localization import methods
 
 LOG, ESTIMATE, TRUTH = "sensing.jsonl", "estimate.csv", "truth.csv"
 EXPORT = ["export", LOG, ESTIMATE, "--truth", TRUTH, "--format", "csv", "--out", "."]
 IMPORT = ["import", "poses.csv", "--dock-radius", "0.5", "--out", "."]
+STAYS = "exists already"
 
 
 @pytest.fixture(scope="module")
@@ -32,17 +34,26 @@ def given(small_run, tmp_path_factory):
             ["localize", LOG, "--report", f"linked/{LOG}", "--out", "a"],
             "--report: this is an input",
         ),
-        (["localize", LOG, "--out", TRUTH], f"{TRUTH}: --out: no tiswarm command wrote this file"),
-        (["localize", LOG], f"{ESTIMATE}: --out: no tiswarm command wrote this file"),
+        (["localize", LOG, "--out", TRUTH], f"{TRUTH}: {STAYS}; give --overwrite or another --out"),
+        (["localize", LOG], f"{ESTIMATE}: {STAYS}; give --overwrite or another --out"),
         (["localize", LOG, "--out", "a", "--report", "a"], "a: --report: out names the same file"),
         (["track", LOG, "--out", LOG], f"{LOG}: --out: this is an input"),
-        (["track", LOG, "--out", "poses.csv"], "poses.csv: --out: no tiswarm command wrote"),
+        (["track", LOG, "--out", "poses.csv"], f"poses.csv: {STAYS}; give --overwrite"),
+        (
+            ["localize", LOG, "--report", "poses.csv"],
+            f"{ESTIMATE}: {STAYS}, as does poses.csv; give --overwrite or another --out and an",
+        ),
+        (["track", LOG, "--estimate", TRUTH], f"{TRUTH}: {STAYS}; give --overwrite or another --e"),
         (["track", "header.jsonl", "--out", "a", "--estimate", "b"], "no robot has joined"),
         (["view", LOG, ESTIMATE, "--out", ESTIMATE], f"{ESTIMATE}: --out: this is an input"),
         (["score", TRUTH, ESTIMATE, "--out", TRUTH], f"{TRUTH}: --out: this is an input"),
         (EXPORT, f"{ESTIMATE}: --out: this is an input"),
         ([*EXPORT, "--overwrite"], f"{ESTIMATE}: --out: this is an input"),
-        (IMPORT, f"{LOG}: --out: no tiswarm command wrote this file"),
+        (IMPORT, f"{LOG}: {STAYS}, as does {TRUTH}; give --overwrite or another --out"),
+        (
+            [*IMPORT[:-1], "new", "--report", "poses.csv"],
+            f"poses.csv: {STAYS}; give --overwrite or another --report",
+        ),
         (["export", LOG, ESTIMATE, "--out", LOG], "case.glb: --out: its folder is a file"),
         (["run", "tower", "--out", LOG], "cases: cannot be made: Not a directory; choose another"),
     ],
@@ -60,17 +71,66 @@ def test_an_output_that_would_cost_a_file_is_refused(tiswarm, given, command, pr
     assert {path: path.read_bytes() for path in given.iterdir() if path.is_file()} == before
 
 
-def test_a_repeated_command_replaces_its_output_and_no_edit(tiswarm, given, tmp_path):
-    """An edited output is somebody's; an option replaces it."""
-    command, log = [*IMPORT[:-1], tmp_path], tmp_path / LOG
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        (["localize", LOG, "--method", "hop-by-hop", "--out", "new.csv"], "new.csv"),
+        (
+            ["localize", LOG, "--method", "hop-by-hop", "--out", "{0}.csv", "--report", "new.html"],
+            "new.html",
+        ),
+        (["track", LOG, "--set", "chains=1", "--set", "steps=5", "--out", "a.jsonl"], "a.jsonl"),
+        (["view", LOG, ESTIMATE, "--truth", TRUTH], "view.html"),
+        (["score", TRUTH, ESTIMATE], "estimate-score.png"),
+        (["score", TRUTH, ESTIMATE, "--out", "new.pdf"], "new.pdf"),
+        ([*EXPORT[:-1], "csv"], "csv/contacts.csv"),
+        (["export", LOG, ESTIMATE], "export/case.glb"),
+        (["export", "run"], "run/export/case.glb"),
+        ([*IMPORT[:-1], "imported"], "imported/truth.csv"),
+        (["compare", "run", "other"], "reports/comparison/paired.csv"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_repeated_command_keeps_what_it_wrote(tiswarm, given, small_run, tmp_path, command, name):
+    """A user may have edited the output; with `--overwrite` it is written again."""
+    folder = tmp_path / "user"
+    shutil.copytree(given, folder, symlinks=True)
+    for run in {"run", "other"}.intersection(command):
+        shutil.copytree(small_run, folder / run)
 
-    statuses = [tiswarm(*command, cwd=given).returncode for _ in range(2)]
-    whole = log.read_bytes()
-    log.write_bytes(whole + b"a note of mine")
-    statuses.append(tiswarm(*command, cwd=given).returncode)
-    edited = log.read_bytes()
-    statuses.append(tiswarm(*command, "--overwrite", cwd=given).returncode)
+    def call(number: int, *more: str):
+        return tiswarm(*[word.format(number) for word in command], *more, cwd=folder)
 
-    assert statuses == [0, 0, 2, 0]
-    assert edited == whole + b"a note of mine"
-    assert log.read_bytes() == whole
+    first = call(1)
+    output = folder / name
+    whole = output.read_bytes()
+    output.write_bytes(whole + b"a note of the user")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    again = call(2)
+    after = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    forced = call(2, "--overwrite")
+
+    assert first.returncode == 0, first.stderr
+    [line] = again.stderr.splitlines()
+    assert STAYS in line
+    assert "; give --overwrite or another --" in line
+    assert again.returncode == 2
+    assert after == before
+    assert forced.returncode == 0, forced.stderr
+    assert output.read_bytes() == whole
+
+
+@pytest.mark.parametrize("command", [
+    ["localize", LOG],
+    ["export", LOG, "--format", "tum", "--out", "."],
+    ["view", LOG, "--out", TRUTH],
+])  # fmt: skip
+def test_a_refused_command_does_not_localize(tiswarm, given, monkeypatch, command):
+    """A user would wait long for nothing."""
+    (given / "estimate.tum").touch()
+    monkeypatch.setattr(methods, "localize", lambda *_, **__: pytest.fail("it is localized"))
+
+    done = tiswarm(*command, cwd=given)
+
+    assert done.returncode == 2
+    assert STAYS in done.stderr

@@ -1,139 +1,236 @@
-"""A file that a user names as an output is replaced only if tiswarm wrote it, byte for byte."""
+"""No output replaces a file that exists, unless the user says so, and none replaces an input."""
 
+import errno
 import os
-import shutil
-import subprocess
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.records import outputs
+from tiswarm.base.errors import EnvironmentTroubleError, InputError, OutputExistsError
+from tiswarm.records.outputs import NEW, Outputs, refuse_same
 
-FOREIGN = "no tiswarm command wrote this file as it is"
+OVERWRITE = Outputs(overwrite=True)
+BOTH = pytest.mark.parametrize("outputs", [NEW, OVERWRITE], ids=["new", "overwrite"])
 
 
 @pytest.fixture
 def path(tmp_path) -> Path:
-    """An output that tiswarm wrote."""
-    outputs.write(tmp_path / "estimate.csv", b"robot,x_R,y_R,z_R\n")
-    return tmp_path / "estimate.csv"
+    """A file that exists."""
+    file = tmp_path / "estimate.csv"
+    file.write_bytes(b"robot,x_R,y_R,z_R\n")
+    return file
 
 
-def test_an_own_output_is_replaced_again_and_again(path):
-    """A command may be repeated; its own output needs no option."""
-    for content in (b"one", b"two", b"one"):
-        outputs.write(path, content)
+@pytest.fixture(params=["links", "no links"])
+def links(request, monkeypatch) -> bool:
+    """Whether the file system has hard links."""
 
-        assert path.read_bytes() == content
-        assert outputs.is_own(path)
+    def link(*_):
+        raise OSError(errno.EPERM, os.strerror(errno.EPERM))
 
-
-@pytest.mark.parametrize("content", [b"mine", b"", b"robot,x_R,y_R,z_R\n0,0,0,0\n"])
-def test_a_file_of_somebody_else_is_refused_and_stays(tmp_path, content):
-    """No header or format makes a file tiswarm's own; the remedy is an option."""
-    mine = tmp_path / "mine.csv"
-    mine.write_bytes(content)
-
-    with pytest.raises(InputError, match=rf"mine.csv: {FOREIGN}; .*--overwrite"):
-        outputs.write(mine, b"lost")
-    assert mine.read_bytes() == content
-
-    outputs.write(mine, b"new", overwrite=True)
-    assert mine.read_bytes() == b"new"
-    assert outputs.is_own(mine)
+    if request.param == "no links":
+        monkeypatch.setattr(os, "link", link)
+    return request.param == "links"
 
 
-@pytest.mark.parametrize("change", [
-    lambda path: path.write_bytes(path.read_bytes() + b"a note of mine\n"),
-    lambda path: path.rename(path.with_name("other")) and shutil.copy(__file__, path),
-    lambda path: path.with_name(outputs.LEDGER).unlink(),
-    lambda path: path.with_name(outputs.LEDGER).write_bytes(b"mine"),
-])  # fmt: skip
-def test_what_was_edited_or_lost_its_ledger_is_refused(path, change):
-    """A user who edited an output wants to keep the edit."""
-    change(path)
+def _write(outputs: Outputs, path: Path, meanwhile: Callable[[], object]) -> None:
+    """Write an output while something else happens."""
+    with outputs.opened(path) as file:
+        file.write(b"lost")
+        meanwhile()
+
+
+@pytest.mark.usefixtures("links")
+def test_a_file_that_exists_stays(path):
+    """Neither its format nor that tiswarm wrote it makes it less valuable."""
     before = path.read_bytes()
 
-    with pytest.raises(InputError, match=FOREIGN):
-        outputs.write(path, b"lost")
+    with pytest.raises(
+        OutputExistsError, match=r"estimate\.csv: exists already; give overwrite=True"
+    ):
+        NEW.write(path, b"lost")
 
     assert path.read_bytes() == before
+    assert [*path.parent.iterdir()] == [path]
 
 
-def test_a_file_that_appears_meanwhile_stays(tmp_path):
-    """A long command looks again before it replaces anything."""
+@pytest.mark.usefixtures("links")
+@BOTH
+def test_a_new_file_is_written_whole(tmp_path, outputs):
+    """It has one name, and no temporary file remains."""
+    path = tmp_path / "new.csv"
+
+    outputs.write(path, b"whole")
+
+    assert path.read_bytes() == b"whole"
+    assert path.stat().st_nlink == 1
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_a_file_is_replaced_if_the_user_says_so(path):
+    """A hard link to the old file keeps what it has."""
+    kept = path.with_name("kept.csv")
+    kept.hardlink_to(path)
+
+    OVERWRITE.write(path, b"new")
+
+    assert path.read_bytes() == b"new"
+    assert kept.read_bytes() == b"robot,x_R,y_R,z_R\n"
+
+
+def test_the_error_names_every_file_and_option():
+    """The user sees what `--overwrite` would replace, in one line."""
+    folder = Path("imported")
+    names = [f"{number}.csv" for number in range(20)]
+    error = OutputExistsError({folder / "truth.csv": "out", Path("view.html"): "report"})
+    many = OutputExistsError(dict.fromkeys([folder / name for name in names], "out"))
+
+    assert str(error) == (
+        "imported/truth.csv: exists already, as does view.html; "
+        "give overwrite=True or another out and another report"
+    )
+    assert str(error.as_option()) == (
+        "imported/truth.csv: exists already, as does view.html; "
+        "give --overwrite or another --out and another --report"
+    )
+    assert ", as do 1.csv, 2.csv, " in str(many)
+    assert ", 9.csv and 10 more; give overwrite=True or another out" in str(many)
+
+
+@pytest.mark.usefixtures("links")
+@pytest.mark.parametrize("make", [
+    lambda path: path.write_bytes(b"mine"),
+    lambda path: path.symlink_to("nowhere"),
+    lambda path: path.mkdir(),
+])  # fmt: skip
+def test_a_file_that_appears_meanwhile_stays(tmp_path, make):
+    """A long command looks again before it takes the name."""
     path = tmp_path / "late.csv"
 
-    with pytest.raises(InputError, match=FOREIGN), outputs.opened(path) as file:
-        file.write(b"%d lost" % path.write_bytes(b"mine"))
+    with pytest.raises(InputError, match=r"late\.csv: "):
+        _write(NEW, path, lambda: make(path))
+
+    assert not path.is_file() or path.read_bytes() == b"mine"
+    assert [*tmp_path.iterdir()] == [path]
+
+
+@pytest.mark.usefixtures("links")
+def test_a_file_that_appears_at_the_last_moment_stays(tmp_path, monkeypatch):
+    """Between the last look and the new name, another program may write a file."""
+    path = tmp_path / "late.csv"
+
+    def meanwhile() -> None:
+        monkeypatch.setattr(Outputs, "_refuse", lambda *_: path.write_bytes(b"mine"))
+
+    with pytest.raises(OutputExistsError, match=r"late\.csv: exists already"):
+        _write(NEW, path, meanwhile)
 
     assert path.read_bytes() == b"mine"
-    assert [each.name for each in tmp_path.iterdir()] == ["late.csv"]
+    assert [*tmp_path.iterdir()] == [path]
 
 
-def test_a_copy_under_another_name_is_its_owners(path):
-    """Somebody kept it."""
-    kept = shutil.copy(path, path.with_name("kept.csv"))
+@pytest.mark.usefixtures("links")
+def test_of_many_writers_one_is_first(tmp_path):
+    """The file is that of one writer, and all others are refused."""
+    path, writers = tmp_path / "changes.jsonl", 8
+    start, ends = threading.Barrier(writers), []
 
-    assert not outputs.is_own(kept)
+    def write(number: int) -> None:
+        try:
+            with NEW.opened(path) as file:
+                file.write(b"%d" % number)
+                start.wait()
+        except OutputExistsError:
+            ends.append("refused")
+        else:
+            ends.append(number)
+
+    threads = [threading.Thread(target=write, args=[number]) for number in range(writers)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+    [first] = [end for end in ends if end != "refused"]
+    assert len(ends) == writers
+    assert path.read_bytes() == b"%d" % first
+    assert [*tmp_path.iterdir()] == [path]
+
+
+@pytest.mark.parametrize("name", ["estimate.csv", "new.csv"])
+def test_a_failed_write_leaves_the_folder_as_it_was(path, name):
+    """An exception in the middle costs no byte."""
+    before = path.read_bytes()
+
+    with pytest.raises(ZeroDivisionError):
+        _write(OVERWRITE, path.with_name(name), lambda: 1 / 0)
+
+    assert path.read_bytes() == before
+    assert [*path.parent.iterdir()] == [path]
 
 
 @pytest.mark.parametrize("make", [
-    lambda path, other: path.symlink_to(other),
-    lambda path, other: path.symlink_to("nowhere"),
-    lambda path, other: path.symlink_to(path.name),
-    lambda path, other: path.mkdir(),
+    lambda path, file: path.symlink_to(file),
+    lambda path, file: path.symlink_to("nowhere"),
+    lambda path, file: path.symlink_to(path.name),
+    lambda path, file: path.mkdir(),
 ])  # fmt: skip
-@pytest.mark.parametrize("overwrite", [True, False])
-def test_no_link_or_folder_is_replaced(path, make, overwrite):
+@BOTH
+def test_no_link_or_folder_is_replaced(path, make, outputs):
     """A link in a folder of somebody else may lead to any file of the user."""
     place, before = path.with_name("place"), path.read_bytes()
     make(place, path)
 
     with pytest.raises(InputError, match=r"place: this is a (link|folder); name "):
-        outputs.write(place, b"lost", overwrite=overwrite)
+        outputs.write(place, b"lost")
 
     assert path.read_bytes() == before
     assert not place.is_file() or place.is_symlink()
 
 
-@pytest.mark.parametrize("overwrite", [True, False])
-def test_devices_and_pipes_are_refused(tmp_path, overwrite):
+@BOTH
+def test_devices_and_pipes_are_refused(tmp_path, outputs):
     """A temporary file would replace the device."""
     os.mkfifo(tmp_path / "fifo")
 
     for place in (Path("/dev/full"), Path("/dev/null"), tmp_path / "fifo"):
         with pytest.raises(EnvironmentTroubleError, match="this is no regular file"):
-            outputs.check({"out": place}, overwrite=overwrite)
+            outputs.check({"out": place})
 
 
 @pytest.mark.parametrize("name", ["same", "folder/../same", "link", "hard", "linked/same"])
-def test_an_input_is_never_an_output(tmp_path, monkeypatch, name):
-    """Neither another name, nor an earlier write by tiswarm, nor the option makes it an output."""
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_an_input_is_never_an_output(tmp_path, monkeypatch, name, overwrite):
+    """No other name makes it an output, nor does the option."""
     monkeypatch.chdir(tmp_path)
-    outputs.write(Path("same"), b"data")
+    Path("same").write_bytes(b"data")
     Path("folder").mkdir()
     Path("link").symlink_to("same")
     Path("hard").hardlink_to("same")
     Path("linked").symlink_to(".")
+    of_file = Outputs(inputs=[None, "gone", "same"], overwrite=overwrite)
+    of_name = Outputs(inputs=[Path(name)], overwrite=overwrite)
 
-    for overwrite in (True, False):
-        with pytest.raises(InputError, match="out: this is an input, which"):
-            outputs.check({"out": Path(name)}, [None, "gone", "same"], overwrite=overwrite)
     with pytest.raises(InputError, match="out: this is an input, which"):
-        outputs.check({"out": Path("same")}, [Path(name)], overwrite=True)
+        of_file.check({"out": Path(name)})
+    with pytest.raises(InputError, match="out: this is an input, which"):
+        of_name.check({"out": Path("same")})
+    with pytest.raises(InputError, match="this is an input, which"):
+        of_file.write(Path(name), b"lost")
+
+    assert Path("same").read_bytes() == b"data"
 
 
-def test_files_of_an_input_folder_are_inputs_but_own_ones(tmp_path):
+def test_files_of_an_input_folder_are_inputs(tmp_path):
     """A run is exported into its folder, but never over its cases."""
     (tmp_path / "case.csv").write_bytes(b"sensed")
-    outputs.write(tmp_path / "export.csv", b"again")
+    outputs = Outputs(inputs=[tmp_path], overwrite=True)
 
-    outputs.check({"out": tmp_path / "export.csv"}, [tmp_path], overwrite=False)
-    outputs.check({"out": tmp_path / "new.csv"}, [tmp_path], overwrite=False)
+    outputs.check({"out": tmp_path / "new.csv"})
     with pytest.raises(InputError, match="this is an input"):
-        outputs.check({"out": tmp_path / "case.csv"}, [tmp_path], overwrite=True)
+        outputs.check({"out": tmp_path / "case.csv"})
 
 
 def test_two_outputs_are_two_files(tmp_path):
@@ -141,7 +238,7 @@ def test_two_outputs_are_two_files(tmp_path):
     named = {"out": tmp_path / "a", "estimate": tmp_path / "." / "a", "report": None}
 
     with pytest.raises(InputError, match="estimate: out names the same file"):
-        outputs.check(named, overwrite=True)
+        OVERWRITE.check(named)
 
 
 def test_an_open_output_is_no_open_input(tmp_path):
@@ -149,73 +246,38 @@ def test_an_open_output_is_no_open_input(tmp_path):
     (tmp_path / "log").write_bytes(b"data")
 
     with (tmp_path / "log").open("rb") as read, (tmp_path / "log").open("ab") as written:
-        for given in (read, tmp_path / "log"):
+        for source in (read, tmp_path / "log"):
             with pytest.raises(InputError, match="the output is the input"):
-                outputs.refuse_same(written, given)
-        outputs.refuse_same(written, [])
+                refuse_same(written, source)
+        refuse_same(written, [])
     with Path(os.devnull).open("r+b") as null:
-        outputs.refuse_same(null, null)
+        refuse_same(null, null)
 
 
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
-    """One file of somebody else stops all."""
+    """One file that exists stops all."""
+    files = {"a": b"1", "b": b"2"}
     (tmp_path / "b").write_bytes(b"mine")
 
-    with pytest.raises(InputError, match=FOREIGN):
-        outputs.write_folder(tmp_path, {"a": b"1", "b": b"2"}, overwrite=False)
-    assert [each.name for each in tmp_path.iterdir()] == ["b"]
+    with pytest.raises(OutputExistsError, match="b: exists already"):
+        NEW.write_folder(tmp_path, files)
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
     with pytest.raises(InputError, match="a: out: its folder is a file; name a folder"):
-        outputs.write_folder(tmp_path / "b", {"a": b"1"}, overwrite=True)
+        OVERWRITE.write_folder(tmp_path / "b", {"a": b"1"})
 
-    written = outputs.write_folder(tmp_path, {"a": b"1", "b": b"2"}, overwrite=True)
-    assert [each.read_bytes() for each in written] == [b"1", b"2"]
-    assert [*map(outputs.is_own, written)] == [True, True]
+    written = OVERWRITE.write_folder(tmp_path, files)
 
-
-def test_the_ledger_reads_as_sha256sum_writes_it(path):
-    """A user can check the outputs of a folder; a line that a kill cut costs no other one."""
-    ledger = path.with_name(outputs.LEDGER)
-    with ledger.open("ab") as file:
-        file.write(b"12ab")
-    outputs.write(path.with_name("second"), b"2")
-
-    command = ["sha256sum", "--check", outputs.LEDGER]
-    done = subprocess.run(command, cwd=path.parent, capture_output=True, check=True)
-
-    assert done.stdout == b"estimate.csv: OK\nsecond: OK\n"
+    assert [path.read_bytes() for path in written] == [b"1", b"2"]
 
 
-@pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
-def test_a_ledger_that_leads_elsewhere_is_not_written(tmp_path, link):
-    """It would add lines to a file of the user."""
-    (tmp_path / "diary").write_bytes(b"# SHA-256 of the files in this folder")
-    link(tmp_path / outputs.LEDGER, tmp_path / "diary")
-    before = (tmp_path / "diary").read_bytes()
+def test_an_old_list_of_outputs_is_a_file_like_any_other(path):
+    """Earlier versions kept `.tiswarm-outputs`; it neither frees a file nor is it changed."""
+    ledger = path.with_name(".tiswarm-outputs")
+    ledger.write_bytes(b"# SHA-256 of the files in this folder that tiswarm wrote\n")
 
-    outputs.write(tmp_path / "a", b"1")
+    with pytest.raises(OutputExistsError, match="exists already"):
+        NEW.write(path, b"lost")
+    with pytest.raises(OutputExistsError, match="exists already"):
+        NEW.write(ledger, b"lost")
 
-    assert (tmp_path / "diary").read_bytes() == before
-    assert not outputs.is_own(tmp_path / "a")
-
-
-def test_a_file_of_a_run_replaces_a_link_and_not_what_it_leads_to(path):
-    """The folder of a run may come from anywhere."""
-    link = path.with_name("errors.png")
-    link.symlink_to(path)
-    before = path.read_bytes()
-
-    outputs.write_own(link, b"picture")
-
-    assert path.read_bytes() == before
-    assert outputs.is_own(link)
-
-
-def test_a_folder_in_place_of_the_ledger_stays_closed(tmp_path):
-    """A service that writes an output a second would soon have no descriptors left."""
-    (tmp_path / outputs.LEDGER).mkdir()
-    before = len([*Path("/dev/fd").iterdir()])
-
-    for _ in range(3):
-        outputs.write(tmp_path / "estimate.csv", b"1", overwrite=True)
-
-    assert len([*Path("/dev/fd").iterdir()]) == before
+    assert ledger.read_bytes().startswith(b"# SHA-256")

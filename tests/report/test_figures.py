@@ -10,7 +10,6 @@ from tests.recorder import Recorder
 from tests.report.conftest import is_blank, require_alike, write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.records import outputs
 from tiswarm.report import curve_figures, error_figures, figure_style, table_figures
 from tiswarm.report.curve_figures import (
     PROFILED,
@@ -73,19 +72,19 @@ def test_names_of_users_are_text(run_folder):
     assert r"a $\nonsense{ b$</text>" in drawn
 
 
-def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
-    """Figures that the run no longer has disappear from the folder; pictures of others stay."""
-    stale = run_folder / "figures" / "profiles.png"
-    stale.parent.mkdir()
-    outputs.write(stale, b"of an earlier call")
-    vector, mine = stale.with_name("convergence.pdf"), stale.with_name("mine.png")
+def test_an_existing_pdf_is_drawn_again(run_folder):
+    """It would show earlier tables; pictures of others stay."""
+    vector = run_folder / "figures" / "convergence.pdf"
+    vector.parent.mkdir()
+    mine = vector.with_name("mine.png")
     for path in (vector, mine):
         path.touch()
 
     written = draw_figures(load_run(run_folder), Progress())
 
-    assert set(stale.parent.glob("[!.]*")) == {*written, mine}
+    assert {*vector.parent.iterdir()} == {*written, mine}
     assert vector.stat().st_size > 0
+    assert mine.stat().st_size == 0
 
 
 def test_the_same_tables_give_the_same_bytes(run_folder):

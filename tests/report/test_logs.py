@@ -19,6 +19,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.cli import main
 from tiswarm.measurements.observability import observability
 from tiswarm.records.estimate import MOST_WITHIN, Convergence, Estimate, Solution
+from tiswarm.records.outputs import Outputs
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.pictures import pictures
 from tiswarm.report.pictures.pictures import build_pictures
@@ -151,7 +152,8 @@ def _explained(log, estimate) -> dict[str, object]:
 
 def _page(path, log, estimate, **more) -> tuple[str, dict]:
     """Draw a page; returns its text and the data of its 3D view."""
-    draw_log(path / "view.html", log, estimate, name="a log", **more)
+    outputs = Outputs(overwrite=True)
+    draw_log(path / "view.html", log, estimate, name="a log", outputs=outputs, **more)
     text = (path / "view.html").read_text()
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
     return text, json.loads(found[1])
@@ -159,7 +161,9 @@ def _page(path, log, estimate, **more) -> tuple[str, dict]:
 
 def _viewed(path, log, estimate) -> str:
     """Show an estimate as the command does; returns the text of the page."""
-    return Log.of(log).with_estimate(estimate).view(out=path / "view.html").read_text()
+    return (
+        Log.of(log).with_estimate(estimate).view(out=path / "view.html", overwrite=True).read_text()
+    )
 
 
 def test_a_page_needs_no_truth(log, estimate, tmp_path):
@@ -417,7 +421,7 @@ def test_pictures_of_map_coordinates_are_as_sharp(log, estimate, tmp_path, monke
     moved = replace(estimate, position=estimate.position + away)
 
     export_view(view_log(replace(log, ground_z=0.0), estimate), "png", tmp_path, Progress())
-    export_view(view_log(far, moved), "png", tmp_path, Progress())
+    export_view(view_log(far, moved), "png", tmp_path / "far", Progress())
 
     np.testing.assert_allclose(drawn[0].start, drawn[1].start, atol=1e-5)
     assert drawn[0].ground is not None

@@ -23,7 +23,14 @@ def log(tmp_path):
 
 def _localize(log, estimate, cache):
     return call(
-        "localize", log, "--method", "virtual-force", "--out", estimate, XDG_CACHE_HOME=str(cache)
+        "localize",
+        log,
+        "--method",
+        "virtual-force",
+        "--out",
+        estimate,
+        "--overwrite",
+        XDG_CACHE_HOME=str(cache),
     )
 
 

@@ -28,6 +28,7 @@ from tiswarm.base.registry import BUILT_IN
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
 from tiswarm.records.mcap import SENSING, encode_messages
+from tiswarm.records.outputs import Outputs
 from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log
@@ -103,7 +104,7 @@ def _localized(path, log, method):
     assert np.isfinite(back.position).all()
     page = path.with_name("view.html")
     for found in (estimate, back):
-        Log.of(log).with_estimate(found).view(out=page)
+        Log.of(log).with_estimate(found).view(out=page, overwrite=True)
     assert "NaN" not in page.read_text().partition('id="data">')[2].partition("</script>")[0]
     return estimate
 
@@ -113,7 +114,7 @@ def _assert_exported(folder, log, estimate):
     true = np.where(np.isfinite(estimate.position), estimate.position + 0.5, 0.0)
     for shown in (view_log(log, estimate), view_log(log, estimate, true)):
         for form in BUILT_IN["export_format"]:
-            export_view(shown, form, folder, Progress())
+            export_view(shown, form, folder, Progress(), Outputs(overwrite=True))
     assert all(file.stat().st_size for file in folder.iterdir())
 
 

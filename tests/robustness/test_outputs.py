@@ -178,8 +178,11 @@ def test_no_output_costs_a_file_of_somebody_else(trial, world, tmp_path):
         with trial.attempt(number, what=f"{name} to {out}, {force=}"):
             done = call_here(*command, out, *["--overwrite"] * force, cwd=here)
             _check(before, here, done, allowed if force else set())
-            again = call_here(*command, out, cwd=here) if done.returncode == 0 else done
-            assert again.returncode == done.returncode, again.stderr
+            if done.returncode == 0:
+                written = _contents(here)
+                again = call_here(*command, out, cwd=here)
+                assert again.returncode == 2, again.stderr
+                assert _contents(here) == written
             trial.outcomes["refused" if done.returncode in {1, 2} else "written"] += 1
         shutil.rmtree(here)
 
@@ -282,20 +285,28 @@ def test_shells_cannot_damage_a_log(world, tmp_path, command, status, said):
 
 
 def test_two_commands_never_mix_their_answers(world, tmp_path):
-    """Both write whole files: the output is of the one that ends last; kills leave no part."""
+    """Both write whole files: the output is of the one that ends last; kills leave no part.
+
+    Without `--overwrite` it is of the one that ends first, and the other is refused.
+    """
     out = tmp_path / "changes.jsonl"
     command = [sys.executable, "-m", "tiswarm", "track", world / LOG, "--out", out, *QUICK]
 
-    def start(seed, **options):
-        return subprocess.Popen([*command, "--set", f"steps={seed}"], env=environment(), **options)
+    def start(steps, *more):
+        chosen = ["--set", f"steps={steps}", *more]
+        return subprocess.Popen([*command, *chosen], env=environment(), stderr=subprocess.DEVNULL)
 
     whole = set()
-    for seed in (5, 9):
-        assert start(seed).wait() == 0
+    for steps in (5, 9):
+        assert start(steps, "--overwrite").wait() == 0
         whole.add(out.read_bytes())
     for kill in range(6):
-        both = [start(5), start(9)]
+        both = [start(5, "--overwrite"), start(9, "--overwrite")]
         time.sleep(0.7 * kill)
         both[kill % 2].kill()
         assert [each.wait() for each in both].count(0) >= 1
         assert out.read_bytes() in whole
+    out.unlink()
+    both = [start(5), start(9)]
+    assert sorted(process.wait() for process in both) == [0, 2]
+    assert out.read_bytes() in whole

@@ -21,6 +21,7 @@ from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.compute import numerics
 from tiswarm.records.io import path_for
+from tiswarm.records.run_folder import Manifest, write_manifest
 from tiswarm.scenario.expansion import load_scenario, plan
 from tiswarm.study import provenance, store
 from tiswarm.study.store import RunFolder
@@ -120,17 +121,20 @@ def test_a_folder_that_no_run_made_is_refused(tiny, tmp_path):
             return folder.path
 
     made = opened()
-    opened()
-    (made / ".lock").unlink()
     opened()  # the scenario is that of the name
-    (made / ".lock").unlink()
+    (made / "scenario.yaml").write_text("mine")
+    write_manifest(made, Manifest())
+    opened()  # the manifest says so
     (made / "scenario.yaml").write_text("mine")
 
-    with pytest.raises(InputError, match=r"this folder has files, and no run made it; choose ano"):
-        opened()
+    for manifest in ('{"name": "a page of the user"}', "[]", ""):
+        (made / "manifest.json").write_text(manifest)
+        with pytest.raises(InputError, match=r"has files, and no run made it; choose another --o"):
+            opened()
+        assert (made / "manifest.json").read_text() == manifest
     assert (made / "scenario.yaml").read_text() == "mine"
     opened(overwrite=True)
-    for name in (".lock", "scenario.yaml"):
+    for name in (".lock", "scenario.yaml", "manifest.json"):
         (made / name).unlink()
     opened()  # there is nothing but empty folders
 

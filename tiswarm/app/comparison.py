@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,11 +11,11 @@ import pandas as pd
 
 from tiswarm.app.results import Figure as Picture
 from tiswarm.base.errors import InputError
-from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import damaged, make_folder
 from tiswarm.records.measures import DISPARITY, MAIN, RMSE
 from tiswarm.records.messages import shown
+from tiswarm.records.outputs import NEW, Outputs
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import figure_style, table_figures
 from tiswarm.report.figure_style import Panels, marker_style
@@ -76,7 +75,7 @@ class Comparison:
         return read_frame(self.folder / f"{name}.csv", empty=True)
 
 
-def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> Comparison:
+def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparison:
     """Write `comparison.csv`, all rows of the runs' `table.csv`, `paired.csv` and a figure.
 
     `paired.csv` has differences on the structures that two runs share: those with the same true
@@ -84,7 +83,7 @@ def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> Comp
 
     Raises:
         InputError: fewer than two different runs are given, a folder has no `table.csv`, or a table
-            would replace a file that no tiswarm command wrote.
+            exists and is to stay.
         EnvironmentTroubleError: `out` cannot be made.
     """
     from matplotlib import style
@@ -112,14 +111,13 @@ def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> Comp
             pair = dict(zip(_COMPARED, (*other, *one), strict=False))
             rows += tables.differences(pair, before, after)
     make_folder(out)
-    opened = partial(outputs.opened, overwrite=overwrite)
     columns = [*first, *both.columns.difference(first, sort=False)]
-    write_frame(both[columns], out / "comparison.csv", opened=opened)
+    write_frame(both[columns], out / "comparison.csv", opened=outputs.opened)
     pairs = pd.DataFrame(rows, columns=None if rows else _COMPARED)
-    write_frame(pairs, out / "paired.csv", opened=opened)
+    write_frame(pairs, out / "paired.csv", opened=outputs.opened)
     found = Comparison(out, _stacked(labeled))
     with style.context(["default", figure_style.STYLE]):
-        outputs.write(out / FILES[2], figure_style.png(draw_rows(found.shown)), overwrite=overwrite)
+        outputs.write(out / FILES[2], figure_style.png(draw_rows(found.shown)))
     return found
 
 

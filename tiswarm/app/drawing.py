@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from tiswarm.base.aliases import Reals
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Progress
-from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import digest
-from tiswarm.records.run_folder import Origin, read_manifest, write_manifest
+from tiswarm.records.outputs import NEW, Outputs
+from tiswarm.records.run_folder import Manifest, Origin, read_manifest, write_manifest
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.log_page import gather_log_page
@@ -42,7 +42,7 @@ def draw_all(
     } and all(digest(result.folder / name) == sha for name, sha in manifest.drawn.items())
     drawn = pictures and (pdf or not whole)
     if drawn:  # what another command drew is not drawn again, and no longer checked
-        write_manifest(result.folder, replace(manifest, drawn={}))
+        write_manifest(result.folder, replace(manifest, drawn={}, outdated=manifest.ever_drawn))
     renders = drawn and some_done
     if drawn or movie:
         draw(
@@ -92,6 +92,8 @@ def draw(
             else None
         )
         written = draw_figures(run, progress, vector=pdf) if figures else []
+    if figures:
+        manifest = _without_old_figures(run.folder, written, manifest)
     if rendering:
         pictures = rendering.result()
         written += [picture.path for picture in pictures]
@@ -106,6 +108,25 @@ def draw(
     write_manifest(run.folder, replace(manifest, drawn={**manifest.drawn, **digests}))
 
 
+def _without_old_figures(run: Path, written: Sequence[Path], manifest: Manifest) -> Manifest:
+    """Remove figures of an earlier call that the run no longer has, but no other file.
+
+    Args:
+        run: Folder of the run.
+        written: Figures that were drawn now.
+        manifest: Manifest of the run, with the digests of earlier figures.
+
+    Returns:
+        The manifest without earlier figures.
+    """
+    for path in {*run.glob("figures/*")} - {*written}:
+        drawn = manifest.ever_drawn.get(f"figures/{path.name}")
+        if drawn and drawn == digest(path):  # a figure that a user has changed is the user's
+            path.unlink(missing_ok=True)
+    others = {name: sha for name, sha in manifest.drawn.items() if not name.startswith("figures/")}
+    return replace(manifest, drawn=others, outdated={})
+
+
 def draw_log(
     path: Path,
     log: SensingLog,
@@ -118,7 +139,7 @@ def draw_log(
     advice: Sequence[Mapping[str, str]] = (),
     figures: Sequence[Any] = (),
     own: Sequence[Any] = (),
-    overwrite: bool = False,
+    outputs: Outputs = NEW,
 ) -> None:
     """Write the page of a log and its estimate.
 
@@ -133,7 +154,7 @@ def draw_log(
         advice: Further measurements that would help, as rows of cells by heading.
         figures: Figures, as `explanation.show` returns them.
         own: Values of the user that color robots, each a `Coloring`.
-        overwrite: Whether to replace a file that no tiswarm command wrote.
+        outputs: What may be written.
 
     Raises:
         InputError: there is such a file, and it is not to be replaced.
@@ -149,4 +170,4 @@ def draw_log(
         view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice,
         figures=figures,
     )  # fmt: skip
-    outputs.write(path, page.html().encode(), overwrite=overwrite)
+    outputs.write(path, page.html().encode())

@@ -4,15 +4,15 @@ Solids and particles have float32 numbers, relative to the place of the anchor: 
 the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from tiswarm.base.plugins import call_plugin
 from tiswarm.base.progress import Progress
 from tiswarm.base.registry import get, register
-from tiswarm.records import outputs
+from tiswarm.records.outputs import NEW, Outputs
 from tiswarm.report.swarm_view import SwarmView
 
 if TYPE_CHECKING:
@@ -37,14 +37,27 @@ def export_format(name: str, suffix: str) -> Callable[[_Encode], _Encode]:
     """
 
     def add(encode: _Encode) -> _Encode:
-        def encode_files(view: SwarmView) -> Mapping[str, bytes]:
-            encoded = call_plugin("export_format", name, lambda: bytes(encode(view)))
-            return {f"case{suffix}": encoded}
-
-        register("export_format", name, encode_files, encode)
+        encoder = _PluginEncoder(name=name, file=f"case{suffix}", encode=encode)
+        register("export_format", name, encoder, encode)
         return encode
 
     return add
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PluginEncoder:
+    """Format of a plug-in, which exports one file."""
+
+    name: str
+    file: str
+    """Name of the file."""
+
+    encode: Callable[[SwarmView], bytes]
+
+    def __call__(self, view: SwarmView) -> Mapping[str, bytes]:
+        """Return the bytes of the file by its name."""
+        encoded = call_plugin("export_format", self.name, lambda: bytes(self.encode(view)))
+        return {self.file: encoded}
 
 
 def import_format(name: str, suffix: str) -> Callable[[_Read], _Read]:
@@ -78,14 +91,42 @@ def import_format(name: str, suffix: str) -> Callable[[_Read], _Read]:
     return add
 
 
+_CERTAIN = {
+    "csv": "contacts.csv", "parquet": "contacts.parquet", "png": "contact-graph.png",
+    "gsd": "{pose}.gsd", "ply": "{pose}.ply", "tum": "{pose}.tum",
+    "gif": "growth.gif", "mp4": "growth.mp4", "webp": "growth.webp",
+    "gltf": "case.glb", "mcap": "case.mcap", "mjcf": "case.xml", "pyfg": "case.pyfg",
+    "wbt": "case.wbt",
+}  # fmt: skip
+"""A file that an export has in any case, by its format."""
+
+
+def check_export(
+    form: str, out: Path, outputs: Outputs, pose: Literal["estimate", "structure"] = "estimate"
+) -> None:
+    """Refuse an export that cannot be written, before what it is of takes long to compute.
+
+    Args:
+        form: Name of the format.
+        out: Folder to write to.
+        outputs: What may be written.
+        pose: Poses that are known for certain: those of the estimate, or the true ones.
+
+    Raises:
+        InputError: there is no such format, or a file that the export has in any case is an input,
+            or exists and is to stay.
+    """
+    value = get("export_format", form, "form")
+    name = value.file if isinstance(value, _PluginEncoder) else _CERTAIN[form].format(pose=pose)
+    outputs.check({"out": out / name})
+
+
 def export_view(
     view: SwarmView,
     form: str,
     out: Path,
     progress: Progress,
-    *,
-    inputs: Sequence[object] = (),
-    overwrite: bool = False,
+    outputs: Outputs = NEW,
 ) -> None:
     """Write the structure, if the truth is known, the estimate and the contacts.
 
@@ -94,15 +135,14 @@ def export_view(
         form: Name of the format.
         out: Folder to write to.
         progress: Receives progress reports.
-        inputs: Files and folders that were read, which no file replaces.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        outputs: What may be written.
 
     Raises:
         InputError: there is no such format, the log of the view is damaged, or a file of the export
-            would replace another one.
+            is an input, or exists and is to stay.
         EnvironmentTroubleError: `out` cannot be made or a library is missing.
         PluginError: a format of a plug-in failed.
     """
     files = get("export_format", form, "form")(replace(view, progress=progress))
-    for path in outputs.write_folder(out, files, inputs, overwrite=overwrite):
+    for path in outputs.write_folder(out, files):
         progress.info(str(path))

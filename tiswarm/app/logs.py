@@ -6,7 +6,7 @@ rooms that do so, and a localizer reads them: so these are classes of their own.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +18,8 @@ from tiswarm.app.results import Color, File, Overrides, PageFile, as_path, as_te
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
-from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.outputs import Outputs
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
@@ -55,12 +55,12 @@ class Log(SensingLog):
         """Write the log to a file, which `tiswarm.read_log` reads; return its path.
 
         Raises:
-            InputError: it is a file that no tiswarm command wrote and that is not to be
-                overwritten.
+            InputError: the file exists, and is to stay.
         """
         path = as_path(out, "out")
-        opened = partial(outputs.opened, overwrite=overwrite)
-        write_sensing_log(self, path, opened=opened)
+        outputs = Outputs(overwrite=overwrite)
+        outputs.check({"out": path})
+        write_sensing_log(self, path, opened=outputs.opened)
         return path
 
     def localize(
@@ -166,12 +166,12 @@ class Localized(Estimate):
         """Write the table of positions; return its path.
 
         Raises:
-            InputError: it is the log, or a file that no tiswarm command wrote and that is not to be
-                overwritten.
+            InputError: the file is the log, or exists and is to stay.
         """
         path = as_path(out, "out")
-        outputs.check({"out": path}, self._inputs(), overwrite=overwrite)
-        write_estimate(path, self, opened=partial(outputs.opened, overwrite=overwrite))
+        outputs = self._outputs(overwrite=overwrite)
+        outputs.check({"out": path})
+        write_estimate(path, self, opened=outputs.opened)
         return path
 
     def view(
@@ -191,7 +191,7 @@ class Localized(Estimate):
                 least certain if none.
             color: Values that color robots, as `tiswarm.view` takes them.
             out: Page to write.
-            overwrite: Whether to replace files that no tiswarm command wrote.
+            overwrite: Whether to replace files that exist.
 
         Returns:
             The page, which a notebook shows.
@@ -200,14 +200,15 @@ class Localized(Estimate):
         from tiswarm.report.explanation import show  # noqa: PLC0415 - slow to import
 
         page = as_path(out, "out")
-        outputs.check({"out": page}, self._inputs(truth), overwrite=overwrite)
+        outputs = self._outputs(truth, overwrite=overwrite)
+        outputs.check({"out": page})
         findings = self.findings
         figures = show(self.log, self, explain)
         draw_log(
             page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
             advice=findings.advice, figures=figures,
-            own=self.log.colorings(color), overwrite=overwrite,
+            own=self.log.colorings(color), outputs=outputs,
         )  # fmt: skip
         return PageFile(page)
 
@@ -228,24 +229,24 @@ class Localized(Estimate):
             truth: True positions or their table, or true centers [log unit], shape (N, 3).
             color: Values that color robots, as `tiswarm.view` takes them.
             out: Folder to write to.
-            overwrite: Whether to replace files that no tiswarm command wrote.
+            overwrite: Whether to replace files that exist.
             quiet: Whether to hide progress.
 
         Returns:
             The folder with the files.
         """
-        from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
+        from tiswarm.app.formats import check_export, export_view  # noqa: PLC0415 - slow to import
 
         folder = as_path(out, "out")
-        export_view(
-            self._shown(truth, color), form, folder, ConsoleProgress(quiet=quiet),
-            inputs=self._inputs(truth), overwrite=overwrite,
-        )  # fmt: skip
+        outputs = self._outputs(truth, overwrite=overwrite)
+        check_export(form, folder, outputs)
+        shown = self._shown(truth, color)
+        export_view(shown, form, folder, ConsoleProgress(quiet=quiet), outputs)
         return folder
 
-    def _inputs(self, truth: Truth = None) -> list[object]:
-        """List the files of the log, of the estimate and of the truth, where they are files."""
-        return [self.log.path, self.table, truth]
+    def _outputs(self, truth: Truth = None, *, overwrite: bool) -> Outputs:
+        """Say what may be written beside the files of log, estimate and truth."""
+        return Outputs(inputs=[self.log.path, self.table, truth], overwrite=overwrite)
 
     def _shown(self, truth: Truth, color: Color) -> "SwarmView":
         from tiswarm.report.swarm_view import view_log  # noqa: PLC0415 - slow to import

@@ -16,6 +16,7 @@ from tiswarm.base.errors import InputError, require_name
 from tiswarm.base.params import AnyMovie
 from tiswarm.records.measures import MAIN, MEASURES, PAGE
 from tiswarm.records.messages import counted
+from tiswarm.records.outputs import Outputs
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -213,21 +214,20 @@ class Run:
             out: Folder to write to; `export` in the run's folder if None.
             case: Case; the largest if None.
             color: Values that color robots, as `tiswarm.view` takes them.
-            overwrite: Whether to replace files that no tiswarm command wrote.
+            overwrite: Whether to replace files that exist.
             quiet: Whether to hide progress.
 
         Returns:
             The folder with the files.
         """
-        from tiswarm.app.formats import export_view  # noqa: PLC0415 - slow to import
+        from tiswarm.app.formats import check_export, export_view  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 
-        shown = read_case_view(self._data(color, case).choose(case))
         folder = as_path(out or self.folder / "export", "out")
-        export_view(
-            shown, form, folder, ConsoleProgress(quiet=quiet),
-            inputs=[self.folder / "cases"], overwrite=overwrite,
-        )  # fmt: skip
+        outputs = Outputs(inputs=[self.folder / "cases"], overwrite=overwrite)
+        check_export(form, folder, outputs)
+        shown = read_case_view(self._data(color, case).choose(case))
+        export_view(shown, form, folder, ConsoleProgress(quiet=quiet), outputs)
         return folder
 
     def _data(self, color: Color = (), case: str | None = None) -> "RunData":

@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tiswarm.app.console import ConsoleProgress
-from tiswarm.app.formats import export_view
+from tiswarm.app.formats import check_export, export_view
 from tiswarm.app.logs import Localized, Log
 from tiswarm.app.results import Figures, File, PageFile, as_path, plain
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
@@ -29,10 +29,10 @@ from tiswarm.base.params import AnyMovie
 from tiswarm.compute import backend
 from tiswarm.evaluation import tables
 from tiswarm.measurements.cues import cue_names
-from tiswarm.records import outputs
 from tiswarm.records.io import open_input
 from tiswarm.records.measures import DISPARITY, HEIGHT, JOINED, PEAK_STRESS, REACH, RMSE
 from tiswarm.records.messages import counted
+from tiswarm.records.outputs import Outputs
 from tiswarm.report.page import Page
 from tiswarm.report.page_tables import MOST_ROWS, PageTable
 from tiswarm.report.swarm_view import (
@@ -147,21 +147,26 @@ class GrownStructure(History):
             out: Folder to write to.
             renderer: "open3d" or "taichi"; the first that works if None.
             movie: File format of an animation of the growth; none if None.
-            overwrite: Whether to replace files that no tiswarm command wrote.
+            overwrite: Whether to replace files that exist.
             quiet: Whether to hide progress.
 
         Returns:
             The pictures by name.
 
         Raises:
-            InputError: there is no such renderer, or a picture would replace another file.
+            InputError: there is no such renderer, or a picture exists and is to stay.
             EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
         """
-        progress = ConsoleProgress(quiet=quiet)
         from tiswarm.report.pictures.pictures import picture_files  # noqa: PLC0415 - slow to import
 
+        folder = as_path(out, "out")
+        outputs = Outputs(overwrite=overwrite)
+        for form in ("png", movie):
+            if form:
+                check_export(form, folder, outputs, "structure")
+        progress = ConsoleProgress(quiet=quiet)
         files = picture_files(self._shown(), progress, renderer=renderer, movie=movie)
-        written = outputs.write_folder(as_path(out, "out"), files, overwrite=overwrite)
+        written = outputs.write_folder(folder, files)
         for path in written:
             progress.info(str(path))
         return Figures.of(written)
@@ -179,16 +184,17 @@ class GrownStructure(History):
         Args:
             form: File format, as for `tiswarm.export`.
             out: Folder to write to.
-            overwrite: Whether to replace files that no tiswarm command wrote.
+            overwrite: Whether to replace files that exist.
             quiet: Whether to hide progress.
 
         Raises:
-            InputError: there is no such format, or a file would replace another one.
+            InputError: there is no such format, or a file exists and is to stay.
             EnvironmentTroubleError: the folder cannot be made, or a library is missing.
         """
         folder = as_path(out, "out")
-        progress = ConsoleProgress(quiet=quiet)
-        export_view(self._shown(), form, folder, progress, overwrite=overwrite)
+        outputs = Outputs(overwrite=overwrite)
+        check_export(form, folder, outputs, "structure")
+        export_view(self._shown(), form, folder, ConsoleProgress(quiet=quiet), outputs)
         return folder
 
     def save(self, path: File = "swarms.npz", *, overwrite: bool = False) -> Path:
@@ -441,17 +447,18 @@ class Swarms(Sequence[GrownStructure]):
 
         Args:
             out: File to write.
-            overwrite: Whether to replace a file that no tiswarm command wrote.
+            overwrite: Whether to replace a file that exists.
 
         Returns:
             The page, which a notebook shows.
 
         Raises:
-            InputError: the page would replace another file.
+            InputError: the page exists, and is to stay.
         """
         path = as_path(out, "out")
-        outputs.check({"out": path}, overwrite=overwrite)
-        outputs.write(path, _page(self).html().encode(), overwrite=overwrite)
+        outputs = Outputs(overwrite=overwrite)
+        outputs.check({"out": path})
+        outputs.write(path, _page(self).html().encode())
         return PageFile(path)
 
     def render(self, out: File = "renders", *, seed: int | None = None, **how: Any) -> Figures:  # noqa: ANN401
@@ -479,17 +486,19 @@ class Swarms(Sequence[GrownStructure]):
 
         Args:
             path: File to write, NumPy's `.npz`.
-            overwrite: Whether to replace a file that no tiswarm command wrote.
+            overwrite: Whether to replace a file that exists.
 
         Raises:
-            InputError: it would replace another file.
+            InputError: the file exists, and is to stay.
             EnvironmentTroubleError: it cannot be written.
         """
         file = as_path(path, "path")
+        outputs = Outputs(overwrite=overwrite)
+        outputs.check({"path": file})
         arrays = {"format": np.array(FORMAT), "scenario": np.array(dump_scenario(self.scenario))}
         for number, each in enumerate(self):
             arrays |= {f"{number}/{name}": v for name, v in to_arrays(each).items()}
-        with outputs.opened(file, overwrite=overwrite) as stream, zipfile.ZipFile(stream, "w") as z:
+        with outputs.opened(file) as stream, zipfile.ZipFile(stream, "w") as z:
             for name, values in arrays.items():
                 # Without a time of its own, an entry has the same bytes each time.
                 with z.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as entry:

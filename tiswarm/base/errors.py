@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 _LONGEST = 1000
@@ -73,6 +73,38 @@ class InputError(TiswarmError):
         return InputError(
             self.problem, path=self.path, line=self.line, column=self.column, key=option
         )
+
+
+class OutputExistsError(InputError):
+    """A file that was to be written exists, and stays as it is."""
+
+    def __init__(self, files: Mapping[Path, str]) -> None:
+        """Name the files, the first one in full.
+
+        Args:
+            files: The argument that names each file; empty where it is unknown.
+        """
+        first, *others = files
+        names = [str(file) if file.parent != first.parent else file.name for file in others]
+        if len(names) > _MOST_NAMED:
+            names = [*names[:_MOST_NAMED], f"{len(names) - _MOST_NAMED} more"]
+        also = ""
+        if names:
+            *before, last = names
+            listed = f"{', '.join(before)} and {last}" if before else last
+            also = f", {'as does' if len(others) == 1 else 'as do'} {listed}"
+        self._problem = f"exists already{also}"
+        self._arguments = [argument for argument in dict.fromkeys(files.values()) if argument]
+        super().__init__(self._advised("overwrite=True", ""), path=first)
+
+    def as_option(self) -> InputError:
+        """Return the error with a command's options in place of a function's arguments."""
+        return InputError(self._advised("--overwrite", "--"), path=self.path)
+
+    def _advised(self, overwrite: str, dashes: str) -> str:
+        """Say what to do; `dashes` stand before the name of an argument."""
+        changes = [f"another {dashes}{argument}" for argument in self._arguments]
+        return f"{self._problem}; give {overwrite} or {' and '.join(changes) or 'another name'}"
 
 
 class EnvironmentTroubleError(TiswarmError):

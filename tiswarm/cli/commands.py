@@ -295,6 +295,7 @@ def import_(
     from tiswarm import api
     from tiswarm.base.errors import InputError
     from tiswarm.base.robot import docks_in_plane
+    from tiswarm.records.outputs import Outputs
 
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")
@@ -303,6 +304,9 @@ def import_(
     except ValueError:
         problem = f"{anchor!r} is not a list of robots; write it like 0,5"
         raise InputError(problem, argument="anchor") from None
+    estimate = out / "estimate.csv"
+    if report is not None:  # refuse it before a log is written beside it
+        Outputs(overwrite=overwrite).check({"out": estimate, "report": report})
     body = None if dock_offset is None else docks_in_plane(dock_offset)
     named = dict(pair.partition("=")[::2] for pair in column.split(",") if pair)
     with options.showing_traceback(debug=debug):
@@ -319,8 +323,10 @@ def import_(
         for run, imported in found.items():
             typer.echo("\n".join(imported.notes) + f" -> {out / run}")
     if report is not None:
-        localize(out / "sensing.jsonl", out=out / "estimate.csv", report=report,
-                 overwrite=overwrite, debug=debug, quiet=quiet)  # fmt: skip
+        localize(
+            out / "sensing.jsonl", out=estimate, report=report, overwrite=overwrite, debug=debug,
+            quiet=quiet,
+        )  # fmt: skip
 
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")

@@ -104,9 +104,7 @@ Colors = Annotated[
 ]
 Debug = Annotated[bool, Option("--debug", help="Print the traceback if a plug-in fails.")]
 RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
-Overwrite = Annotated[
-    bool, Option("--overwrite", help="Replace files that no tiswarm command wrote.")
-]
+Overwrite = Annotated[bool, Option("--overwrite", help="Replace files that exist.")]
 Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
 Pdf = Annotated[
     bool, Option("--pdf", help="Also write figures as vector PDF.", rich_help_panel=PICTURES)

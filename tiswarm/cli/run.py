@@ -34,7 +34,9 @@ def run(
     only_plan: Annotated[
         bool, Option("--plan", help="Print an estimate of time and memory, and run nothing.")
     ] = False,
-    overwrite: options.Overwrite = False,
+    overwrite: Annotated[
+        bool, Option("--overwrite", help="Take a folder that no run made, and replace files there.")
+    ] = False,
     opened: options.Open = False,
     debug: options.Debug = False,
     quiet: options.Quiet = False,

@@ -6,9 +6,8 @@ an option says so: two errors may look alike.
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,9 +48,10 @@ from tiswarm.formats.poses import (
 from tiswarm.formats.ranges import read_ranges
 from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
-from tiswarm.records import outputs, sensing_log
+from tiswarm.records import sensing_log
 from tiswarm.records.io import at_line, make_folder, refuse_special
 from tiswarm.records.messages import counted, explain
+from tiswarm.records.outputs import NEW, Outputs
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import check_header, write_sensing_log
 from tiswarm.records.sensing_format import MOST_CONTACTS
@@ -87,11 +87,11 @@ def convert(
         assumed: Fields of `Assumptions`.
         docks: Table of the docks in the body frame, in place of `dock_offset_body`.
         out: Folder to write to; nothing is written if None.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        overwrite: Whether to replace files that exist.
 
     Raises:
-        InputError: a table is malformed, there is no such field, or an output would replace
-            another file.
+        InputError: a table is malformed, there is no such field, or an output is an
+            input, or exists and is to stay.
     """
     for name in assumed:
         require_name(name, [field.name for field in fields(Assumptions)], "assumed")
@@ -103,9 +103,9 @@ def convert(
     else:
         found = {"": _import_ranges(path, stated, given.get("dock_radius"))}
     if out is not None:
-        inputs = [*(path.iterdir() if path.is_dir() else [path]), stated.contacts, docks]
-        inputs += [stated.beacons]
-        write_imports(found, out, inputs, overwrite=overwrite)
+        poses = path.iterdir() if path.is_dir() else [path]
+        inputs = [*poses, stated.contacts, docks, stated.beacons]
+        write_imports(found, out, Outputs(inputs=inputs, overwrite=overwrite))
     return found
 
 
@@ -158,13 +158,7 @@ def _tables(path: Path, assumed: Assumptions) -> Iterator[PoseTable | None]:
         yield get("import_format", name)(path, assumed)
 
 
-def write_imports(
-    found: Mapping[str, Imported],
-    out: Path,
-    inputs: Sequence[object] = (),
-    *,
-    overwrite: bool = False,
-) -> None:
+def write_imports(found: Mapping[str, Imported], out: Path, outputs: Outputs = NEW) -> None:
     """Write `sensing.jsonl` and `truth.csv` of each structure to a folder of its name in `out`.
 
     There is no truth of tags with ranges.
@@ -172,24 +166,22 @@ def write_imports(
     Args:
         found: What became of each structure, by its name.
         out: Folder, which is made if need be.
-        inputs: Files and folders that were read, which no output replaces.
-        overwrite: Whether to replace files that no tiswarm command wrote.
+        outputs: What may be written.
 
     Raises:
-        InputError: an output would replace another file; then nothing is written.
+        InputError: an output is an input, or exists and is to stay; then nothing is written.
         EnvironmentTroubleError: `out` cannot be made or written to.
     """
     files = [out / run / "sensing.jsonl" for run in found]
     files += [out / run / "truth.csv" for run in found if _is_known(found[run])]
-    outputs.check({"out": files}, inputs, overwrite=overwrite)
-    opened = partial(outputs.opened, overwrite=overwrite)
+    outputs.check({"out": files})
     for run, (log, position, *_) in found.items():
         make_folder(out / run)
-        write_sensing_log(log, out / run / "sensing.jsonl", opened=opened)
+        write_sensing_log(log, out / run / "sensing.jsonl", opened=outputs.opened)
         if _is_known(found[run]):
             write_positions(
                 out / run / "truth.csv", log.robot_id, position, length_unit=log.length_unit,
-                opened=opened,
+                opened=outputs.opened,
             )  # fmt: skip
 
 

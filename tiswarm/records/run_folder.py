@@ -20,6 +20,10 @@ LABEL = "label"
 _FOLDERS = ("cases", "structures", "figures", "renders", "export")
 _MANIFEST = "manifest.json"
 
+FORMAT = "tiswarm-run 1"
+"""First entry of a manifest, by which the folder of a run is known."""
+
+
 _TOLERANT = ConfigDict(strict=True, allow_inf_nan=False)  # of entries of other versions
 
 _Facts = Mapping[str, str | int | None]
@@ -65,9 +69,16 @@ class Manifest:
     cases: int = 0
     renders: Mapping[str, Origin] = field(default_factory=dict)  # by file name
     drawn: Mapping[str, str] = field(default_factory=dict)  # SHA-256 by path within the folder
+    outdated: Mapping[str, str] = field(default_factory=dict)  # the same of earlier drawings
+
+    @property
+    def ever_drawn(self) -> dict[str, str]:
+        """SHA-256 of all drawings by path within the folder, also of earlier ones."""
+        return {**self.outdated, **self.drawn}
 
 
 _KIND = TypeAdapter(Manifest)
+_ANY = TypeAdapter(dict[str, object])
 
 
 def read_manifest(run: Path) -> Manifest:
@@ -85,7 +96,13 @@ def read_manifest(run: Path) -> Manifest:
 
 def write_manifest(run: Path, manifest: Manifest) -> None:
     """Write the manifest of a run."""
-    write_json(run / _MANIFEST, asdict(manifest))
+    write_json(run / _MANIFEST, {"format": FORMAT, **asdict(manifest)})
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a run made a folder, as its manifest states."""
+    content = read_json(folder / _MANIFEST, _ANY)
+    return content is not None and content.get("format") == FORMAT
 
 
 def check_folders(run: Path) -> None:

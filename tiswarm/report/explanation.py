@@ -14,6 +14,7 @@ from tiswarm.measurements.advice.placement import narrow
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, three_digits
+from tiswarm.records.outputs import Outputs
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
@@ -68,8 +69,13 @@ class Explanation:
         return "\n".join([f"robot {self.robot}: spread of the places that remain", *lines])
 
     def draw(self, out: Path, *, overwrite: bool = False) -> Path:
-        """Draw the places that remain after each measurement; return the picture."""
-        figure_style.write(out, lambda: draw_placement(self._placement()), overwrite=overwrite)
+        """Draw the places that remain after each measurement; return the picture.
+
+        Raises:
+            InputError: the file exists, and `overwrite` does not say to replace it.
+        """
+        outputs = Outputs(overwrite=overwrite)
+        figure_style.write(out, lambda: draw_placement(self._placement()), outputs)
         return out
 
     def show(self, why: str = "") -> Shown:

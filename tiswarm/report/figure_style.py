@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records import outputs
 from tiswarm.records.measures import FEWEST
 from tiswarm.records.messages import counted
+from tiswarm.records.outputs import NEW, Outputs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -414,11 +414,11 @@ def svg(figure: "Figure") -> bytes:
     return _encoded(figure, FigureCanvasSVG, "svg", unset)
 
 
-def write(path: Path, draw: Callable[[], "Figure"], *, overwrite: bool = False) -> None:
+def write(path: Path, draw: Callable[[], "Figure"], outputs: Outputs = NEW) -> None:
     """Draw a figure in our style, and write it, as vectors if the name ends in .pdf.
 
     Raises:
-        InputError: the name ends in neither .png nor .pdf, or another file has it.
+        InputError: the name ends in neither .png nor .pdf, or the file exists and is to stay.
     """
     from matplotlib import style
 
@@ -426,7 +426,7 @@ def write(path: Path, draw: Callable[[], "Figure"], *, overwrite: bool = False) 
         raise InputError(f"{path.name!r} should end in .png or .pdf; rename it", argument="out")
     with style.context(["default", STYLE]):
         data = (pdf if path.suffix == ".pdf" else png)(draw())
-    outputs.write(path, data, overwrite=overwrite)
+    outputs.write(path, data)
 
 
 def _encoded(

@@ -10,15 +10,13 @@ from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.plugins import call_plugin
 from tiswarm.base.progress import Progress
 from tiswarm.base.registry import get, names, register
-from tiswarm.records import outputs
+from tiswarm.records.io import write_bytes
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-_FORMS = ("png", "pdf", "svg")
 
 _Draw = TypeVar("_Draw", bound=Callable[[RunData], "Figure"])
 
@@ -73,9 +71,8 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
     """Draw every figure of a run into `figures/`, as PNG, as SVG and, if wanted, as PDF too.
 
     A second SVG of a wide figure is drawn as wide as a column, for narrow screens.
-    Cases that failed are left out, and a note on each figure states their number. A figure of an
-    earlier call that the run no longer has is removed, but no other file; an existing PDF is
-    redrawn.
+    Cases that failed are left out, and a note on each figure states their number. An existing PDF
+    is redrawn.
 
     Returns:
         The files written; empty where no case is done.
@@ -96,17 +93,13 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
             ):
                 path = run.subfolder("figures") / f"{name}.{suffix}"
                 if suffix != "pdf" or vector or path.exists():
-                    outputs.write_own(path, encode(figure))
+                    write_bytes(path, encode(figure))
                     progress.info(f"figures/{path.name}")
                     written.append(path)
             if not figure_style.is_narrow(figure):
                 path = run.subfolder("figures") / f"{name}{figure_style.NARROW}.svg"
-                outputs.write_own(path, figure_style.svg(draw(run, figure_style.COLUMN_WIDTH)))
+                write_bytes(path, figure_style.svg(draw(run, figure_style.COLUMN_WIDTH)))
                 written.append(path)
-    folder = run.folder / "figures"
-    for path in {path for form in _FORMS for path in folder.glob(f"*.{form}")} - {*written}:
-        if outputs.is_own(path):
-            path.unlink(missing_ok=True)
     return written
 
 

@@ -30,6 +30,7 @@ from tiswarm.records.run_folder import (
     Manifest,
     cell_of,
     check_folders,
+    is_run,
     read_manifest,
     write_manifest,
 )
@@ -140,13 +141,14 @@ class RunFolder:
     def _refuse_foreign(scenario: Scenario, parent: Path, *, overwrite: bool = False) -> None:
         """Refuse a folder of the scenario's name that has files, but was not made by a run.
 
-        A run leaves its lock there, and its scenario.
+        A run states in its manifest that it made the folder. Before it writes that, it has written
+        the scenario.
 
         Raises:
             InputError: the folder has such files, and they are not to be replaced.
         """
         path = _folder_of(scenario, parent)
-        if overwrite or not path.is_dir() or (path / _LOCK).is_file():
+        if overwrite or not path.is_dir() or is_run(path):
             return
         with suppress(InputError, OSError):
             stated = io.run_file(path / "scenario.yaml").read_bytes()
@@ -352,18 +354,18 @@ class RunFolder:
     def reopen(self, progress: Progress, *, computes: bool) -> None:
         """Remove what describes a complete run, as cases are to be computed.
 
-        The manifest keeps what rounded the numbers of stored cases; a run that is killed leaves it.
+        The manifest keeps what rounded the numbers of stored cases, and which drawings there are;
+        a run that is killed leaves it.
 
         Args:
             progress: Receives how that differs from what rounds numbers here.
             computes: Whether this machine computes cases, or others alone.
         """
-        earlier, here = self._rounded_by(), [numerics.here().facts] if computes else []
-        for name in ("manifest.json", "report.html"):
-            remove(self.path / name)
-        others = [each for each in earlier if each not in here]
-        if others or here:
-            write_manifest(self.path, Manifest(numerics=(*others, *here)))
+        earlier = self._manifest()
+        here = [numerics.here().facts] if computes else []
+        others = [each for each in earlier.numerics if each not in here]
+        remove(self.path / "report.html")
+        self._write_manifest(Manifest(numerics=(*others, *here), outdated=earlier.ever_drawn))
         if others and computes:
             progress.info(
                 "stored cases may be rounded otherwise than those to come: "
@@ -386,9 +388,11 @@ class RunFolder:
             Their costs by name and stage.
         """
         costs = self.read_costs(cases)
-        if not self._has_manifest():
+        earlier = self._manifest()
+        if not earlier.tiswarm:
             used = used or {Used("grow", backend.current())}
-            write_manifest(self.path, manifest(used, [*costs.values()], self._rounded_by()))
+            complete = manifest(used, [*costs.values()], earlier.numerics)
+            self._write_manifest(replace(complete, outdated=earlier.ever_drawn))
         if all(record.is_done for record in records.values()):
             for kept in self.path.glob(f"{_STRUCTURES}/seed*-*.*"):
                 remove(kept)
@@ -396,17 +400,19 @@ class RunFolder:
                 (self.path / _STRUCTURES).rmdir()
         return costs
 
-    def _has_manifest(self) -> bool:
+    def _manifest(self) -> Manifest:
+        """Read the manifest; an empty one where it is missing or damaged."""
         try:
-            return bool(read_manifest(self.path).tiswarm)
+            return read_manifest(self.path)
         except InputError:
-            return False
+            return Manifest()
 
-    def _rounded_by(self) -> tuple[Mapping[str, str], ...]:
-        try:
-            return read_manifest(self.path).numerics
-        except InputError:
-            return ()
+    def _write_manifest(self, manifest: Manifest) -> None:
+        """Write the manifest, also in place of a folder or link that has its name."""
+        path = self.path / "manifest.json"
+        if path.is_dir():
+            remove(path)
+        write_manifest(self.path, manifest)
 
     def _structure_path(self, case: Case) -> Path:
         structure = case.settings.structure

@@ -10,6 +10,7 @@ import pandas as pd
 from tiswarm.base.aliases import Reals
 from tiswarm.records.measures import RMSE, RMSE_AT_JOIN, SENT
 from tiswarm.records.messages import counted
+from tiswarm.records.outputs import Outputs
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, StoredCase
 
@@ -355,11 +356,10 @@ def write_score(
     estimated: Reals,
     errors: Mapping[str, Reals],
     unit: str,
-    *,
-    overwrite: bool = False,
+    outputs: Outputs,
 ) -> None:
     """Write the figure of a score as `figure_style.write` does; arguments of `draw_score`."""
-    figure_style.write(path, lambda: draw_score(true, estimated, errors, unit), overwrite=overwrite)
+    figure_style.write(path, lambda: draw_score(true, estimated, errors, unit), outputs)
 
 
 def draw_score(true: Reals, estimated: Reals, errors: Mapping[str, Reals], unit: str) -> "Figure":
