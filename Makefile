@@ -102,9 +102,19 @@ pip_install = $(bin)/python -m pip --disable-pip-version-check install -c "$(CON
 # Beside a clone, Python takes the clone's folder for the package unless its place is in a .pth file.
 findable = --config-settings editable_mode=compat
 # Of pip's report only the large downloads are shown; errors are.
+comma = ,
+# Without a wheel for this Python and system, as with glibc before 2.31, the renderer taichi draws.
+open3d = $(if $(filter Linux-x86_64,$(shell uname -s)-$(shell uname -m)),open3d-cpu,open3d)
 define install
 	@echo "installing $(2) into .venv; the first time that takes minutes"
-	@{ $(pip_install) --quiet setuptools && $(pip_install) --no-build-isolation $(findable) --editable $(1); \
+	@{ $(pip_install) --quiet setuptools \
+		&& if $(pip_install) --no-deps --only-binary :all: $(open3d) 2> .venv/.open3d-log; then \
+			wanted='.[$(if $(1),$(1)$(comma))open3d]'; \
+		else \
+			wanted='.$(if $(1),[$(1)])'; \
+			echo "no open3d for this Python and system: taichi draws pictures" \
+				"(see .venv/.open3d-log)" >&2; \
+		fi && $(pip_install) --no-build-isolation $(findable) --editable "$$wanted"; \
 		echo $$? > .venv/.pip-status; } \
 		| sed -n -e 's/^ *\(Downloading .* MB)\).*/  \1/p' \
 			-e 's/^Installing collected packages.*/  Installing/p'; \
@@ -113,11 +123,11 @@ define install
 endef
 
 $(installed): $(inputs) | $(bin)/python
-	$(call install,.,tiswarm)
+	$(call install,,tiswarm)
 	@touch $@
 
 $(installed_dev): $(inputs) | $(bin)/python
-	$(call install,'.[dev]',tiswarm and the developers' tools)
+	$(call install,dev,tiswarm and the developers' tools)
 	@touch $(installed) $@
 
 # Taichi, open3d and the tests of devices need libraries that pip cannot bring.

@@ -17,7 +17,6 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 from typer.core import TyperCommand, TyperGroup
-from typer.exceptions import TyperException
 
 import tiswarm
 from tiswarm.app.console import fail
@@ -27,6 +26,10 @@ from tiswarm.base.plugins import PluginError
 from tiswarm.base.process import naming_shortage, require_address_space
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
+_COMMAND_LINE_ERROR: type[Any] = typer.BadParameter.__mro__[2]
+"""What typer raises for a wrong command line: click's `ClickException`, or that of typer's own copy
+of click, which has no public name before typer 0.28."""
+
 _LIBRARIES_MB = 700
 """Address space that the libraries of any command take."""
 
@@ -230,9 +233,9 @@ def _status(arguments: list[str]) -> int:
     except TiswarmError as error:
         fail(error)
         return error.exit_status
-    except TyperException as error:
+    except _COMMAND_LINE_ERROR as error:
         text = _as_setting(error, arguments) or error.format_message()
-        if text.startswith("Missing ") and (context := error.ctx):  # type: ignore[attr-defined]
+        if text.startswith("Missing ") and (context := error.ctx):
             text = f"{text.rstrip('.')}; give it as in {context.command.epilog.partition(': ')[2]}"
         fail(" ".join(text.replace("Value error, ", "").split()))
         return InputError.exit_status
