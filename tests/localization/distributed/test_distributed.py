@@ -125,7 +125,7 @@ def test_a_base_solves_however_far_it_is(log):
 
     assert {robot.number for robot in swarm.robots if robot.operations} == {0}
     host, joiner = swarm.robots[10], swarm.robots[11]
-    host._keepers = {7: 1}  # noqa: SLF001 - one that is nearer
+    host.keepers = {7: 1}
     host.hear(Message("join", 11, b"", {10: joiner.records[11].line}))
     assert [(each.kind, {*each.parts}) for each in host.outbox] == [("task", {0})]
 
@@ -140,7 +140,7 @@ def test_no_robot_solves_for_more_than_its_tenure(log):
     """All join, and each is solved for once."""
     swarm = grown(log, replace(QUICK, tenure=2), 12)
 
-    kept = [robot._kept for robot in swarm.robots]  # noqa: SLF001 - what they are compared with
+    kept = [robot.kept for robot in swarm.robots]
     assert max(map(len, kept)) == 2
     assert sorted(number for each in kept for number in each) == [*range(1, 12)]
     assert all(robot.place is not None for robot in swarm.robots)
@@ -169,7 +169,7 @@ def test_a_review_moves_what_hangs_on_a_robot(log):
     for robot in swarm.robots[5:]:
         mine = robot.records[robot.number]
         mine.place = mine.place._replace(position=mine.place.position + aside)
-        robot._warn(robot.number)  # noqa: SLF001 - as if it had been moved
+        robot.warn(robot.number)  # as if it had been moved
         swarm._send(robot)  # noqa: SLF001
     swarm.channel.settle()
 
@@ -230,7 +230,7 @@ def test_who_waits_for_a_walk_goes_on_without_it(log):
     swarm = grown(log, QUICK, 12)
     hang, queue = {5}, [5]
     while queue:
-        after = swarm.robots[queue.pop()]._children  # noqa: SLF001 - who hangs on whom
+        after = swarm.robots[queue.pop()].children
         hang |= after
         queue += after
     _deaf(swarm, lambda heard, *_: heard == 5)
@@ -287,15 +287,15 @@ def test_after_a_bridge_closes_a_walk_comes_to_all(bridges, settings):
         swarm = grown(log, replace(QUICK, **settings))
 
         assert {robot.place.body for robot in swarm.robots} == {0}
-        parents = [robot._parent for robot in swarm.robots]  # noqa: SLF001 - what hangs on whom
+        parents = [robot.parent for robot in swarm.robots]
         for robot in swarm.robots:
             number, steps = robot.number, 0
             while parents[number] is not None:
-                assert number in swarm.robots[parents[number]]._children  # noqa: SLF001
+                assert number in swarm.robots[parents[number]].children
                 number, steps = parents[number], steps + 1
                 assert steps < len(parents)
             assert number == 0
-        assert sum(len(robot._children) for robot in swarm.robots) == len(parents) - 1  # noqa: SLF001
+        assert sum(len(robot.children) for robot in swarm.robots) == len(parents) - 1
 
 
 def test_robots_of_a_base_are_not_reviewed(log):

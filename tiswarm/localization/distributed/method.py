@@ -194,7 +194,7 @@ class PeerSwarm:
             self.channel.settle()
         # Memory counts at its fullest.
         before = zip(self._memory, self.robots, strict=True)
-        self._memory = [max(memory, each.memory) for memory, each in before]
+        self._memory = [max(memory, robot.memory.size) for memory, robot in before]
 
     @property
     def positions(self) -> Reals:

@@ -46,6 +46,11 @@ class Program:
         """Docks of a robot."""
         return len(self.header.dock_offsets)
 
+    @property
+    def exchanges(self) -> bool:
+        """Whether candidates travel: who anneals finds other images without them."""
+        return not self.params.chains
+
     def decoded(self, line: bytes) -> RobotLine:
         """Read a line as it was sent."""
         return _decoded(line, self.docks, self.params.bits)
