@@ -357,7 +357,7 @@ def with_fix(line: RobotLine, center: Reals, sd: float) -> RobotLine:
 
 
 _ANCHOR = RobotLine.model_validate({"robot": -1, "orientation_wxyz": _LEVEL, "contacts": []})
-"""An anchor of which only the place is available: what robots sensed of it is left out."""
+"""An anchor whose place alone is available: what robots sensed of it is left out."""
 
 
 @lru_cache(maxsize=20_000)

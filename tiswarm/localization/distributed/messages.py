@@ -190,7 +190,7 @@ class Answer(Content):
 
     @property
     def common(self) -> bytes:
-        """The answer: whoever passes it on takes it in."""
+        """The answer: robots that pass it on take it in."""
         return self.content
 
     @classmethod
@@ -333,7 +333,7 @@ class Shift(_OfShift):
 
 @dataclass(frozen=True)
 class Hang(_OfShift):
-    """The receiver touches two bodies, of which one is to hang on it."""
+    """The receiver touches two bodies, and one is to hang on it."""
 
     kind = "hang"
 

@@ -1,4 +1,4 @@
-"""The cost of robots as a function of motions, some of which move several robots as one."""
+"""The cost of robots as a function of motions; some motions move several robots as one."""
 
 import numpy as np
 
