@@ -2,12 +2,16 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.localization.distributed.test_distributed import QUICK, grown
+from tests.structures import NOISY
 from tiswarm.localization.distributed import messages
 from tiswarm.localization.distributed.messages import KINDS
 from tiswarm.localization.distributed.waiting import Answers, Placement, Return, Tasks, Timeout
-from tiswarm.localization.distributed.wire import Asked
+from tiswarm.localization.distributed.wire import Asked, JointShift, write_shift
+from tiswarm.sensing import observe
 
 PAGE = Path(__file__).parents[3] / "docs" / "guides" / "distributed.md"
 CONTENTS = [
@@ -101,3 +105,17 @@ def test_time_runs_out_for_answers_before_walks_and_places():
     assert order == [Placement, Return, Answers]
     assert tasks.visited == 5
     assert tasks.answers == Answers({1})
+
+
+def test_a_robot_passes_the_shift_of_a_body_on_once(towers):
+    """After losses two robots may each hang on the other: a shift must not go around for ever."""
+    robot = grown(observe(towers[0], NOISY), QUICK, 6).robots[2]
+    robot.parent = 0
+    robot.children = {4, 5}
+    shift = write_shift(JointShift(1, np.ones(3), body=3, joined=0, sd=0.1), QUICK.bits)
+
+    for parent in (0, 1, 0):
+        robot.hear(messages.Shift([2], shift).message(parent))
+
+    passed_on = [message for message in robot.outbox if message.kind == "shift"]
+    assert [{*message.parts} for message in passed_on] == [{4, 5}]

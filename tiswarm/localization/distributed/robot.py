@@ -301,6 +301,10 @@ def _hear_shift(robot: Peer, sender: int, shift: Shift) -> None:
     joint = wire.read_shift(shift.shift, robot.program.params.bits)
     robot.hang_on(sender)
     if joint.body:
+        if robot.joined == shift.shift:
+            # After losses two robots may each take the other for its child: the shift would go back
+            # and forth between them without end. Who missed it asks for it as a walk comes.
+            return
         robot.joined = shift.shift
         robot.memory.join_body(robot.number, joint)
         robot.warn(robot.number)
