@@ -10,7 +10,7 @@ from tiswarm.localization.chains.annealer import Annealer
 from tiswarm.localization.chains.arrays import BodyMotion
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import view_of
-from tiswarm.localization.distributed.robot import view_near
+from tiswarm.localization.distributed.annealing import view_near
 from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.methods import centered
 from tiswarm.localization.settings import JointParams

@@ -92,11 +92,11 @@ def test_a_robot_reads_its_own_memory_only(log):
     """All other robots may be spoiled, or the robot be sent away alone: it does the same."""
     swarm = grown(log, QUICK, 12)
     sender, robot = swarm.robots[11], swarm.robots[10]
-    message = Message("join", 11, b"", {10: sender.known[11].line})
+    message = Message("join", 11, b"", {10: sender.records[11].line})
     alone = pickle.loads(pickle.dumps(robot))  # noqa: S301 - made here
     for other in swarm.robots:
         if other is not robot:
-            for known in other.known.values():
+            for known in other.records.values():
                 known.line, known.place, known.sharing = b"\xff", None, {3000}
 
     robot.hear(copy.deepcopy(message))
@@ -125,8 +125,8 @@ def test_a_base_solves_however_far_it_is(log):
 
     assert {robot.number for robot in swarm.robots if robot.operations} == {0}
     host, joiner = swarm.robots[10], swarm.robots[11]
-    host._keepers = {7: 1}  # noqa: SLF001 - one that is nearer
-    host.hear(Message("join", 11, b"", {10: joiner.known[11].line}))
+    host.keepers = {7: 1}
+    host.hear(Message("join", 11, b"", {10: joiner.records[11].line}))
     assert [(each.kind, {*each.parts}) for each in host.outbox] == [("task", {0})]
 
 
@@ -140,7 +140,7 @@ def test_no_robot_solves_for_more_than_its_tenure(log):
     """All join, and each is solved for once."""
     swarm = grown(log, replace(QUICK, tenure=2), 12)
 
-    kept = [robot._kept for robot in swarm.robots]  # noqa: SLF001 - what they are compared with
+    kept = [robot.kept for robot in swarm.robots]
     assert max(map(len, kept)) == 2
     assert sorted(number for each in kept for number in each) == [*range(1, 12)]
     assert all(robot.place is not None for robot in swarm.robots)
@@ -153,7 +153,7 @@ def test_a_walk_comes_to_all_robots_that_hang_on_one_before_it_leaves(log):
 
     swarm.review()
 
-    spans = [robot.known[robot.number].span for robot in swarm.robots]
+    spans = [robot.records[robot.number].span for robot in swarm.robots]
     assert sorted(enter for enter, _ in spans) == [*range(12)]
     assert spans[0] == (0, 12)
     for robot in swarm.robots[1:]:
@@ -167,9 +167,9 @@ def test_a_review_moves_what_hangs_on_a_robot(log):
     before = np.array([robot.place.position for robot in swarm.robots])
     aside = np.array([0.6, 0.0, 0.0])
     for robot in swarm.robots[5:]:
-        mine = robot.known[robot.number]
+        mine = robot.records[robot.number]
         mine.place = mine.place._replace(position=mine.place.position + aside)
-        robot._warn(robot.number)  # noqa: SLF001 - as if it had been moved
+        robot.warn(robot.number)  # as if it had been moved
         swarm._send(robot)  # noqa: SLF001
     swarm.channel.settle()
 
@@ -219,7 +219,7 @@ def test_a_lost_walk_is_resumed_by_who_waits_for_it(log):
 
         swarm.review()
 
-        spans.append([robot.known[robot.number].span for robot in swarm.robots])
+        spans.append([robot.records[robot.number].span for robot in swarm.robots])
         assert not any(robot.waits for robot in swarm.robots)
     assert spans[0] == spans[1]
     assert spans[0][0] == (0, 12)
@@ -230,14 +230,14 @@ def test_who_waits_for_a_walk_goes_on_without_it(log):
     swarm = grown(log, QUICK, 12)
     hang, queue = {5}, [5]
     while queue:
-        after = swarm.robots[queue.pop()]._children  # noqa: SLF001 - who hangs on whom
+        after = swarm.robots[queue.pop()].children
         hang |= after
         queue += after
     _deaf(swarm, lambda heard, *_: heard == 5)
 
     swarm.review()
 
-    walked = {robot.number for robot in swarm.robots if robot.known[robot.number].span}
+    walked = {robot.number for robot in swarm.robots if robot.records[robot.number].span}
     assert walked == {*range(12)} - hang
 
 
@@ -287,15 +287,15 @@ def test_after_a_bridge_closes_a_walk_comes_to_all(bridges, settings):
         swarm = grown(log, replace(QUICK, **settings))
 
         assert {robot.place.body for robot in swarm.robots} == {0}
-        parents = [robot._parent for robot in swarm.robots]  # noqa: SLF001 - what hangs on whom
+        parents = [robot.parent for robot in swarm.robots]
         for robot in swarm.robots:
             number, steps = robot.number, 0
             while parents[number] is not None:
-                assert number in swarm.robots[parents[number]]._children  # noqa: SLF001
+                assert number in swarm.robots[parents[number]].children
                 number, steps = parents[number], steps + 1
                 assert steps < len(parents)
             assert number == 0
-        assert sum(len(robot._children) for robot in swarm.robots) == len(parents) - 1  # noqa: SLF001
+        assert sum(len(robot.children) for robot in swarm.robots) == len(parents) - 1
 
 
 def test_robots_of_a_base_are_not_reviewed(log):
@@ -314,14 +314,14 @@ def test_a_robot_that_another_one_moved_is_asked_again(log):
     place = Writer(QUICK.bits)
     place.number(0, 2)
     write_place(place, robot.place)
-    former.known[11].is_current = True
+    former.records[11].is_current = True
 
     robot.hear(Message("place", 5, b"\3", {11: place.to_bytes()}))
     [notice] = robot.outbox
     former.hear(notice)
 
     assert (notice.kind, {*notice.parts}) == ("moved", {0})
-    assert not former.known[11].is_current
+    assert not former.records[11].is_current
 
 
 def test_a_message_counts_the_contacts_that_it_takes(log):
@@ -335,7 +335,9 @@ def test_a_message_counts_the_contacts_that_it_takes(log):
     on = swarm.robots[6].hear(message)
 
     assert on.common == b"\2"
-    assert swarm.robots[6].known[7].place.position == pytest.approx(swarm.robots[7].place.position)
+    assert swarm.robots[6].records[7].place.position == pytest.approx(
+        swarm.robots[7].place.position
+    )
 
 
 @pytest.mark.parametrize("channel", ["touch", "radio"])

@@ -29,7 +29,9 @@ from tiswarm.base.progress import ignore
 from tiswarm.localization import methods
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.distributed.channel import HEADER, Channel, Message, pause, reached
-from tiswarm.localization.distributed.robot import Peer, Program, held
+from tiswarm.localization.distributed.local_swarm import with_fix
+from tiswarm.localization.distributed.program import Program
+from tiswarm.localization.distributed.robot import Peer
 from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.distributed.wire import MOST_ROBOTS, NUMBER, pose_bytes
 from tiswarm.localization.mixture.assessment import assess
@@ -192,7 +194,7 @@ class PeerSwarm:
             self.channel.settle()
         # Memory counts at its fullest.
         before = zip(self._memory, self.robots, strict=True)
-        self._memory = [max(memory, each.memory) for memory, each in before]
+        self._memory = [max(memory, robot.memory.size) for memory, robot in before]
 
     @property
     def positions(self) -> Reals:
@@ -288,7 +290,7 @@ class PublishedSwarm:
         swarm = self._swarm_of(capacity=len(heard) + 1)
         for number in sorted(heard):
             pose = self._lines[number].model_copy(update={**_OF_OTHERS, "contacts": []})
-            swarm.join(held(pose, self._found[number], KNOWN_SD * self._unit))
+            swarm.join(with_fix(pose, self._found[number], KNOWN_SD * self._unit))
         contacts = [each for each in line.contacts if each[1] in heard]
         found: Reals = swarm.join(line.model_copy(update={**_OF_OTHERS, "contacts": contacts}))
         return found

@@ -518,6 +518,38 @@ def read_question(part: bytes) -> Asked:
     return Asked(asked.number(1) == 1, asked.number(CHECK), asked.number(NUMBER))
 
 
+def write_answer(
+    place: Whereabouts | None,
+    candidates: Reals | None,
+    span: tuple[int, int] | None,
+    sharing: Iterable[int],
+    bits: int | None,
+) -> bytes:
+    """Write what a robot says of itself, without its line; candidates follow a place only."""
+    to = Writer(bits)
+    to.number(place is not None, 1)
+    write_span(to, span)
+    write_numbers(to, sharing)
+    if place is not None:
+        write_place(to, place)
+        if candidates is not None:
+            write_candidates(to, candidates)
+    return to.to_bytes()
+
+
+def write_result(
+    place: Whereabouts, candidates: Reals | None, bits: int | None, *, is_surprising: bool
+) -> bytes:
+    """Write where a robot is, with places that its rows allow if they are to travel."""
+    to = Writer(bits)
+    to.number(candidates is not None, 1)
+    to.number(is_surprising, 1)
+    write_place(to, place)
+    if candidates is not None:
+        write_candidates(to, candidates)
+    return to.to_bytes()
+
+
 @lru_cache(maxsize=20_000)
 def read_answer(content: bytes, bits: int | None, with_candidates: bool) -> Answer:  # noqa: FBT001
     """Read what a robot says of itself."""
