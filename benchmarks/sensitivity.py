@@ -4,9 +4,9 @@
     python -m benchmarks.sensitivity joint --structures 4     # those of `joint` alone
     python -m benchmarks.sensitivity growth --out docs/notes
 
-Structures are training ones, seeds 1000 and on, so that whoever chooses a number by this table does
-not choose it on structures that results are reported of. A number that changes no byte at half and
-at twice its value, on any log, does nothing here.
+Structures are training ones, seeds 1000 and on: results are reported of others, so this table may
+be used to choose a number. A number that changes no byte at half and at twice its value, on any log,
+does nothing here.
 
 For `joint`, each structure is localized as it senses in several ways. A change is stated in the
 geometric mean of RMSE, the median of `sd`, estimates that converged and are consistent, and CPU

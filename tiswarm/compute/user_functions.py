@@ -38,7 +38,7 @@ def is_kernel_function(function: object) -> bool:
     return is_marked and function.__globals__["__name__"].partition(".")[0] == LIBRARY
 
 
-def undecorated(function: Any) -> Any:  # noqa: ANN401 - whatever a user hands over
+def undecorated(function: Any) -> Any:  # noqa: ANN401 - anything that a user gives
     """Return the function below `ti.func`, or the function itself.
 
     Raises:

@@ -447,7 +447,7 @@ class CsvFile:
 def split_cells(
     text: str, separator: str, path: Path, line: int, *, is_strict: bool = True
 ) -> list[str]:
-    """Split a line of a table into its cells, some of which may be quoted.
+    """Split a line of a table into its cells; some may be quoted.
 
     Args:
         text: The line.
