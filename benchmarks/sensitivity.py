@@ -5,7 +5,7 @@
     python -m benchmarks.sensitivity growth --out docs/notes
 
 Structures are training ones, seeds 1000 and on: results are reported of others, so this table may
-be used to choose a number. A number that changes no byte at half and at twice its value, on any log,
+be used to choose a number. One that changes no byte at half and at twice its value, on any log,
 does nothing here.
 
 For `joint`, each structure is localized as it senses in several ways. A change is stated in the
