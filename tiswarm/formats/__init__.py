@@ -1,1 +1,1 @@
-"""Optional: poses and trajectories of other programs in, structures and estimates out."""
+"""Poses and trajectories of other programs in, structures and estimates out."""

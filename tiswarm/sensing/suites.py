@@ -1,4 +1,4 @@
-"""Optional: sensor suites of FireAntV3 and of the systems that the paper's Table I compares.
+"""Sensor suites of FireAntV3 and of the systems that the paper's Table I compares.
 
 A suite is a set of settings for `sensing.*`. All suites sense the same structures, so a suite of
 another system stands for FireAntV3 robots that carry its sensors. Lengths in R; where a source

@@ -1,4 +1,4 @@
-"""Optional: a Dask cluster that computes the jobs of a run."""
+"""A Dask cluster that computes the jobs of a run."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""Optional: who hears a transmission between robots, and channels of users.
+"""Who hears a transmission between robots, and channels of users.
 
 In each round a channel decides about all transmissions of the round at once. Those of the package
 lose a share of transmissions, each by itself or in bursts. In a burst the link from one robot to

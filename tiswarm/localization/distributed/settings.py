@@ -1,4 +1,4 @@
-"""Optional: localization by robots that know their own rows and what others sent them.
+"""Localization by robots that know their own rows and what others sent them.
 
 Here are the settings of `distributed`, each with its unit and its reason. Lengths in R.
 """

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Reals
-from tiswarm.measurements.equations import AXES as _AXES
+from tiswarm.measurements.equations import AXES
 from tiswarm.records.sensing_format import RobotLine, StanceEntry
 from tiswarm.records.sensing_log import LISTS
 
@@ -71,7 +71,7 @@ _CORNER = 1.0 / math.sqrt(2.0)
 _PLAIN = ("contacts", "ground_docks")
 """Lists of a stance that have a code of their own; all others are sent as text."""
 
-_NO_CANDIDATES: Reals = np.empty((0, _AXES))
+_NO_CANDIDATES: Reals = np.empty((0, AXES))
 
 
 class Whereabouts(NamedTuple):
@@ -94,9 +94,9 @@ class Whereabouts(NamedTuple):
 def pose_bytes(bits: int | None, *, with_orientation: bool) -> int:
     """Count the bytes of a robot's position, and of its orientation."""
     size = bits or _EXACT
-    count = _RANGE + _AXES * size
+    count = _RANGE + AXES * size
     if with_orientation:
-        count += (_AXES + 1) * size if bits is None else 2 + _AXES * size
+        count += (AXES + 1) * size if bits is None else 2 + AXES * size
     return -(-count // 8)
 
 
@@ -202,8 +202,8 @@ def write_place(to: Writer, place: Whereabouts) -> None:
 def read_place(source: Reader) -> Whereabouts:
     """Take where a robot is."""
     position, turn = (
-        source.lengths(_AXES),
-        source.reals(_AXES, _MOST_TURN, _fewer(source.bits, _TURN)),
+        source.lengths(AXES),
+        source.reals(AXES, _MOST_TURN, _fewer(source.bits, _TURN)),
     )
     return Whereabouts(position, turn, _read_sd(source), _read_if(source))
 
@@ -272,7 +272,7 @@ def write_shift(shift: JointShift, bits: int | None) -> bytes:
 def read_shift(content: bytes, bits: int | None) -> JointShift:
     """Read what `write_shift` wrote."""
     source = Reader(content, bits)
-    found = JointShift(source.number(NUMBER), source.lengths(_AXES), read_numbers(source))
+    found = JointShift(source.number(NUMBER), source.lengths(AXES), read_numbers(source))
     if not (body := _read_if(source)):
         return found
     return found._replace(body=body, joined=_read_if(source), sd=_read_sd(source))
@@ -334,7 +334,7 @@ def write_candidates(to: Writer, places: Reals) -> None:
 def read_candidates(source: Reader) -> Reals:
     """Take places that rows of a robot allow [R], shape (k, 3)."""
     count = source.number(COUNT)
-    return source.lengths(_AXES * count).reshape(count, _AXES)
+    return source.lengths(AXES * count).reshape(count, AXES)
 
 
 def write_numbers(to: Writer, numbers: Iterable[int]) -> None:
@@ -461,10 +461,10 @@ def _write_stance(
 
 def _read_stance(source: Reader, docks: int, stays: list[list[int]]) -> dict[str, Any]:
     if source.bits is None:
-        parts = source.reals(_AXES + 1, 1.0)
+        parts = source.reals(AXES + 1, 1.0)
     else:
         largest = source.number(2)
-        smaller = source.reals(_AXES, _CORNER, _fewer(source.bits, _ANGLE))
+        smaller = source.reals(AXES, _CORNER, _fewer(source.bits, _ANGLE))
         rest = math.sqrt(max(1.0 - float(smaller @ smaller), 0.0))
         parts = np.insert(smaller, largest, rest)
         parts /= np.linalg.norm(parts)

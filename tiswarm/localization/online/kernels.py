@@ -22,7 +22,7 @@ from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.online.settings import CANDIDATES
 from tiswarm.measurements import equations
-from tiswarm.measurements.equations import AXES as _AXES
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import KNOWN, SPACING
 
 DISTANCE, HINGE, OFFSET, COORDINATE = range(4)
@@ -215,7 +215,7 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
         # A distance measures along the line between its ends, which moves with the robots.
         residual, slope = missed_distance(point, value, kind == HINGE)
         axis = slope * point
-    for c in ti.static(range(_AXES)):
+    for c in ti.static(range(AXES)):
         scratch.row[a, RowState.DIRECTION + c] = axis[c]
     scratch.row[a, RowState.RESIDUAL] = residual
     scratch.row[a, RowState.WIDENED] = table.real[e, RowValue.OWN_VARIANCE]
@@ -235,7 +235,7 @@ def give_way(b, robust_square, table: Ref, scratch: Ref):
     excess = 0.0
     for a in range(table.block[b + 1, BlockStart.ROW] - start):
         # The three rows of a vector give way together.
-        parts = _AXES if table.number[start + a, RowLabel.KIND] == OFFSET else 1
+        parts = AXES if table.number[start + a, RowLabel.KIND] == OFFSET else 1
         first = table.number[start + a, RowLabel.FIRST]
         of_row = table.real[start + a, RowValue.VARIANCE]
         missed = 0.0
@@ -264,8 +264,8 @@ def factor_covariance(b, noise: Ref, table: Ref, scratch: Ref):
             # d N e, less the part that earlier columns of the factor explain.
             its = part_at(scratch.row, k, RowState.DIRECTION)
             total = 0.0
-            for c in ti.static(range(_AXES)):
-                here = start + ((_AXES * a + c) * rows + k) * _AXES
+            for c in ti.static(range(AXES)):
+                here = start + ((AXES * a + c) * rows + k) * AXES
                 through = ti.Vector([noise[here], noise[here + 1], noise[here + 2]])
                 total += way[c] * through.dot(its)
             if a == k:
@@ -327,8 +327,8 @@ def _number_places(b, moving, table: Ref, column: Ref, scratch: Ref):
         if column[table.member[k]] >= 0:
             # All shifts come before all turns, as in `NearLinear`.
             for c in range(_PARTS):
-                turns = moving if c >= _AXES else 0
-                place = _AXES * (turns + column[table.member[k]]) + c % _AXES
+                turns = moving if c >= AXES else 0
+                place = AXES * (turns + column[table.member[k]]) + c % AXES
                 scratch.place[used + c] = place
             used += _PARTS
     for c in range(_SHARED + 1):
@@ -351,7 +351,7 @@ def _slot_of(b, member, table: Ref, column: Ref):
 @ti.func
 def _store(u, a, vector, scratch: Ref):
     """Write three values of row a, from value u on."""
-    for c in ti.static(range(_AXES)):
+    for c in ti.static(range(AXES)):
         scratch.value[u + c, a] = vector[c]
 
 
@@ -359,7 +359,7 @@ def _store(u, a, vector, scratch: Ref):
 def _store_turns(u, a, robot, way, arm, robots: Ref, scratch: Ref):
     """Write the derivatives of row a by turns of a robot, whose arm it moves along, from u on."""
     across = slope_by_turn(way, arm)
-    for c in ti.static(range(_AXES)):
+    for c in ti.static(range(AXES)):
         scratch.value[u + c, a] = across[c] * robots.state[robot, RobotState.TURN_SD + c]
 
 
@@ -373,7 +373,7 @@ def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, 
     slot = _slot_of(b, 0, table, column)
     if slot >= 0:
         _store(slot, a, way, scratch)
-        _store_turns(slot + _AXES, a, own, way, tail, robots, scratch)
+        _store_turns(slot + AXES, a, own, way, tail, robots, scratch)
     # Two robots that stay share their error, as far as both have it.
     stays = robots.state[own, RobotState.STAYS]
     if table.number[e, RowLabel.KIND] != COORDINATE:
@@ -381,7 +381,7 @@ def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, 
         slot = _slot_of(b, table.number[e, RowLabel.MEMBER], table, column)
         if slot >= 0:
             _store(slot, a, -way, scratch)
-            _store_turns(slot + _AXES, a, other, -way, its, robots, scratch)
+            _store_turns(slot + AXES, a, other, -way, its, robots, scratch)
         stays -= robots.state[other, RobotState.STAYS]
     _store(values - _SHARED - 1, a, stays * way, scratch)
     scratch.value[values - 1, a] = scratch.row[a, RowState.RESIDUAL]
@@ -409,10 +409,10 @@ def _fill_side(used, robot, pull, arm, moving, robots: Ref, column: Ref, scratch
     after = used
     if column[robot] >= 0:
         _store(used, 0, pull, scratch)
-        _store_turns(used + _AXES, 0, robot, pull, arm, robots, scratch)
+        _store_turns(used + AXES, 0, robot, pull, arm, robots, scratch)
         for c in range(_PARTS):
-            turns = moving if c >= _AXES else 0
-            scratch.place[used + c] = _AXES * (turns + column[robot]) + c % _AXES
+            turns = moving if c >= AXES else 0
+            scratch.place[used + c] = AXES * (turns + column[robot]) + c % AXES
         after += _PARTS
     return after
 
@@ -528,9 +528,9 @@ def _sum_at(at, noise: Ref, table: Ref, robots: Ref, scratch: Ref, total_out: Re
     rows = table.block[1, BlockStart.ROW]
     for a in range(rows):
         measure_row(0, a, at, table, robots, scratch)
-        for c in ti.static(range(_AXES)):
+        for c in ti.static(range(AXES)):
             scratch.value[c, a] = scratch.row[a, RowState.DIRECTION + c]
-        scratch.value[_AXES, a] = scratch.row[a, RowState.RESIDUAL]
+        scratch.value[AXES, a] = scratch.row[a, RowState.RESIDUAL]
     factor_covariance(0, noise, table, scratch)
     for u in range(_VALUES):
         whiten(u, rows, scratch)
@@ -543,13 +543,13 @@ def _sum_at(at, noise: Ref, table: Ref, robots: Ref, scratch: Ref, total_out: Re
 @ti.func
 def _step(total: Ref):
     """Solve for the damped step to the minimum [R]."""
-    known = ti.Matrix.zero(ti.f64, _AXES, _AXES)
+    known = ti.Matrix.zero(ti.f64, AXES, AXES)
     slope = ti.Vector([0.0, 0.0, 0.0])
-    for u in ti.static(range(_AXES)):
-        for v in ti.static(range(_AXES)):
+    for u in ti.static(range(AXES)):
+        for v in ti.static(range(AXES)):
             known[u, v] = total[max(u, v), min(u, v)]
         known[u, u] += CANDIDATES.damping
-        slope[u] = total[_AXES, u]
+        slope[u] = total[AXES, u]
     return -(known.inverse() @ slope)
 
 
@@ -564,7 +564,7 @@ def _merged(count, place_out: Ref):
             if (here - vector_at(place_out, k)).norm() < CANDIDATES.alike:
                 is_new = False
         if is_new:
-            for c in ti.static(range(_AXES)):
+            for c in ti.static(range(AXES)):
                 place_out[kept, c] = here[c]
             kept += 1
     return kept
@@ -621,7 +621,7 @@ def descend(
                 far = step.norm()
                 farthest = ti.max(farthest, far)
                 at += step * ti.min(1.0, CANDIDATES.longest_step / ti.max(far, CANDIDATES.settled))
-                for c in ti.static(range(_AXES)):
+                for c in ti.static(range(AXES)):
                     place_out[n, c] = at[c]
             taken += 1
             # Most starts fall into the same few minima within three steps.
@@ -631,7 +631,7 @@ def descend(
             at = vector_at(place_out, n)
             # The covariance depends on where the robot is.
             _sum_at(at, noise, table, robots, scratch, total_out)
-            cost_out[n] = total_out[_AXES, _AXES]
+            cost_out[n] = total_out[AXES, AXES]
             if non_overlap:
                 cost_out[n] += _overlaps_at(at, own, reach, robots)
         count_out[0] = count

@@ -30,7 +30,7 @@ from tiswarm.localization.online.neighborhood import (
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.settings import ChiSquareParams
 from tiswarm.measurements.cues import CUES
-from tiswarm.measurements.equations import AXES as _AXES
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.turns import Turns
@@ -76,8 +76,8 @@ class LocalLayers:
         self._touching: list[set[tuple[int, int, int]]] = []
         self.places: list[Reals] = []
         """Where each robot may be, relative to the mean of those it shares rows with [R]."""
-        self.state = State(np.empty((0, _AXES)), np.empty((0, _AXES)))
-        self.shift: Reals = np.empty((0, _AXES))
+        self.state = State(np.empty((0, AXES)), np.empty((0, AXES)))
+        self.shift: Reals = np.empty((0, AXES))
         """From the state to the mean of likely states [R], shape (N, 3)."""
         self.sd: Reals = np.empty(0)
         """Standard deviation of each position [R], shape (N,)."""
@@ -101,11 +101,11 @@ class LocalLayers:
         self.blocks.append(block)
         self._touching.append(touching)
         self._sharing.append(set())
-        self.places.append(np.empty((0, _AXES)))
+        self.places.append(np.empty((0, AXES)))
         for partner in block.partners.tolist():
             self._sharing[partner].add(number)
             self._sharing[number].add(partner)
-        zero = np.zeros((1, _AXES))
+        zero = np.zeros((1, AXES))
         self.state = State(*(np.concatenate([each, zero]) for each in self.state[:2]))
         self.shift = np.concatenate([self.shift, zero])
         self.sd = np.append(self.sd, 0.0)
@@ -180,7 +180,7 @@ class LocalLayers:
             return near[:0]
         far = extent(self.mean)[near]
         linear = self.neighborhood(near).linearized(self.state)
-        return near[linear.sd(np.repeat(far, _AXES) ** -2.0) >= NEIGHBORS.loose * far]
+        return near[linear.sd(np.repeat(far, AXES) ** -2.0) >= NEIGHBORS.loose * far]
 
     def widen(self, rows: Measurements, number: int, loose: Ints) -> None:
         """Set the sd of robots near one that turn freely: a circle is far from its tangent.
@@ -194,8 +194,8 @@ class LocalLayers:
         if not (turns := turns_at(rows, position, loose)):
             return
         square = turns.off(position, self.mean)[near]
-        held = turns.motions(position).reshape(len(position), _AXES, -1)[near]
-        far = np.repeat(extent(self.mean)[near], _AXES)
+        held = turns.motions(position).reshape(len(position), AXES, -1)[near]
+        far = np.repeat(extent(self.mean)[near], AXES)
         linear = self.neighborhood(near).linearized(self.state)
         own = linear.sd(far**-2.0, held.reshape(len(far), -1))
         self.sd[near] = np.where(square > 0.0, np.sqrt(square + own**2), self.sd[near])
@@ -312,7 +312,7 @@ class LocalLayers:
 def _by_coordinates(block: Block, start: Reals) -> Reals:
     """Place a robot where its coordinates say [R], at the start if they leave that open, (3,)."""
     rows = block.rows
-    if rows.places.rank < _AXES:
+    if rows.places.rank < AXES:
         return start
     weight = 1.0 / np.sqrt(rows.variance())
     missed = weight * rows.residual(np.tile(start, (rows.robots, 1)))

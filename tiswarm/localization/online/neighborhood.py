@@ -40,7 +40,7 @@ from tiswarm.localization.online.kernels import (
     sum_equations,
 )
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
-from tiswarm.measurements.equations import AXES as _AXES
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Measurements
 
 _HELD = 1e-4
@@ -76,8 +76,8 @@ class Shapes(NamedTuple):
     def of_none(cls, docks: int) -> "Shapes":
         """Begin without robots; each is to have so many docks."""
         return cls(
-            arm=np.empty((0, docks, _AXES)),
-            turn_sd=np.empty((0, _AXES)),
+            arm=np.empty((0, docks, AXES)),
+            turn_sd=np.empty((0, AXES)),
             touch=np.empty((0, 3), np.int32),
             touch_start=np.zeros(1, np.int32),
             gone=set(),
@@ -182,13 +182,13 @@ def block_of(rows: Measurements, members: Ints) -> Block:
     row, stance, part = rows.noisy_arms()[0]
     # The final orientation is an unknown beside the position; earlier ones are noise.
     is_final = stance == odometry.final[last]
-    tail = np.zeros((len(rows), _AXES))
+    tail = np.zeros((len(rows), AXES))
     tail[row[is_final]] = part[is_final]
     sd = odometry.turn_sd[:, [0, 0, 1]]
     row, stance, part = row[~is_final], stance[~is_final], part[~is_final]
     # Three columns for each earlier stance, whose turn is in all rows sensed before it.
     which, column = np.unique(stance, return_inverse=True)
-    turns = np.zeros((len(rows), _AXES, len(which), _AXES))
+    turns = np.zeros((len(rows), AXES, len(which), AXES))
     turns[row, :, column] = _turns(part, sd[stance])
     about, place = np.unique(rows.other, return_inverse=True)
     number, real = _columns(rows, place, tail)
@@ -211,15 +211,15 @@ def _columns(rows: Measurements, place: Ints, tail: Reals) -> tuple[NDArray[np.i
     kind = np.repeat([DISTANCE, OFFSET, COORDINATE], [len(d.stance), offsets, len(p.stance)])
     kind[: len(d.stance)] = np.where(d.is_hinge, HINGE, DISTANCE)
     # The three rows of a vector are one measurement.
-    part = np.where(kind == OFFSET, (every - len(d.stance)) % _AXES, 0)
-    alone = np.zeros((len(p.stance), _AXES))
+    part = np.where(kind == OFFSET, (every - len(d.stance)) % AXES, 0)
+    alone = np.zeros((len(p.stance), AXES))
     number = RowLabel.pack(
         KIND=kind,
         MEMBER=np.concatenate([1 + place, alone[:, 0].astype(np.int64)]),
         FIRST=every - part,
     ).astype(np.int32)
     real = RowValue.pack(
-        AXIS=np.concatenate([np.zeros((len(d.stance), _AXES)), o.axis, p.direction]),
+        AXIS=np.concatenate([np.zeros((len(d.stance), AXES)), o.axis, p.direction]),
         ARM=rows.arm,
         TAIL=tail,
         OTHER_ARM=np.concatenate([rows.other_arm, alone]),
@@ -232,15 +232,15 @@ def _columns(rows: Measurements, place: Ints, tail: Reals) -> tuple[NDArray[np.i
 
 def _turns(part: Reals, sd: Reals) -> Reals:
     """Derivatives of d . (w x part), with w in sd: rows for each axis of d, (n, 3, 3)."""
-    turns: Reals = np.cross(np.eye(_AXES), part[:, None]) * np.broadcast_to(sd, part.shape)[:, None]
+    turns: Reals = np.cross(np.eye(AXES), part[:, None]) * np.broadcast_to(sd, part.shape)[:, None]
     return turns
 
 
 def _products(turns: Reals) -> Reals:
     """Multiply derivatives by all turns, shape (m, 3, turns, 3), in pairs, (m, 3, m, 3)."""
     rows = len(turns)
-    flat = turns.reshape(_AXES * rows, turns[0].size // _AXES if rows else 0)
-    return (flat @ flat.T).reshape(rows, _AXES, rows, _AXES)
+    flat = turns.reshape(AXES * rows, turns[0].size // AXES if rows else 0)
+    return (flat @ flat.T).reshape(rows, AXES, rows, AXES)
 
 
 def table_of(blocks: list[Block]) -> Table:
@@ -260,7 +260,7 @@ def scratch_for(blocks: list[Block]) -> Scratch:
     """Make room for the largest of some blocks."""
     rows = max(map(len, blocks))
     # An overlap has two members.
-    values = _PARTS * max(2, *(1 + len(b.about) for b in blocks)) + 1 + _AXES
+    values = _PARTS * max(2, *(1 + len(b.about) for b in blocks)) + 1 + AXES
     return Scratch(
         covariance=np.empty((rows, rows)),
         row=np.empty((rows, RowState.TOTAL)),
@@ -315,7 +315,7 @@ class NearLinear:
             known[count:, count:] += _HELD**-2.0 * (held @ held.T)
         if self.holds_anchor:
             # The anchor stays where it is, but its orientation is as noisy as any.
-            anchor = shifts[:_AXES]
+            anchor = shifts[:AXES]
             known[anchor] = known[:, anchor] = 0.0
             known[anchor, anchor] = 1.0
         # Symmetric: its transpose is the same matrix in the order that needs no copy.
@@ -332,10 +332,10 @@ class NearLinear:
         """
         slope = self.slope.copy()
         if self.holds_anchor:
-            slope[:_AXES] = 0.0
+            slope[:AXES] = 0.0
         count = len(slope) // 2
         step, _ = _LAPACK.dpotrs(self._factor(radius**-2.0), -np.roll(slope, count), lower=1)
-        shift, turn = np.roll(step, count).reshape(2, -1, _AXES)
+        shift, turn = np.roll(step, count).reshape(2, -1, AXES)
         return shift, turn
 
     def sd(
@@ -353,7 +353,7 @@ class NearLinear:
         factor = self._factor(open_precision, held)
         others = np.roll(self.of_others, count, axis=0)
         if self.holds_anchor:
-            others[count : count + _AXES] = 0.0
+            others[count : count + AXES] = 0.0
         # Turns come first: the last rows of the factor are that of what is known of the shifts
         # alone, and the variance is the square of its inverse.
         half, _ = _LAPACK.dtrtrs(factor, others, lower=1)
@@ -364,8 +364,8 @@ class NearLinear:
         shared = inverse.T @ half[count:]
         square = own + (shared**2).sum(axis=1)
         if self.holds_anchor:
-            square[:_AXES] = 0.0
-        sd: Reals = np.sqrt(square.reshape(-1, _AXES).sum(axis=1))
+            square[:AXES] = 0.0
+        sd: Reals = np.sqrt(square.reshape(-1, AXES).sum(axis=1))
         return sd
 
 
@@ -408,12 +408,12 @@ class NearCost(Cost[NearLinear]):
         self._column = np.full(len(shapes.arm), -1, np.int32)
         self._column[moving] = np.arange(len(moving))
         # Three axes share the variance.
-        self._stays = np.where(self._column < 0, stays_sd / np.sqrt(_AXES), 0.0)
+        self._stays = np.where(self._column < 0, stays_sd / np.sqrt(AXES), 0.0)
 
     def linearized(self, state: State) -> NearLinear:
         """Linearize the cost at a state."""
         moving, count = self.moving.astype(np.int32), _PARTS * len(self.moving)
-        total = np.zeros((count + _AXES + 1, count + _AXES + 1))
+        total = np.zeros((count + AXES + 1, count + AXES + 1))
         square, overlap = np.empty(len(self.number) + 1), np.zeros(len(moving))
         sum_equations(
             (self.robust_sd or 0.0) ** 2, int(self.non_overlap), self.shapes.reach,
@@ -475,7 +475,7 @@ def candidates(
     cost, count = np.empty(len(place)), np.empty(1, np.int32)
     descend(
         int(non_overlap), shapes.reach, *table, *robots, *scratch_for([block]),
-        np.empty((_AXES + 1, _AXES + 1)), place, cost, count,
+        np.empty((AXES + 1, AXES + 1)), place, cost, count,
     )  # fmt: skip
     ends, square = place[: count[0]], cost[: count[0]]
     return _distinct(ends, square - extension(block, state, ends))

@@ -1,4 +1,4 @@
-"""Optional: estimates while robots join, by the class `Tracker` and the method `online`.
+"""Estimates while robots join, by the class `Tracker` and the method `online`.
 
 Here are the settings of `online` and constants of the tracker, each with its unit and its reason,
 lengths in R. Constants were chosen on towers and cantilevers of the seeds 5000 to 5009, which no

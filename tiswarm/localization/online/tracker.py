@@ -54,7 +54,7 @@ from tiswarm.localization.online.layers import (
 from tiswarm.localization.online.neighborhood import NearCost
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS, TIMES, OnlineParams
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
-from tiswarm.measurements.equations import AXES as _AXES
+from tiswarm.measurements.equations import AXES
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
 from tiswarm.records.messages import counted
@@ -393,7 +393,7 @@ class Tracker:
         self._layers = self._layers.with_other(anew)
         for number in solved:
             # Where it may be by fewer or other rows; without partners, anywhere.
-            self._layers.places[number] = np.empty((0, _AXES))
+            self._layers.places[number] = np.empty((0, AXES))
             self._layers.place(number)
         return self._settle(solved)
 
@@ -488,7 +488,7 @@ def _loose(linear: Linear, position: Reals) -> Ints:
     draw = np.zeros((len(linear.precision), TIMES.draws))
     each = np.arange(linear.shifts)[:, None]
     draw[: linear.shifts] = normal(0, "loose", each, np.arange(TIMES.draws))
-    shift = linear.undamped.solve(draw)[: linear.shifts].reshape(-1, _AXES, TIMES.draws)
+    shift = linear.undamped.solve(draw)[: linear.shifts].reshape(-1, AXES, TIMES.draws)
     variance = np.sqrt((shift**2).sum(axis=1).mean(axis=1))
     far = extent(position)[linear.moves]
     loose: Ints = np.flatnonzero(linear.moves)[variance >= (NEIGHBORS.loose * far) ** 2]

@@ -1,1 +1,1 @@
-"""Optional: 3D pictures of structures, and their solids for other programs."""
+"""3D pictures of structures, and their solids for other programs."""
