@@ -360,8 +360,10 @@ def test_doubtful_estimates_are_counted_beside_the_error():
     """A small error of estimates that did not converge is luck; a method may judge nothing."""
     table = pd.DataFrame({"condition": [*"abc"], "cases": 4, "rmse_R_mean": [1.0, 2.0, 3.0]})
 
-    shown = headline_table(table.assign(converged_mean=[0.75, 1.0, np.nan], consistent_mean=1.0))
+    judged = table.assign(converged_mean=[0.75, 1.0, np.nan], consistent_mean=1.0)
+    shown = headline_table(judged, with_verdicts=True)
 
+    assert "converged" not in headline_table(judged).frame
     assert shown.frame["converged"].tolist() == ["3 of 4", "4 of 4", ""]
     assert "consistent" not in shown.frame
 

@@ -129,11 +129,12 @@ class Run:
     def _labeled_table(self) -> "pd.DataFrame":
         return self._data().table("table.csv", ["condition"], ["cases"], after="cases")
 
-    def _headline(self, table: "pd.DataFrame") -> "PageTable":
+    def _headline(self, table: "pd.DataFrame", *, with_verdicts: bool = False) -> "PageTable":
         from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import stated_scenario  # noqa: PLC0415 - slow to import
 
-        return headline_table(table, stated_scenario(self.folder).get("question", ""))
+        question = stated_scenario(self.folder).get("question", "")
+        return headline_table(table, question, with_verdicts=with_verdicts)
 
     def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
         """Read another table of the run, or one of a case.
@@ -240,7 +241,7 @@ class Run:
     @property
     def answer(self) -> "pd.DataFrame":
         """The answer to the question of the scenario, a table: what `run` prints at its end."""
-        return self.paper_table()
+        return self._headline(self._labeled_table(), with_verdicts=True).frame
 
     def __str__(self) -> str:
         """Write the first table of the page, or how many cases parts lack."""
@@ -251,7 +252,7 @@ class Run:
         table = self._labeled_table()
         if not table["cases"].any():
             return "no case was finished"
-        return console_text(self._headline(table))
+        return console_text(self._headline(table, with_verdicts=True))
 
     def _repr_html_(self) -> str:
         if self.missing:

@@ -138,18 +138,23 @@ def console_text(table: PageTable, width: int = 100) -> str:
     return "\n".join(lines)
 
 
-def headline_table(table: pd.DataFrame, question: str = "") -> PageTable:
+def headline_table(
+    table: pd.DataFrame, question: str = "", *, with_verdicts: bool = False
+) -> PageTable:
     """Format accuracy, and what a question asks for: a row for each condition and point.
 
     The best condition of each point is first. Where conditions differ in their measurements, each
-    has its further ones beside its name.
+    has its further ones beside its name. Verdicts are how many estimates converged and are
+    consistent, where not all are; a page has them in a table of their own.
     """
     rows = _best_first(table)
     shared, further = _measurements(rows)
     columns: dict[str, pd.Series] = {}
     if any(further):
         columns[FURTHER] = pd.Series(further, rows.index, dtype=str)
-    columns |= _means(rows, "accuracy") | _asked(rows, question) | _doubts(rows)
+    columns |= _means(rows, "accuracy") | _asked(rows, question) | _tied(rows)
+    if with_verdicts:
+        columns |= _verdicts(rows)
     least, most = rows["cases"].min(), rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
@@ -192,12 +197,17 @@ _NOTES = {
 """Meaning of a column, by its label."""
 
 
-def _doubts(rows: pd.DataFrame) -> dict[str, pd.Series]:
-    """Format the robots that are tied, and estimates that may be trusted, where not all are."""
+def _tied(rows: pd.DataFrame) -> dict[str, pd.Series]:
+    """Format the share of robots that measurements tie to the anchor, where not all are."""
+    if DISCONNECTED.mean not in rows or not (rows[DISCONNECTED.mean] > 0.0).any():
+        return {}
+    robots = rows.get(JOINED.mean, math.nan)
+    return {_TIED: _numbers(100.0 * (1.0 - rows[DISCONNECTED.mean] / robots))}
+
+
+def _verdicts(rows: pd.DataFrame) -> dict[str, pd.Series]:
+    """Format the estimates that converged, and those that are consistent, where not all are."""
     columns: dict[str, pd.Series] = {}
-    if DISCONNECTED.mean in rows and (rows[DISCONNECTED.mean] > 0.0).any():
-        robots = rows.get(JOINED.mean, math.nan)
-        columns[_TIED] = _numbers(100.0 * (1.0 - rows[DISCONNECTED.mean] / robots))
     for measure in (CONVERGED, CONSISTENT):
         share = rows.get(measure.mean, pd.Series(math.nan, rows.index)).astype(float)
         if (share < 1.0).any():
