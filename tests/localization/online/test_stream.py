@@ -71,7 +71,7 @@ def test_every_line_has_an_answer_and_broken_ones_are_skipped(stream, answers):
 
 
 def test_a_file_of_answers_has_the_bytes_that_a_stream_has(tmp_path, stream, answers):
-    """It appears whole, if asked for in place of an earlier one; a byte-order mark is no mistake."""
+    """It appears whole, in place of an earlier one if asked to; a byte-order mark is no mistake."""
     source, out = tmp_path / "log.jsonl.zst", tmp_path / "changes.jsonl"
     with record_io.replacing(source) as file:
         file.write(b"\xef\xbb\xbf" + b"\r\n".join(stream))
