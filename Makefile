@@ -14,6 +14,13 @@ ROOMS = base evaluation formats measurements records scenario sensing
 # Roundings, and rooms or files of tests, of `make roundings`; all if empty.
 KINDS =
 TESTS =
+# What `make lowest` runs: all methods, and tests of whatever calls a library.
+LOWEST_TESTS = tests/cli/test_commands.py::test_help_shows_an_example \
+	tests/cli/test_commands.py::test_schema_accepts_what_is_shipped_and_refuses_what_is_not \
+	$(addprefix tests/,app/test_doctor.py cli/test_interop.py cli/test_localize.py cli/test_page.py \
+		evaluation formats/test_bags.py formats/test_foreign_formats.py \
+		localization/test_second_program.py records/test_compressed_logs.py report/pictures \
+		report/test_figures.py report/test_page.py scenario/test_load.py study/test_executors.py)
 # `make run SYSTEM_LIBRARIES=no` leaves the machine's own packages alone.
 SYSTEM_LIBRARIES = yes
 
@@ -31,7 +38,7 @@ made_in = .venv/.made-in
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help run test trial roundings check docs gpu lint format clean unusable
+.PHONY: help run test trial lowest roundings check docs gpu lint format clean unusable
 
 help:  ## List what can be made
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
@@ -44,6 +51,18 @@ test: lint $(system_checked)  ## Set up with the developers' tools, then check e
 
 trial: $(installed_dev) $(system_checked)  ## Check claims at full size, processes, packages, devices
 	$(tests) -m "trial and not slow" --durations=25
+
+lowest:  ## Run tests with the lowest versions of libraries that are allowed, in build/lowest
+	$(call make_environment,$(lowest))
+	@$(lowest)/bin/python -m pip --disable-pip-version-check install --quiet uv
+	@extra=$$($(uv_install) --dry-run --no-deps --only-binary :all: $(open3d) 2> $(lowest)/.open3d-log \
+			&& echo "--extra open3d"); \
+		$(uv_install) --only-binary :all: --resolution lowest-direct \
+			--requirements pyproject.toml $$extra \
+			$(patsubst %,--extra %,cluster gsd mcap parquet ros video)
+	@$(uv_install) --no-deps $(findable) --editable .
+	@$(uv_install) hypothesis pytest pytest-xdist
+	$(lowest)/bin/python -m pytest -n auto --dist worksteal $(old_warns) $(LOWEST_TESTS)
 
 roundings: $(installed_dev) $(system_checked)  ## Test numbers under other roundings (KINDS=busy TESTS=world)
 	$(bin)/python -m tests.roundings $(if $(KINDS),--kinds $(KINDS)) -- $(TESTS)
@@ -85,17 +104,21 @@ endif
 suits = import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))
 candidates = $(if $(PYTHON),"$(PYTHON)",python3.13 python3.12 python3.11 python3.10 python3.14 python3)
 
-$(bin)/python:
+define make_environment
 	@for python in $(candidates); do \
 		if "$$python" -c '$(suits)' 2>/dev/null; then \
-			echo "making .venv with $$("$$python" --version)"; \
-			rm -rf .venv && "$$python" -m venv .venv; \
+			echo "making $(1) with $$("$$python" --version)"; \
+			rm -rf $(1) && "$$python" -m venv $(1); \
 			exit; \
 		fi; \
 	done; \
 	echo "$(if $(PYTHON),$(PYTHON) is not a,found no) Python 3.10 to 3.14 with venv:" \
 		"install python3 and python3-venv, or say make PYTHON=/path/to/python3" >&2; \
 	exit 1
+endef
+
+$(bin)/python:
+	$(call make_environment,.venv)
 
 # The build tool comes from constraints.txt too, hence no isolated build.
 pip_install = $(bin)/python -m pip --disable-pip-version-check install -c "$(CONSTRAINTS)"
@@ -121,6 +144,12 @@ define install
 	exit "$$(cat .venv/.pip-status)"
 	@pwd > $(made_in)
 endef
+
+# Compiled as pip does, because a compilation in a test warns of old code.
+lowest = build/lowest
+uv_install = $(lowest)/bin/uv pip install --quiet --python $(lowest)/bin/python --compile-bytecode
+# Old libraries warn of what new versions of Python and of libraries will take away.
+old_warns = -W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 
 $(installed): $(inputs) | $(bin)/python
 	$(call install,,tiswarm)

@@ -1,6 +1,7 @@
 """What is installed, and what is handed out."""
 
 import ast
+import os
 import re
 import shutil
 import subprocess
@@ -238,6 +239,70 @@ def _run(python: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [command, *arguments], check=False, cwd=folder, capture_output=True, text=True
     )
+
+
+@pytest.mark.trial
+def test_the_lowest_versions_that_are_allowed_work():
+    """Whoever keeps old libraries gets what the bounds of pyproject.toml promise."""
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("MAKE", "PYTEST_", "TISWARM_"))
+    }
+
+    done = subprocess.run(
+        [shutil.which("make"), "lowest", f"PYTHON={sys.executable}"],
+        check=False, cwd=REPOSITORY, env=kept, capture_output=True, text=True,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+
+
+@pytest.fixture(scope="module")
+def resolve(tmp_path_factory):
+    """Resolve pinned run-time dependencies to wheels for a Python, a glibc and extras."""
+    folder = tmp_path_factory.mktemp("resolver")
+    venv.create(folder, with_pip=True)
+    _pip("--python", folder / "bin" / "python", "install", "uv")
+
+    def compiled(python: str, glibc: str, *extras: str) -> subprocess.CompletedProcess[str]:
+        wanted = [word for extra in extras for word in ("--extra", extra)]
+        system = f"x86_64-manylinux_{glibc}"
+        command = [folder / "bin" / "uv", "pip", "compile", "--quiet", "pyproject.toml", *wanted]
+        command += ["--only-binary", ":all:", "--constraint", "constraints.txt"]
+        command += ["--python-version", python, "--python-platform", system]
+        return subprocess.run(command, check=False, cwd=REPOSITORY, capture_output=True, text=True)
+
+    return compiled
+
+
+@pytest.mark.trial
+@pytest.mark.parametrize("glibc", ["2_28", "2_31", "2_35"])
+@pytest.mark.parametrize("python", ["3.10", "3.12", "3.13"])
+def test_all_that_a_run_needs_has_wheels(resolve, python, glibc):
+    """Nobody compiles a library on Debian 10 and later, or on systems of that age."""
+    resolved = resolve(python, glibc)
+
+    assert resolved.returncode == 0, resolved.stderr
+    assert {"numpy", "scipy", "taichi"} <= _names(resolved.stdout.splitlines())
+
+
+@pytest.mark.trial
+@pytest.mark.parametrize(
+    ("python", "glibc", "exists"),
+    [
+        ("3.10", "2_31", True),
+        ("3.11", "2_31", True),
+        ("3.12", "2_31", True),
+        ("3.12", "2_28", False),
+    ],
+)
+def test_open3d_has_wheels_where_the_readme_says(resolve, python, glibc, exists):
+    """An older glibc has none, which also shows that the resolver looks at the system."""
+    resolved = resolve(python, glibc, "open3d")
+
+    assert (resolved.returncode == 0) == exists, resolved.stderr
+    assert ("open3d-cpu" in _names(resolved.stdout.splitlines())) == exists
 
 
 @pytest.mark.trial

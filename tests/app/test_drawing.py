@@ -2,15 +2,16 @@
 
 import json
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.runs import assert_same_results
-from tiswarm.app import drawing
+from tiswarm.app import doctor, drawing
 from tiswarm.app.drawing import draw_all
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records.io import digest
 from tiswarm.records.run_folder import read_manifest, write_manifest
@@ -144,3 +145,41 @@ def test_a_wrong_choice_is_refused_before_anything_is_drawn(result, monkeypatch,
         drawing.draw(load_run(result.folder), Progress(), figures=True, renders=True, **chosen)
 
     assert drawn == []
+
+
+@pytest.fixture
+def no_open3d(monkeypatch):
+    """An installation without the extra open3d."""
+    monkeypatch.setitem(sys.modules, "open3d", None)
+
+
+def test_commands_that_draw_work_without_open3d(tiswarm, no_open3d, tmp_path):
+    """The other renderer draws, and a line says why, and what installs open3d."""
+    small = ("--set", "robots=5", "--set", "seeds=1", "--out", tmp_path)
+
+    ran = tiswarm("run", "tests/tower.yaml", *small)
+    [run] = tmp_path.glob("tower-*")
+    (run / "renders" / "structure.png").unlink()
+    redrawn = tiswarm("redraw", run)
+    log = next(run.glob("cases/*/sensing.jsonl*"))
+    page = tmp_path / "view.html"
+    localized = tiswarm("localize", log, "--report", page, "--out", tmp_path / "estimate.csv")
+
+    reason = "(open3d: not installed; pip install 'tiswarm[open3d]' adds it)"
+    for done in (ran, redrawn):
+        assert done.returncode == 0, done.stderr
+        said = (done.stdout + done.stderr).splitlines()
+        assert said.count(f"drawn by taichi {reason}") == 1
+    assert (run / "renders" / "structure.png").exists()
+    assert localized.returncode == 0, localized.stderr
+    assert page.exists()
+
+
+def test_a_renderer_that_is_asked_for_and_not_installed_is_named_with_its_extra(no_open3d):
+    """`tiswarm doctor` prints this line."""
+    with pytest.raises(EnvironmentTroubleError) as refusal:
+        doctor.draw_test_picture("open3d")
+
+    assert str(refusal.value) == (
+        "cannot draw with open3d: not installed; pip install 'tiswarm[open3d]' adds it"
+    )

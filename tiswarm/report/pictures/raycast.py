@@ -255,8 +255,15 @@ def _drawn_by_first(
             return draw(TRACERS[name], count), name, reason
         except (ImportError, OSError, RuntimeError) as error:
             advance(-done)
-            reason = f"{name}: {error}; `tiswarm doctor` names what to install"
+            reason = _explain(name, error)
     raise EnvironmentTroubleError(f"cannot draw with {reason}")
+
+
+def _explain(renderer: str, error: Exception) -> str:
+    """Say why a renderer failed, and what helps."""
+    if isinstance(error, ModuleNotFoundError) and error.name == renderer:
+        return f"{renderer}: not installed; pip install 'tiswarm[{renderer}]' adds it"
+    return f"{renderer}: {error}; `tiswarm doctor` names what to install"
 
 
 def check_renderer(renderer: str | None) -> None:
