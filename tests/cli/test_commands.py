@@ -64,6 +64,18 @@ def test_version_is_printed(tiswarm):
         (("run", "nowhere.yaml"), "nowhere.yaml"),
         (("run", "scenarios/tower.yaml", "--arch", "abacus"), "abacus"),
         (("run", "scenarios/tower.yaml", "--set", "robots=-3"), "--set robots=-3"),
+        (
+            ("run", "scenarios/scaling.yaml", "--set", "robots=[20,40]"),
+            "should be a whole number; to sweep robots, give --set 'sweep={robots: [20, 40]}'",
+        ),
+        (
+            ("run", "scenarios/closed-loop.yaml", "--set", "robots=[20,40]"),
+            "should be a whole number; to sweep robots, give --set 'sweep.robots=[20, 40]'",
+        ),
+        (
+            ("run", "scenarios/tower.yaml", "--set", "structure.kind=[tower, bridge]"),
+            "; to sweep structure.kind, give --set 'sweep={structure.kind: [tower, bridge]}'",
+        ),
         (("run", "scenarios/tower.yaml", "--set", "robtos=3"), "did you mean robots"),
         (("run", "scenarios/tower.yaml", "--threads", "0"), "give 1 or more"),
         (("run", "scenarios/tower.yaml", "--shard", "3/2"), "invalid shard 3/2: use I/N"),

@@ -250,6 +250,21 @@ def test_each_tag_turns_about_the_line_at_any_place(seed, beacons, count):
     )
 
 
+def test_robots_between_two_others_turn_about_the_line_through_these():
+    """Two tags that range to each other and to two tags of a rigid group have a circle for two."""
+    beacons = 3.0 * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    hinges = np.array([[1.0, 2.0, 0.5], [2.0, 0.5, 1.5]])
+    pair = np.array([[3.0, 3.0, 2.0], [2.5, 2.0, 4.0]])
+    pairs = each_to_all(beacons, hinges)
+    pairs += [(6, 4), (6, 5), (7, 4), (7, 5), (7, 6)]
+    log, place = ranged(beacons, np.concatenate([hinges, pair]), pairs)
+
+    turning = turns_of(log, place)
+
+    members = [(np.flatnonzero(turn.moves).tolist(), turn.about.tolist()) for turn in turning]
+    assert members == [([6, 7], [4, 5])]
+
+
 def test_a_late_range_does_not_hold_a_tag():
     """An outlier resists the turn, and does not count."""
     tags = around(3, 1)

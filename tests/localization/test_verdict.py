@@ -49,6 +49,16 @@ def known() -> Evidence:
     )
 
 
+@pytest.mark.parametrize(("spare", "is_testable"), [(0, False), (1, True)])
+def test_one_spare_measurement_can_contradict(known, spare, is_testable):
+    """As many measurements as unknowns always agree; one more can disagree."""
+    few = replace(known, unknowns=3 + spare, freedom=spare, chi_square=0.0)
+
+    verdict = judge(few)
+
+    assert verdict.testable is is_testable
+
+
 @pytest.mark.parametrize(("robots", "some"), [(ROBOTS, 1.0), (LARGE, 1.0), (2 * LARGE, 30.0)])
 def test_of_a_large_swarm_a_few_robots_may_overlap(known, robots, some):
     """As many as may miss contacts: half a percent, each with what one alone must not exceed."""

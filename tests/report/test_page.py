@@ -604,6 +604,26 @@ def test_latex_prints_each_letter_of_a_label():
     assert rf"\caption{{Of {escaped}.}}" in text
 
 
+@pytest.mark.parametrize(
+    ("cell", "written"),
+    [
+        ("=1+1", "'=1+1"),
+        ("+a", "'+a"),
+        ("-a", "'-a"),
+        ("@a", "'@a"),
+        ("-1.5", "-1.5"),
+        ("a=1", "a=1"),
+    ],
+)
+def test_spreadsheets_compute_no_label(cell, written):
+    """A label that begins like a formula gets an apostrophe; numbers with a sign stay numbers."""
+    frame = pd.DataFrame({"condition": [cell], "RMSE [R]": ["-0.5"]})
+
+    text = paper_text(PageTable(frame=frame, words=["condition"], note=""), "csv")
+
+    assert text == f"condition,RMSE [R]\n{written},-0.5\n"
+
+
 def test_a_picture_keeps_its_levels_of_transparency(tmp_path):
     """Soft edges and shadows of renders had 16 levels, seen as rings."""
     path = tmp_path / "soft.png"

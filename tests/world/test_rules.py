@@ -317,6 +317,26 @@ def test_a_rule_cannot_write_calls(tmp_path):
         registry.get("rule", "calls")().call(np.ones(2), None)
 
 
+@pytest.mark.parametrize(
+    ("end", "recruits"), [("-1", True), ("step.back(np.maximum(step.stance - 1, 0))", False)]
+)
+def test_who_goes_back_to_an_earlier_stance_is_not_recruited(tmp_path, end, recruits):
+    """A climber is recruited where it is called and stays, however it climbed there."""
+    code = "import numpy as np\nimport tiswarm\n\n@tiswarm.rule('turns-back')\nclass TurnsBack:\n"
+    code += "    def choose(self, step):\n"
+    code += "        flips = step.possible.argmax(axis=1)\n"
+    code += (
+        f"        return np.where((step.stance < 2) & step.possible.any(axis=1), flips, {end})\n"
+    )
+    (tmp_path / "turns_back.py").write_text(code)
+    plugins.load_plugins([tmp_path / "turns_back.py"])
+
+    [history] = _grow(_by(TowerParams(force_threshold=0.01), "turns-back"), 8, [SEED])
+
+    assert history.walks
+    assert any(walk.recruited for walk in history.walks) == recruits
+
+
 @pytest.mark.parametrize("one", ["-1", "step.back(0)"])
 def test_one_choice_is_that_of_all_climbers(tmp_path, one):
     """A number stands for an array of equal ones."""

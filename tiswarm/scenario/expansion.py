@@ -4,6 +4,7 @@ A variant is one point of the sweep under one condition, a case one of its seeds
 """
 
 import itertools
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -123,10 +124,34 @@ def _examine(
                 sweep.pop(key, None)
     outcome = from_plain(data)
     mistakes = _mistakes(data) or ([] if swept else _swept_over(data))
+    mistakes = [_with_sweep(mistake, data, settings) for mistake in mistakes]
     placed = [(m.about_key, _placed(m, path, source, settings)) for m in mistakes]
     placed.sort(key=lambda entry: (not entry[0], entry[1].line is None, entry[1].line))
     errors = [*(error for _, error in placed), *unread]
     return (outcome if isinstance(outcome, Scenario) else None), errors
+
+
+def _with_sweep(mistake: Mistake, data: Plain, settings: Sequence[Setting]) -> Mistake:
+    """Add how to sweep a key to a mistake about a list of values that are right one by one."""
+    [values] = [s.value for s in settings if s.path == mistake.path][-1:] or [None]
+    if mistake.about_key or not isinstance(values, list) or not values:
+        return mistake
+    for value in values:
+        single = deepcopy(data)
+        set_key(single, [str(part) for part in mistake.path], value)
+        if any(problem.path == mistake.path for problem in _mistakes(single)):
+            return mistake
+    key = dotted(mistake.path)
+    text = json.dumps(values).replace('"', "")
+    sweep = data.get("sweep")
+    option = f"sweep={{{key}: {text}}}"
+    if (
+        sweep
+        and isinstance(sweep, dict)
+        and key not in itertools.chain.from_iterable(map(swept_keys, sweep))
+    ):
+        option = f"sweep.{key}={text}"
+    return mistake._replace(problem=f"{mistake.problem}; to sweep {key}, give --set '{option}'")
 
 
 def _swept_over(data: Plain) -> list[Mistake]:

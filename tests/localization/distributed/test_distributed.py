@@ -119,6 +119,32 @@ def test_a_keeper_solves_until_it_is_out_of_reach(log):
     assert solvers[2] == {*range(1, len(swarm.robots))}
 
 
+@pytest.mark.parametrize(("beyond", "receivers"), [(0, [{"task", 7}]), (1, [])])
+def test_a_keeper_at_the_limit_of_reach_still_solves(log, beyond, receivers):
+    """A reach of n contacts includes n; one contact farther, the host solves itself."""
+    swarm = grown(log, replace(QUICK, reach=3, tenure=99), 12)
+    host, joiner = swarm.robots[10], swarm.robots[11]
+    host.keepers = {7: 3 + beyond}
+
+    host.find_keeper(11, joiner.record.line)
+
+    tasks = [message for message in host.outbox if message.kind == "task"]
+    assert [{message.kind, *message.parts} for message in tasks] == receivers
+
+
+def test_who_moved_a_robot_last_hears_when_another_moves_it(log):
+    """It knows where it put the robot, so only the next move is news to it."""
+    robot = grown(log, QUICK, 12).robots[11]
+    robot.watchers = {3, 5}
+    robot.outbox.clear()
+
+    robot.warn(5)
+    robot.warn(7)
+
+    receivers = [{*message.parts} for message in robot.outbox]
+    assert receivers == [{3}, {5}]
+
+
 def test_a_base_solves_however_far_it_is(log):
     """A host sends a line to the anchor, though another robot that moved it is nearer."""
     swarm = grown(log, replace(QUICK, solver="base"), 12)
