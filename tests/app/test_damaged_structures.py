@@ -62,7 +62,8 @@ def changed(array, rng):
     if way == 5:
         return np.concatenate([array, array[-1:]]) if len(array) else array[..., None]
     if way == 6:
-        return array.astype(rng.choice(["f4", "i8", "c16", "U9", "b1", "u2", ">i4", "i1"]))
+        with np.errstate(all="ignore"):
+            return array.astype(rng.choice(["f4", "i8", "c16", "U9", "b1", "u2", ">i4", "i1"]))
     return rng.choice([array[None], array.reshape(-1), array[..., None], np.array(7), array[:0]])
 
 
