@@ -49,20 +49,20 @@ def _seeds(history: History, params: SensingParams) -> Reals:
     axis = np.arange(len(robot)) % 3
     last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
     error = params.fix_noise * normal(history.seed, "seed robot", robot, axis)
-    known = np.tile([params.fix_noise, NO_SOURCE], (len(robot), 1))
+    sd_and_source = np.tile([params.fix_noise, NO_SOURCE], (len(robot), 1))
     return np.column_stack(
-        [robot, last, np.eye(3)[axis], history.position[robot, axis] + error, known]
+        [robot, last, np.eye(3)[axis], history.position[robot, axis] + error, sd_and_source]
     )
 
 
 def _coordinates(seed: int, lookouts: Lookouts, params: SensingParams) -> Iterator[Reals]:
     """Measure x and y."""
     robot, stance, center, _ = lookouts
-    known = np.tile([params.fix_noise, NO_SOURCE], (len(robot), 1))
+    sd_and_source = np.tile([params.fix_noise, NO_SOURCE], (len(robot), 1))
     for axis in (0, 1):
         error = params.fix_noise * normal(seed, "fix", robot, 2 * stance + axis)
         direction = np.tile(np.eye(3)[axis], (len(robot), 1))
-        yield np.column_stack([robot, stance, direction, center[:, axis] + error, known])
+        yield np.column_stack([robot, stance, direction, center[:, axis] + error, sd_and_source])
 
 
 def _sweep_planes(
@@ -88,8 +88,10 @@ def _sweep_planes(
         error = params.fix_noise * normal(seed, "sweep", robot, draw)
         error += params.fix_bias * normal(seed, "beacon", number, plane)
         source = 2 * number + plane if params.fix_bias else NO_SOURCE
-        known = np.tile([params.fix_noise, source], (len(robot), 1))
-        yield np.column_stack([robot, stance, direction, direction @ station + error, known])
+        sd_and_source = np.tile([params.fix_noise, source], (len(robot), 1))
+        yield np.column_stack(
+            [robot, stance, direction, direction @ station + error, sd_and_source]
+        )
 
 
 def planar_fixes(history: History) -> Reals:
@@ -105,5 +107,7 @@ def anchor_fixes(history: History) -> Reals:
     robot = np.repeat(np.flatnonzero(history.is_anchor)[1:], 3)
     last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
     axis = np.arange(len(robot)) % 3
-    known = np.tile([KNOWN_SD * history.robot.dock_radius, NO_SOURCE], (len(robot), 1))
-    return np.column_stack([robot, last, np.eye(3)[axis], history.position[robot, axis], known])
+    sd_and_source = np.tile([KNOWN_SD * history.robot.dock_radius, NO_SOURCE], (len(robot), 1))
+    return np.column_stack(
+        [robot, last, np.eye(3)[axis], history.position[robot, axis], sd_and_source]
+    )

@@ -66,15 +66,15 @@ def failed_orientation(
     first = np.cumsum(length) - length
     robot = np.repeat(np.arange(len(length)), length)
     flips = np.arange(len(robot)) - first[robot]
-    found = sensed.copy()
+    reported = sensed.copy()
     if (rows := np.flatnonzero(drifts[robot] & (flips > 0))).size:
         angle = np.radians(params.drift_deg) * flips[rows, None]
         turn = Rotation.from_rotvec(angle * _drift_axis(history)[robot[rows]])
         turned = turn * Rotation.from_quat(sensed[rows], scalar_first=True)
-        found[rows] = turned.as_quat(canonical=True, scalar_first=True)
+        reported[rows] = turned.as_quat(canonical=True, scalar_first=True)
     rows = np.flatnonzero(is_stuck[robot])
-    found[rows] = sensed[first[robot[rows]]]
-    return found
+    reported[rows] = sensed[first[robot[rows]]]
+    return reported
 
 
 def _drift_axis(history: History) -> Reals:

@@ -21,8 +21,11 @@ def sense_ranges(history: History, params: SensingParams) -> Reals:
     if params.range_reach is None:
         return np.empty((0, 6))
     lookouts = find_lookouts(history, params)
-    here, there = cKDTree(lookouts.center), cKDTree(history.position)
-    pairs = here.sparse_distance_matrix(there, params.range_reach, output_type="ndarray")
+    from_lookouts = cKDTree(lookouts.center)
+    to_robots = cKDTree(history.position)
+    pairs = from_lookouts.sparse_distance_matrix(
+        to_robots, params.range_reach, output_type="ndarray"
+    )
     place, other = pairs["i"], pairs["j"]
     is_earlier = other < lookouts.robot[place]
     place, other = place[is_earlier], other[is_earlier]
@@ -33,7 +36,7 @@ def sense_ranges(history: History, params: SensingParams) -> Reals:
     length += params.range_noise * normal(history.seed, "range", robot, (stance << 31) + other)
     length += params.range_bias * normal(history.seed, "ranges", 0, 0)
     source = len(params.sources) - 1 if params.range_bias else -1  # the last one
-    known = np.tile([params.range_noise, source], (len(robot), 1))
-    every = np.column_stack([robot, stance, other, length, known])
+    sd_and_source = np.tile([params.range_noise, source], (len(robot), 1))
+    every = np.column_stack([robot, stance, other, length, sd_and_source])
     rows: Reals = every[seen & (length > 0.0)]
     return rows

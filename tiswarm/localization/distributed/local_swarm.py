@@ -35,7 +35,7 @@ _OF_PAIR = 10
 _LEVEL = [1.0, 0.0, 0.0, 0.0]
 
 
-class Solution(NamedTuple):
+class LocalSolution(NamedTuple):
     """What a robot that solved knows of robots near it."""
 
     places: dict[int, wire.Whereabouts]
@@ -95,7 +95,7 @@ class LocalSwarm:
         self.layers.state = State(position[:count], turn[:count])
         self.layers.sd = sd[:count, 0]
 
-    def solve(self, number: int, *, anew: bool, everywhere: bool = False) -> Solution:
+    def solve(self, number: int, *, anew: bool, everywhere: bool = False) -> LocalSolution:
         """Solve for a robot and those near it.
 
         Args:
@@ -132,7 +132,7 @@ class LocalSwarm:
             linear = layers.neighborhood(free).linearized(layers.state)
             layers.sd[free] = np.hypot(spread[~stays], linear.sd())
 
-    def _solution(self, number: int, before: State, operations: float) -> Solution:
+    def _solution(self, number: int, before: State, operations: float) -> LocalSolution:
         """List the robots that moved, and the one that was solved for."""
         layers = self.layers
         k = self._index[number]
@@ -152,14 +152,14 @@ class LocalSwarm:
             for j in moved.tolist()
         ]
         surprising = layers.surprising(moved)
-        return Solution(
+        return LocalSolution(
             dict(zip(number_of, places, strict=True)),
             {n for n, is_surprise in zip(number_of, surprising, strict=True) if is_surprise},
             layers.places[k],
             operations,
         )
 
-    def relax(self, number: int) -> Solution:
+    def relax(self, number: int) -> LocalSolution:
         """Move robots whose rows are all held to the minimum, and what hangs on each as one.
 
         Without the second a structure that is to shift as a whole would be held where it is by all

@@ -186,7 +186,7 @@ class Answer(Content):
     read_in_passing = True
 
     content: bytes
-    """Packed as `wire.Answer`."""
+    """Packed as `wire.AnswerContent`."""
 
     @property
     def common(self) -> bytes:

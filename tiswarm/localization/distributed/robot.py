@@ -54,17 +54,17 @@ from tiswarm.localization.distributed.messages import (
     Walking,
 )
 from tiswarm.localization.distributed.program import ANSWERS
-from tiswarm.localization.distributed.state import RobotState
+from tiswarm.localization.distributed.state import PeerState
 from tiswarm.localization.distributed.waiting import (
     Answers,
     Heard,
-    Placement,
+    Placed,
     Return,
     Timeout,
 )
 
 
-class Peer(RobotState):
+class Peer(PeerState):
     """A robot of a swarm that localizes itself."""
 
     @property
@@ -109,7 +109,7 @@ class Peer(RobotState):
             return 0
         self.tries += 1
         # A robot that waits for a place goes on to its next host each time.
-        is_last = sort is not Placement and self.tries > self.program.params.retries
+        is_last = sort is not Placed and self.tries > self.program.params.retries
         silent = 0 if is_last else pause(self.tries)
         self.tasks.wake(sort, Timeout(is_last))
         return silent
@@ -186,7 +186,7 @@ def _hear_full(robot: Peer, sender: int, full: Full) -> None:
     if robot.hosted is not None:
         robot.find_keeper(*robot.hosted)
     elif robot.place is None:
-        robot.tasks.wake(Placement, Heard(sender, full))
+        robot.tasks.wake(Placed, Heard(sender, full))
 
 
 def _hear_ask(robot: Peer, sender: int, ask: Ask) -> Ask | None:

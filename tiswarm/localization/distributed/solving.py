@@ -4,13 +4,13 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from tiswarm.localization.distributed import wire
-from tiswarm.localization.distributed.local_swarm import LocalSwarm, Solution
+from tiswarm.localization.distributed.local_swarm import LocalSolution, LocalSwarm
 from tiswarm.localization.distributed.memory import Record, of_body
 from tiswarm.localization.distributed.messages import Branch, Child, Hang, Place
-from tiswarm.localization.distributed.state import RobotState
+from tiswarm.localization.distributed.state import PeerState
 
 
-def place_joiner(robot: RobotState, joiner: int, near: Collection[int]) -> None:
+def place_joiner(robot: PeerState, joiner: int, near: Collection[int]) -> None:
     """Solve for a robot that joined, send places, and join bodies that it touches.
 
     Args:
@@ -43,7 +43,7 @@ def place_joiner(robot: RobotState, joiner: int, near: Collection[int]) -> None:
         merge_bodies(robot, joiner, records, body)
 
 
-def _has_grown(robot: RobotState, robots: int) -> bool:
+def _has_grown(robot: PeerState, robots: int) -> bool:
     """Count one more robot solved for, and judge whether all that are held are due."""
     robot.solved += 1
     is_due = robot.solved - robot.annealed >= robot.program.params.growth * robots
@@ -52,7 +52,7 @@ def _has_grown(robot: RobotState, robots: int) -> bool:
     return is_due
 
 
-def place_itself_again(robot: RobotState, near: Collection[int]) -> None:
+def place_itself_again(robot: PeerState, near: Collection[int]) -> None:
     """Solve for this robot, which was alone, and move what hangs on it to the body it is in."""
     record = robot.record
     before = record.place
@@ -74,7 +74,7 @@ def place_itself_again(robot: RobotState, near: Collection[int]) -> None:
         robot.joined = wire.write_shift(joint, robot.program.params.bits)
 
 
-def relax_near(robot: RobotState, near: Collection[int]) -> None:
+def relax_near(robot: PeerState, near: Collection[int]) -> None:
     """Solve again for robots that this one solved for, and let what hangs on them move as one."""
     placed = robot.memory.placed()
     records = {n: record for n, record in placed.items() if n in near or not n}
@@ -82,7 +82,7 @@ def relax_near(robot: RobotState, near: Collection[int]) -> None:
     send_solution(robot, robot.number, swarm.relax(robot.number))
 
 
-def merge_bodies(robot: RobotState, joiner: int, records: Mapping[int, Record], body: int) -> None:
+def merge_bodies(robot: PeerState, joiner: int, records: Mapping[int, Record], body: int) -> None:
     """Let a body join that of a robot which touches both, and solve for those near it.
 
     Nobody confirms the shift: a robot that has not heard of it asks for it, with `Lost`, once a
@@ -124,7 +124,7 @@ def merge_bodies(robot: RobotState, joiner: int, records: Mapping[int, Record], 
     send_solution(robot, joiner, merged.solve(joiner, anew=False, everywhere=True))
 
 
-def send_solution(robot: RobotState, joiner: int, solution: Solution) -> None:
+def send_solution(robot: PeerState, joiner: int, solution: LocalSolution) -> None:
     """Send robots their new places, and shifts to branches."""
     # Thinking costs a robot energy, too.
     robot.operations += solution.operations
@@ -146,7 +146,7 @@ def send_solution(robot: RobotState, joiner: int, solution: Solution) -> None:
     _send_shifts(robot, solution)
 
 
-def _send_shifts(robot: RobotState, solution: Solution) -> None:
+def _send_shifts(robot: PeerState, solution: LocalSolution) -> None:
     """Let branches move as one."""
     for number, shift in solution.along.items():
         record = robot.memory.of(number)

@@ -7,7 +7,7 @@ from tiswarm.localization.distributed.channel import Message
 from tiswarm.localization.distributed.memory import Memory
 from tiswarm.localization.distributed.messages import Child, Content, Moved, Shift
 from tiswarm.localization.distributed.program import Program
-from tiswarm.localization.distributed.waiting import Placement, Tasks
+from tiswarm.localization.distributed.waiting import Placed, Tasks
 from tiswarm.records.sensing_format import RobotLine
 
 
@@ -28,7 +28,7 @@ class WalkState:
     """Robots that hang on this one, to which it is still to go."""
 
 
-class RobotState:
+class PeerState:
     """What a robot of a swarm that localizes itself holds and remembers."""
 
     def __init__(self, program: Program, line: RobotLine) -> None:
@@ -92,7 +92,7 @@ class RobotState:
         """Take in where a robot is; this one waits for its place no more."""
         self.memory.hold_result(number, packed)
         if number == self.number:
-            self.tasks.wake(Placement, None)
+            self.tasks.wake(Placed, None)
 
     def follow(self, keeper: int, contacts: int) -> None:
         """Take note of a robot that moved this one, and let others that hold it know."""

@@ -19,12 +19,12 @@ from tiswarm.localization.distributed.solving import (
     place_joiner,
     relax_near,
 )
-from tiswarm.localization.distributed.state import RobotState
+from tiswarm.localization.distributed.state import PeerState
 from tiswarm.localization.distributed.waiting import (
     Answers,
     Event,
     Heard,
-    Placement,
+    Placed,
     Return,
     Task,
     Timeout,
@@ -32,7 +32,7 @@ from tiswarm.localization.distributed.waiting import (
 )
 
 
-def join(robot: RobotState) -> Task:
+def join(robot: PeerState) -> Task:
     """Let robots know that rows are shared, and try host after host; solve itself at last."""
     line = robot.record.line
     hosts = [] if robot.program.params.solver == "joiner" else robot.touching
@@ -40,7 +40,7 @@ def join(robot: RobotState) -> Task:
         # Who has been named knows that it shares rows; who solves has to know the rows.
         named = sorted(robot.program.partners(line) - {host})
         robot.say(Join(named, host, line))
-        event = yield Placement()
+        event = yield Placed()
         if robot.place is not None:
             return
         if isinstance(event, Timeout) and robot.parent is not None:
@@ -50,13 +50,13 @@ def join(robot: RobotState) -> Task:
     yield from solve_for(robot, robot.number)
 
 
-def solve_for(robot: RobotState, joiner: int) -> Task:
+def solve_for(robot: PeerState, joiner: int) -> Task:
     """Ask robots near one that joined what they know, and solve for it."""
     near = yield from _ask_near(robot, joiner)
     place_joiner(robot, joiner, near)
 
 
-def review(robot: RobotState) -> Task:
+def review(robot: PeerState) -> Task:
     """Solve again for all that this robot solved for, with what shares rows with them."""
     robot.tasks.drop(Answers)
     answered: set[int] = set()
@@ -70,7 +70,7 @@ def review(robot: RobotState) -> Task:
     relax_near(robot, near)
 
 
-def take_walk(robot: RobotState, count: int, number: int) -> Task:
+def take_walk(robot: PeerState, count: int, number: int) -> Task:
     """Take in a walk that comes to this robot, let it visit what hangs on it, and send it back.
 
     The first walk of a review lets robots learn what hangs on them, and robots that are alone solve
@@ -105,13 +105,13 @@ def take_walk(robot: RobotState, count: int, number: int) -> Task:
         yield from take_walk(robot, 0, walk.number + 1)
 
 
-def _walk_on(robot: RobotState, count: int) -> None:
+def _walk_on(robot: PeerState, count: int) -> None:
     """Take note that a walk goes on from here."""
     robot.walk.count = count
     robot.tries = 0
 
 
-def _visit(robot: RobotState, child: int) -> Generator[Wait, Event, int]:
+def _visit(robot: PeerState, child: int) -> Generator[Wait, Event, int]:
     """Send the walk to a robot that hangs on this one, and wait until it returns.
 
     Returns:
@@ -126,7 +126,7 @@ def _visit(robot: RobotState, child: int) -> Generator[Wait, Event, int]:
             return robot.walk.count
 
 
-def _ask_near(robot: RobotState, joiner: int) -> Generator[Wait, Event, set[int]]:
+def _ask_near(robot: PeerState, joiner: int) -> Generator[Wait, Event, set[int]]:
     """Ask robots step by step of "shares a row", up to `hops`, unless they are current.
 
     Returns:
@@ -150,13 +150,13 @@ def _ask_near(robot: RobotState, joiner: int) -> Generator[Wait, Event, set[int]
     return near
 
 
-def _farther(robot: RobotState, last: Collection[int], near: set[int]) -> set[int]:
+def _farther(robot: PeerState, last: Collection[int], near: set[int]) -> set[int]:
     """List the robots that share rows with the last ones, and are not near yet."""
     return {n for robot_near in last for n in robot.memory.of(robot_near).sharing} - near
 
 
 def _await_answers(
-    robot: RobotState,
+    robot: PeerState,
     joiner: int,
     near: Collection[int],
     asked: Collection[int],
@@ -189,5 +189,5 @@ def _await_answers(
             waiting -= {n for n in answered if robot.memory.of(n).line}
 
 
-def _ask(robot: RobotState, numbers: Collection[int]) -> None:
+def _ask(robot: PeerState, numbers: Collection[int]) -> None:
     robot.say(Ask.of({n: robot.memory.question(n) for n in sorted(numbers)}))

@@ -482,7 +482,7 @@ def _read_stance(source: Reader, docks: int, stays: list[list[int]]) -> dict[str
     }
 
 
-class Answer(NamedTuple):
+class AnswerContent(NamedTuple):
     """What a robot says of itself, or one that solved says of it."""
 
     sharing: tuple[int, ...]
@@ -551,24 +551,24 @@ def write_result(
 
 
 @lru_cache(maxsize=20_000)
-def read_answer(content: bytes, bits: int | None, with_candidates: bool) -> Answer:  # noqa: FBT001
+def read_answer(content: bytes, bits: int | None, with_candidates: bool) -> AnswerContent:  # noqa: FBT001
     """Read what a robot says of itself."""
     answer = Reader(content, bits)
     is_placed, span = answer.number(1), read_span(answer)
     sharing = tuple(read_numbers(answer))
     place = read_place(answer) if is_placed else None
     candidates = read_candidates(answer) if is_placed and with_candidates else _NO_CANDIDATES
-    return Answer(sharing, place, candidates, answer.rest, span, is_surprising=False)
+    return AnswerContent(sharing, place, candidates, answer.rest, span, is_surprising=False)
 
 
 @lru_cache(maxsize=20_000)
-def read_result(content: bytes, bits: int | None) -> Answer:
+def read_result(content: bytes, bits: int | None) -> AnswerContent:
     """Read what one that solved says of a robot."""
     answer = Reader(content, bits)
     has_candidates, is_surprising = answer.number(1), answer.number(1) == 1
     place = read_place(answer)
     candidates = read_candidates(answer) if has_candidates else _NO_CANDIDATES
-    return Answer(
+    return AnswerContent(
         sharing=(),
         place=place,
         candidates=candidates,
