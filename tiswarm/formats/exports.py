@@ -36,6 +36,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import ASSUMED
+from tiswarm.records.frames import csv_text
 from tiswarm.records.mcap import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.report.swarm_view import POSE, Coloring, SwarmView
@@ -43,10 +44,7 @@ from tiswarm.report.swarm_view import POSE, Coloring, SwarmView
 
 def encode_csv(view: SwarmView) -> dict[str, bytes]:
     """Encode poses and contacts as comma-separated values."""
-    return {
-        f"{name}.csv": table.to_csv(index=False, lineterminator="\n").encode()
-        for name, table in _tables(view).items()
-    }
+    return {f"{name}.csv": csv_text(table).encode() for name, table in _tables(view).items()}
 
 
 def encode_parquet(view: SwarmView) -> dict[str, bytes]:

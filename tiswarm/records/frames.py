@@ -6,6 +6,7 @@ much memory. The centers of an estimate at some iterations have the table `trace
 """
 
 import math
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +31,35 @@ def write_frame(table: pd.DataFrame, path: Path, *, opened: Opener = replacing) 
     """Write a CSV whose numbers read back to the same bits."""
     with opened(path) as file:
         file.write(table.to_csv(index=False, lineterminator="\n").encode())
+
+
+_FORMULA = re.compile(r"[=+\-@\t\r]")
+"""How cells begin that spreadsheets compute."""
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """Write a table for people as CSV.
+
+    Spreadsheets compute words that begin like a formula: an apostrophe before them makes them text.
+    Numbers stay as they are, with every bit.
+    """
+    written = table.copy()
+    for place, (_, cells) in enumerate(table.items()):
+        if not pd.api.types.is_numeric_dtype(cells):
+            written.isetitem(place, cells.map(_not_computed).to_numpy())
+    heading = [str(_not_computed(name)) for name in table]
+    return written.to_csv(index=False, header=heading, lineterminator="\n")
+
+
+def _not_computed(cell: object) -> object:
+    """Put an apostrophe before a text that spreadsheets would compute; numbers stay."""
+    if not isinstance(cell, str) or not _FORMULA.match(cell):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 def read_frame(

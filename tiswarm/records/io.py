@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from tiswarm.base import files
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 
@@ -266,11 +267,9 @@ def refuse_special(path: Path, *, takes_pipe: bool = False) -> None:
         raise unreadable(path, error) from error
     except ValueError as error:  # of a NUL
         raise InputError("no path of a file; name a file", path=path) from error
-    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
-        return
-    if not (takes_pipe and str(path).startswith(_OPENED_BY_SHELL)):
-        problem = "is a pipe or a device; write its content to a file, and name that"
-        raise InputError(problem, path=path)
+    is_opened_by_shell = str(path).startswith(_OPENED_BY_SHELL)
+    if not (takes_pipe and is_opened_by_shell):
+        files.refuse_special(path, mode)
 
 
 def unpacked(data: bytes, size: int) -> bytes:
