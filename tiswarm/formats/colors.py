@@ -145,7 +145,7 @@ def colored(run: RunData, given: Any, name: str | None) -> RunData:  # noqa: ANN
     own, pose = read_colorings(given, robots), _poses(case)
     alike = [each for each in run.cases if each.done and each.robots == case.robots]
     alike = [each for each in alike if np.array_equal(_poses(each), pose)]
-    return replace(run, own={each.name: own for each in alike})
+    return replace(run, user_colorings={each.name: own for each in alike})
 
 
 def _poses(case: StoredCase) -> Reals:

@@ -99,7 +99,9 @@ def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
         if np.isfinite(values).any():
             tables["estimate"][f"{name}_{unit}"] = values * radius
     for name in view.poses:
-        tables[name] = tables[name].assign(**{each.title: _cells(each) for each in view.own})
+        tables[name] = tables[name].assign(
+            **{each.title: _cells(each) for each in view.user_colorings}
+        )
     return tables
 
 
@@ -185,7 +187,7 @@ def _append_frames(file: Any, view: SwarmView, pose: Reals) -> None:  # noqa: AN
         for name, values in [("error", view.error), ("sd", view.sd)]
         if np.isfinite(values).any()
     }
-    logged |= {re.sub(r"\W+", "_", each.label): each.value for each in view.own}
+    logged |= {re.sub(r"\W+", "_", each.label): each.value for each in view.user_colorings}
     shape = {
         "type": "SphereUnion",
         "centers": (unit * view.dock_offset_body).tolist(),
