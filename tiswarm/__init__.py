@@ -57,6 +57,7 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.sensing.suites import sensor as sensor
     from tiswarm.world.rules import rule as rule
     from tiswarm.world.rules import structure as structure
+    from tiswarm.world.strength import strength as strength
 
 _HOME = {
     name: module

@@ -45,6 +45,12 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "chain": "tiswarm.world.params:ChainParams",
     },
     "rule": {"reactive-build": "tiswarm.world.params:ReactiveBuild"},
+    "strength": {
+        "tension": "tiswarm.world.strength:tension",
+        "shear": "tiswarm.world.strength:shear",
+        "bending": "tiswarm.world.strength:bending",
+        "von-mises": "tiswarm.world.strength:von_mises",
+    },
     "measure": {},
     "figure": {
         "error": "tiswarm.report.error_figures",
@@ -89,6 +95,7 @@ method: the class of its settings, see `localization.methods`, in the order of t
 sensor: a suite with its settings and price, see `sensing.suites`.
 structure: the class of its settings, see `world.params`, in the order of the schema.
 rule: the class of its settings, see `world.params`.
+strength: a function of the loads of contacts, see `world.strength`.
 measure: a `records.measures.Measure`, of plug-ins alone; ours are the table MEASURES there.
 figure: a module with a function `painters` and `CAPTIONS`, see `report.figures`.
 export_format: a function of a view, which returns bytes by name of file.

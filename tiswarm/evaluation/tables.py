@@ -22,7 +22,13 @@ from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
-from tiswarm.records.measures import PluginMeasure, plugin_measures
+from tiswarm.records.measures import (
+    BROKEN,
+    MARGIN,
+    STANDING,
+    PluginMeasure,
+    plugin_measures,
+)
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.climb_kernels import GROUND
@@ -155,6 +161,7 @@ def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History
         flip_height_R=log.flip_height,
         disconnected=estimate.disconnected,
         sensed_force=history.sensed,
+        **({"margin": history.margin} if history.breaks else {}),
     )
 
 
@@ -200,20 +207,29 @@ def by_join(history: History) -> pd.DataFrame:
             if terrain.is_plane
             else _standing(x, history, np.mean) - terrain.left_edge,
             **_losses(history),
+            **_breaks(history),
             **({"sent_B": sent} if np.isfinite(sent).any() else {}),
         }
     )
 
 
 def _losses(history: History) -> dict[str, Ints]:
-    """Count who had left, fallen and died by each join; empty where all stay."""
-    if not len(history.departures):
+    """Count who had left, fallen and died by each join; empty where all must stay."""
+    if not (len(history.departures) or history.breaks):
         return {}
     _, after, event = history.departures.T
     joined = np.arange(1, history.robot_count + 1)
     return {
         name: np.searchsorted(after[event == k], joined, "right") for k, name in enumerate(LOSSES)
     }
+
+
+def _breaks(history: History) -> dict[str, Ints]:
+    """Count the contacts that had broken by each join; empty where docks hold any load."""
+    if not history.breaks:
+        return {}
+    joined = np.arange(1, history.robot_count + 1)
+    return {BROKEN.column: np.searchsorted(history.broken[:, 4], joined, "right")}
 
 
 def _standing(places: Reals, history: History, of: Callable[[Reals], float]) -> Reals:
@@ -246,7 +262,8 @@ def totals(history: History) -> dict[str, float | int]:
     return {
         **{name: grown[name].tolist()[-1] for name in names},
         "spawns": history.spawns,
-        **({name: grown[name].iloc[-1] for name in LOSSES if name in grown}),
+        **({name: grown[name].iloc[-1] for name in (*LOSSES, BROKEN.column) if name in grown}),
+        **_strength(history),
         "crossed": int(history.crossed),
         "beyond_edge": np.nan if terrain.is_plane else float(is_beyond.mean()),
         **_flips(history),
@@ -255,6 +272,15 @@ def totals(history: History) -> dict[str, float | int]:
         "second_on_anchor": second,
         "third_on_anchor": third,
     }
+
+
+def _strength(history: History) -> dict[str, float]:
+    """Return who stands, and the least margin of a robot; empty where docks hold any load."""
+    if not history.breaks:
+        return {}
+    margin = history.margin
+    least = np.nan if np.isnan(margin).all() else float(np.nanmin(margin))
+    return {STANDING.column: int(np.count_nonzero(~history.is_gone)), MARGIN.column: least}
 
 
 def _flips(history: History) -> dict[str, float]:

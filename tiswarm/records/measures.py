@@ -102,7 +102,32 @@ _TRAFFIC = "messages"
 JOINED = Measure("joined", "1", _STRUCTURE, "robots that joined")
 LEFT, FELL, DIED = (
     Measure(name, "1", _STRUCTURE, f"robots that {event}; empty where all stayed")
-    for name, event in (("left", "left"), ("fell", "fell as others left"), ("died", "died"))
+    for name, event in (
+        ("left", "left"),
+        ("fell", "fell as others left or contacts broke"),
+        ("died", "died"),
+    )
+)
+BROKEN = Measure(
+    "broken",
+    "1",
+    _STRUCTURE,
+    "contacts that broke; empty where docks hold any load",
+    label="Broken contacts",
+)
+STANDING = Measure(
+    "standing",
+    "1",
+    _STRUCTURE,
+    "robots that stand in the end; empty where docks hold any load",
+    label="Robots that stand",
+)
+MARGIN = _larger(
+    "least_margin",
+    "1",
+    _STRUCTURE,
+    "least strength of a contact in parts of its load; empty where docks hold any load",
+    label="Least margin",
 )
 DISCONNECTED = _smaller(
     "disconnected", "1", _ESTIMATE, "robots that no measurement ties to an anchor"
@@ -416,7 +441,7 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     },
     "cases": {
         JOINED: "joined",
-        **{measure: measure.column for measure in (LEFT, FELL, DIED)},
+        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN)},
         DISCONNECTED: "disconnected",
         RMSE: "RMSE [R]",
         RMSE_YAW_ALIGNED: "yaw aligned [R]",

@@ -166,7 +166,10 @@ class Scenario:
     @classmethod
     def _keep_who_must_stay(cls, method: LocalizationParams, info: ValidationInfo) -> object:
         structure = info.data.get("structure")
-        departs = structure and structure.departures and structure.departures.kind == "leave"
+        departs = structure and (
+            structure.strength is not None
+            or (structure.departures and structure.departures.kind == "leave")
+        )
         if departs and getattr(method, "robots_stay", False):
             raise ValueError(f"{method.method} takes robots that stay; choose joint")
         return method

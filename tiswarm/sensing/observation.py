@@ -48,7 +48,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     params = imu.of_shape(params, is_planar=history.is_planar)
     is_mute = failures.failing(history, params, "mute")
     whole = history
-    history = failures.sensed_part(history, params)
+    history = failures.sensed_part(touch.felt_part(history), params)
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = imu.sensed_orientation(history, length, params)

@@ -1,5 +1,6 @@
 """Contacts that robots sense: missed, wrong and false ones, and docks that are not known."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,22 @@ def sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int32
     sensed = sensed[draw("missed contact", 0) >= params.missed_contacts]
     rows: NDArray[np.int32] = np.unique(np.concatenate([sensed, false]), axis=0)
     return rows
+
+
+def felt_part(history: History) -> History:
+    """Leave out of final stances the contacts that broke: robots feel them no more."""
+    if not len(history.broken):
+        return history
+    walks = []
+    for robot, walk in enumerate(history.walks):
+        is_last = walk.contacts[:, 0] == walk.stance_count - 1
+        touched = np.insert(walk.contacts[:, [2, 3, 1]], 2, robot, axis=1)
+        contacts = walk.contacts[~(is_last & history.is_broken(touched))]
+        stands = np.insert(walk.ground_docks[:, 1:], 0, robot, axis=1)
+        is_last = walk.ground_docks[:, 0] == walk.stance_count - 1
+        ground_docks = walk.ground_docks[~(is_last & history.is_broken(stands))]
+        walks.append(replace(walk, contacts=contacts, ground_docks=ground_docks))
+    return replace(history, walks=tuple(walks))
 
 
 def split_touches(contacts: NDArray[np.int32], params: SensingParams) -> dict[str, NDArray[Any]]:

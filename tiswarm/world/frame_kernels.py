@@ -408,6 +408,19 @@ class FrameArrays(NamedTuple):
     """Force and moment of the weight on each node, shape (S, M, 6)."""
 
 
+class Section(Columns):
+    """Columns of the loads in the section of a contact."""
+
+    AXIAL = 1
+    """Pull along it, negative where docks press."""
+    SHEAR = 1
+    """Force across it."""
+    BENDING = 1
+    """Moment that bends it."""
+    TORSION = 1
+    """Moment about it."""
+
+
 class LoadArrays(NamedTuple):
     """Loads that follow; sizes as in `FrameArrays`."""
 
@@ -419,6 +432,9 @@ class LoadArrays(NamedTuple):
 
     stress: Reals2
     """Largest von Mises stress in a section of each contact, shape (S, B)."""
+
+    section: Reals3
+    """Loads in that section, columns of `Section`, shape (S, B, 4)."""
 
     sensed: Reals2
     """Load that each robot senses, shape (S, N)."""
@@ -488,6 +504,10 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
                 sigma = pull / area + bend / modulus
                 tau = 4.0 / 3.0 * shear / area + torque / (2.0 * modulus)
                 loads.stress[s, beam] = ti.sqrt(sigma**2 + 3.0 * tau**2)
+                loads.section[s, beam, Section.AXIAL] = -force.dot(axis)
+                loads.section[s, beam, Section.SHEAR] = shear
+                loads.section[s, beam, Section.BENDING] = bend
+                loads.section[s, beam, Section.TORSION] = torque
                 for c in ti.static(range(3)):
                     loads.support[s, beam, c] = -force[c]
 
@@ -515,7 +535,8 @@ def find_loads(
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
     panel_out: Blocks, motion_out: Sixes,
     # LoadArrays
-    acting_out: Sixes, support_out: Reals3, stress_out: Reals2, sensed_out: Reals2,
+    acting_out: Sixes, support_out: Reals3, stress_out: Reals2, section_out: Reals3,
+    sensed_out: Reals2,
 ):  # fmt: skip
     """Find how structures move under their weight, and the loads in them.
 
@@ -530,7 +551,7 @@ def find_loads(
             node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
         )
     )
-    loads = ti.static(LoadArrays(acting_out, support_out, stress_out, sensed_out))
+    loads = ti.static(LoadArrays(acting_out, support_out, stress_out, section_out, sensed_out))
     for n, idle in ti.ndrange(due.shape[0], GRAIN):
         if idle == 0:
             s = due[n]

@@ -8,7 +8,8 @@ any company and on any number of threads.
 
 After the joins of a round robots may leave or die. Those that reach the ground only by way of
 robots that left fall, and count as gone, too; robots that climb and have touched one of them are
-spawned again. Then the structure's mechanics are solved anew. Robots under great load call others
+spawned again. Then the structure's mechanics are solved anew, and where docks have a strength,
+contacts that bear too much break (`strength.py`). Robots under great load call others
 to their aid (`walks.py`).
 """
 
@@ -18,14 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_docks
-from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
+from tiswarm.world.history import DIED, FELL, LEFT, History, Walk, parts
 from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
 from tiswarm.world.params import ReactiveBuild, StructureParams, anchor_places
 from tiswarm.world.rules import climb_by_choice
@@ -86,7 +87,8 @@ class _GrowthBatch:
     ) -> None:
         self.robots = robots
         self.believe = believe
-        self.departs = params.departures is not None
+        self.loses = params.departures is not None or params.strength is not None
+        self.breaks = params.strength is not None
         self.turn = turn
         robot = params.robot(robot)
         count = len(seeds)
@@ -165,10 +167,12 @@ class _GrowthBatch:
                 structure.turn_away()
         self.rounds += 1
         grown = [self.structures[s] for s in np.unique(self.structure_of[movers[joined]])]
-        if self.departs:
-            self._lose(grown)
+        if self.loses:
+            self._list_remaining([structure for structure in grown if structure.lose()])
         due = [structure.number for structure in grown if structure.is_due(self.robots)]
         self.frames.solve(due)
+        if self.breaks:
+            self._break(due)
         for number in due:
             self.structures[number].note_loads()
             call = self.structures[number].call
@@ -176,7 +180,7 @@ class _GrowthBatch:
             self.call[number, : len(call)] = call
             self.sensed[number, : len(sensed)] = sensed
         # Structures share no contacts: one relay serves them all.
-        mute = self.mute.ravel() if self.departs else None
+        mute = self.mute.ravel() if self.loses else None
         relayed = walks.pass_on(self.call.ravel(), self.frames.joints, mute)
         self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
         has_ended = np.array([bool(structure.ended) for structure in self.structures])
@@ -185,9 +189,18 @@ class _GrowthBatch:
             self._update_beliefs(grown, self.believe)
         return int(joined.sum())
 
-    def _lose(self, grown: "Sequence[GrowingStructure]") -> None:
-        """Let robots of structures that grew leave or die."""
-        lost = [structure for structure in grown if structure.lose()]
+    def _break(self, due: Sequence[int]) -> None:
+        """Break contacts that bear too much: the worst of each structure, until all hold."""
+        torn = set[int]()
+        breaking = [number for number in due if self.structures[number].break_worst()]
+        while breaking:
+            torn |= {*breaking}
+            self.frames.solve([n for n in breaking if not self.structures[n].has_fallen])
+            breaking = [n for n in breaking if self.structures[n].break_worst()]
+        self._list_remaining([self.structures[number] for number in sorted(torn)])
+
+    def _list_remaining(self, lost: "Sequence[GrowingStructure]") -> None:
+        """List anew the robots of structures that lost some; climbers on these start again."""
         for structure in lost:
             number = structure.number
             present = ~self.frames.gone[number]
@@ -237,10 +250,15 @@ class GrowingStructure:
         self.walks: list[Walk] = []
         self.loads: list[LoadSummary] = []
         self.sides: list[int] = []
+        self.sides_of_feet: list[set[int]] = []
         self.sensed: Reals = np.empty(0)
         self.call: NDArray[np.int32] = np.empty(0, np.int32)
         self.alive = np.ones(frames.gone.shape[1], np.bool_)  # those to come are, too
         self.departures: list[tuple[int, int, int]] = []
+        self.broken: list[tuple[int, int, int]] = []  # docks, and joins before
+        self.has_fallen = False
+        self.loaded_contacts: NDArray[np.int32] = np.empty((0, 4), np.int32)
+        self.contact_load: Reals = np.empty((0, 6))
         self.drawn = 0  # joins after which a departure has been drawn
         self.unsolved = 0  # joins since the mechanics were solved last
         self.spawned = 0
@@ -408,7 +426,9 @@ class GrowingStructure:
         self.loads.append(LoadSummary())
         if self.params.sides > 1:
             touched = {self.sides[i] for i in touched_robot}
-            touched |= {int(x > 0.5 * self.terrain.right_edge) for x in docks[standing, 0]}
+            of_feet = {int(x > 0.5 * self.terrain.right_edge) for x in docks[standing, 0]}
+            self.sides_of_feet.append(of_feet)
+            touched |= of_feet
             # A robot counts for the left side if it touches both; the gap is bridged then.
             self.sides.append(min(touched))
             if len(touched) > 1:
@@ -442,6 +462,62 @@ class GrowingStructure:
         self.unsolved += self.params.solve_every  # the mechanics are due
         return True
 
+    def break_worst(self) -> bool:
+        """Break the contact that is farthest over its strength, and let robots fall.
+
+        Returns:
+            Whether one broke; the mechanics are due then, unless the whole structure fell.
+        """
+        strength = self.params.strength
+        if strength is None or self.has_fallen:
+            return False
+        ends, loads = self.frames.contact_loads(self.number)
+        used = strength.used(self.seed, ends, loads, self.docks)
+        if not (used > 1.0).any():
+            return False
+        worst = int(np.argmax(used))
+        self.broken.append((int(ends[worst, 0]), int(ends[worst, 1]), len(self.walks)))
+        self.frames.part(self.number, ends[worst])
+        self._let_fall(np.delete(ends, worst, axis=0))
+        return True
+
+    def _let_fall(self, ends: AnyInts) -> None:
+        """Let robots fall that no contact, rows of (dock, dock or -1), ties to the ground."""
+        joined = len(self.walks)
+        robots = np.where(ends < 0, joined, ends // self.docks)  # the ground comes after all robots
+        part = parts(robots, joined + 1)
+        falls = (part[:joined] != part[joined]) & ~self.frames.gone[self.number, :joined]
+        if falls[: self.params.anchor_count].any():
+            self.has_fallen = True
+            self.ended = f"the structure fell once robot {joined - 1} had joined"
+        falls[: self.params.anchor_count] = False  # places that all know: anchors stay there
+        fallen = np.flatnonzero(falls)
+        self.departures += [(robot, joined, FELL) for robot in fallen.tolist()]
+        self.alive[fallen] = False
+        if len(fallen):
+            self.frames.remove(self.number, fallen)
+            self._forget()
+        if self.params.sides > 1:
+            self._renew_sides(robots)
+
+    def _renew_sides(self, pairs: AnyInts) -> None:
+        """Find which sides the parts of a torn bridge reach, and whether one still joins both.
+
+        Args:
+            pairs: Robots that touch, or the ground as a robot after all others, shape (C, 2).
+        """
+        joined = len(self.walks)
+        stands = pairs[:, 1] == joined
+        part = parts(pairs[~stands], joined)
+        sides_of_part: dict[int, set[int]] = {}
+        for robot in np.unique(pairs[stands, 0]).tolist():
+            sides_of_part.setdefault(int(part[robot]), set()).update(self.sides_of_feet[robot])
+        self.sides = [min(sides_of_part.get(int(number), {0})) for number in part]
+        is_bridged = any(len(sides) > 1 for sides in sides_of_part.values())
+        if self.crossed and not is_bridged:
+            self.crossed = False
+            self.ended = ""
+
     def is_due(self, robots: int) -> bool:
         """Whether its mechanics are due; in any case at the last join, that of so many robots."""
         is_last = len(self.walks) == robots or bool(self.ended)
@@ -449,6 +525,10 @@ class GrowingStructure:
 
     def note_loads(self) -> None:
         """Note what the last solve of its mechanics found, and who calls for help."""
+        if self.has_fallen:
+            self.sensed = np.full(len(self.walks), np.nan)
+            self.call = np.zeros(len(self.walks), np.int32)
+            return
         try:
             loads = self.frames.loads(self.number)
         except StructureFailure as failure:
@@ -466,9 +546,23 @@ class GrowingStructure:
             least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
             imbalance=loads.imbalance,
         )
+        ends, contact_loads = self.frames.contact_loads(self.number)
+        used = np.full(len(ends), np.nan)
+        if self.params.strength is not None:
+            used = self.params.strength.used(self.seed, ends, contact_loads, self.docks)
+        self.loaded_contacts = self._named(ends)
+        self.contact_load = np.column_stack([*contact_loads, used]).astype(np.float64)
+
+    def _named(self, ends: AnyInts) -> NDArray[np.int32]:
+        """Name ends of contacts, rows of (dock, dock or -1), by robot and dock, shape (C, 4)."""
+        robot, dock = np.divmod(ends, self.docks)
+        dock[ends < 0] = -1
+        named: NDArray[np.int32] = np.column_stack([robot, dock])[:, [0, 2, 1, 3]].astype(np.int32)
+        return named
 
     def history(self) -> History:
         """Return the history of the structure."""
+        broken = np.array(self.broken, np.int32).reshape(-1, 3)
         return History(
             seed=self.seed,
             robot=self.robot,
@@ -478,6 +572,9 @@ class GrowingStructure:
             spawns=self.spawned,
             loads=tuple(self.loads),
             sensed=self.sensed,
+            broken=np.column_stack([self._named(broken[:, :2]), broken[:, 2]]),
+            loaded_contacts=self.loaded_contacts,
+            contact_load=self.contact_load,
             departures=np.array(self.departures, np.int32).reshape(-1, 3),
             crossed=self.crossed,
             ended=self.ended,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
 from tiswarm.world.mechanics import LoadSummary
@@ -92,6 +92,14 @@ class StanceRows(NamedTuple):
     """Dock that stays put as the robot leaves the stance; -1 at the robot's last, shape (L,)."""
 
 
+def parts(pairs: AnyInts, count: int) -> Ints:
+    """Number the parts that pairs join so many things to; the part of each, shape (count,)."""
+    a, b = pairs.T
+    graph = coo_array((np.ones(len(pairs)), (a, b)), shape=(count, count))
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part, np.int64)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class History:
     """A structure of N robots as it grew; the truth that sensing and evaluation start from."""
@@ -122,6 +130,20 @@ class History:
     1 (FELL) if it fell as others left, and 2 (DIED) if it died where it stands. Robots of the same
     number joined and left in between two walks.
     """
+
+    broken: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 5), np.int32))
+    """Contacts that broke, in order, rows of (robot, dock, robot, dock, robots that had joined by
+    then), the earlier robot first; robot and dock are -1 for the ground, shape (B, 5)."""
+
+    loaded_contacts: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 4), np.int32))
+    """Contacts when the mechanics were solved last, rows of (robot, dock, robot, dock), the earlier
+    robot first; robot and dock are -1 for the ground, shape (L, 4)."""
+
+    contact_load: Reals = field(default_factory=lambda: np.empty((0, 6)))
+    """Loads of these contacts: pull along them, negative where docks press, and force across them
+    [weight of a dock], bending moment and torsion [weight of a dock times R], largest von Mises
+    stress [weight of a dock / R^2], and their load in parts of their strength [1], NaN of docks
+    that hold any load, shape (L, 6)."""
 
     crossed: bool = False
     """Whether a bridge joins both sides of its gap."""
@@ -182,6 +204,24 @@ class History:
         return np.array([load.peak for load in self.loads])
 
     @property
+    def breaks(self) -> bool:
+        """Whether docks have a strength, from which on contacts break."""
+        return bool(len(self.broken) or np.isfinite(self.contact_load[:, 5]).any())
+
+    @property
+    def margin(self) -> Reals:
+        """Least strength of a robot's contacts in parts of their load in the end [1], shape (N,).
+
+        NaN of robots without contacts, and where docks hold any load.
+        """
+        margin: Reals = np.full(self.robot_count + 1, math.nan)  # the last is the ground, -1
+        with np.errstate(divide="ignore"):  # a contact without load has any margin
+            of_contact = 1.0 / self.contact_load[:, 5]
+        for robots in (self.loaded_contacts[:, 0], self.loaded_contacts[:, 2]):
+            np.fmin.at(margin, robots, of_contact)
+        return margin[:-1]
+
+    @property
     def left_after(self) -> Ints:
         """Robots that had joined when each left or fell; N + 1 for one that remains, shape (N,)."""
         after = np.full(self.robot_count, self.robot_count + 1)
@@ -197,15 +237,16 @@ class History:
 
     @property
     def is_held(self) -> Bools:
-        """Whether contacts among those that are left tie each robot to the ground, shape (N,)."""
+        """Whether contacts among those that are left tie each robot to the ground, shape (N,).
+
+        Anchors stay where they are, with or without contacts.
+        """
         standing = np.concatenate([self.ground_docks, self.edge_docks])[:, 0]
         count = self.robot_count
         on_ground = np.column_stack([standing, np.full(len(standing), count)])
-        ends = np.concatenate([self.contacts[:, ::2], on_ground]).T
-        graph = coo_array((np.ones(len(ends.T)), ends), shape=(count + 1, count + 1))
-        _, part = connected_components(graph, directed=False)
+        part = parts(np.concatenate([self.contacts[:, ::2], on_ground]), count + 1)
         is_held: Bools = part[:count] == part[count]
-        return is_held
+        return is_held | self.is_anchor
 
     @property
     def position(self) -> Reals:
@@ -283,5 +324,20 @@ class History:
         return np.delete(rows[rows[:, 1] == stances[rows[:, 0]] - 1], 1, axis=1)
 
     def _remaining(self, rows: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Choose the rows, (robot, dock, ...) for each end, of robots that have not left."""
-        return rows[~self.is_gone[rows[:, ::2]].any(axis=1)]
+        """Choose the rows, (robot, dock, ...) for each end, that hold: nobody left, none broke."""
+        return rows[~self.is_gone[rows[:, ::2]].any(axis=1) & ~self.is_broken(rows)]
+
+    def is_broken(self, rows: AnyInts) -> Bools:
+        """Whether contacts broke, rows of (robot, dock) of the earlier robot or alone, then more.
+
+        Args:
+            rows: Rows of (i, dock of i, j, dock of j), i < j, or of (robot, dock) on the ground,
+                shape (n, 4) or (n, 2).
+        """
+        if not len(self.broken):
+            return np.zeros(len(rows), np.bool_)
+        # The earlier robot names a contact; the ground has no end of its own.
+        broken_rows = {tuple(row) for row in self.broken[:, :4].tolist()}
+        whole = np.full((len(rows), 4), -1)
+        whole[:, : rows.shape[1]] = rows
+        return np.array([tuple(row) in broken_rows for row in whole.tolist()], np.bool_)

@@ -23,6 +23,9 @@ _SINGLE = ("recruited", "round")
 """Fields of a walk that are one value each; the others are arrays."""
 
 _TABLES = tuple(field.name for field in fields(Walk) if field.name not in _SINGLE)
+_LATER = ("departures", "broken", "loaded_contacts", "contact_load")
+"""Tables of a structure that are not written where they are empty."""
+
 _FACTS = ("seed", "spawns", "crossed", "ended")
 
 _FARTHEST = 1e9
@@ -76,8 +79,9 @@ def to_arrays(history: History) -> dict[str, NDArray[Any]]:
         rows = [getattr(walk, name) for walk in history.walks]
         arrays[name] = np.concatenate(rows)
         arrays[f"{name}_end"] = np.cumsum([len(of_walk) for of_walk in rows])
-    if len(history.departures):
-        arrays["departures"] = history.departures
+    for name in _LATER:
+        if len(getattr(history, name)):
+            arrays[name] = getattr(history, name)
     return arrays
 
 
@@ -118,6 +122,14 @@ def from_arrays(
     _require_within(robot_of, 0, robots, "departures")
     _require_within(joined, 1, robots + 1, "departures")
     _require_within(event, LEFT, DIED + 1, "departures")
+    broken = _array(arrays.get("broken", np.empty((0, 5), np.int32)), "i", 5)
+    _check_contacts(broken[:, :4], robots, geometry.dock_count, "broken")
+    _require_within(broken[:, 4], 1, robots + 1, "broken")
+    loaded = _array(arrays.get("loaded_contacts", np.empty((0, 4), np.int32)), "i", 4)
+    _check_contacts(loaded, robots, geometry.dock_count, "loaded_contacts")
+    contact_load = _array(arrays.get("contact_load", np.empty((0, 6))), "f", 6)
+    _require(len(contact_load) == len(loaded), "loads of contacts")
+    _require(not np.isinf(contact_load).any(), "loads of contacts")
     return History(
         **_facts(str(arrays["facts"])),
         robot=geometry,
@@ -127,7 +139,24 @@ def from_arrays(
         loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
         sensed=sensed,
         departures=departures,
+        broken=broken,
+        loaded_contacts=loaded,
+        contact_load=contact_load,
     )
+
+
+def _check_contacts(contacts: NDArray[np.int32], robots: int, docks: int, what: str) -> None:
+    """Refuse rows of (robot, dock, robot, dock) with robots or docks that are not there.
+
+    Raises:
+        ValueError: there are some.
+    """
+    robot_a, dock_a, robot_b, dock_b = contacts.T
+    _require_within(robot_a, 0, robots, what)
+    _require_within(dock_a, 0, docks, what)
+    _require_within(robot_b, -1, robots, what)
+    _require_within(dock_b, -1, docks, what)
+    _require(((robot_b < 0) == (dock_b < 0)).all(), what)
 
 
 class _Layout(NamedTuple):

@@ -23,13 +23,13 @@ with P = 1 - e e' and S t = t x e (Przemieniecki, Theory of Matrix Structural An
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
-from tiswarm.base.aliases import AnyInts, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.params import STRICT
 from tiswarm.compute import backend
 from tiswarm.world import frame_kernels
@@ -62,6 +62,28 @@ class MechanicsParams:
 
     poisson: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.3
     """Poisson's ratio [1]."""
+
+
+class ContactLoads(NamedTuple):
+    """Loads in the section of C contacts, of docks with docks and with the ground, at rest.
+
+    The section is halfway between two docks, or where a dock stands on the ground.
+    """
+
+    axial: Reals
+    """Pull along each contact, negative where it is pressed [weight of a dock], shape (C,)."""
+
+    shear: Reals
+    """Force across each contact [weight of a dock], shape (C,)."""
+
+    bending: Reals
+    """Moment that bends each contact [weight of a dock times R], shape (C,)."""
+
+    torsion: Reals
+    """Moment about the axis of each contact [weight of a dock times R], shape (C,)."""
+
+    stress: Reals
+    """Largest von Mises stress in the section [weight of a dock / R^2], shape (C,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +174,7 @@ class Frames:
             acting=np.empty((structures, docks * robots, _SIDE)),
             support=np.empty((structures, beams, 3)),
             stress=np.empty((structures, beams)),
+            section=np.empty((structures, beams, frame_kernels.Section.TOTAL)),
             sensed=np.empty((structures, robots)),
         )
 
@@ -185,14 +208,26 @@ class Frames:
         beams = frame.beam_count[structure]
         nodes = frame.weight.shape[1] // len(gone)
         robot_a, robot_b = frame.ends[structure, :beams, : frame_kernels.BeamEnds.DOCK_A].T // nodes
-        stays = ~(gone[robot_a] | (gone[robot_b] & (robot_b >= 0)))
+        self._keep(structure, ~(gone[robot_a] | (gone[robot_b] & (robot_b >= 0))))
+        # Nothing joins their nodes now: what is found for these means nothing.
+        frame.weight[structure].reshape(len(gone), -1)[gone] = 0.0
+
+    def part(self, structure: int, ends: AnyInts) -> None:
+        """Take a contact out of a structure, a row of `contact_loads`, shape (2,)."""
+        self._admit()
+        beams = self.frame.beam_count[structure]
+        docks = self.frame.ends[structure, :beams, frame_kernels.BeamEnds.DOCK_A :]
+        self._keep(structure, (docks != ends).any(axis=1))
+
+    def _keep(self, structure: int, stays: Bools) -> None:
+        """Keep some beams of a structure, in their order; `stays` has the shape (beams,)."""
+        frame = self.frame
+        beams = len(stays)
         remaining = np.count_nonzero(stays)
         frame.beam_count[structure] = remaining
         for table, rows_a_beam in ((frame.ends, 1), (frame.stiffness, 4), (frame.span, 1)):
             rows = table[structure, : rows_a_beam * beams][np.repeat(stays, rows_a_beam)]
             table[structure, : rows_a_beam * remaining] = rows
-        # Nothing joins their nodes now: what is found for these means nothing.
-        frame.weight[structure].reshape(len(gone), -1)[gone] = 0.0
 
     @property
     def joints(self) -> AnyInts:
@@ -282,7 +317,7 @@ class Frames:
         place = count[of] + np.arange(len(of)) - np.searchsorted(of, of)
         while place.max(initial=-1) >= self.frame.ends.shape[1]:
             self.frame = _doubled(self.frame, "ends", "stiffness", "span")
-            self.load_arrays = _doubled(self.load_arrays, "support", "stress")
+            self.load_arrays = _doubled(self.load_arrays, "support", "stress", "section")
         frame = self.frame
         frame.ends[of, place] = ends[order]
         frame.span[of, place] = span[order]
@@ -310,6 +345,20 @@ class Frames:
             due = due[self.work.block_count[due] > self.work.block.shape[1]]
             if len(due):
                 self.work = _doubled(self.work, "half", "block")
+
+    def contact_loads(self, structure: int) -> tuple[AnyInts, ContactLoads]:
+        """Return the loads in contacts that the last solve of a structure found.
+
+        Returns:
+            Rows of (dock, dock or -1 for the ground), shape (C, 2), and the loads.
+        """
+        beams = slice(self.frame.beam_count[structure])
+        docks = self.frame.ends[structure, beams, frame_kernels.BeamEnds.DOCK_A :]
+        is_contact = docks[:, 0] >= 0
+        section = self.load_arrays.section[structure, beams][is_contact]
+        stress = self.load_arrays.stress[structure, beams][is_contact]
+        axial, shear, bending, torsion = section.T
+        return docks[is_contact], ContactLoads(axial, shear, bending, torsion, stress)
 
     def loads(self, structure: int) -> Loads:
         """Return what the last solve of a structure found.

@@ -25,6 +25,7 @@ from tiswarm.compute.math import uniform
 from tiswarm.records.messages import shown
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.world.mechanics import MechanicsParams
+from tiswarm.world.strength import StrengthParams
 
 ANCHORS_APART = 10.0
 """Distance of neighbors where anchors are given by their number [R]."""
@@ -199,6 +200,15 @@ class GrowthParams(RecruitParams):
         ),
     ] = None
 
+    strength: Annotated[
+        StrengthParams | None,
+        UNLESS_SET,
+        Field(
+            description="Load from which contacts break while the structure grows; robots that "
+            "nothing ties to the ground then fall. Null for docks that hold any load."
+        ),
+    ] = None
+
     belief_error: Annotated[
         BeliefErrorParams | None,
         UNLESS_SET,
@@ -289,8 +299,11 @@ class GrowthParams(RecruitParams):
     @field_validator("navigate_by")
     @classmethod
     def _keep_the_mapped(cls, by: str, info: ValidationInfo) -> str:
-        if by != "truth" and info.data.get("departures") is not None:
-            raise ValueError("robots that estimate must stay; leave out departures, or set truth")
+        for losing in ("departures", "strength"):
+            if by != "truth" and info.data.get(losing) is not None:
+                raise ValueError(
+                    f"robots that estimate must stay; leave out {losing}, or set truth"
+                )
         if (by == "error") != (info.data.get("belief_error") is not None):
             raise ValueError(f"{by} does not go with belief_error; set both error, or neither")
         return by
