@@ -280,13 +280,13 @@ def plain_sheet(path: Path) -> Sheet:
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """Whether the cells of a line are units, some of which may be empty."""
+    """Whether the cells of a line are units; single ones may be empty."""
     units = {unit.lower() for unit in (*LENGTHS, *_TIMES, *_ANGLES, "")}
     return any(cells) and {cell.strip("[]() ").lower() for cell in cells} <= units
 
 
 def _all_end_with(separator: str, rows: Sequence[str], count: int) -> bool:
-    """Whether all rows, of which there are some, end with the last of `count` separators."""
+    """Whether each row ends with the last of `count` separators; not if there are no rows."""
     return {(row.count(separator), row.rstrip()[-1]) for row in rows} == {(count, separator)}
 
 
