@@ -48,10 +48,11 @@ class Standing:
 
 def solve(structure: Standing, params: MechanicsParams | None = None, **settings: object) -> Loads:
     """Loads of a structure, mechanics being as usual except for `settings`."""
-    return _solved(structure, params or MechanicsParams(**settings)).loads(0)
+    return solved(structure, params or MechanicsParams(**settings)).loads(0)
 
 
-def _solved(structure: Standing, params: MechanicsParams) -> Frames:
+def solved(structure: Standing, params: MechanicsParams) -> Frames:
+    """Frames of a structure, solved."""
     robots, docks = len(structure.center), len(structure.body)
     frames = Frames(params, docks=docks, robots=robots)
     for j in range(robots):
@@ -72,7 +73,7 @@ class LinkLoads(NamedTuple):
 
 def link_loads(structure: Standing, **settings: object) -> LinkLoads:
     """Axial force and bending moment in each link, mechanics being as usual but for `settings`."""
-    frames = _solved(structure, MechanicsParams(**settings))
+    frames = solved(structure, MechanicsParams(**settings))
     return split_loads(structure, frames.load_arrays.acting[0])
 
 

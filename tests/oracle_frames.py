@@ -25,6 +25,10 @@ class Forces:
     ground_stress: np.ndarray
     ground_force: np.ndarray
 
+    section: np.ndarray
+    """Pull, shear, bending moment and torsion in the section of each contact, then of each contact
+    with the ground, shape (C + G, 4)."""
+
     axial: np.ndarray
     """Size of the axial force in each link, shape (N, docks)."""
 
@@ -66,10 +70,19 @@ def beam_frame(structure: Standing, params: MechanicsParams, *, sparse: bool = F
             [_stress(f, 0.5 * (f[3:6] - f[9:]), r) for f in map(end.get, contacts)]
         ),
         ground_stress=np.array([_stress(f, f[9:], r) for f in map(end.get, footings)]),
+        section=np.array(
+            [_section(f, 0.5 * (f[3:6] - f[9:])) for f in map(end.get, contacts)]
+            + [_section(f, f[9:]) for f in map(end.get, footings)]
+        ),
         ground_force=np.array(
             [[n.RxnFX["Combo 1"], n.RxnFY["Combo 1"], n.RxnFZ["Combo 1"]] for n in reactions]
         ),
     )
+
+
+def _section(end, moment):
+    """Pull, shear, bending and torsion, from local end forces and the moment at a section."""
+    return [end[6], np.hypot(end[7], end[8]), np.hypot(moment[1], moment[2]), abs(moment[0])]
 
 
 def _stress(end, moment, radius):

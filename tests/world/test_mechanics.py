@@ -70,6 +70,23 @@ def test_forces_are_those_of_a_frame_package(seed):
         assert _difference(getattr(actual, name), getattr(expected, name)) < 1e-9, name
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_loads_of_contacts_are_those_of_a_frame_package(seed):
+    """Pull, shear, bending and torsion, halfway between docks and where docks stand."""
+    structure = _random_structure(seed)
+
+    ends, loads = frames.solved(structure, MechanicsParams()).contact_loads(0)
+
+    expected = oracle_frames.beam_frame(structure, MechanicsParams()).section
+    feet = np.column_stack([structure.standing, np.full(len(structure.standing), -1)])
+    rows = map(tuple, np.concatenate([structure.contacts, feet]).tolist())
+    section = dict(zip(rows, expected, strict=True))
+    actual = np.column_stack(loads[:4])
+    for column in range(4):
+        told = np.array([section[row][column] for row in map(tuple, ends.tolist())])
+        assert _difference(actual[:, column], told) < 1e-9, loads._fields[column]
+
+
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name != "triangle"])
 @pytest.mark.parametrize("seed", range(3))
 def test_robots_of_any_shape_bear_what_a_frame_package_says(shape, seed):

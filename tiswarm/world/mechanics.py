@@ -162,7 +162,7 @@ class Frames:
             weight=np.zeros((structures, nodes, _SIDE)),
         )
         self.work = frame_kernels.EliminationArrays(
-            node=np.empty((structures, nodes, frame_kernels.Node.TOTAL), np.int32),
+            node=np.zeros((structures, nodes, frame_kernels.Node.TOTAL), np.int32),
             order=np.empty((structures, nodes + 1, frame_kernels.NodeList.TOTAL), np.int32),
             half=np.empty((structures, 10 * nodes, frame_kernels.HalfEdge.TOTAL), np.int32),
             block_count=np.zeros(structures, np.int32),
