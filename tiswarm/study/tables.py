@@ -248,7 +248,7 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
 
 def _used(measurements: Iterable[str]) -> str:
     """List what was measured of some structures, those with most measurements first."""
-    lists = sorted({*measurements}, key=len, reverse=True)
+    lists = sorted(dict.fromkeys(measurements), key=len, reverse=True)
     names = [name for text in lists for name in text.split(", ") if name]
     return ", ".join(dict.fromkeys(names))
 
