@@ -87,12 +87,12 @@ class Log(SensingLog):
             progress.info(methods.where([params], running))
         name = "compile, localize" if backend.current().is_cold else "localize"
         with progress.task(name, self.robot_count) as advance:
-            found = self.with_estimate(methods.localize(self, params, on_progress=advance))
+            localized = self.with_estimate(methods.localize(self, params, on_progress=advance))
         if solution is not None:
-            found = found.with_solution(solution)
-        if doubt := found.findings.doubt:
-            warn(doubt)
-        return found
+            localized = localized.with_solution(solution)
+        if localized.findings.doubt:
+            warn(localized.findings.doubt)
+        return localized
 
     def with_estimate(
         self, estimate: Estimate | File | None = None, *, quiet: bool = True
@@ -205,11 +205,18 @@ class Localized(Estimate):
         findings = self.findings
         figures = show(self.log, self, explain)
         draw_log(
-            page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
-            true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
-            advice=findings.advice, figures=figures,
-            own=self.log.colorings(color), outputs=outputs,
-        )  # fmt: skip
+            page,
+            self.log,
+            self,
+            name=f"{findings.solution}{self.log.path.name}",
+            true=self.log.positions(truth),
+            warnings=findings.warnings,
+            notes=findings.notes,
+            advice=findings.advice,
+            figures=figures,
+            user_colorings=self.log.colorings(color),
+            outputs=outputs,
+        )
         return PageFile(page)
 
     def export(
@@ -251,8 +258,8 @@ class Localized(Estimate):
     def _shown(self, truth: Truth, color: Color) -> "SwarmView":
         from tiswarm.report.swarm_view import view_log  # noqa: PLC0415 - slow to import
 
-        own = self.log.colorings(color)
-        return view_log(self.log, self, self.log.positions(truth), user_colorings=own)
+        colorings = self.log.colorings(color)
+        return view_log(self.log, self, self.log.positions(truth), user_colorings=colorings)
 
 
 def method_params(
