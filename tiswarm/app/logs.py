@@ -14,7 +14,16 @@ import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Findings
-from tiswarm.app.results import Color, File, Overrides, PageFile, as_path, as_texts, plain
+from tiswarm.app.results import (
+    Color,
+    CueChoice,
+    File,
+    Overrides,
+    PageFile,
+    as_path,
+    as_texts,
+    plain,
+)
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
@@ -67,7 +76,7 @@ class Log(SensingLog):
         self,
         method: str = METHOD,
         *,
-        cues: Sequence[str] | None = None,
+        cues: CueChoice = None,
         overrides: Overrides = (),
         solution: int | None = None,
         arch: AnyArch = "cpu",
@@ -263,12 +272,13 @@ class Localized(Estimate):
 
 
 def method_params(
-    method: str, cues: Sequence[str] | None, overrides: Overrides, settings: Mapping[str, object]
+    method: str, cues: CueChoice, overrides: Overrides, settings: Mapping[str, object]
 ) -> "LocalizationParams":
     """Check the settings of a method; `tiswarm.localize` explains the arguments."""
     from tiswarm.scenario.validation import localization_params  # noqa: PLC0415 - slow to import
 
-    return localization_params(method, as_texts(overrides), cues=cues, values=plain(settings))
+    chosen = plain(cues) if isinstance(cues, Mapping) else cues
+    return localization_params(method, as_texts(overrides), cues=chosen, values=plain(settings))
 
 
 def open_log(log: SensingLog | File) -> Log:

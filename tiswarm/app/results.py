@@ -36,6 +36,9 @@ File = str | PathLike[str]
 Overrides = Mapping[str, object] | Sequence[str]
 """Values by dotted key, or as texts `KEY=VALUE`."""
 
+CueChoice = Sequence[str] | Mapping[str, bool] | None
+"""Cues to use alone, or those that are switched on or off; all of the method's if None."""
+
 Color: TypeAlias = "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]"
 """Values that color robots: columns `FILE:COLUMN` of tables, or series of pandas by robot."""
 
