@@ -12,12 +12,12 @@ from tiswarm.localization.chains.arrays import BlockProgress, BodyMotion, Headin
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING, find_subtrees, reinitialize_lost, weights
 from tiswarm.localization.joint import localize_batch
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 
 SHORT = JointParams(chains=2, steps=300, hold_steps=100)
-PAIR = JointParams(steps=300, start_sigma=0.1, end_sigma=0.1, non_overlap=False)
+PAIR = JointParams(steps=300, start_sigma=0.1, end_sigma=0.1, cues=Cues(non_overlap=False))
 BIASED = dataclasses.replace(NOISY, yaw_bias_deg=15.0, spawn_noise=0.2)
 
 
@@ -120,7 +120,7 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(tall_towers, spawn_noise, 
     at = tall_towers[0].position[fixed]
     fixes = [[i, 1.0, 0.0, 0.0, x, 0.1, -1.0] for i, x in zip(fixed, at[:, 0], strict=True)]
     log = dataclasses.replace(log, fixes=np.array(fixes).reshape(-1, 7))
-    params = dataclasses.replace(SHORT, walk_contacts=False)
+    params = dataclasses.replace(SHORT, cues=Cues(walk_contacts=False))
     known = pose_problem(log, params)
     annealer = annealer_of([log], [params], [known])
     tree = find_subtrees(known.pair, known.roots, log.robot_count)
@@ -218,10 +218,11 @@ def test_every_contact_has_its_share_of_the_heat(tall_towers, noise):
     """
     log = observe(tall_towers[0], dataclasses.replace(noise, spawn_noise=None))
     tolerance = dict.fromkeys(["start_sigma", "end_sigma"], 0.1)
-    off = dict.fromkeys(["walk_contacts", "height", "ground", "non_overlap", "robust"], False)
+    cues = Cues(walk_contacts=False, height=False, ground=False, non_overlap=False)
     params = JointParams(
-        chains=64, steps=1000, hold_steps=1, extension_prior=0.0, **tolerance, **off
-    )
+        chains=64, steps=1000, hold_steps=1, extension_prior=0.0, cues=cues, robust=False,
+        **tolerance,
+    )  # fmt: skip
     known = pose_problem(log, params)
 
     found = anneal([log], [params], [known])[0]

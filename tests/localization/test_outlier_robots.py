@@ -116,7 +116,9 @@ def test_a_drift_that_the_sum_of_all_rows_hides_is_warned_of(monkeypatch, degree
 
     def judged():
         nowhere, sd = np.zeros(24, np.bool_), np.full(24, 0.5)
-        found = assess(log, JointParams().cues, place / log.dock_radius, is_guess=nowhere, sd=sd)
+        found = assess(
+            log, JointParams().used_cues, place / log.dock_radius, is_guess=nowhere, sd=sd
+        )
         return found.convergence
 
     found = judged()

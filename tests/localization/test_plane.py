@@ -10,7 +10,13 @@ from tests.runs import REPOSITORY
 from tests.structures import grown
 from tiswarm.localization.methods import localize
 from tiswarm.localization.peers.settings import LeastSquaresParams
-from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
+from tiswarm.localization.settings import (
+    BackPropagation,
+    Cues,
+    JointParams,
+    Together,
+    VirtualForceParams,
+)
 from tiswarm.measurements.cues import in_plane
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
@@ -107,8 +113,8 @@ def test_planar_robots_that_join_are_placed_as_in_the_whole_log(tower, tmp_path,
 @pytest.mark.parametrize(
     "params",
     [
-        JointParams(chains=4, steps=1500, walk_contacts=False),
-        LeastSquaresParams(walk_contacts=False),
+        JointParams(chains=4, steps=1500, cues=Cues(walk_contacts=False)),
+        LeastSquaresParams(cues=Cues(walk_contacts=False)),
     ],
     ids=lambda p: p.method,
 )
@@ -124,7 +130,7 @@ def test_the_plane_is_a_measurement(tower, params):
 
 def test_without_the_plane_robots_swing_about_their_contacts(tower):
     """The switch `plane` takes the measurement out."""
-    params = JointParams(chains=2, steps=600, hold_steps=200, plane=False)
+    params = JointParams(chains=2, steps=600, hold_steps=200, cues=Cues(plane=False))
 
     found = localize(observe(tower, SensingParams()), params)
 

@@ -25,7 +25,7 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.cost import HINGE_SD, SETTLED, STRAIN_SD, State, WholeCost
 from tiswarm.localization.cost.linear import NOMINAL
-from tiswarm.localization.settings import LARGE, JointParams
+from tiswarm.localization.settings import LARGE, Cues, JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER, connections_of, with_orientations
 from tiswarm.records.sensing_log import SensingNoise
@@ -190,7 +190,7 @@ def test_nothing_is_left_where_robots_truly_are(tall_towers, robots):
     noise = SensingParams(tilt_noise_deg=10.0, yaw_noise_deg=20.0, spawn_noise=0.0)
     for history in tall_towers:
         log = with_directions(observe(history, noise), history, sd_deg=0.0, robots=robots)
-        known, cost = cost_of(log, replace(ALL, height=False))
+        known, cost = cost_of(log, replace(ALL, cues=Cues(height=False)))
         true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
         wrong = _orientations(log) * Rotation.from_quat(true, scalar_first=True).inv()
         turn = wrong.as_rotvec() / np.radians([10.0, 10.0, 20.0])
@@ -461,7 +461,9 @@ def test_the_slope_of_the_robust_cost_is_its_derivative(tall_towers, kind):
         assert 2.0 * slope @ unknowns(cost, motion)[cost.free] == pytest.approx(change, rel=1e-4)
 
 
-CONTACTS_ONLY = JointParams(height=False, ground=False, walk_contacts=False, odometry=False)
+CONTACTS_ONLY = JointParams(
+    cues=Cues(height=False, ground=False, walk_contacts=False, odometry=False)
+)
 
 
 @settings(max_examples=30)
@@ -486,7 +488,7 @@ def test_freedom_is_rows_less_the_rank_of_their_derivatives(kind, docks, robots,
     freedom = linear.freedom()
 
     rank = (size > 1e-4 * size[0]).sum()
-    left = observability(log, (ALL if level else CONTACTS_ONLY).cues)
+    left = observability(log, (ALL if level else CONTACTS_ONLY).used_cues)
     assert freedom == len(known.rows) - rank
     assert left.floppy_modes == 3 * robots - 3 - rank
 

@@ -66,16 +66,18 @@ class ConsoleProgress(Progress):
         self.info(f"{noted} in {time.perf_counter() - begun:.1f} s")
 
     def _lines(self, name: str, total: int, begun: float, note: Note) -> Advance:
-        def show(done: float, left: str) -> None:
-            parts = (f"{name}: {done:.0f} of {total}", note(), left and f"about {left}")
-            self.info(", ".join(filter(None, parts)))
+        def show(done: float, remaining: str) -> None:
+            about = f"about {remaining}" if remaining else ""
+            words = (f"{name}: {done:.0f} of {total}", note(), about)
+            self.info(", ".join(filter(None, words)))
 
         return _paced(show, total, begun, _LINE_EVERY_S)
 
     @contextmanager
     def _bar(self, name: str, total: int, begun: float, note: Note) -> Iterator[Advance]:
         """Add a bar below those of the tasks that this one runs within."""
-        if outermost := self.bars is None:
+        is_outermost = self.bars is None
+        if self.bars is None:
             self.bars = rich.progress.Progress(
                 rich.progress.TextColumn("{task.description:<20}"),
                 rich.progress.BarColumn(),
@@ -89,14 +91,14 @@ class ConsoleProgress(Progress):
         bars = self.bars
         task = bars.add_task(name, total=total, beside="")
 
-        def show(done: float, left: str) -> None:
-            bars.update(task, completed=done, beside=", ".join(filter(None, (note(), left))))
+        def show(done: float, remaining: str) -> None:
+            bars.update(task, completed=done, beside=", ".join(filter(None, (note(), remaining))))
 
         try:
             yield _paced(show, total, begun, 0.0)
         finally:
             bars.remove_task(task)
-            if outermost:
+            if is_outermost:
                 bars.stop()
                 self.bars = None
 
@@ -125,10 +127,10 @@ class _Cell:
     def bar(self, name: str, total: int, begun: float, note: Note) -> Advance:
         """Show a bar, and return what moves it."""
 
-        def show(done: float, left: str) -> None:
+        def show(done: float, remaining: str) -> None:
             filled = "#" * int(_BAR * done / total)
-            parts = ", ".join(filter(None, (f"{done:.0f} of {total}", note(), left)))
-            self.show(f"{name} [{filled:.<{_BAR}}] {parts}")
+            words = ", ".join(filter(None, (f"{done:.0f} of {total}", note(), remaining)))
+            self.show(f"{name} [{filled:.<{_BAR}}] {words}")
 
         show(0.0, "")
         return _paced(show, total, begun, _CELL_EVERY_S)
@@ -136,15 +138,16 @@ class _Cell:
 
 def _paced(show: Callable[[float, str], None], total: int, begun: float, every_s: float) -> Advance:
     """Return what shows the steps done every so long, and the time left from a twentieth on."""
-    done, shown = 0.0, begun
+    done = 0.0
+    shown = begun
 
     def advance(steps: float) -> None:
         nonlocal done, shown
         done += steps
         now = time.perf_counter()
         if now - shown >= every_s and done < total:
-            left = (now - begun) * (total - done) / max(done, total / 20)
-            show(done, f"{left:.0f} s left" if done >= total / 20 else "")
+            remaining_s = (now - begun) * (total - done) / max(done, total / 20)
+            show(done, f"{remaining_s:.0f} s left" if done >= total / 20 else "")
             shown = now
 
     return advance

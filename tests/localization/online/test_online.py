@@ -18,7 +18,7 @@ from tiswarm.localization.online import tracker
 from tiswarm.localization.online.settings import OnlineParams
 from tiswarm.localization.online.tracker import Tracker, annealed_estimate, fitted, reannealed
 from tiswarm.localization.peers.settings import HopByHopParams
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import CuesOfNamedDocks, JointParams
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import observe
 from tiswarm.world.params import BridgeParams, CantileverParams
@@ -215,7 +215,7 @@ def test_six_robots_are_in_the_best_of_all_mirror_images_or_say_otherwise(seed):
     lines, place, best = ranged_robots(seed)
     assert np.linalg.norm(best - place, axis=1).max() < 0.5
 
-    tracker = fed(lines, OnlineParams(non_overlap=False))
+    tracker = fed(lines, OnlineParams(cues=CuesOfNamedDocks(non_overlap=False)))
 
     present, final = tracker.estimate(), tracker.estimate(final=True)
     assert not are_silent(present, best)
@@ -229,7 +229,7 @@ def test_a_hundred_small_swarms_hide_no_wrong_image():
     found = []
     for seed in range(100):
         lines, place, _ = ranged_robots(seed)
-        estimate = fed(lines, OnlineParams(non_overlap=False)).estimate()
+        estimate = fed(lines, OnlineParams(cues=CuesOfNamedDocks(non_overlap=False))).estimate()
         off = np.linalg.norm(estimate.position - place, axis=1)
         found.append((are_silent(estimate, place), bool((off > 0.5).any())))
 

@@ -22,12 +22,13 @@ from tests.structures import (
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.peers.settings import HopByHopParams
+from tiswarm.localization.settings import CuesOfNamedDocks
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
 EVERY_AXIS = np.eye(3)
 SHARP = 1e-6
-HOPS = HopByHopParams(non_overlap=False)  # points at random overlap
+HOPS = HopByHopParams(cues=CuesOfNamedDocks(non_overlap=False))  # points at random overlap
 METHODS = [HOPS, dataclasses.replace(HOPS, order="join")]
 
 
@@ -100,9 +101,11 @@ def test_directions_are_averaged_as_the_equations_say(tall_towers, params):
     )
     log = dataclasses.replace(log, noise=SensingNoise(tilt_deg=0.0, yaw_deg=0.0, direction_deg=5.0))
     log = with_fixes(log, tall_towers[0], range(1, 29), each=8, sd=SHARP)
-    alone = dict.fromkeys(("contacts", "height", "ground", "walk_contacts", "odometry"), False)
+    alone = CuesOfNamedDocks(
+        contacts=False, height=False, ground=False, walk_contacts=False, odometry=False
+    )
 
-    found = localize(log, dataclasses.replace(params, **alone))
+    found = localize(log, dataclasses.replace(params, cues=alone))
 
     rows = [row for row in log.directions if row[0] == 29]
     offsets = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
@@ -126,7 +129,9 @@ def test_a_chain_of_directions_locates_a_tower(tall_towers):
     for history in tall_towers:
         log = with_directions(observe(history, SensingParams()), history, sd_deg=1.0, walks=False)
 
-        found = localize(log, HopByHopParams(walk_contacts=False, height=False))
+        found = localize(
+            log, HopByHopParams(cues=CuesOfNamedDocks(walk_contacts=False, height=False))
+        )
 
         error = np.linalg.norm(found.position - history.position, axis=1)
         assert found.located.mean() > 0.8
@@ -371,7 +376,9 @@ def test_a_dock_in_the_way_excludes_a_mirror_image():
     ranges = np.column_stack([np.full(3, 3), np.arange(3), reach, known])
     log = dataclasses.replace(log, ranges=ranges)
 
-    blind, found = [localize(log, HopByHopParams(non_overlap=on)) for on in (False, True)]
+    blind, found = [
+        localize(log, HopByHopParams(cues=CuesOfNamedDocks(non_overlap=on))) for on in (False, True)
+    ]
 
     assert not blind.located[3]
     np.testing.assert_allclose(blind.position[3], truth[4], atol=1e-9)
@@ -399,7 +406,7 @@ def test_fixes_come_first_and_contacts_pass_them_on(tall_towers):
     seen = np.arange(1, 30, 2)
     log = with_fixes(log, tall_towers[0], seen, each=3, sd=0.01)
 
-    found = localize(log, HopByHopParams(walk_contacts=False))
+    found = localize(log, HopByHopParams(cues=CuesOfNamedDocks(walk_contacts=False)))
 
     assert found.located[seen].all()
     assert found.located.sum() > len(seen) + 3
