@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.localization.test_problem import true_yaw
-from tests.structures import NOISY
+from tests.structures import NOISY, grown
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
@@ -75,7 +75,7 @@ def test_a_large_structure_is_annealed_fewer_times_and_quicker():
 def test_a_long_arm_is_not_torn_from_its_anchor(robots):
     """All robots come to the one that stands still, whose contacts are not given up."""
     params = CantileverParams(movers=10, solve_every=100, mechanics=MechanicsParams(model="rigid"))
-    history = grow(params, robots=robots, seeds=[1000], robot=RobotGeometry())[0]
+    history = grown(params, robots=robots, seed=1000)
     log = observe(history, SensingParams())
 
     estimate = localize(log, JointParams(chains=1, walk_contacts=False))

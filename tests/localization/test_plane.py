@@ -7,7 +7,7 @@ import pytest
 
 import tiswarm
 from tests.runs import REPOSITORY
-from tiswarm.base.robot import RobotGeometry
+from tests.structures import grown
 from tiswarm.localization.methods import localize
 from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
@@ -15,7 +15,6 @@ from tiswarm.measurements.cues import in_plane
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.params import TowerParams
 
@@ -26,7 +25,7 @@ FORCE = VirtualForceParams(iterations=60, initial_offset_axis="body")
 @pytest.fixture(scope="module")
 def tower() -> History:
     """A planar tower of 25 robots."""
-    return grow(TowerParams(plane=True), robots=25, seeds=[1000], robot=RobotGeometry())[0]
+    return grown(TowerParams(plane=True), robots=25, seed=1000)
 
 
 def _moved(log: SensingLog, y: float) -> SensingLog:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tests.structures import NOISY
 from tiswarm.localization.methods import localize
 from tiswarm.localization.peers.settings import LeastSquaresParams
 from tiswarm.localization.settings import JointParams
@@ -15,7 +16,7 @@ from tiswarm.sensing import SensingParams, observe
 def test_a_new_cue_serves_every_method_and_analysis(towers, monkeypatch):
     """Marks on a wall that every other robot sees say how far along x it is, to 0.05 R."""
     history = towers[0]
-    log = observe(history, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0))
+    log = observe(history, NOISY)
     params = JointParams(walk_contacts=False, ground=False, steps=1500, chains=4)
     before = [localize(log, params), observability(log, params.cues)]
 

@@ -3,7 +3,7 @@
 import difflib
 import json
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from pydantic_core import ErrorDetails
 
@@ -104,3 +104,12 @@ def three_digits(number: float) -> str:
     ('2.60', '123', '0.000120')
     """
     return f"{number:#.3g}".rstrip(".")
+
+
+def exact_text(numbers: Iterable[float]) -> str:
+    """Write numbers in the shortest form that reads back as the same ones.
+
+    >>> exact_text([0.1, 2])
+    '0.1 2.0'
+    """
+    return " ".join(repr(float(number)) for number in numbers)

@@ -26,7 +26,7 @@ from tiswarm.records.messages import (
     dotted,
     explain,
     shown,
-)  # fmt: skip
+)
 from tiswarm.scenario.yaml_source import parse_yaml
 
 Plain = dict[str, Any]
@@ -106,15 +106,15 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     Mistakes in items keep them out of a list, which is too short then. A misspelled key leaves the
     one that was meant missing.
     """
-    at = error["loc"]
+    path = error["loc"]
     if error["type"] == "too_short":
         return any(
-            cause["loc"][: len(at)] == at and len(cause["loc"]) > len(at) for cause in errors
+            cause["loc"][: len(path)] == path and len(cause["loc"]) > len(path) for cause in errors
         )
     return error["type"] in MISSING_KEY and any(
         cause["type"] in UNKNOWN_KEY
-        and cause["loc"][:-1] == at[:-1]
-        and did_you_mean(cause["loc"][-1], [str(at[-1])])
+        and cause["loc"][:-1] == path[:-1]
+        and did_you_mean(cause["loc"][-1], [str(path[-1])])
         for cause in errors
     )
 
@@ -122,8 +122,11 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
 def mistake_at(path: tuple[Part, ...], problem: str) -> ValidationError:
     """Make an error of a validator whose problem is at a path within the value that it checks."""
     error: InitErrorDetails = {
-        "type": "value_error", "loc": path, "input": None, "ctx": {"error": ValueError(problem)}
-    }  # fmt: skip
+        "type": "value_error",
+        "loc": path,
+        "input": None,
+        "ctx": {"error": ValueError(problem)},
+    }
     return ValidationError.from_exception_data("mistake", [error])
 
 
@@ -153,7 +156,8 @@ def parse_setting(text: str, *section: str) -> Setting:
 
 def first_of(errors: Sequence[InputError], where: str = "") -> InputError:
     """Return the first of some errors, with the number of the others and where these are listed."""
-    first, more = errors[0], len(errors) - 1
+    first = errors[0]
+    more = len(errors) - 1
     if not more:
         return first
     problem = f"{first.problem} (and {counted(more, 'more mistake')}{where})"
@@ -163,9 +167,10 @@ def first_of(errors: Sequence[InputError], where: str = "") -> InputError:
 
 def find_culprit(mistake: Mistake, changes: Sequence[_AnyChange]) -> _AnyChange | None:
     """Find the last change that set the value at fault or, failing that, a part of it."""
-    at, last_first = mistake.path, changes[::-1]
-    whole = (change for change in last_first if change.path == at[: len(change.path)])
-    part = (change for change in last_first if change.path[: len(at)] == at)
+    path = mistake.path
+    last_first = changes[::-1]
+    whole = (change for change in last_first if change.path == path[: len(change.path)])
+    part = (change for change in last_first if change.path[: len(path)] == path)
     return next(itertools.chain(whole, part), None)
 
 
@@ -203,16 +208,18 @@ def localization_params(
     section = {"method": method, **switches, **(values or {})}
     data: Plain = {"localization": section}
     for setting in settings:
-        if problem := set_key(data, setting.path, setting.value):
+        problem = set_key(data, setting.path, setting.value)
+        if problem:
             raise setting.error(problem)
     outcome = validate(_LOCALIZATION, data)
     if isinstance(outcome, _LocalizationSection):
         return outcome.localization
     outcome.sort(key=lambda mistake: not mistake.about_key)
-    raise first_of([
+    errors = [
         blame(mistake, settings) or InputError(mistake.problem, argument=dotted(mistake.path[1:]))
         for mistake in outcome
-    ])  # fmt: skip
+    ]
+    raise first_of(errors)
 
 
 def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
@@ -251,7 +258,8 @@ def _nested(key: str, value: object) -> Iterator[tuple[str, object]]:
 
 def _setting_path(key: str) -> tuple[str, ...]:
     """Split a dotted key; keys of conditions and sweep have dots of their own."""
-    if match := _CONDITION.fullmatch(key):
+    match = _CONDITION.fullmatch(key)
+    if match:
         return ("conditions", *(part for part in match.groups() if part))
     head, dot, rest = key.partition(".")
     return (head, rest) if head == "sweep" and dot else tuple(key.split("."))
