@@ -4,6 +4,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,12 +21,6 @@ IN_BACKTICKS = re.findall(r"(?<!`)`([^`\s]+)`(?!`)", PAGE)
 PATHS = {
     name for name in IN_BACKTICKS if "/" in name or re.search(r"\.(md|py|toml|txt|yaml)$", name)
 }
-MODULES: dict[str, ast.Module] = {
-    str(file.relative_to(REPOSITORY)): ast.parse(file.read_text(encoding="utf-8"))
-    for file in sorted((REPOSITORY / "tiswarm").rglob("*.py"))
-}
-"""By file, the syntax tree of each module."""
-
 MOST_KERNEL_ARGUMENTS = 30
 MOST_KERNEL_LINES = 100
 MOST_FUNCTION_LINES = 60
@@ -45,9 +40,18 @@ def _distributions() -> set[str]:
     return {re.split(r"[^\w.-]", requirement)[0] for requirement in requirements}
 
 
+@cache
+def _modules() -> dict[str, ast.Module]:
+    """Return the syntax tree of each module of the package, by its file."""
+    return {
+        str(file.relative_to(REPOSITORY)): ast.parse(file.read_text(encoding="utf-8"))
+        for file in sorted((REPOSITORY / "tiswarm").rglob("*.py"))
+    }
+
+
 def _nodes(kind: type[_Node]) -> Iterator[tuple[str, _Node]]:
     """Yield each syntax node of a kind in the package, with its file."""
-    for file, tree in MODULES.items():
+    for file, tree in _modules().items():
         yield from ((file, node) for node in ast.walk(tree) if isinstance(node, kind))
 
 

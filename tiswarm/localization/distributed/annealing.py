@@ -153,7 +153,7 @@ def _links_of(blocks: list[Block], table: Table, robots: int) -> Links:
         is_offset=is_offset,
         is_touch=np.zeros(len(at), np.bool_),
         arms=real[:, RowValue.ARM : RowValue.TAIL]
-        - real[:, RowValue.OTHER_ARM : RowValue.VALUE]
+        - real[:, RowValue.NEIGHBOR_ARM : RowValue.VALUE]
         - vector,
         length=real[:, RowValue.VALUE],
         variance=real[:, RowValue.VARIANCE],

@@ -105,7 +105,7 @@ class CandidateSettings:
     merge_every: int = 3
     """Steps after which starts that have come close go on as one [1]."""
 
-    alike: float = 0.1
+    merge_distance: float = 0.1
     """Distance up to which they are close [R]."""
 
     damping: float = 1.0
