@@ -257,8 +257,6 @@ class GrowingStructure:
         self.departures: list[tuple[int, int, int]] = []
         self.broken: list[tuple[int, int, int]] = []  # docks, and joins before
         self.has_fallen = False
-        self.loaded_contacts: NDArray[np.int32] = np.empty((0, 4), np.int32)
-        self.contact_load: Reals = np.empty((0, 6))
         self.drawn = 0  # joins after which a departure has been drawn
         self.unsolved = 0  # joins since the mechanics were solved last
         self.spawned = 0
@@ -546,12 +544,16 @@ class GrowingStructure:
             least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
             imbalance=loads.imbalance,
         )
-        ends, contact_loads = self.frames.contact_loads(self.number)
+
+    def _loaded(self) -> tuple[NDArray[np.int32], Reals]:
+        """Return contacts with their loads as in `History`; none unless the last join is solved."""
+        if self.unsolved or self.has_fallen:
+            return np.empty((0, 4), np.int32), np.empty((0, 6))
+        ends, loads = self.frames.contact_loads(self.number)
         used = np.full(len(ends), np.nan)
         if self.params.strength is not None:
-            used = self.params.strength.used(self.seed, ends, contact_loads, self.docks)
-        self.loaded_contacts = self._named(ends)
-        self.contact_load = np.column_stack([*contact_loads, used]).astype(np.float64)
+            used[:] = self.params.strength.used(self.seed, ends, loads, self.docks)
+        return self._named(ends), np.column_stack([*loads, used])
 
     def _named(self, ends: AnyInts) -> NDArray[np.int32]:
         """Name ends of contacts, rows of (dock, dock or -1), by robot and dock, shape (C, 4)."""
@@ -563,6 +565,7 @@ class GrowingStructure:
     def history(self) -> History:
         """Return the history of the structure."""
         broken = np.array(self.broken, np.int32).reshape(-1, 3)
+        loaded_contacts, contact_load = self._loaded()
         return History(
             seed=self.seed,
             robot=self.robot,
@@ -573,8 +576,8 @@ class GrowingStructure:
             loads=tuple(self.loads),
             sensed=self.sensed,
             broken=np.column_stack([self._named(broken[:, :2]), broken[:, 2]]),
-            loaded_contacts=self.loaded_contacts,
-            contact_load=self.contact_load,
+            loaded_contacts=loaded_contacts,
+            contact_load=contact_load,
             departures=np.array(self.departures, np.int32).reshape(-1, 3),
             crossed=self.crossed,
             ended=self.ended,
