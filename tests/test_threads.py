@@ -33,7 +33,7 @@ from tiswarm.compute import backend
 from tiswarm.localization.chains.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.methods import localize_many
 from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
-from tiswarm.localization.settings import Together
+from tiswarm.localization.settings import Cues, Together
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
@@ -112,7 +112,7 @@ def _method(*params: object) -> Work:
 
 def _joint(scale: Scale, _: Path) -> object:
     logs = [*_logs(scale), *_logs(scale, BIASED)]
-    apart = dataclasses.replace(JOINT, height=False, walk_contacts=False)
+    apart = dataclasses.replace(JOINT, cues=Cues(height=False, walk_contacts=False))
     return localize_many(logs * 2, [JOINT] * len(logs) + [apart] * len(logs))
 
 

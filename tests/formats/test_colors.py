@@ -210,7 +210,7 @@ def test_colors_lie_between_those_of_the_scale(values, scale):
 def test_pictures_have_the_color_of_each_robot(estimate, table):
     """A label has one color; robots without one are gray, and the legend names all."""
     own = estimate.log.colorings([f"{table}:role", f"{table}:charge"])
-    pictures = build_pictures(view_log(estimate.log, estimate, own=own))
+    pictures = build_pictures(view_log(estimate.log, estimate, user_colorings=own))
 
     picture = pictures["color-role"]
     docks = picture.scene.color[-12 * 3 :].reshape(12, 3, 3)  # after hubs and arms
@@ -227,7 +227,7 @@ def test_a_run_is_colored_where_its_structure_is_the_same(small_run, table):
     """Conditions of the seed have the same robots; those of another seed do not."""
     run = colored(load_run(small_run), f"{table}:charge", "1-no-z")
 
-    owned = {case.name for case in run.cases if read_case_view(case).own}
+    owned = {case.name for case in run.cases if read_case_view(case).user_colorings}
     assert owned == {case.name for case in run.cases if case.name.startswith("1-")}
     first = build_view(run).data["cases"][0]
     assert first["name"].endswith("seed 1")
@@ -243,6 +243,23 @@ def test_tables_of_an_export_have_the_values(estimate, table, tmp_path):
     rows = pd.read_csv(tmp_path / "out/estimate.csv")
     assert rows["charge [V]"].tolist()[:3] == [11.5, 10.0, 12.25]
     assert rows["role"].fillna("").tolist()[:5] == ["scout", "scout", "relay", "carrier", ""]
+
+
+def test_spreadsheets_compute_no_label_of_an_exported_table(estimate, tmp_path):
+    """Labels and names of columns that begin like formulas get an apostrophe; numbers stay."""
+    path = tmp_path / "values.csv"
+    labels = ["=1+1", "+a", "-a", "@a", "-1.5", "a=1"]
+    rows = [f"{robot},{label},{-robot}" for robot, label in enumerate(labels)]
+    path.write_text("\n".join(["robot,=role,-level", *rows]))
+
+    estimate.export(
+        "csv", color=[f"{path}:=role", f"{path}:-level"], out=tmp_path / "out", quiet=True
+    )
+
+    table = pd.read_csv(tmp_path / "out/estimate.csv", dtype={"'=role": str})
+    written = table["'=role"].fillna("").tolist()
+    assert written[:6] == ["'=1+1", "'+a", "'-a", "'@a", "-1.5", "a=1"]
+    assert table["'-level"].tolist()[:3] == [0.0, -1.0, -2.0]
 
 
 def test_the_page_opens_on_the_values(estimate, table, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 
 from tests import foreign
 from tests.runs import REPOSITORY
+from tests.structures import NOISY, grown
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.methods import localize, localize_many
@@ -59,7 +60,7 @@ def apart():
 def parted():
     """A tower from anchors so far apart that its parts have not met."""
     anchors = ((0.0, 0.0), (14.0, 0.0), (0.0, 14.0))
-    [history] = grow(TowerParams(anchors=anchors), robots=24, seeds=[1], robot=RobotGeometry())
+    history = grown(TowerParams(anchors=anchors), robots=24, seed=1)
     assert len(set(_part_of(history))) > 1
     return history
 
@@ -76,7 +77,7 @@ def _part_of(history):
 @pytest.mark.parametrize("method", METHODS)
 def test_no_part_with_an_anchor_is_a_guess(parted, method):
     """Anchors are at their places, and robots of each part near theirs, with noise."""
-    log = observe(parted, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0))
+    log = observe(parted, NOISY)
 
     found = localize(log, METHODS[method])
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tiswarm.base.errors import InputError
 from tiswarm.cli import main
-from tiswarm.localization.settings import VirtualForceParams
+from tiswarm.localization.settings import Cues, VirtualForceParams
 from tiswarm.scenario import expansion
 from tiswarm.scenario.expansion import find_mistakes, load_scenario, variants
 from tiswarm.scenario.validation import localization_params
@@ -587,6 +587,73 @@ def test_another_method_or_kind_names_the_keys_it_lacks(scenario, option, text, 
         load_scenario(path, [option])
 
     assert str(refusal.value).startswith(f"{path}{problem}")
+
+
+JOINT = "name: own\nstructure: {kind: tower}\nlocalization:\n  method: joint\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "where"),
+    [
+        (f"{JOINT}  walk_contacts: false", [], ":5: localization.walk_contacts"),
+        (
+            f"{JOINT}conditions:\n  a: {{localization.walk_contacts: false}}",
+            [],
+            ":6: conditions.a.localization.walk_contacts",
+        ),
+        (
+            f"{JOINT}sweep:\n  localization.walk_contacts: [false]",
+            [],
+            ":6: sweep.localization.walk_contacts",
+        ),
+        (
+            JOINT,
+            ["localization.walk_contacts=false"],
+            "overrides: localization.walk_contacts=false",
+        ),
+    ],
+    ids=["section", "condition", "sweep", "option"],
+)
+def test_a_switch_of_an_earlier_version_names_the_key_to_write(scenario, text, options, where):
+    """Cues were keys of each method; they are a section of their own."""
+    path = scenario(text)
+
+    with pytest.raises(InputError) as refusal:
+        load_scenario(path, options)
+
+    problem = "the key is now localization.cues.walk_contacts; write localization.cues."
+    message = str(refusal.value).removeprefix(str(path))
+    assert message.startswith(f"{where}: {problem}walk_contacts: false")
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        (f"{JOINT}  cues: {{walk_contacts: false}}", []),
+        (f"{JOINT}conditions:\n  a: {{localization.cues.walk_contacts: false}}", []),
+        (f"{JOINT}sweep:\n  localization.cues.walk_contacts: [false]", []),
+        (JOINT, ["localization.cues.walk_contacts=false"]),
+    ],
+    ids=["section", "condition", "sweep", "option"],
+)
+def test_a_cue_is_switched_off_wherever_settings_are_set(scenario, text, options):
+    """Section, condition, sweep and option: the cue is off, and all others stay on."""
+    [variant] = variants(load_scenario(scenario(text), options))
+
+    assert variant.settings.localization.cues == Cues(walk_contacts=False)
+
+
+def test_a_method_without_a_cue_names_those_that_have_it(scenario):
+    """Hop-by-hop finds no docks, and Algorithm 1 has settings of its own for what it uses."""
+    text = "name: own\nstructure: {kind: tower}\nlocalization:\n  method: "
+    touches = scenario(f"{text}hop-by-hop\n  cues: {{touches: true}}")
+    [of_docks] = find_mistakes(touches)
+    of_published = find_mistakes(scenario(f"{text}virtual-force\n  cues: {{height: false}}"))[0]
+
+    assert ":5: localization.cues.touches: true should be false with hop-by-hop; " in str(of_docks)
+    assert str(of_docks).endswith("or choose method joint or least-squares")
+    assert ":5: localization.cues: unknown key of virtual-force; " in str(of_published)
 
 
 def test_a_method_is_set_up_without_a_file():

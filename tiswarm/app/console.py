@@ -69,16 +69,18 @@ class ConsoleProgress(Progress):
         self.info(f"{noted} in {time.perf_counter() - steps.begun_s:.1f} s")
 
     def _lines(self, name: str, steps: "_Steps", note: Note) -> Advance:
-        def show(done: float, left: str) -> None:
-            parts = (f"{name}: {done:.0f} of {steps.total}", note(), left and f"about {left}")
-            self.info(", ".join(filter(None, parts)))
+        def show(done: float, remaining: str) -> None:
+            about = f"about {remaining}" if remaining else ""
+            words = (f"{name}: {done:.0f} of {steps.total}", note(), about)
+            self.info(", ".join(filter(None, words)))
 
         return _paced(show, steps, _LINE_EVERY_S)
 
     @contextmanager
     def _bar(self, name: str, steps: "_Steps", note: Note) -> Iterator[Advance]:
         """Add a bar below those of the tasks that this one runs within."""
-        if outermost := self.bars is None:
+        is_outermost = self.bars is None
+        if self.bars is None:
             self.bars = rich.progress.Progress(
                 rich.progress.TextColumn("{task.description:<20}"),
                 rich.progress.BarColumn(),
@@ -92,14 +94,14 @@ class ConsoleProgress(Progress):
         bars = self.bars
         task = bars.add_task(name, total=steps.total, completed=steps.before, beside="")
 
-        def show(done: float, left: str) -> None:
-            bars.update(task, completed=done, beside=", ".join(filter(None, (note(), left))))
+        def show(done: float, remaining: str) -> None:
+            bars.update(task, completed=done, beside=", ".join(filter(None, (note(), remaining))))
 
         try:
             yield _paced(show, steps, 0.0)
         finally:
             bars.remove_task(task)
-            if outermost:
+            if is_outermost:
                 bars.stop()
                 self.bars = None
 
@@ -128,10 +130,10 @@ class _Cell:
     def bar(self, name: str, steps: "_Steps", note: Note) -> Advance:
         """Show a bar, and return what moves it."""
 
-        def show(done: float, left: str) -> None:
+        def show(done: float, remaining: str) -> None:
             filled = "#" * int(_BAR * done / steps.total)
-            parts = ", ".join(filter(None, (f"{done:.0f} of {steps.total}", note(), left)))
-            self.show(f"{name} [{filled:.<{_BAR}}] {parts}")
+            words = ", ".join(filter(None, (f"{done:.0f} of {steps.total}", note(), remaining)))
+            self.show(f"{name} [{filled:.<{_BAR}}] {words}")
 
         show(steps.before, "")
         return _paced(show, steps, _CELL_EVERY_S)

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.measurements.verdicts import describe_misfit
+from tiswarm.records.frames import csv_text
 from tiswarm.records.measures import (
     BUILT_FOR,
     CONSISTENT,
@@ -94,17 +95,22 @@ class PageTable:
     def groups(self) -> list[tuple[str, list[list[str]]]]:
         """Cells of all rows, below the point that they share; that is empty without one."""
         points = self.frame[POINT] if self.is_grouped else pd.Series("", self.frame.index)
-        parts = self.shown.groupby(points, sort=False)
-        return [(str(point), part.to_numpy().tolist()) for point, part in parts]
+        groups = self.shown.groupby(points, sort=False)
+        return [(str(point), rows.to_numpy().tolist()) for point, rows in groups]
 
 
 _LATEX = str.maketrans(
     {
-        "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-        "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "±": r"$\pm$",
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
+        "±": r"$\pm$",
         **{letter: f"\\{letter}" for letter in "&%$#_{}"},
     }
-)  # fmt: skip
+)
 """Letters that LaTeX reads as commands, or prints as others in its default encoding OT1."""
 
 
@@ -113,31 +119,14 @@ def _latex(text: object) -> str:
     return str(text).translate(_LATEX)
 
 
-_FORMULA = re.compile(r"[=+\-@\t\r]")
-"""How cells begin that spreadsheets compute."""
-
-
-def _as_text(cell: object) -> object:
-    """Put an apostrophe before a text that spreadsheets would compute; numbers stay."""
-    if not isinstance(cell, str) or not _FORMULA.match(cell):
-        return cell
-    try:
-        float(cell)
-    except ValueError:
-        return f"'{cell}"
-    return cell
-
-
 def paper_text(table: PageTable, form: str) -> str:
     """Write a table for a paper, as "latex" with rules of booktabs, "markdown" or "csv".
 
-    CSV repeats the point of the sweep in each row; the others write it once. Spreadsheets compute
-    cells that begin like a formula: an apostrophe before them makes them text.
+    CSV repeats the point of the sweep in each row; the others write it once.
     """
     frame = table.frame
     if form == "csv":
-        heading = [str(_as_text(name)) for name in frame]
-        return frame.map(_as_text).to_csv(index=False, header=heading, lineterminator="\n")
+        return csv_text(frame)
     if table.is_grouped:
         frame = frame.assign(**{POINT: frame[POINT].mask(frame[POINT].duplicated(), "")})
     if form == "latex":
@@ -192,7 +181,8 @@ def headline_table(
     columns |= _means(rows, "accuracy") | _asked(rows, question) | _tied(rows)
     if with_verdicts:
         columns |= _verdicts(rows)
-    least, most = rows["cases"].min(), rows["cases"].max()
+    least = rows["cases"].min()
+    most = rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
     over = counted(most, "structure") if least == most else "structures"
@@ -215,10 +205,10 @@ def headline_table(
 def _best_first(table: pd.DataFrame) -> pd.DataFrame:
     """Sort the rows of each point of the sweep by their mean RMSE; points stay in their order."""
     point = with_points(table).groupby("point", sort=False).ngroup()
-    order = ["place"]
+    order = ["point_rank"]
     if RMSE.mean in table:
         order.append(RMSE.mean)
-    return table.assign(place=point).sort_values(order, kind="stable")
+    return table.assign(point_rank=point).sort_values(order, kind="stable")
 
 
 FURTHER = "also uses"
@@ -260,11 +250,11 @@ def _asked(rows: pd.DataFrame, question: str) -> dict[str, pd.Series]:
         return {"sent by a robot [B]": _mean(rows, SENT.column)}
     if question == "cues" and RMSE.mean in rows:
         return _changes(rows)
-    built = {kind: m for kind, m in BUILT_FOR.items() if m.mean in rows and "kind" in rows}
-    if question != "reached" or not built:
+    aims = {kind: m for kind, m in BUILT_FOR.items() if m.mean in rows and "kind" in rows}
+    if question != "reached" or not aims:
         return {}
-    parts = [_mean(rows[rows["kind"] == kind], m.column) for kind, m in built.items()]
-    return {"reached": pd.concat(parts)}
+    cells = [_mean(rows[rows["kind"] == kind], measure.column) for kind, measure in aims.items()]
+    return {"reached": pd.concat(cells)}
 
 
 def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -283,11 +273,15 @@ def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
 
 def _measurements(rows: pd.DataFrame) -> tuple[str, list[str]]:
     """Write what all conditions measure, and what each measures beyond it."""
-    texts = rows["measurements"].fillna("") if "measurements" in rows else [""] * len(rows)
-    used = [text.split(", ") if text else [] for text in texts]
-    known = [each for each in used if each]  # of conditions with finished cases
-    shared = [name for name in known[0] if all(name in each for each in known)] if known else []
-    further = [measured_words(", ".join(each), without=shared) for each in used]
+    if "measurements" not in rows:
+        return "", [""] * len(rows)
+    texts = rows["measurements"].fillna("")
+    cues = [text.split(", ") if text else [] for text in texts]
+    finished = [names for names in cues if names]  # of conditions with finished cases
+    shared = []
+    if finished:
+        shared = [name for name in finished[0] if all(name in names for names in finished)]
+    further = [measured_words(", ".join(names), without=shared) for names in cues]
     return measured_words(", ".join(shared)), further
 
 
@@ -295,7 +289,6 @@ def result_tables(
     table: pd.DataFrame, paired: pd.DataFrame, suites: pd.DataFrame | None = None
 ) -> list[PageTable]:
     """Format the other results of a run; `paired` and `suites` may be empty."""
-    words = _names(table)
     tables = []
     if suites is not None and len(suites):
         tables.append(_measured_suites(suites))
@@ -303,56 +296,82 @@ def result_tables(
         tables.append(_beside_the_paper(table))
     if len(paired):
         tables.append(_differences(paired))
+    tables += _errors_in_parts(table)
+    tables += _plugin_measures(table)
+    tables += _calibration(table)
+    tables += _robots_on_anchor(table)
+    return tables
+
+
+def _errors_in_parts(table: pd.DataFrame) -> Iterator[PageTable]:
+    """Format errors after alignment, errors for attachment, and what limits them."""
+    words = _names(table)
     note = "Alignment removes a rotated or shifted frame; the rest is a wrong shape."
-    tables.append(_labeled(words, _means(table, "aligned"), "RMSE after alignment [R]", note))
+    yield _labeled(words, _means(table, "aligned"), "RMSE after alignment [R]", note)
     note = (
         "2 R, a dock's diameter, is what the paper calls sufficient for attachment. Robots: in the "
         "world; neighbors: the vector between two robots in contact, one hop apart, with its RMSE."
     )
-    tables.append(_labeled(words, _means(table, "attachment"), "Accuracy for attachment", note))
+    yield _labeled(words, _means(table, "attachment"), "Accuracy for attachment", note)
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
-    tables.append(_labeled(words, _means(table, "limits"), "Limits of the accuracy", note))
-    of_plugins = _means_of(table, plugin_headings())
-    if of_plugins:
-        texts = (
-            f"{measure.column}: {measure.meaning}."
-            for measure in plugin_headings()
-            if measure.mean in table
+    yield _labeled(words, _means(table, "limits"), "Limits of the accuracy", note)
+
+
+def _plugin_measures(table: pd.DataFrame) -> Iterator[PageTable]:
+    """Format the measures of plug-ins, if there are any."""
+    columns = _means_of(table, plugin_headings())
+    if not columns:
+        return
+    texts = [
+        f"{measure.column}: {measure.meaning}."
+        for measure in plugin_headings()
+        if measure.mean in table
+    ]
+    yield _labeled(_names(table), columns, "Measures of plug-ins", " ".join(texts))
+
+
+def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
+    """Format what methods report of their estimates beside what is true, if any does."""
+    columns = _means(table, "calibration") | _consistent(table)
+    if not columns:
+        return
+    note = (
+        "Fractions. A robot is in its interval if its error is within the interval that its "
+        "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
+        "are too large."
+    )
+    if any("outliers" in label for label in columns):
+        note += (
+            " Precision: wrong contacts among those reported as outliers; recall: reported "
+            "outliers among wrong contacts."
         )
-        tables.append(_labeled(words, of_plugins, "Measures of plug-ins", " ".join(texts)))
-    if calibration := _means(table, "calibration") | _consistent(table):
-        note = (
-            "Fractions. A robot is in its interval if its error is within the interval that its "
-            "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
-            "are too large."
+    if PAGE["calibration"][CONSISTENT] in columns:
+        note += (
+            " Converged: several searches found one least cost. Consistent: noise as stated "
+            "explains it; where not, the factor multiplies standard deviations. Not testable: "
+            "fewer measurements are spare than a quarter of the unknown coordinates."
         )
-        if any("outliers" in label for label in calibration):
-            note += (
-                " Precision: wrong contacts among those reported as outliers; recall: reported "
-                "outliers among wrong contacts."
-            )
-        if PAGE["calibration"][CONSISTENT] in calibration:
-            note += (
-                " Converged: several searches found one least cost. Consistent: noise as stated "
-                "explains it; where not, the factor multiplies standard deviations. Not testable: "
-                "fewer measurements are spare than a quarter of the unknown coordinates."
-            )
-        if "mirrored robots" in calibration:
-            note += (
-                " Mirrored robots, counted by case: configurations that fit put them farther apart "
-                "than their standard deviation."
-            )
-        shown = _labeled(words, calibration, "Calibration", note)
-        reported = (shown.frame[[*calibration]] != "").any(axis=1)
-        tables.append(replace(shown, frame=shown.frame[reported]))
-    if anchor := _means(table, "anchor"):
-        note = (
-            "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
-            "Means are over structures in which so many robots touch it."
+    if "mirrored robots" in columns:
+        note += (
+            " Mirrored robots, counted by case: configurations that fit put them farther apart "
+            "than their standard deviation."
         )
-        shown = _labeled(words, anchor, "Robots on the anchor", note)
-        tables.append(replace(shown, frame=_once(shown.frame)))
-    return tables
+    labeled = _labeled(_names(table), columns, "Calibration", note)
+    is_reported = (labeled.frame[[*columns]] != "").any(axis=1)
+    yield replace(labeled, frame=labeled.frame[is_reported])
+
+
+def _robots_on_anchor(table: pd.DataFrame) -> Iterator[PageTable]:
+    """Format which robots touch the anchor, if the table states it."""
+    columns = _means(table, "anchor")
+    if not columns:
+        return
+    note = (
+        "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
+        "Means are over structures in which so many robots touch it."
+    )
+    labeled = _labeled(_names(table), columns, "Robots on the anchor", note)
+    yield replace(labeled, frame=_once(labeled.frame))
 
 
 def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
@@ -362,11 +381,15 @@ def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
     tested = table[TESTABLE.mean].astype(float)
     share = (table[CONSISTENT.mean].astype(float) - (1.0 - tested)) / tested.where(tested > 0.0)
     spare = _numbers(table.get(SPARE.mean, tested * math.nan))
-    of = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
-    texts = np.where(tested > 0.0, _numbers(share) + of, "not testable (" + spare + " spare)")
-    known = table[CONSISTENT.mean].notna()
-    found = pd.Series(texts, table.index, dtype=str).where(known, "")
-    return {PAGE["calibration"][CONSISTENT]: found} if known.any() else {}
+    tested_share = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
+    texts = np.where(
+        tested > 0.0, _numbers(share) + tested_share, "not testable (" + spare + " spare)"
+    )
+    has_verdict = table[CONSISTENT.mean].notna()
+    if not has_verdict.any():
+        return {}
+    column = pd.Series(texts, table.index, dtype=str).where(has_verdict, "")
+    return {PAGE["calibration"][CONSISTENT]: column}
 
 
 def _measured_suites(suites: pd.DataFrame) -> PageTable:
@@ -412,7 +435,7 @@ def _beside_the_paper(table: pd.DataFrame) -> PageTable:
 def _differences(paired: pd.DataFrame) -> PageTable:
     """Format differences between conditions on the same structures."""
     first = paired["against"] == paired["against"].iloc[0]
-    headings = {each.column: heading for each, heading in PAGE["accuracy"].items()}
+    headings = {measure.column: heading for measure, heading in PAGE["accuracy"].items()}
     rows = paired[first & paired["measure"].isin([*headings])]
     words = _names(rows, "measure").assign(measure=rows["measure"].map(headings))
     columns = {
@@ -444,9 +467,10 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
     numbers = {label: _numbers(shown[name]) for name, label in headings.items() if name in shown}
     reasons = shown["reason"].fillna("").astype(str)
     reason = {"reason": reasons} if reasons.any() else {}
-    left_out = len(summary) - len(shown)
-    note = f"{counted(left_out, 'more case')} in summary.csv." if left_out else ""
-    note = f"{note} The column `case` of summary.csv names their folders." if in_words else note
+    omitted = len(summary) - len(shown)
+    note = f"{counted(omitted, 'more case')} in summary.csv." if omitted else ""
+    if in_words:
+        note += " The column `case` of summary.csv names their folders."
     return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, *reason])
 
 
@@ -460,12 +484,11 @@ def machine_table(manifest: Manifest) -> PageTable:
         "peak_memory_MB": manifest.peak_memory_MB,
         "python": manifest.python,
         **manifest.libraries,
-        **{
-            f"numbers by {name}": " and ".join(dict.fromkeys(each[name] for each in every))
-            for every in [manifest.numerics]
-            for name in (every[0] if every else ())
-        },
     }
+    if manifest.numerics:
+        for name in manifest.numerics[0]:
+            values = dict.fromkeys(process[name] for process in manifest.numerics)
+            facts[f"numbers by {name}"] = " and ".join(values)
     for name, spent in manifest.stages.items():
         facts[f"{name} [s wall, s CPU]"] = f"{spent.wall_s}, {spent.cpu_s}"
     rows = [
@@ -493,9 +516,9 @@ def _labeled(
     return PageTable(frame=frame, words=words.columns.astype(str), title=title, note=note)
 
 
-def _means(table: pd.DataFrame, place: str) -> dict[str, pd.Series]:
+def _means(table: pd.DataFrame, section: str) -> dict[str, pd.Series]:
     """Format the means that a table of the page shows, by heading, if `table` has them."""
-    return _means_of(table, PAGE[place])
+    return _means_of(table, PAGE[section])
 
 
 def _means_of(table: pd.DataFrame, headings: Mapping[Measure, str]) -> dict[str, pd.Series]:
@@ -550,89 +573,107 @@ def warnings_of(summary: pd.DataFrame) -> list[str]:
     """List what makes results of a run wrong or incomplete."""
     done = summary[summary["status"] == "done"]
     failed = summary[summary["status"] != "done"]
-    found = []
+    warnings = []
     if len(failed):
-        why = _some(failed["reason"].dropna().unique(), "; ")
-        found.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
-    found += _untrusted(done)
-    if DISCONNECTED.column in done and (lost := done[DISCONNECTED.column].fillna(0)).any():
-        robots, cases = counted(int(lost.sum()), "robot"), counted(int((lost > 0).sum()), "case")
-        text = f"No measurement that was used ties {robots} in {cases} to the anchor"
-        found.append(f"{text}; their positions are guesses.")
-    return found
+        why = _first_of(failed["reason"].dropna().unique(), "; ")
+        warnings.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
+    warnings += _untrusted(done)
+    if DISCONNECTED.column in done:
+        disconnected = done[DISCONNECTED.column].fillna(0)
+        if disconnected.any():
+            robots = counted(int(disconnected.sum()), "robot")
+            cases = counted(int((disconnected > 0).sum()), "case")
+            warnings.append(
+                f"No measurement that was used ties {robots} in {cases} to the anchor; "
+                "their positions are guesses."
+            )
+    return warnings
 
 
 def notes_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
     """List what a reader of the results should know."""
     done = summary[summary["status"] == "done"]
-    found = []
+    notes = []
     ended = done["reason"].dropna()
     if len(ended):
-        why = _some(ended.unique(), "; ")
-        found.append(
+        why = _first_of(ended.unique(), "; ")
+        notes.append(
             f"Growth ended before all robots joined in {counted(len(ended), 'case')}: {why}."
         )
-    if FLOPPY_MODES.column in done and ((modes := done[FLOPPY_MODES.column]) > 0).any():
-        count = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (modes.min(), modes.max())))
-        found.append(
-            f"The measurements that the method uses leave {count} floppy modes a case: motions "
-            "that change no measurement. No method can remove errors along them."
-        )
+    if FLOPPY_MODES.column in done:
+        modes = done[FLOPPY_MODES.column]
+        if (modes > 0).any():
+            count = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (modes.min(), modes.max())))
+            notes.append(
+                f"The measurements that the method uses leave {count} floppy modes a case: motions "
+                "that change no measurement. No method can remove errors along them."
+            )
     reasons = sorted({origin.reason for origin in manifest.renders.values() if origin.reason})
-    return found + [f"A simpler renderer drew the pictures: {reason}." for reason in reasons]
+    notes += [f"A simpler renderer drew the pictures: {reason}." for reason in reasons]
+    return notes
 
 
-def _some(items: Iterable[object], separator: str) -> str:
+def _first_of(items: Iterable[object], separator: str) -> str:
     """Join the first of some texts."""
-    first = [*map(str, items)]
-    more = ["..."] if len(first) > _MOST_REASONS else []
-    return separator.join(first[:_MOST_REASONS] + more)
+    texts = [str(item) for item in items]
+    shown = texts[:_MOST_REASONS]
+    if len(texts) > _MOST_REASONS:
+        shown.append("...")
+    return separator.join(shown)
 
 
 def _merged(texts: Iterable[str]) -> list[str]:
     """Merge texts that differ in numbers only, into one with the range of each number."""
-    alike: dict[str, list[list[str]]] = {}
+    numbers_by_words: dict[tuple[str, ...], list[list[str]]] = {}
     for text in texts:
-        alike.setdefault(_NUMBER.sub("0", text), []).append(_NUMBER.findall(text))
+        words = tuple(_NUMBER.split(text))  # what stands before, between and after the numbers
+        numbers_by_words.setdefault(words, []).append(_NUMBER.findall(text))
     merged = []
-    for form, found in alike.items():
-        ranges = map(_range, zip(*found, strict=True))
-        merged.append(_NUMBER.sub(lambda _, some=ranges: next(some), form))  # type: ignore[misc]
+    for words, numbers in numbers_by_words.items():
+        ranges = [_range(column) for column in zip(*numbers, strict=True)]
+        pairs = zip(ranges, words[1:], strict=True)
+        merged.append(words[0] + "".join(f"{span}{word}" for span, word in pairs))
     return merged
 
 
 def _range(numbers: Iterable[str]) -> str:
     """Write the least and the greatest of some numbers, as they are written."""
-    least, *_, most = sorted({*numbers}, key=float) * 2
-    return least if least == most else f"{least} to {most}"
+    ascending = sorted(dict.fromkeys(numbers), key=float)
+    if len(ascending) == 1:
+        return ascending[0]
+    return f"{ascending[0]} to {ascending[-1]}"
 
 
 def _untrusted(done: pd.DataFrame) -> Iterator[str]:
     """Name the cases whose estimate did not converge, or is not consistent, and why."""
-    found = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
-    lost = found[CONVERGED.column].eq(False)  # noqa: FBT003 - other methods leave it empty
-    if lost.any():
-        text = f"{_share(found, lost, 'did not converge')}. The search settled on no one best fit."
-        yield f"{text} All tables include their errors. Try more steps or chains."
-    at_odds = found[CONSISTENT.column].eq(False) & ~lost  # noqa: FBT003
-    if at_odds.any():
-        misfit, factor = (
-            found[MISFIT.column][at_odds].dropna(),
-            found[SD_FACTOR.column][at_odds].max(),
+    cases = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
+    trapped = cases[CONVERGED.column].eq(False)  # noqa: FBT003 - other methods leave it empty
+    if trapped.any():
+        text = (
+            f"{_share(cases, trapped, 'did not converge')}. The search settled on no one best fit."
         )
+        yield f"{text} All tables include their errors. Try more steps or chains."
+    at_odds = cases[CONSISTENT.column].eq(False) & ~trapped  # noqa: FBT003
+    if at_odds.any():
+        misfit = cases[MISFIT.column][at_odds].dropna()
+        factor = cases[SD_FACTOR.column][at_odds].max()
         sizes = [describe_misfit(max(misfit, key=abs, default=0.0))]
-        sizes += [f"sd is multiplied by {factor:.2g}"] if factor > 1.0 else []
+        if factor > 1.0:
+            sizes.append(f"sd is multiplied by {factor:.2g}")
         most = " and ".join(filter(None, sizes))
-        text = _share(found, at_odds, "are not consistent with the noise that their logs state")
-        yield f"{text}.{f' At most, {most}.' if most else ''}"
+        text = _share(cases, at_odds, "are not consistent with the noise that their logs state")
+        yield f"{text}. At most, {most}." if most else f"{text}."
 
 
-def _share(every: pd.DataFrame, some: pd.Series, what: str) -> str:
+def _share(cases: pd.DataFrame, is_affected: pd.Series, what: str) -> str:
     """Count and name cases, or a series that is among them as a whole, and state the reasons."""
-    series, reasons = every["series"], every["distrust"][some].dropna().unique()
-    whole = some.groupby(series).transform("all") & (series.groupby(series).transform("size") > 1)
+    series = cases["series"]
+    reasons = cases["distrust"][is_affected].dropna().unique()
+    is_repeated = series.groupby(series).transform("size") > 1
+    whole = is_affected.groupby(series).transform("all") & is_repeated
     names = [f"all of {name}" for name in series[whole].unique()]
-    single = every.loc[some & ~whole, ["case", "series"]].itertuples(index=False)
+    single = cases.loc[is_affected & ~whole, ["case", "series"]].itertuples(index=False)
     names += [f"seed {case.partition('-')[0]} of {name}" for case, name in single]
-    why = f": {_some(_merged(reasons), '; ')}" if len(reasons) else ""
-    return f"{some.sum()} of {counted(len(every), 'case')} {what} ({_some(names, ', ')}){why}"
+    count = f"{is_affected.sum()} of {counted(len(cases), 'case')}"
+    text = f"{count} {what} ({_first_of(names, ', ')})"
+    return f"{text}: {_first_of(_merged(reasons), '; ')}" if len(reasons) else text

@@ -66,17 +66,17 @@ class Variant:
     settings: Scenario  # the scenario at this point and condition, without conditions and sweep
 
 
-def load_scenario(given: Path | Plain, overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(file_or_data: Path | Plain, overrides: Sequence[str] = ()) -> Scenario:
     """Read and check a scenario with all its conditions and swept values.
 
     Args:
-        given: YAML file, the name of a shipped scenario, or plain data as such a file has.
+        file_or_data: YAML file, the name of a shipped scenario, or plain data as such a file has.
         overrides: Texts `KEY=VALUE`: a dotted key and a YAML value that replaces the file's.
 
     Raises:
         InputError: for the first wrong key, or else the first mistake, with the number of others.
     """
-    scenario, mistakes = examine(given, overrides)
+    scenario, mistakes = examine(file_or_data, overrides)
     if scenario is not None and not mistakes:
         return scenario
     if len(mistakes) > MOST_MISTAKES:
@@ -84,14 +84,14 @@ def load_scenario(given: Path | Plain, overrides: Sequence[str] = ()) -> Scenari
     raise first_of(mistakes, "; check lists all")
 
 
-def find_mistakes(given: Path | Plain, overrides: Sequence[str] = ()) -> list[InputError]:
+def find_mistakes(file_or_data: Path | Plain, overrides: Sequence[str] = ()) -> list[InputError]:
     """List the mistakes in a scenario in file order, those in options last.
 
     Of mistakes in one place, wrong keys come first. Of more than MOST_MISTAKES, the last entry says
     that there are others.
     """
     try:
-        _, mistakes = examine(given, overrides)
+        _, mistakes = examine(file_or_data, overrides)
     except InputError as error:
         return [error]
     return in_file_order(mistakes)
@@ -115,12 +115,12 @@ def variants(scenario: Scenario) -> list[Variant]:
 
 
 def examine(
-    given: Path | Plain, overrides: Sequence[str] = ()
+    file_or_data: Path | Plain, overrides: Sequence[str] = ()
 ) -> tuple[Scenario | None, list[InputError]]:
     """Check a scenario, and list its mistakes: wrong keys first, options last of either.
 
     Args:
-        given: As for `load_scenario`.
+        file_or_data: As for `load_scenario`.
         overrides: As for `load_scenario`.
 
     Returns:
@@ -131,12 +131,13 @@ def examine(
         InputError: the file cannot be read as a mapping.
     """
     load_plugins()
-    path = find_scenario(given) if isinstance(given, Path) else None
-    source = read_yaml(path) if path else YamlSource(deepcopy(given), {(): NOWHERE})
+    path = find_scenario(file_or_data) if isinstance(file_or_data, Path) else None
+    source = read_yaml(path) if path else YamlSource(deepcopy(file_or_data), {(): NOWHERE})
     data = source.data
     if not isinstance(data, dict):
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
-        problem += ", or give a table to tiswarm import" * bool(path and path.suffix == ".csv")
+        if path and path.suffix == ".csv":
+            problem += ", or give a table to tiswarm import"
         raise InputError(problem, path=path, line=source.place_of(()).line)
     settings: list[Setting] = []
     unread: list[InputError] = []
@@ -147,15 +148,17 @@ def examine(
             unread.append(error)
     swept = any(setting.path[0] == "sweep" for setting in settings)
     for setting in settings:
-        if problem := set_key(data, setting.path, setting.value):
+        problem = set_key(data, setting.path, setting.value)
+        if problem:
             unread.append(setting.error(problem))
-        if isinstance(sweep := data.get("sweep"), dict):  # the option replaces it
+        sweep = data.get("sweep")
+        if isinstance(sweep, dict):  # the option replaces it
             for key in setting.values:
                 sweep.pop(key, None)
     outcome = from_plain(data)
     mistakes = _mistakes(data, outcome) or ([] if swept else _swept_over(data))
     mistakes = [_with_sweep(mistake, data, settings) for mistake in mistakes]
-    placed = [(m.about_key, _placed(m, path, source, settings)) for m in mistakes]
+    placed = [(mistake.about_key, _placed(mistake, path, source, settings)) for mistake in mistakes]
     placed.sort(key=lambda entry: (not entry[0], entry[1].line is None, entry[1].line))
     errors = [*(error for _, error in placed), *unread]
     if len(errors) > MOST_MISTAKES:
@@ -166,7 +169,10 @@ def examine(
 
 def _with_sweep(mistake: Mistake, data: Plain, settings: Sequence[Setting]) -> Mistake:
     """Add how to sweep a key to a mistake about a list of values that are right one by one."""
-    [values] = [s.value for s in settings if s.path == mistake.path][-1:] or [None]
+    values = None
+    for setting in settings:
+        if setting.path == mistake.path:
+            values = setting.value
     if mistake.about_key or not isinstance(values, list) or not values:
         return mistake
     single = deepcopy(data)
@@ -177,12 +183,10 @@ def _with_sweep(mistake: Mistake, data: Plain, settings: Sequence[Setting]) -> M
     text = json.dumps(values).replace('"', "")
     sweep = data.get("sweep")
     option = f"sweep={{{key}: {text}}}"
-    if (
-        sweep
-        and isinstance(sweep, dict)
-        and key not in itertools.chain.from_iterable(map(swept_keys, sweep))
-    ):
-        option = f"sweep.{key}={text}"
+    if isinstance(sweep, dict) and sweep:
+        swept = itertools.chain.from_iterable(map(swept_keys, sweep))
+        if key not in swept:
+            option = f"sweep.{key}={text}"
     return mistake._replace(problem=f"{mistake.problem}; to sweep {key}, give --set '{option}'")
 
 
@@ -212,8 +216,10 @@ def _swept_over(data: Plain) -> list[Mistake]:
     for key in itertools.chain.from_iterable(map(swept_keys, data.get("sweep", {}))):
         section, *rest = key.split(".")
         selects = rest == [DISCRIMINATORS.get(section)]
-        value, default = _value_at(data, key), _value_at(defaults, key)
-        if not selects and value is not None and not isinstance(value, dict) and value != default:
+        value = _value_at(data, key)
+        if selects or value is None or isinstance(value, dict):
+            continue
+        if value != _value_at(defaults, key):
             problem = f"has no effect, as sweep sets {key}; leave out or set sweep={{{key}: [...]}}"
             mistakes.append(Mistake((section, *rest), problem, about_key=True))
     return mistakes
@@ -263,7 +269,8 @@ def _mistakes(data: Plain, outcome: Scenario | list[Mistake]) -> list[Mistake]:
 def _placed(
     mistake: Mistake, path: Path | None, source: YamlSource, settings: Sequence[Setting]
 ) -> InputError:
-    if error := blame(mistake, settings):
+    error = blame(mistake, settings)
+    if error:
         return error
     if path is None:
         return InputError(mistake.problem, key=dotted(mistake.path))
@@ -303,7 +310,8 @@ def _expand(
     if count > _MAX_VARIANTS:
         problem = f"makes {count} cases; {_MAX_VARIANTS} is the most: give fewer values"
         return [], [Mistake(("sweep",), problem)]
-    if malformed := _malformed(sweep):
+    malformed = _malformed(sweep)
+    if malformed:
         return [], malformed
     base = _Base.of(scenario)
     failures = 0
@@ -315,8 +323,11 @@ def _expand(
         label = variant_name(point, condition)
         changes = [row[0] for row in rows]
         changes += [follower for row in rows for follower in row[1:]]
-        settings = [(key, value) for key, value in entries.items() if key != LABEL]
-        changes += [_ChangedKey(k, v, ("conditions", condition, k)) for k, v in settings]
+        changes += [
+            _ChangedKey(key, value, ("conditions", condition, key))
+            for key, value in entries.items()
+            if key != LABEL
+        ]
         outcome = _apply(base, changes, label)
         if not isinstance(outcome, Scenario):
             mistakes.update(dict.fromkeys(outcome))
@@ -340,8 +351,10 @@ def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_ChangedKey]]:
         if len(keys) == 1:
             yield [_ChangedKey(entry, without_label(value), ("sweep", entry, place))]
         else:
-            cells = enumerate(zip(keys, map(without_label, value), strict=True))
-            yield [_ChangedKey(k, v, ("sweep", entry, place, column)) for column, (k, v) in cells]
+            yield [
+                _ChangedKey(key, without_label(cell), ("sweep", entry, place, column))
+                for column, (key, cell) in enumerate(zip(keys, value, strict=True))
+            ]
 
 
 def _malformed(sweep: _Sweep) -> list[Mistake]:
@@ -350,13 +363,14 @@ def _malformed(sweep: _Sweep) -> list[Mistake]:
     seen: set[str] = set()
     for entry, values in sweep.items():
         keys = swept_keys(entry)
-        twice = []
+        repeated = []
         for key in keys:
             if key in seen:
-                twice.append(key)
+                repeated.append(key)
             seen.add(key)
-        if twice:
-            problem = f"{twice[0]} is swept already; keep one, or set sweep={{{twice[0]}: [...]}}"
+        if repeated:
+            key = repeated[0]
+            problem = f"{key} is swept already; keep one, or set sweep={{{key}: [...]}}"
             mistakes.append(Mistake(("sweep", entry), problem))
         problem = f"should be a row of {len(keys)} values, one for each key of {entry}"
         mistakes += [
@@ -421,16 +435,19 @@ def _apply(base: _Base, changes: Sequence[_ChangedKey], label: str) -> Scenario 
     data = dict(base.plain)
     changed = {change.path[0] for change in changes}
     data.update({name: deepcopy(data[name]) for name in changed if name in data})
-    lost = []
+    dropped = []
     changes = sorted(changes, key=lambda change: (len(change.path) > 1, not change.selects))
     for change in changes:
-        if change.selects and (problem := _reset_section(data, change)):
-            lost.append(Mistake(change.source, problem))
-        if problem := set_key(data, change.path, change.value):
+        if change.selects:
+            problem = _reset_section(data, change)
+            if problem:
+                dropped.append(Mistake(change.source, problem))
+        problem = set_key(data, change.path, change.value)
+        if problem:
             return [Mistake(change.source, problem)]
     outcome = base.with_sections(data, changed) or from_plain(data)
     if isinstance(outcome, Scenario):
-        return lost or outcome
+        return dropped or outcome
     return [_attribute(mistake, changes, label) for mistake in outcome]
 
 
@@ -467,7 +484,8 @@ def _attribute(mistake: Mistake, changes: Sequence[_ChangedKey], label: str) -> 
     change = find_culprit(mistake, changes)
     if change is None:
         return mistake._replace(problem=f"{mistake.problem} (in case {label})")
-    size, source = len(change.path), change.source
+    size = len(change.path)
+    source = change.source
     if mistake.about_key and size == len(mistake.path) and source[0] == "sweep":
         source = source[:2]
     return mistake._replace(path=(*source, *mistake.path[size:]))
@@ -536,7 +554,9 @@ def structure_kind(settings: Scenario) -> tuple[int, str]:
         "error": (settings.sensing,),
         "estimate": (settings.sensing, settings.localization),
     }
-    by = navigation[structure.navigate_by]
-    at = settings.threads, settings.workers  # growth takes a time of its own with each
-    timed = () if at == (None, None) else at
-    return settings.robots, repr((structure, settings.robot, *by, *timed))
+    navigation_settings = navigation[structure.navigate_by]
+    # Growth takes a time of its own with each number of threads and workers.
+    timing: tuple[int | None, ...] = (settings.threads, settings.workers)
+    if timing == (None, None):
+        timing = ()
+    return settings.robots, repr((structure, settings.robot, *navigation_settings, *timing))

@@ -197,8 +197,12 @@ class Scenario:
     @field_validator("structure")
     @classmethod
     def _place_anchors(cls, structure: StructureParams, info: ValidationInfo) -> object:
-        robots, shape = (info.data.get(name) for name in ("robots", "robot"))
-        if robots and shape and (fault := anchor_fault(structure, robots, shape)):
+        robots = info.data.get("robots")
+        robot = info.data.get("robot")
+        if not robots or not robot:
+            return structure
+        fault = anchor_fault(structure, robots, robot)
+        if fault:
             raise validation.mistake_at(("anchors",), fault)
         return structure
 

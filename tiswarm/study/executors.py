@@ -77,8 +77,9 @@ def require_cores(points: Collection[Scenario]) -> None:
     """
     most = backend.available_threads()
     for key in ("threads", "workers"):
-        if (many := max(getattr(settings, key) or 0 for settings in points)) > most:
-            problem = f"{key}: {many} are more than the {most} cores of this process"
+        asked = max(getattr(settings, key) or 0 for settings in points)
+        if asked > most:
+            problem = f"{key}: {asked} are more than the {most} cores of this process"
             raise EnvironmentTroubleError(f"{problem}; choose fewer")
 
 
@@ -133,20 +134,22 @@ def open_executor(
         width = execution.processes
         with ThreadPoolExecutor(width) as waiting:
             try:
-                each = max(1, (threads or backend.available_threads()) // width)
+                job_threads = max(1, (threads or backend.available_threads()) // width)
                 yield Executor(
                     lambda job, on_stored: waiting.submit(_run_in_process, job, limit, on_stored),
                     width,
-                    each,
+                    job_threads,
                 )
             finally:
                 waiting.shutdown(wait=False, cancel_futures=True)
                 _end_all()
     else:
-        yield Executor(lambda job, on_stored: _run_here(job, progress, on_stored), 1, threads)
+        yield Executor(
+            lambda job, on_stored: _run_in_this_process(job, progress, on_stored), 1, threads
+        )
 
 
-def _run_here(job: Job, progress: Progress, on_stored: OnStored) -> "Future[Outcome]":
+def _run_in_this_process(job: Job, progress: Progress, on_stored: OnStored) -> "Future[Outcome]":
     done: Future[Outcome] = Future()
     try:
         done.set_result(run_job(job, progress, on_stored=on_stored))
@@ -165,7 +168,7 @@ def reason(error: BaseException) -> str:
 
 _running: set["_Process"] = set()
 _ending = threading.Event()  # set once processes of this run are to end
-_own = threading.local()
+_of_thread = threading.local()
 
 
 def _run_in_process(job: Job, limit_s: float | None, on_stored: OnStored = ignore) -> Outcome:
@@ -181,14 +184,14 @@ def _run_in_process(job: Job, limit_s: float | None, on_stored: OnStored = ignor
 
 def _attempt(job: Job, limit_s: float | None, on_stored: OnStored) -> Outcome:
     """Run a job in the process of this thread, which is replaced after any failure."""
-    process: _Process = getattr(_own, "process", None) or _Process()
-    _own.process = None
+    process: _Process = getattr(_of_thread, "process", None) or _Process()
+    _of_thread.process = None
     try:
         outcome = process.run(job, limit_s, on_stored)
     except BaseException:
         process.end()
         raise
-    _own.process = process
+    _of_thread.process = process
     return outcome
 
 
@@ -224,7 +227,8 @@ class _Sent(Progress):
         def advance(steps: float) -> None:
             nonlocal so_far, sent_s
             so_far += steps
-            if (now_s := time.monotonic()) - sent_s >= _STAGE_EVERY_S:
+            now_s = time.monotonic()
+            if now_s - sent_s >= _STAGE_EVERY_S:
                 sent_s = now_s
                 self.send(_Stage(f"{name} {so_far:.0f} of {total}"))
 
@@ -236,16 +240,19 @@ class _Process:
     """A process that runs one job after another."""
 
     def __init__(self) -> None:
-        self.is_idle, self.stage = True, ""
+        self.is_idle = True
+        self.stage = ""
         self.output = TemporaryFile()  # noqa: SIM115 - closed as the process ends
-        self.connection, theirs = Pipe()
+        self.connection, child_end = Pipe()
         code = "from tiswarm.study.executors import main; main({}, {})"
         self.process = subprocess.Popen(  # noqa: S603 - our own code
-            child_command(code.format(theirs.fileno(), os.getpid())),
-            stdin=subprocess.DEVNULL, stdout=self.output, stderr=self.output,
-            pass_fds=[theirs.fileno()],
-        )  # fmt: skip
-        theirs.close()
+            child_command(code.format(child_end.fileno(), os.getpid())),
+            stdin=subprocess.DEVNULL,
+            stdout=self.output,
+            stderr=self.output,
+            pass_fds=[child_end.fileno()],
+        )
+        child_end.close()
         _running.add(self)
         if _ending.is_set():
             self.end()
@@ -255,18 +262,18 @@ class _Process:
         self.is_idle = False
         with suppress(OSError):  # the process has ended; receiving finds out why
             self.connection.send(job)
-        found = self._receive(START_S, "its process did not start within {:g} s; run it again")
-        if found == _READY:
+        message = self._receive(START_S, "its process did not start within {:g} s; run it again")
+        if message == _READY:
             total_s = None if limit_s is None else limit_s * len(job.cases)
             problem = "took longer than {:g} s; raise --case-limit"
-            found = self._receive(total_s, problem, on_stored)
+            message = self._receive(total_s, problem, on_stored)
         self.stage = ""
-        if isinstance(found, TiswarmError):
-            raise found
-        if not isinstance(found, Outcome):
-            raise _JobError(found)
+        if isinstance(message, TiswarmError):
+            raise message
+        if not isinstance(message, Outcome):
+            raise _JobError(message)
         self.is_idle = True
-        return found
+        return message
 
     def dismiss(self) -> None:
         """Let the process store the kernels it has compiled and end, if it has nothing to do."""
@@ -288,8 +295,8 @@ class _Process:
         end_s = math.inf if limit_s is None else time.monotonic() + limit_s
         try:
             while True:
-                left = end_s - time.monotonic()
-                if self.connection.poll(max(0.0, min(_LONGEST_POLL_S, left))):
+                remaining_s = end_s - time.monotonic()
+                if self.connection.poll(max(0.0, min(_LONGEST_POLL_S, remaining_s))):
                     message = self.connection.recv()
                     if isinstance(message, _Stage):
                         self.stage = message
@@ -297,7 +304,7 @@ class _Process:
                         on_stored(message.cases)
                     else:
                         return message
-                elif left <= _LONGEST_POLL_S:
+                elif remaining_s <= _LONGEST_POLL_S:
                     raise _JobError(problem.format(limit_s))
         except (EOFError, OSError) as error:
             raise self._cause_of_death() from error
@@ -332,20 +339,20 @@ def main(descriptor: int, parent: int) -> None:
     with suppress(EOFError):
         while True:
             job = connection.recv()
-            found: Outcome | TiswarmError | str
+            message: Outcome | TiswarmError | str
             try:
                 progress = _Sent(connection.send)
-                found = run_job(
+                message = run_job(
                     job,
                     progress,
                     on_ready=lambda: connection.send(_READY),
                     on_stored=lambda cases: connection.send(_Stored(cases)),
                 )
             except TiswarmError as error:
-                found = error
+                message = error
             except Exception as error:  # noqa: BLE001 - the parent decides what to do
-                found = reason(error)
-            connection.send(found)
+                message = reason(error)
+            connection.send(message)
 
 
 def _end_with(parent: int) -> None:

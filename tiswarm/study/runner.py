@@ -323,7 +323,7 @@ class _CaseRunner:
         self, case: Case, history: History, log: SensingLog, estimate: Estimate
     ) -> CaseRecord:
         """Evaluate and store one case."""
-        found = evaluate(history, log, estimate, case.settings.localization.cues)
+        found = evaluate(history, log, estimate, case.settings.localization.used_cues)
         record = _record(case, "done", history.ended, found.scores)
         running = methods.start_for(case.settings.localization)
         on = f"{running}, numerics {numerics.here().key}"

@@ -611,9 +611,9 @@ def test_the_scheme_of_the_paper_uses_the_cues_of_algorithm_1(local):
     """Tables do not put it beside methods that use contacts on the way, too."""
     paper = DistributedParams(scheme="algorithm-1", **local)
 
-    assert paper.cues == VirtualForceParams(**local).cues
-    assert "walk_contacts" not in paper.cues
-    assert "walk_contacts" in DistributedParams().cues
+    assert paper.used_cues == VirtualForceParams(**local).used_cues
+    assert "walk_contacts" not in paper.used_cues
+    assert "walk_contacts" in DistributedParams().used_cues
 
 
 def test_branches_carry_the_parts_of_those_behind_them():

@@ -107,7 +107,7 @@ def view_near(
         arm=shapes.arm,
         begin=np.tile(begin, (params.chains, 1, 1)),
         moves=moves,
-        repels=params.non_overlap & ~np.isin(np.arange(robots), [*shapes.gone]),
+        repels=params.cues.non_overlap & ~np.isin(np.arange(robots), [*shapes.gone]),
         sigma=cooled(params.start_sigma, ANNEALING.coldest, params.steps, 1),
         robust=robust,
         yaw_precision=0.0,

@@ -97,7 +97,7 @@ def estimate_of(log: SensingLog, params: DistributedParams, found: Found) -> Est
     sd[found.lost] = np.linalg.norm(position, axis=1).max(initial=0.0)
     gap = problem.residual(position[None], np.zeros((1, len(position))))
     is_guess = problem.untied | found.lost
-    verdicts = assess(log, params.cues, position, is_guess=is_guess, sd=sd)
+    verdicts = assess(log, params.used_cues, position, is_guess=is_guess, sd=sd)
     robots, doubtful = len(found.doubtful), int(found.doubtful.sum())
     if robots > 1:
         doubts = f"{doubtful} of {robots} robots doubt their positions"
@@ -396,7 +396,7 @@ def _with_losses(
     settings, position = params.published, swarm.positions
     rows = measure(log, ["contacts", "anchors"])
     untied, gap = disconnected(rows), rows.residual(position / log.dock_radius)
-    found = assess(log, settings.cues, position / log.dock_radius, is_guess=untied)
+    found = assess(log, settings.used_cues, position / log.dock_radius, is_guess=untied)
     pose = pose_bytes(params.bits, with_orientation=True)
     memory = np.array([1 + len(heard) for heard in swarm.heard]) * pose
     return Estimate(

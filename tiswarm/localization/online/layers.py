@@ -131,7 +131,7 @@ class LocalLayers:
         if not len(block.rows.other):
             return _by_coordinates(block, position[number - 1])[None]
         found, cost = candidates(
-            block, self.state, self._shapes, non_overlap=self._params.non_overlap
+            block, self.state, self._shapes, non_overlap=self._params.cues.non_overlap
         )
         self.places[number] = found - position[block.partners].mean(axis=0)
         likely: Reals = found[cost <= cost[0] + CANDIDATES.likely]
@@ -233,7 +233,7 @@ class LocalLayers:
             self.sd,
             shapes=self._shapes,
             robust_sd=ROBUST_SD if self._params.robust else None,
-            non_overlap=self._params.non_overlap,
+            non_overlap=self._params.cues.non_overlap,
         )
 
     def near(self, number: int, most: int | None = None) -> Ints:
@@ -342,7 +342,7 @@ def refuse_line(line: RobotLine) -> None:
     if line.orientation_wxyz is None:
         problem = "null follows from the lines of later robots, too; choose method joint"
         raise InputError(problem, key="orientation_wxyz")
-    for key in {cue.key for cue in CUES if cue.unless_found}:
+    for key in {cue.key for cue in CUES if not cue.names_docks}:
         if any(getattr(entry, key) for entry in (line, *(line.stances or []))):
             remedy = f"leave {key} out, or choose joint"
             raise InputError(f"online cannot find docks that are unknown; {remedy}", key=key)

@@ -272,7 +272,7 @@ class Tracker:
         """Make an estimate of the present state, relative to the anchor."""
         problem = pose_problem(log, self._params)
         position, sd = self._layers.mean, self._layers.sd
-        verdicts = assess(log, self._params.cues, position, is_guess=problem.untied, sd=sd)
+        verdicts = assess(log, self._params.used_cues, position, is_guess=problem.untied, sd=sd)
         verdicts = self._challenged(log, verdicts, ~problem.untied)
         gap = problem.residual(position, np.zeros(len(position)))
         return Estimate(
@@ -453,7 +453,7 @@ def reannealed(
         found.append(cost.refine(cost.at(start, yaw), TIMES.rounds))
     there, least = min(found, key=lambda each: each[1].cost)
     # Robots that stayed give way in a step that all take.
-    whole = WholeCost(log, problem.rows, robust_sd=robust_sd, non_overlap=params.non_overlap)
+    whole = WholeCost(log, problem.rows, robust_sd=robust_sd, non_overlap=params.cues.non_overlap)
     settled = whole.at(there.position, yaw, there.turn, there.earlier)
     linear = whole.linearized(settled)
     own = linear.variance(draws=TIMES.draws)  # its factors serve the step, too
