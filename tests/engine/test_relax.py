@@ -1,16 +1,20 @@
 """The swarm step against the equations written out, and laws that hold for any structure."""
 
+import inspect
+from typing import get_type_hints
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tests.oracle import swarm_step
 from tiswarm import relax
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.base.robot import RobotGeometry
+from tiswarm.base.robot import Robot, RobotGeometry
 from tiswarm.compute import backend, neighbor_list
 from tiswarm.engine import relax as engine
 from tiswarm.engine import stepping
@@ -384,6 +388,17 @@ def test_what_makes_no_sense_is_refused(change, message):
     with pytest.raises(InputError, match=message) as caught:
         relax(**(arguments | change))
     assert "\n" not in str(caught.value)
+
+
+def test_the_signature_is_short_and_has_all_types():
+    """Notebooks show it above the help; spelled out, its unions fill a screen."""
+    signature = inspect.signature(relax)
+    hints = get_type_hints(relax)
+
+    assert len(str(signature)) < 600
+    assert set(hints) == {*signature.parameters, "return"}
+    assert hints["ramp"].__value__ == ArrayLike | None
+    assert hints["robot"] is Robot
 
 
 def test_too_large_a_swarm_is_refused_before_memory_is_taken(monkeypatch):
