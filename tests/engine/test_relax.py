@@ -204,6 +204,7 @@ both_small = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.program(precision="f32")
 @both_small
 def test_single_precision_is_as_good_far_from_the_origin(monkeypatch, small):
     """Forces 2,000 R away are within the stated error, which is that of a swarm at the origin."""
@@ -266,6 +267,7 @@ def test_robots_that_come_back_from_beyond_the_numbers_are_right(small, monkeypa
     assert found.largest_move[0] == pytest.approx(1_252.815, rel=1e-5)
 
 
+@pytest.mark.program(precision="f32")
 @both_small
 @settings(max_examples=40)
 @given(
@@ -307,7 +309,10 @@ def test_a_step_in_single_precision_is_within_its_stated_error(
 
 
 @both_small
-@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize(
+    "precision",
+    [pytest.param("f32", marks=pytest.mark.program(precision="f32")), "f64"],
+)
 def test_a_swarm_outlasts_steps_that_were_too_strong(small, precision, monkeypatch):
     """Steps that outgrow the numbers, or diverge, leave no trace in later ones."""
     monkeypatch.setattr(engine, "SMALL", small)
@@ -327,6 +332,7 @@ def test_a_swarm_outlasts_steps_that_were_too_strong(small, precision, monkeypat
     np.testing.assert_array_equal(here.position, found.position)
 
 
+@pytest.mark.program(precision="f32")
 def test_a_swarm_that_leaves_what_single_precision_resolves_says_so():
     """It names the way out, and in f64 the same steps are taken."""
     pair = [[0, 0, 0], [0.3, 0, 0]], [[1, 0, 0, 0]] * 2, [[0, 0, 1, 0]]
