@@ -45,6 +45,15 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "chain": "tiswarm.world.params:ChainParams",
     },
     "rule": {"reactive-build": "tiswarm.world.params:ReactiveBuild"},
+    "terrain": {
+        "plane": "tiswarm.world.ground.bodies:PlaneParams",
+        "slab": "tiswarm.world.ground.bodies:SlabParams",
+        "box": "tiswarm.world.ground.bodies:BoxParams",
+        "cylinder": "tiswarm.world.ground.bodies:CylinderParams",
+        "sphere": "tiswarm.world.ground.bodies:SphereParams",
+        "heightfield": "tiswarm.world.ground.bodies:HeightsParams",
+        "mesh": "tiswarm.world.ground.bodies:MeshParams",
+    },
     "measure": {},
     "figure": {
         "error": "tiswarm.report.error_figures",
