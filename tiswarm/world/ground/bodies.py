@@ -1,4 +1,4 @@
-"""Bodies of which ground is made, as sections of a scenario: solids, heights, meshes.
+"""Bodies that ground is made of, as sections of a scenario: solids, heights, meshes.
 
 The ground is the union of its bodies. Each has a frame of its own: `position` is its origin, which
 is turned about x, y and z by `roll_deg`, `pitch_deg` and `yaw_deg`, in that order. Lengths in R.
