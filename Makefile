@@ -68,7 +68,7 @@ roundings: $(installed_dev) $(system_checked)  ## Test numbers under other round
 	$(bin)/python -m tests.roundings $(if $(KINDS),--kinds $(KINDS)) -- $(TESTS)
 
 check: lint  ## Check style, types and contracts, and run quick tests (ROOMS='world study')
-	$(tests) --quiet tests/test_architecture.py tests/test_pages.py tests/test_tour.py \
+	$(tests) --quiet tests/test_architecture.py tests/test_pages.py \
 		$(ROOMS:%=tests/%)
 
 docs: $(installed_dev)  ## Build the site of the documentation, build/docs/index.html

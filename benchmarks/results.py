@@ -3,10 +3,13 @@
     tiswarm run scenarios/joint.yaml --no-pictures
     python -m benchmarks.results reports/joint-6470b495
     python -m benchmarks.results reports/joint-1a2b3c4d --kind "AMD EPYC, no FMA in libraries"
+    python -m benchmarks.results --write
 
 A row is the mean of a measure over the structures of a condition and point, with its 95 %
 confidence interval. Rows of the same structures, computed on the same kind of processor, are
-replaced; all others stay. `tests/benchmarks/test_results.py` compares the pages with the file.
+replaced; all others stay. `--write` puts the numbers of the file between the marks of pages:
+`benchmarks/statements.py` has the text of each mark. `tests/benchmarks/test_results.py` claims
+that nothing is left to write.
 """
 
 import argparse
@@ -20,10 +23,13 @@ from typing import Any
 
 import pandas as pd
 
+from benchmarks.marks import write_texts
+from benchmarks.statements import texts_of
 from tiswarm.base.errors import InputError
 from tiswarm.evaluation.metrics import mean_std_ci95
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results.csv"
+REPOSITORY = Path(__file__).parents[1]
+RESULTS = REPOSITORY / "docs" / "results.csv"
 
 MEASURES = {
     "rmse_R": "R",
@@ -127,25 +133,54 @@ def read_results(path: Path = RESULTS) -> pd.DataFrame:
     return pd.read_csv(path, keep_default_na=False, na_values=without)
 
 
+def pages() -> list[Path]:
+    """List the pages that may have marks."""
+    return [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+
+
+def write_pages(texts: Mapping[str, str]) -> list[Path]:
+    """Write texts between the marks of all pages, and return the pages that changed.
+
+    Raises:
+        InputError: a mark is wrong; no page is written.
+    """
+    changed = {}
+    for path in pages():
+        page = path.read_text()
+        written = write_texts(page, texts, path)
+        if written != page:
+            changed[path] = written
+    for path, written in changed.items():
+        path.write_text(written)
+    return list(changed)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Update the file of results from runs; return the exit status."""
+    """Update the file of results from runs, or pages from the file; return the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.results",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folder of a run")
+    parser.add_argument("runs", type=Path, nargs="*", metavar="RUN", help="folder of a run")
     parser.add_argument("--kind", default="", help="kind of processor, if not the manifest's")
     parser.add_argument("--out", type=Path, default=RESULTS, help="file of results")
+    parser.add_argument("--write", action="store_true", help="write the file's numbers to pages")
     options = parser.parse_args(arguments)
+    if not options.runs and not options.write:
+        parser.error("nothing to do; give the folder of a run, or --write")
     results = read_results(options.out)
     try:
         for run in options.runs:
             results = merged(results, rows_of(run, options.kind))
+        if options.runs:
+            results.to_csv(options.out, index=False, lineterminator="\n")
+            print(f"{options.out}: {len(results)} results")
+        if options.write:
+            for path in write_pages(texts_of(results)):
+                print(f"wrote {path}")
     except InputError as error:
         parser.error(str(error))
-    results.to_csv(options.out, index=False, lineterminator="\n")
-    print(f"{options.out}: {len(results)} results")
     return 0
 
 

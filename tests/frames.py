@@ -73,7 +73,7 @@ class LinkLoads(NamedTuple):
 def link_loads(structure: Standing, **settings: object) -> LinkLoads:
     """Axial force and bending moment in each link, mechanics being as usual but for `settings`."""
     frames = _solved(structure, MechanicsParams(**settings))
-    return split_loads(structure, frames.found.acting[0])
+    return split_loads(structure, frames.load_arrays.acting[0])
 
 
 def split_loads(structure: Standing, acting: np.ndarray) -> LinkLoads:

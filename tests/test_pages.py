@@ -16,28 +16,51 @@ PAGES = [
     *sorted((REPOSITORY / "docs").rglob("*.md")),
 ]
 NAMED = r"\b((?:scenarios|tests|docs)/[\w./-]+\.(?:csv|jsonl|json|md|py|yaml))"
+PLUGIN = "of a plug-in that you load"
+"""Part of the message on a name that a plug-in would bring."""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_links_lead_to_files(page):
+def _name(page: Path) -> str:
+    return str(page.relative_to(REPOSITORY))
+
+
+def test_links_lead_to_files():
     """A reader who follows a link or opens a named file finds it."""
-    text = page.read_text()
-    links = re.findall(r"\]\((?!https?:)([^)#]+)", text)
-
-    missing = [link for link in links if not (page.parent / link).exists()]
-    missing += [name for name in re.findall(NAMED, text) if not (REPOSITORY / name).exists()]
+    missing = []
+    for page in PAGES:
+        text = page.read_text()
+        links = re.findall(r"\]\((?!https?:)([^)#]+)", text)
+        paths = [page.parent / link for link in links]
+        paths += [REPOSITORY / name for name in re.findall(NAMED, text)]
+        missing += [f"{_name(page)}: {path}" for path in paths if not path.exists()]
 
     assert missing == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_scenarios_on_pages_have_no_mistakes(page, tmp_path):
+def test_files_that_the_tour_names_exist():
+    """A stop names its file in full, and others as neighbors of it or as paths in the package."""
+    package = REPOSITORY / "tiswarm"
+    tour = (REPOSITORY / "docs" / "tour.md").read_text()
+    missing = []
+    for paragraph in re.split(r"^(?=\d+\. |\| )", tour, flags=re.MULTILINE)[1:]:
+        named = re.findall(r"`([\w/]+\.py)`", paragraph)
+        for file in named:
+            places = (REPOSITORY, package, (REPOSITORY / named[0]).parent)
+            is_file = any((place / file).is_file() for place in places)
+            missing += [] if is_file or any(package.rglob(file)) else [file]
+
+    assert missing == []
+
+
+def test_scenarios_on_pages_have_no_mistakes(tmp_path):
     """A reader can copy them; some need a plug-in of the same page."""
+    path = tmp_path / "scenario.yaml"
     mistakes = []
-    for block in re.findall(r"```yaml\n(name:.*?)```", page.read_text(), re.DOTALL):
-        (tmp_path / "scenario.yaml").write_text(block)
-        found = tiswarm.check(tmp_path / "scenario.yaml").mistakes
-        mistakes += [str(each) for each in found if "of a plug-in that you load" not in str(each)]
+    for page in PAGES:
+        for block in re.findall(r"```yaml\n(name:.*?)```", page.read_text(), re.DOTALL):
+            path.write_text(block)
+            refused = map(str, tiswarm.check(path).mistakes)
+            mistakes += [f"{_name(page)}: {line}" for line in refused if PLUGIN not in line]
 
     assert mistakes == []
 
@@ -62,14 +85,14 @@ def test_the_list_of_pages_is_complete():
     assert pages - listed == {"index.md"}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_rows_of_tables_have_the_cells_of_their_header(page):
+def test_rows_of_tables_have_the_cells_of_their_header():
     """A lost bar shifts all numbers of its row to a wrong column."""
-    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
     ragged = []
-    for table in re.findall(r"(?:^ *\|.*\n?)+", text, re.MULTILINE):
-        counts = {row.count("|") - row.count("\\|") for row in table.splitlines()}
-        ragged += [table] if len(counts) > 1 else []
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+        for table in re.findall(r"(?:^ *\|.*\n?)+", text, re.MULTILINE):
+            counts = {row.count("|") - row.count("\\|") for row in table.splitlines()}
+            ragged += [f"{_name(page)}: {table}"] if len(counts) > 1 else []
 
     assert ragged == []
 

@@ -245,6 +245,23 @@ def test_tables_of_an_export_have_the_values(estimate, table, tmp_path):
     assert rows["role"].fillna("").tolist()[:5] == ["scout", "scout", "relay", "carrier", ""]
 
 
+def test_spreadsheets_compute_no_label_of_an_exported_table(estimate, tmp_path):
+    """Labels and names of columns that begin like formulas get an apostrophe; numbers stay."""
+    path = tmp_path / "values.csv"
+    labels = ["=1+1", "+a", "-a", "@a", "-1.5", "a=1"]
+    rows = [f"{robot},{label},{-robot}" for robot, label in enumerate(labels)]
+    path.write_text("\n".join(["robot,=role,-level", *rows]))
+
+    estimate.export(
+        "csv", color=[f"{path}:=role", f"{path}:-level"], out=tmp_path / "out", quiet=True
+    )
+
+    table = pd.read_csv(tmp_path / "out/estimate.csv", dtype={"'=role": str})
+    written = table["'=role"].fillna("").tolist()
+    assert written[:6] == ["'=1+1", "'+a", "'-a", "'@a", "-1.5", "a=1"]
+    assert table["'-level"].tolist()[:3] == [0.0, -1.0, -2.0]
+
+
 def test_the_page_opens_on_the_values(estimate, table, tmp_path):
     """The browser reports no error; the select offers the values first, and a robot its label."""
     page = estimate.view(color=[f"{table}:role", f"{table}:charge"])

@@ -10,6 +10,7 @@ import pytest
 from tiswarm.api import open_swarms
 from tiswarm.app.logs import open_log
 from tiswarm.base.errors import InputError
+from tiswarm.base.plugins import load_plugins
 from tiswarm.formats.colors import read_colorings
 from tiswarm.formats.imports import convert
 from tiswarm.formats.poses import Poses, read_contacts, read_dock_offsets
@@ -119,6 +120,7 @@ LOGS = {
     "trajectories": ("t.gsd", lambda path: convert(path, {})),
     "bag": ("t.bag", lambda path: convert(path, {})),
     "folder": ("folder/0.tum", lambda path: convert(path.parent, {})),
+    "plug-in": ("own.py", lambda path: load_plugins([path])),
 }
 READERS = {name: ("t.csv", read) for name, (_, read) in TABLES.items() if name != "colors"} | LOGS
 

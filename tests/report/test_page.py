@@ -554,6 +554,25 @@ def test_a_page_of_a_sweep_has_a_row_group_and_a_choice_for_each_point(swept_run
     assert not re.search(r"kind: bridge|structure=", page.partition("The scenario with all")[0])
 
 
+def test_spreadsheets_compute_no_label_of_a_downloaded_table(swept_run, tmp_path):
+    """Points and conditions that begin like formulas get an apostrophe; other cells stay."""
+    scenario = swept_run / "scenario.yaml"
+    labeled = scenario.read_text().replace("wide gap", "=wide").replace("joint: {}", "=joint: {}")
+    scenario.write_text(labeled)
+    for table in (swept_run / "table.csv", swept_run / "summary.csv"):
+        table.write_text(re.sub(r"(?m)^joint,|(?<=,)joint,", "=joint,", table.read_text()))
+    page = write_page(load_run(swept_run), Progress()).read_text()
+
+    found = probe(page, SWEPT, tmp_path)
+
+    rows = found["csv"].splitlines()
+    assert [row.split(",")[:2] for row in rows[3:5]] == [
+        ['"\'=wide"', '"Algorithm 1"'],
+        ['"\'=wide"', '"\'=joint"'],
+    ]
+    assert rows[1].startswith('"gap 20 R","Algorithm 1","2')
+
+
 @pytest.mark.parametrize(("rows", "is_wide"), [(14, False), (15, True)])
 def test_a_long_table_has_the_whole_width(rows, is_wide):
     """Beside the view its columns were cut; some renders are then large, others folded."""

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from tiswarm.base import registry
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
+from tiswarm.base.files import refuse_special
 from tiswarm.base.registry import Plugin, digest_of
 
 if TYPE_CHECKING:
@@ -158,6 +159,7 @@ def _same_folder() -> Iterator[None]:
 def _load_file(named: Path) -> None:
     file = named.resolve()
     try:
+        refuse_special(named, named.stat().st_mode)
         source = file.read_bytes()
     except OSError as error:
         problem = f"cannot be read: {error.strerror}; correct the path of the plug-in"

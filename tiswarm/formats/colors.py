@@ -17,17 +17,17 @@ from tiswarm.report.figure_style import LABEL_COLORS
 from tiswarm.report.run_data import RunData, StoredCase
 from tiswarm.report.swarm_view import POSE, SD, Coloring
 
-_OURS = ("error", SD, "sensed force")
+_LABELS_OF_VIEWS = ("error", SD, "sensed force")
 
 
 def read_colorings(
-    given: "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]", robots: Ints
+    sources: "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]", robots: Ints
 ) -> tuple[Coloring, ...]:
     """Read values that color robots.
 
     Args:
-        given: Column of a table, as `FILE:COLUMN`, or a series of pandas whose index has the names
-            of robots and whose name is that of the column; or several of these. A unit stands in
+        sources: Column of a table, as `FILE:COLUMN`, or a series of pandas whose index has names
+            of robots and whose name is that of the column; or several. A unit stands in
             brackets: `charge [V]`.
         robots: Name of each robot, shape (N,).
 
@@ -39,69 +39,97 @@ def read_colorings(
             first one, a number or a label; names file and line.
     """
     return tuple(
-        _coloring(*_named_column(each), robots, is_text=_is_text(each))
-        for each in ([given] if isinstance(given, str | pd.Series) else given)
+        _coloring(*_named_column(source), robots, is_text=_is_text(source))
+        for source in ([sources] if isinstance(sources, str | pd.Series) else sources)
     )
 
 
-def _named_column(given: "str | pd.Series[Any]") -> tuple[CsvFile, str]:
+def _named_column(source: "str | pd.Series[Any]") -> tuple[CsvFile, str]:
     """Find the table and the column of values."""
-    if isinstance(given, pd.Series):
-        name = str(given.name or "value")
-        text = given.rename(name).rename_axis("robot").to_csv()
+    if isinstance(source, pd.Series):
+        name = str(source.name or "value")
+        text = source.rename(name).rename_axis("robot").to_csv()
         return CsvFile(Path("series"), text), name
-    splits = [(given[:k], given[k + 1 :]) for k, letter in enumerate(given) if letter == ":"]
+    splits = [(source[:k], source[k + 1 :]) for k, letter in enumerate(source) if letter == ":"]
     if not splits:
-        problem = f"{given!r} names no column; write it like values.csv:charge"
+        problem = f"{source!r} names no column; write it like values.csv:charge"
         raise InputError(problem, argument="color")
-    file, name = next((each for each in splits if Path(each[0]).is_file()), splits[-1])
+    file, name = next((split for split in splits if Path(split[0]).is_file()), splits[-1])
     return CsvFile(Path(file)), name.strip()
 
 
-def _is_text(given: "str | pd.Series[Any]") -> bool:
+def _is_text(source: "str | pd.Series[Any]") -> bool:
     """Whether a series has labels by its type; tables say so by their cells."""
     kinds = ("string", "categorical")
-    return isinstance(given, pd.Series) and pd.api.types.infer_dtype(given) in kinds
+    return isinstance(source, pd.Series) and pd.api.types.infer_dtype(source) in kinds
 
 
 def _coloring(table: CsvFile, name: str, robots: Ints, *, is_text: bool) -> Coloring:
     """Take the values of a column by robot."""
-    column, first = name, find_column(table.columns, "robot")
-    if column not in table.columns:
-        column = next((other for other in table.columns if _bare(other) == name), name)
-    if not first:
+    robot_column = find_column(table.columns, "robot")
+    if not robot_column:
         problem = "no column has numbers of robots; call one robot"
         raise InputError(problem, path=table.path, line=1)
-    if column not in table.columns:
-        some = ", ".join(other for other in table.columns if other != first)
-        problem = f"there is no such column; choose one of {some}"
-        raise InputError(problem, path=table.path, line=1, key=name)
-    equal = [name for name in table.columns if _bare(name) == _bare(column)]
-    if table.columns.count(column) > 1 or (column != name and len(equal) > 1):
-        problem = f"{len(equal)} columns are called {_bare(column)}; rename all but one of them"
-        raise InputError(problem, path=table.path, line=1, key=name)
+    column = _column_called(name, table, robot_column)
     table.drop(table.incomplete([column]))
-    place = {robot: n for n, robot in enumerate(robots.tolist())}
-    row_of: dict[int, int] = {}
-    for row, robot in enumerate(robots_of(table, first).tolist()):
-        problem = f"robot {robot} has a row already; keep one" if robot in row_of else ""
-        if robot not in place:
-            problem = f"there is no robot {robot}; robots are {min(place)} to {max(place)}"
-        if problem:
-            raise InputError(problem, path=table.path, line=table.line(row), key=first)
-        row_of[robot] = row
-    label, _, unit = map(str.strip, re.split(r"([\[(])", f"{column}[", maxsplit=1))
-    label += f" of {table.path.name}" * (label in _OURS)
-    cells, value = table.words(column).tolist(), np.full(len(robots), np.nan)
-    words = [*dict.fromkeys(map(str.strip, cells))] if is_text or _are_labels(cells) else []
+    places = _places_of_rows(table, robot_column, robots)
+    label, _, unit = re.split(r"([\[(])", f"{column}[", maxsplit=1)
+    label = label.strip()
+    unit = unit.strip().strip("])[ ")
+    if label in _LABELS_OF_VIEWS:
+        label += f" of {table.path.name}"
+    cells: list[str] = table.words(column).tolist()
+    words: list[str] = []
+    if is_text or _are_labels(cells):
+        words = [*dict.fromkeys(cell.strip() for cell in cells)]
     if len(words) > len(LABEL_COLORS):
         problem = f"has {len(words)} labels; give numbers, or at most {len(LABEL_COLORS)} labels"
         raise InputError(problem, path=table.path, line=1, key=column)
-    found = [words.index(cell.strip()) for cell in cells] if words else table.numbers(column)
-    value[[place[robot] for robot in row_of]] = found
-    scale = "labels" if words else "joins"
-    least = 0.0 if words else float(min(found))
-    return Coloring(label, unit.strip("])[ "), value, scale, least, words)
+    value = np.full(len(robots), np.nan)
+    if words:
+        value[places] = [words.index(cell.strip()) for cell in cells]
+        return Coloring(label, unit, value, "labels", 0.0, words)
+    numbers = table.numbers(column)
+    value[places] = numbers
+    return Coloring(label, unit, value, "joins", float(min(numbers)))
+
+
+def _column_called(name: str, table: CsvFile, robot_column: str) -> str:
+    """Find a column by its name, with its unit or without.
+
+    Raises:
+        InputError: there is none, or there are several.
+    """
+    column = name
+    if name not in table.columns:
+        column = next((heading for heading in table.columns if _bare(heading) == name), name)
+    if column not in table.columns:
+        listed = ", ".join(heading for heading in table.columns if heading != robot_column)
+        problem = f"there is no such column; choose one of {listed}"
+        raise InputError(problem, path=table.path, line=1, key=name)
+    equal = [heading for heading in table.columns if _bare(heading) == _bare(column)]
+    if table.columns.count(column) > 1 or (column != name and len(equal) > 1):
+        problem = f"{len(equal)} columns are called {_bare(column)}; rename all but one of them"
+        raise InputError(problem, path=table.path, line=1, key=name)
+    return column
+
+
+def _places_of_rows(table: CsvFile, robot_column: str, robots: Ints) -> list[int]:
+    """List the place of each row's robot among all robots.
+
+    Raises:
+        InputError: there is no such robot, or it has two rows.
+    """
+    place_of = {robot: n for n, robot in enumerate(robots.tolist())}
+    row_of: dict[int, int] = {}
+    for row, robot in enumerate(robots_of(table, robot_column).tolist()):
+        problem = f"robot {robot} has a row already; keep one" if robot in row_of else ""
+        if robot not in place_of:
+            problem = f"there is no robot {robot}; robots are {min(place_of)} to {max(place_of)}"
+        if problem:
+            raise InputError(problem, path=table.path, line=table.line(row), key=robot_column)
+        row_of[robot] = row
+    return [place_of[robot] for robot in row_of]
 
 
 def _bare(column: str) -> str:
@@ -129,12 +157,12 @@ def _are_labels(cells: Sequence[str]) -> bool:
     return is_padded and len({len(digits) for digits in decimals}) > 1
 
 
-def colored(run: RunData, given: Any, name: str | None) -> RunData:  # noqa: ANN401 - as above
+def colored(run: RunData, sources: Any, name: str | None) -> RunData:  # noqa: ANN401 - as above
     """Color a case, and those of the same structure, by values as `read_colorings` takes them.
 
     Args:
         run: The run.
-        given: The values.
+        sources: The values.
         name: Name of the case; the first of the largest if None.
 
     Raises:
@@ -142,10 +170,11 @@ def colored(run: RunData, given: Any, name: str | None) -> RunData:  # noqa: ANN
     """
     case = run.choose(name)
     robots = case.columns("robots.csv", ["robot"])[:, 0].astype(np.int64)
-    own, pose = read_colorings(given, robots), _poses(case)
-    alike = [each for each in run.cases if each.done and each.robots == case.robots]
-    alike = [each for each in alike if np.array_equal(_poses(each), pose)]
-    return replace(run, own={each.name: own for each in alike})
+    colorings = read_colorings(sources, robots)
+    pose = _poses(case)
+    of_this_size = [stored for stored in run.cases if stored.done and stored.robots == case.robots]
+    names = [stored.name for stored in of_this_size if np.array_equal(_poses(stored), pose)]
+    return replace(run, own=dict.fromkeys(names, colorings))
 
 
 def _poses(case: StoredCase) -> Reals:

@@ -9,7 +9,6 @@ import io
 import re
 import string
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -87,7 +86,7 @@ _QPOS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _MESSAGES = {*("field", "pose", "msg", "data", "transform", "header", "state"), ""}
 """Parts of a message's name that name no robot."""
 
-_OTHERS = {
+_WORDS_OF_OTHER_QUANTITIES = {
     *("vel", "velocity", "speed", "twist", "linear", "angular", "acc", "accel", "acceleration"),
     *("v", "w", "scale", "size"),
     *("cmd", "command", "goal", "target", "desired", "setpoint", "ref", "reference", "origin"),
@@ -197,30 +196,49 @@ def read_table(
         InputError: the table is malformed, or lacks a column.
     """
     sheet = sheet or plain_sheet(path)
-    said = re.search(r"left[-_ ]?hand", sheet.text[:10_000], re.IGNORECASE)
-    if said and not assumed.left_handed:
-        problem = "the frame is left-handed; add --left-handed to turn it to a right-handed one"
-        raise InputError(problem, path=path, line=1 + sheet.text.count("\n", 0, said.start()))
+    if not assumed.left_handed:
+        _refuse_left_handed(sheet, path)
     table = CsvFile(path, sheet.text)
-    known = _known_columns(table.columns, assumed, path)
-    bodies = _bodies(table.columns, known, assumed, path, sheet, is_one=robot is not None)
-    is_wide, others = "robot" not in known and robot is None, list[str]()
+    label_columns = _label_columns(table.columns, assumed, path)
+    bodies = _bodies(table.columns, label_columns, assumed, path, sheet, is_one=robot is not None)
+    is_wide = "robot" not in label_columns and robot is None
+    unnumbered: list[str] = []
     if is_wide and not sheet.program:
-        others = [body.name for body in bodies if not re.search(r"\d", body.name)]
-        bodies = [body for body in bodies if body.name not in others] or bodies
-    pick = _of_bodies if is_wide else partial(_of_rows, robot=robot)
-    rows, notes = pick(table, bodies, known, assumed)
-    if others:
-        notes.append(f"no robots, since their names have no number: {some(others)}")
-    numbers = dict(zip(bodies[0].columns, bodies[0].columns.values(), strict=True))
-    if "sphere" not in known:
-        notes += _add_quaternions(rows, table, bodies[0], assumed, sheet)
-    refuse_far(rows, path, assumed.dock_radius, numbers)
-    order: list[str] = []
-    if bodies[0].turn in {("qw", "qx", "qy", "qz"), ("rw", "rx", "ry", "rz")}:
-        place = dict(zip(QUATERNION, (numbers[name] for name in bodies[0].turn), strict=True))
-        order = sorted(QUATERNION, key=lambda name: table.columns.index(place[name]))
-    return PoseTable(rows, bodies[0].unit or sheet.length_unit, order, [*sheet.notes, *notes])
+        unnumbered = [body.name for body in bodies if not re.search(r"\d", body.name)]
+        bodies = [body for body in bodies if body.name not in unnumbered] or bodies
+    if is_wide:
+        rows, notes = _read_wide_rows(table, bodies, label_columns)
+    else:
+        rows, notes = _read_long_rows(table, bodies, label_columns, assumed, robot)
+    if unnumbered:
+        notes.append(f"no robots, since their names have no number: {some(unnumbered)}")
+    first_body = bodies[0]
+    if "sphere" not in label_columns:
+        notes += _add_quaternions(rows, table, first_body, assumed, sheet)
+    refuse_far(rows, path, assumed.dock_radius, first_body.columns)
+    unit = first_body.unit or sheet.length_unit
+    order = _quaternion_order(first_body, table.columns)
+    return PoseTable(rows, unit, order, [*sheet.notes, *notes])
+
+
+def _refuse_left_handed(sheet: Sheet, path: Path) -> None:
+    """Raise InputError where a table says near its start that its frame is left-handed."""
+    statement = re.search(r"left[-_ ]?hand", sheet.text[:10_000], re.IGNORECASE)
+    if statement:
+        problem = "the frame is left-handed; add --left-handed to turn it to a right-handed one"
+        line = 1 + sheet.text.count("\n", 0, statement.start())
+        raise InputError(problem, path=path, line=line)
+
+
+def _quaternion_order(body: _PoseColumns, header: Sequence[str]) -> list[str]:
+    """List the parts of a quaternion in the order of their columns; empty without quaternions."""
+    if body.turn not in {("qw", "qx", "qy", "qz"), ("rw", "rx", "ry", "rz")}:
+        return []
+    place = {
+        part: header.index(body.columns[name])
+        for part, name in zip(QUATERNION, body.turn, strict=True)
+    }
+    return sorted(QUATERNION, key=place.__getitem__)
 
 
 def plain_sheet(path: Path) -> Sheet:
@@ -229,61 +247,78 @@ def plain_sheet(path: Path) -> Sheet:
     Lines keep their numbers. A line of units below the head becomes part of it.
     """
     lines = [text.rstrip("\r\n") for _, text in numbered_lines(path, MAX_TABLE_BYTES)]
-    bare = [k for k, text in enumerate(lines) if text.strip() and not text.startswith("#")]
-    if not bare:
+    content = [k for k, text in enumerate(lines) if text.strip() and not text.startswith("#")]
+    if not content:
         return Sheet("\n".join(lines))
-    head = _head(lines, bare)
+    head = _head(lines, content)
     comments = [k for k in range(head) if re.match(r"[#%]\s*[A-Za-z_]", lines[k])]
-    if comments and head == bare[0] and _are_numbers(_cells(lines[head])):
+    if comments and head == content[0] and _are_numbers(_cells(lines[head])):
         head = comments[-1]
     names = _cells(lines[head].lstrip("#% "))
-    sep = max(_SEPARATORS, key=lines[head].count)
-    rows = [k for k in bare if k > head]
+    separator = max(_SEPARATORS, key=lines[head].count)
+    rows = [k for k in content if k > head]
     units = _cells(lines[rows[0]]) if rows else []
-    is_unit = {unit.lower() for unit in (*LENGTHS, *_TIMES, *_ANGLES, "")}
-    if any(units) and {unit.strip("[]() ").lower() for unit in units} <= is_unit:
+    if _are_units(units):
         names = [
             f"{name} [{unit.strip('[]() ')}]" if unit else name
             for name, unit in zip(names, units, strict=False)
         ]
         lines[rows.pop(0)] = "#"
-    if sep not in lines[head]:  # blanks; R and pandas give numbers of rows no name
+    if separator not in lines[head]:  # blanks
         cells = [_words(text) for text in lines]
-        names = ["", *names] if {len(cells[k]) for k in rows} == {len(names) + 1} else names
-        lines = ["\t".join(each) for each in cells]
-    elif {(lines[k].count(sep), lines[k].rstrip()[-1]) for k in rows} == {(len(names), sep)}:
+        if {len(cells[k]) for k in rows} == {len(names) + 1}:
+            names = ["", *names]  # R and pandas give numbers of rows no name
+        lines = ["\t".join(words) for words in cells]
+    elif _all_end_with(separator, [lines[k] for k in rows], len(names)):
         names.append("")
-    if sep == "|":
-        sep, lines = "\t", [text.replace("|", "\t") for text in lines]
-    text = [text if text.strip() else "#" for text in lines]
-    above = [line if line.startswith("#") else f"#{line}" for line in text[:head]]
-    return Sheet("\n".join([*above, header_line(names, sep), *text[head + 1 :]]))
+    if separator == "|":
+        separator = "\t"
+        lines = [text.replace("|", "\t") for text in lines]
+    lines = [text if text.strip() else "#" for text in lines]
+    prose = [text if text.startswith("#") else f"#{text}" for text in lines[:head]]
+    return Sheet("\n".join([*prose, header_line(names, separator), *lines[head + 1 :]]))
 
 
-def _head(lines: Sequence[str], bare: Sequence[int]) -> int:
+def _are_units(cells: Sequence[str]) -> bool:
+    """Whether the cells of a line are units, some of which may be empty."""
+    units = {unit.lower() for unit in (*LENGTHS, *_TIMES, *_ANGLES, "")}
+    return any(cells) and {cell.strip("[]() ").lower() for cell in cells} <= units
+
+
+def _all_end_with(separator: str, rows: Sequence[str], count: int) -> bool:
+    """Whether all rows, of which there are some, end with the last of `count` separators."""
+    return {(row.count(separator), row.rstrip()[-1]) for row in rows} == {(count, separator)}
+
+
+def _head(lines: Sequence[str], content: Sequence[int]) -> int:
     """Find the head below lines of prose: the first names that are as many as cells of most rows.
 
     It is the first line where there are none.
+
+    Args:
+        lines: Lines of the table.
+        content: Places of those that are neither empty nor a comment; there is one at least.
     """
-    first = [len(_cells(lines[k])) for k in bare[:_LONGEST_PROSE]]
-    usual = max(first, key=first.count)
-    for place, count in zip(bare, first, strict=False):
-        if count == usual and first[0] < usual:
-            is_named = not any(_are_numbers([cell]) for cell in _cells(lines[place]) if cell)
-            return place if is_named else bare[0]
-    return bare[0]
+    counts = [len(_cells(lines[k])) for k in content[:_LONGEST_PROSE]]
+    usual = max(counts, key=counts.count)
+    for k, count in zip(content, counts, strict=False):
+        if count == usual and counts[0] < usual:
+            is_named = not any(_are_numbers([cell]) for cell in _cells(lines[k]) if cell)
+            return k if is_named else content[0]
+    return content[0]
 
 
 def refuse_other_files(path: Path) -> None:
     """Refuse a file whose first bytes are those of another format, and name what to do."""
-    if not path.is_dir():
-        with open_input(path) as file:
-            start = file.read(64).lstrip()
-        if path.suffix in {".yaml", ".yml"}:
-            raise InputError("this is YAML, no table; give a scenario to tiswarm run", path=path)
-        for first, problem in _OTHER_FILES.items():
-            if start.startswith(first):
-                raise InputError(f"this is {problem}", path=path)
+    if path.is_dir():
+        return
+    with open_input(path) as file:
+        start = file.read(64).lstrip()
+    if path.suffix in {".yaml", ".yml"}:
+        raise InputError("this is YAML, no table; give a scenario to tiswarm run", path=path)
+    for first_bytes, problem in _OTHER_FILES.items():
+        if start.startswith(first_bytes):
+            raise InputError(f"this is {problem}", path=path)
 
 
 def header_line(names: Sequence[str], separator: str) -> str:
@@ -295,13 +330,13 @@ def header_line(names: Sequence[str], separator: str) -> str:
 
 def _cells(text: str) -> list[str]:
     """Split a line at the separator that it has."""
-    sep = max(_SEPARATORS, key=text.count)
-    if sep not in text:
+    separator = max(_SEPARATORS, key=text.count)
+    if separator not in text:
         return _words(text)
     try:
-        cells = next(csv.reader([text], delimiter=sep, skipinitialspace=True), [])
+        cells = next(csv.reader([text], delimiter=separator, skipinitialspace=True), [])
     except csv.Error:
-        cells = text.split(sep)
+        cells = text.split(separator)
     return [cell.strip() for cell in cells]
 
 
@@ -328,40 +363,38 @@ def refuse_far(
     for axis in _AXES:
         far = np.flatnonzero(~(np.abs(rows[axis].to_numpy()) <= FARTHEST * dock_radius))
         if len(far):
-            value, line = rows[axis].iloc[far[0]], int(rows["line"].iloc[far[0]])
-            problem = f"{value:g} is too far out; move the origin to the robots"
+            row = rows.iloc[far[0]]
+            problem = f"{row[axis]:g} is too far out; move the origin to the robots"
             key = axis if columns is None else columns[axis]
-            raise InputError(problem, path=path, line=line, key=key)
+            raise InputError(problem, path=path, line=int(row["line"]), key=key)
 
 
-def _known_columns(header: Sequence[str], assumed: Assumptions, path: Path) -> dict[str, str]:
+def _label_columns(header: Sequence[str], assumed: Assumptions, path: Path) -> dict[str, str]:
     """Find the columns that an option names, and those of robots, times, joins and spheres."""
     quantities = {*chain(*TURNS), *_AXES, "robot", "time", "join", "sphere", "run"}
     for meaning, column in assumed.columns.items():
         if meaning not in quantities:
-            names = ", ".join(
-                ["robot", "time", "join", *_AXES, *QUATERNION, "roll", "pitch", "yaw"]
-            )
-            problem = f"{meaning!r} is no quantity; use {names}"
+            usual = ["robot", "time", "join", *_AXES, *QUATERNION, "roll", "pitch", "yaw"]
+            problem = f"{meaning!r} is no quantity; use {', '.join(usual)}"
             raise InputError(problem, argument="column")
         if header.count(column) != 1:
             problem = f"there is no column {column!r}, or there are several; name one of "
             raise InputError(problem + ",".join(header)[:200], path=path, line=1)
-    found = {
-        name: column
-        for name in ("robot", "sphere", "join", "time", "run")
-        if (column := assumed.columns.get(name) or find_column(header, name))
-    }
-    repeated = next((column for column in found.values() if header.count(column) > 1), "")
-    if repeated:
-        problem = f"there are {header.count(repeated)} columns of this name; rename all but one"
-        raise InputError(problem, path=path, line=1, key=repeated)
-    return found
+    label_columns = {}
+    for name in ("robot", "sphere", "join", "time", "run"):
+        column = assumed.columns.get(name) or find_column(header, name)
+        if column:
+            label_columns[name] = column
+    for column in label_columns.values():
+        if header.count(column) > 1:
+            problem = f"there are {header.count(column)} columns of this name; rename all but one"
+            raise InputError(problem, path=path, line=1, key=column)
+    return label_columns
 
 
 def _bodies(
     header: Sequence[str],
-    known: Mapping[str, str],
+    label_columns: Mapping[str, str],
     assumed: Assumptions,
     path: Path,
     sheet: Sheet,
@@ -369,37 +402,42 @@ def _bodies(
     is_one: bool,
 ) -> Sequence[_PoseColumns]:
     """Find the columns of each robot, or those of all robots if a column names them."""
-    forced = {column: meaning for meaning, column in assumed.columns.items()}
+    assigned = {column: meaning for meaning, column in assumed.columns.items()}
     units = {unit.lower() for unit in ("", *LENGTHS, _NO_UNIT, assumed.length_unit)}
     columns = []
     for name in header:
-        read = _meaning(name, units, is_export=bool(sheet.program))
-        if name in forced:
-            columns.append(_Column(name, "", forced[name], read.unit if read else ""))
-        elif name not in known.values() and read and read.meaning not in assumed.columns:
-            columns.append(read)
-    names = [*dict.fromkeys(column.body for column in columns)]
-    found = {name: _body(name, [c for c in columns if c.body == name], path) for name in names}
-    whole = [body for body in found.values() if {*_AXES} <= {*body.columns} and body.turn]
-    is_named = "robot" in known or is_one
-    if not is_named and "sphere" not in known:
-        several = [body for body in whole if body.name]
+        column = _meaning(name, units, is_export=bool(sheet.program))
+        if name in assigned:
+            columns.append(_Column(name, "", assigned[name], column.unit if column else ""))
+        elif (
+            name not in label_columns.values() and column and column.meaning not in assumed.columns
+        ):
+            columns.append(column)
+    columns_of: dict[str, list[_Column]] = {}
+    for column in columns:
+        columns_of.setdefault(column.body, []).append(column)
+    bodies = {name: _body(name, columns_of[name], path) for name in columns_of}
+    complete = [body for body in bodies.values() if {*_AXES} <= {*body.columns} and body.turn]
+    is_named = "robot" in label_columns or is_one
+    has_spheres = "sphere" in label_columns
+    if not is_named and not has_spheres:
+        several = [body for body in complete if body.name]
         if several and (sheet.program or any(re.search(r"\d", body.name) for body in several)):
             return several
-    chosen = _together([*found.values()], whole, is_named=is_named, has_spheres="sphere" in known)
+    chosen = _together([*bodies.values()], complete, is_named=is_named, has_spheres=has_spheres)
     if len(chosen) > 1:
         sets = (",".join(body.columns.get(axis, "") for axis in _AXES) for body in chosen)
         problem = f"positions are in {' and in '.join(sets)}; choose by --column x=NAME,y=NAME,..."
         if not is_named:
             problem += ", or give robots names with numbers, such as bot_7"
         raise InputError(problem, path=path, line=sheet.line)
-    _refuse_lacking(header, known, chosen, found, path, sheet, is_one=is_one)
+    _refuse_lacking(header, label_columns, chosen, bodies, path, sheet, is_one=is_one)
     return chosen
 
 
 def _together(
-    found: Sequence[_PoseColumns],
-    whole: Sequence[_PoseColumns],
+    bodies: Sequence[_PoseColumns],
+    complete: Sequence[_PoseColumns],
     *,
     is_named: bool,
     has_spheres: bool,
@@ -407,50 +445,55 @@ def _together(
     """Choose the columns of a pose, which may have positions and orientations under two names.
 
     Args:
-        found: Columns by what they are of.
-        whole: Those with positions and orientations.
+        bodies: Columns by what they are of.
+        complete: Those with positions and orientations.
         is_named: Whether rows are of robots that are known, so that sets of positions are a choice.
         has_spheres: Whether rows are of spheres, which have no orientations.
     """
-    placed = [body for body in found if {*_AXES} & {*body.columns}]
+    placed = [body for body in bodies if {*_AXES} & {*body.columns}]
     if has_spheres:
-        whole = [body._replace(turn=()) for body in placed]
-    elif not whole and len(placed) == 1:
-        turned = [body for body in found if body.turn]
-        turn = turned[0] if turned else placed[0]
-        both = {**{name: turn.columns[name] for name in turn.turn}, **placed[0].columns}
-        whole = [placed[0]._replace(columns=both, turn=turn.turn)] if len(turned) <= 1 else []
-    elif not whole and is_named:
+        complete = [body._replace(turn=()) for body in placed]
+    elif not complete and len(placed) == 1:
+        turned = [body for body in bodies if body.turn]
+        if len(turned) <= 1:
+            source = turned[0] if turned else placed[0]
+            turn_columns = {name: source.columns[name] for name in source.turn}
+            columns = {**turn_columns, **placed[0].columns}
+            complete = [placed[0]._replace(columns=columns, turn=source.turn)]
+    elif not complete and is_named:
         several = [body for body in placed if {*_AXES} <= {*body.columns}]
-        whole = several if len(several) > 1 else []
-    return [body for body in whole if not body.name] or whole
+        complete = several if len(several) > 1 else []
+    return [body for body in complete if not body.name] or complete
 
 
 def _refuse_lacking(
     header: Sequence[str],
-    known: Mapping[str, str],
-    whole: Sequence[_PoseColumns],
-    found: Mapping[str, _PoseColumns],
+    label_columns: Mapping[str, str],
+    complete: Sequence[_PoseColumns],
+    bodies: Mapping[str, _PoseColumns],
     path: Path,
     sheet: Sheet,
     *,
     is_one: bool,
 ) -> None:
     """Refuse a table without columns of robots, positions or orientations."""
-    has = {*known, *(whole[0].columns if whole else found[""].columns if "" in found else ())}
-    turn = [] if "sphere" in known or (whole and whole[0].turn) else QUATERNION
-    robot = [] if is_one else ["robot"]
-    lacking = [name for name in (*robot, *_AXES, *turn) if name not in has]
+    meanings = {*label_columns}
+    if complete:
+        meanings |= {*complete[0].columns}
+    elif "" in bodies:
+        meanings |= {*bodies[""].columns}
+    needed = [] if is_one else ["robot"]
+    needed += _AXES
+    if "sphere" not in label_columns and not (complete and complete[0].turn):
+        needed += QUATERNION
+    lacking = [name for name in needed if name not in meanings]
     if not lacking:
         return
     if sheet.program:
         problem = f"{sheet.program}'s export has no rigid bodies with positions and orientations; "
         raise InputError(f"{problem}export them", path=path, line=1)
-    for column in header if not {*_AXES} & has else ():
-        if stray := re.fullmatch(r"[xyz][_ ]*[\[(]?([a-z]+)[\])]?", column, re.IGNORECASE):
-            problem = f"{stray[1][:40]!r} is no known unit of length; rename it to one of "
-            problem += f"{', '.join(LENGTHS)}, or give --length-unit {stray[1][:40]}"
-            raise InputError(problem, path=path, line=1, key=column)
+    if not {*_AXES} & meanings:
+        _refuse_unknown_units(header, path)
     if any(header) and _are_numbers(header):
         problem = "there are no names of columns; write robot,x,y,z,qw,qx,qy,qz, or what they are, "
         raise InputError(f"{problem}above the numbers", path=path, line=sheet.line)
@@ -460,27 +503,41 @@ def _refuse_lacking(
     raise InputError(problem, path=path, line=sheet.line)
 
 
+def _refuse_unknown_units(header: Sequence[str], path: Path) -> None:
+    """Raise InputError where a name of a column would be an axis but for its unit."""
+    for column in header:
+        axis = re.fullmatch(r"[xyz][_ ]*[\[(]?([a-z]+)[\])]?", column, re.IGNORECASE)
+        if axis:
+            unit = axis[1][:40]
+            problem = f"{unit!r} is no known unit of length; rename it to one of "
+            problem += f"{', '.join(LENGTHS)}, or give --length-unit {unit}"
+            raise InputError(problem, path=path, line=1, key=column)
+
+
 def _meaning(name: str, units: Collection[str], *, is_export: bool) -> _Column | None:
     """Read the name of a column; None if it has no part in a pose."""
     bare, unit = split_unit(name, units)
-    for pattern, begin in _QUANTITIES.items():
+    for pattern, prefix in _QUANTITIES.items():
         whole_words = pattern.replace("(?P<body>.*?)", "(?P<body>|.*?[^a-z])")
-        found = re.fullmatch(pattern if is_export else whole_words, bare.lower())
-        if found is None or (re.search(r"[a-z]$", found["body"]) and not is_export):
+        match = re.fullmatch(pattern if is_export else whole_words, bare.lower())
+        if match is None or (re.search(r"[a-z]$", match["body"]) and not is_export):
             continue
-        body, meaning = (
-            bare[slice(*found.span("body"))],
-            begin + (found.groupdict().get("axis") or ""),
-        )
-        if "number" in found.groupdict():
-            robot, place = divmod(int(found["number"]), len(_QPOS))
-            body, meaning = f"{body}{robot}", _QPOS[place]
+        body = bare[slice(*match.span("body"))]
+        groups = match.groupdict()
+        if "number" in groups:
+            robot, place = divmod(int(groups["number"]), len(_QPOS))
+            body += str(robot)
+            meaning = _QPOS[place]
+        else:
+            meaning = prefix + groups["axis"]
         if is_export:
             return _Column(name, body.rstrip("/"), meaning, unit)
         parts = [part for part in re.split(r"[./|:\s]+", body) if part.lower() not in _MESSAGES]
         body = ".".join(parts).strip("_- ")
-        is_pose = not {*re.findall(r"[a-z]{2,}|[a-z](?!\d)", body.lower())} & _OTHERS
-        return _Column(name, body, meaning, unit) if is_pose else None
+        words = {*re.findall(r"[a-z]{2,}|[a-z](?!\d)", body.lower())}
+        if words & _WORDS_OF_OTHER_QUANTITIES:
+            return None
+        return _Column(name, body, meaning, unit)
     return None
 
 
@@ -491,40 +548,50 @@ def _body(name: str, columns: Sequence[_Column], path: Path) -> _PoseColumns:
         InputError: there are two sets of positions, or axes have different units.
     """
     lengths, unit = _positions(columns, path)
-    others = {column.meaning: column.name for column in columns if column.meaning not in _AXES}
-    turn = next((turn for turn in TURNS if {*turn} <= {*others}), ())
-    for column in columns if turn else ():
-        same = [each.name for each in columns if each.meaning == column.meaning]
-        if column.meaning in turn and len(same) > 1:
-            problem = f"{column.meaning} is in {' and in '.join(same)}; choose by --column "
-            raise InputError(f"{problem}{column.meaning}=NAME", path=path, line=1)
-    return _PoseColumns(name, {**{each: others[each] for each in turn}, **lengths}, turn, unit)
+    columns_of: dict[str, list[str]] = {}
+    for column in columns:
+        columns_of.setdefault(column.meaning, []).append(column.name)
+    turn = next((turn for turn in TURNS if {*turn} <= {*columns_of}), ())
+    for meaning, names in columns_of.items():
+        if meaning in turn and len(names) > 1:
+            problem = f"{meaning} is in {' and in '.join(names)}; choose by --column {meaning}=NAME"
+            raise InputError(problem, path=path, line=1)
+    turn_columns = {meaning: columns_of[meaning][0] for meaning in turn}
+    return _PoseColumns(name, {**turn_columns, **lengths}, turn, unit)
 
 
 def _positions(columns: Sequence[_Column], path: Path) -> tuple[dict[str, str], str]:
     """Find the columns of x, y and z, all in one unit, and that unit; axes may lack a column."""
-    found: dict[str, dict[str, list[_Column]]] = {axis: {} for axis in _AXES}
+    columns_of: dict[str, dict[str, list[_Column]]] = {axis: {} for axis in _AXES}
     for column in columns:
-        if column.meaning in found:
-            found[column.meaning].setdefault(column.unit.lower(), []).append(column)
-    sets = [{*units} for units in found.values()]
-    complete = [unit for unit in found["x"] if unit in set.intersection(*sets)]
-    several = [",".join(units[unit][0].name for units in found.values()) for unit in complete]
+        if column.meaning in columns_of:
+            columns_of[column.meaning].setdefault(column.unit.lower(), []).append(column)
+    sets = [{*units} for units in columns_of.values()]
+    complete = [unit for unit in columns_of["x"] if unit in set.intersection(*sets)]
+    several = [",".join(units[unit][0].name for units in columns_of.values()) for unit in complete]
     if len(complete) == 1:
-        listed = ([c.name for c in chain(*units.values())] for units in found.values())
+        listed = (
+            [column.name for column in chain(*units.values())] for units in columns_of.values()
+        )
         several = next((names for names in listed if len(names) > 1), [])
     if len(several) > 1:
         problem = f"positions are in {' and in '.join(several)}; keep one, or rename the others"
         raise InputError(problem, path=path, line=1)
     if not complete and all(sets):
-        units = ", ".join(f"{axis} in {next(iter(found[axis])) or 'none'}" for axis in found)
-        problem = f"the axes have different units: {units}; convert them to one"
+        first_units = {axis: next(iter(units)) for axis, units in columns_of.items()}
+        listed_units = ", ".join(
+            f"{axis} in {unit or 'none'}" for axis, unit in first_units.items()
+        )
+        problem = f"the axes have different units: {listed_units}; convert them to one"
         raise InputError(problem, path=path, line=1)
-    first = {axis: next(iter(units.values()))[0] for axis, units in found.items() if units}
     if complete:
-        first = {axis: units[complete[0]][0] for axis, units in found.items()}
-    unit = first["x"].unit if "x" in first else ""
-    return {axis: column.name for axis, column in first.items()}, unit
+        chosen = {axis: units[complete[0]][0] for axis, units in columns_of.items()}
+    else:
+        chosen = {
+            axis: next(iter(units.values()))[0] for axis, units in columns_of.items() if units
+        }
+    unit = chosen["x"].unit if "x" in chosen else ""
+    return {axis: column.name for axis, column in chosen.items()}, unit
 
 
 def split_unit(column: str, units: Collection[str]) -> tuple[str, str]:
@@ -572,30 +639,29 @@ def find_column(header: Sequence[str], meaning: str) -> str:
     return ""
 
 
-def _of_rows(
+def _read_long_rows(
     table: CsvFile,
     bodies: Sequence[_PoseColumns],
-    known: Mapping[str, str],
+    label_columns: Mapping[str, str],
     assumed: Assumptions,
     robot: int | None,
 ) -> tuple[pd.DataFrame, list[str]]:
     """Read a table with a robot a row; returns its rows, and what was left out."""
     drop = assumed.drop_incomplete
-    columns = {name: known[name] for name in ("robot", "sphere", "join") if name in known}
-    if robot is not None:
-        columns.pop("robot", None)
+    labels = ["sphere", "join"] if robot is not None else ["robot", "sphere", "join"]
+    columns = {name: label_columns[name] for name in labels if name in label_columns}
     columns |= bodies[0].columns
     for column in columns.values():
         if table.columns.count(column) > 1:
             problem = f"there are {table.columns.count(column)} columns of this name; rename all "
             raise InputError(f"{problem}but one", path=table.path, line=1, key=column)
     notes = _without_incomplete(table, columns.values(), drop=drop)
-    single = [known[name] for name in ("run", "robot", "sphere") if name in known]
-    cells = zip(*(table.words(name).tolist() for name in single), strict=True)
-    if "time" in known and (robot is not None or len({*cells}) < len(table.rows)):
-        notes += _without_incomplete(table, [known["time"]], drop=drop)
-        columns["time"] = known["time"]
-    first: Any = robot if robot is not None else robots_of(table, columns["robot"])
+    keys = [label_columns[name] for name in ("run", "robot", "sphere") if name in label_columns]
+    row_keys = {*zip(*(table.words(name).tolist() for name in keys), strict=True)}
+    if "time" in label_columns and (robot is not None or len(row_keys) < len(table.rows)):
+        notes += _without_incomplete(table, [label_columns["time"]], drop=drop)
+        columns["time"] = label_columns["time"]
+    robots: Ints | int = robot if robot is not None else robots_of(table, columns["robot"])
     numbers: dict[str, Any] = {
         name: table.integers(column) if name in {"sphere", "join"} else table.numbers(column)
         for name, column in columns.items()
@@ -603,41 +669,48 @@ def _of_rows(
     }
     if "time" in columns:
         numbers["time"] = _times(table, columns["time"])
-    rows = pd.DataFrame({"robot": first, **numbers, "line": [*table.rows]})
-    rows = rows.assign(run=_runs(table, known))
+    rows = pd.DataFrame({"robot": robots, **numbers, "line": [*table.rows]})
+    rows = rows.assign(run=_runs(table, label_columns))
     if "time" in columns:
         _refuse_clocks_set_anew(rows, table.path, columns["time"])
     return rows, notes
 
 
-def _of_bodies(
-    table: CsvFile, bodies: Sequence[_PoseColumns], known: Mapping[str, str], _: Assumptions
+def _read_wide_rows(
+    table: CsvFile, bodies: Sequence[_PoseColumns], label_columns: Mapping[str, str]
 ) -> tuple[pd.DataFrame, list[str]]:
     """Read a table with all robots in a row; returns rows of each, and what was left out."""
     names = [_listed_name(table, body.name) for body in bodies]
     robots, notes = robot_numbers(names)
-    lines, parts, lost = np.array([*table.rows]), [], 0
-    time = _times(table, known["time"]) if "time" in known else lines.astype(float)
+    lines = np.array([*table.rows])
+    time = _times(table, label_columns["time"]) if "time" in label_columns else lines.astype(float)
     clock = pd.DataFrame({"robot": 0, "run": "", "time": time, "line": lines})
-    _refuse_clocks_set_anew(clock, table.path, known.get("time", ""))
+    _refuse_clocks_set_anew(clock, table.path, label_columns.get("time", ""))
+    rows_of_robots = []
+    lost = 0
     for robot, body in zip(robots, bodies, strict=True):
         columns = [*body.columns.values()]
         for line in table.incomplete(columns):
             for column in columns:
                 table.rows[line][table.columns.index(column)] = ""
-        numbers = {name: table.numbers(c, empty=np.nan) for name, c in body.columns.items()}
-        part = pd.DataFrame({"robot": robot, "time": time, **numbers, "line": lines})
-        zero = (part[[*body.columns]] == 0.0).all(axis=1)
-        kept = part[~zero & part[[*body.columns]].notna().all(axis=1)]
-        lost += len(part) - len(kept)
-        parts.append(kept)
-    rows = pd.concat(parts, ignore_index=True).assign(run="")
+        numbers = {
+            name: table.numbers(column, empty=np.nan) for name, column in body.columns.items()
+        }
+        poses = pd.DataFrame({"robot": robot, "time": time, **numbers, "line": lines})
+        is_zero = (poses[[*body.columns]] == 0.0).all(axis=1)
+        is_whole = poses[[*body.columns]].notna().all(axis=1)
+        seen = poses[~is_zero & is_whole]
+        lost += len(poses) - len(seen)
+        rows_of_robots.append(seen)
+    rows = pd.concat(rows_of_robots, ignore_index=True).assign(run="")
     if not len(rows):
         problem = "there are no poses; export frames with bodies"
         raise InputError(problem, path=table.path, line=1)
     if lost:
         notes.append(f"{counted(lost, 'pose')} of bodies that the cameras lost left out")
-    return rows if len(lines) > 1 else rows.drop(columns="time"), notes
+    if len(lines) == 1:
+        rows = rows.drop(columns="time")
+    return rows, notes
 
 
 _PARTS_OF_SECONDS = ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs")
@@ -676,37 +749,44 @@ def _refuse_clocks_set_anew(rows: pd.DataFrame, path: Path, column: str) -> None
     Raises:
         InputError: a robot's time goes back by many rows, rarely.
     """
-    for (_, robot), one in rows.groupby(["run", "robot"], sort=False):
-        time = one["time"].to_numpy(float)
+    for (_, robot), samples in rows.groupby(["run", "robot"], sort=False):
+        time = samples["time"].to_numpy(float)
         back = np.flatnonzero(np.diff(time) < 0.0)
         if not 0 < len(back) <= _RARE * len(time):
             continue
-        again = [int((time[: k + 1] > time[k + 1]).sum()) for k in back]
-        if max(again) > _SET_BACK:
-            k = back[int(np.argmax(again))]
+        rows_back = [int((time[: k + 1] > time[k + 1]).sum()) for k in back]
+        if max(rows_back) > _SET_BACK:
+            k = back[int(np.argmax(rows_back))]
             problem = f"the time of robot {robot} goes back from {time[k]:g} to {time[k + 1]:g}; "
             problem += "import each recording alone, or sort the rows if they are of one"
-            raise InputError(problem, path=path, line=int(one["line"].iloc[k + 1]), key=column)
+            raise InputError(problem, path=path, line=int(samples["line"].iloc[k + 1]), key=column)
 
 
 def _listed_name(table: CsvFile, body: str) -> str:
     """Return the name that a message lists for a body, such as `name3` for `pose3`, or its own."""
     number = re.search(r"\d+", body)
-    for column in table.columns if number else ():
-        if number and re.fullmatch(rf"(?:field\.)?name\[?{number[0]}\]?", column):
-            return str(table.words(column)[0])
-        if column.endswith(f"{body}.child_frame_id"):
+    if number is None:
+        return body
+    for column in table.columns:
+        is_name = re.fullmatch(rf"(?:field\.)?name\[?{number[0]}\]?", column)
+        if is_name or column.endswith(f"{body}.child_frame_id"):
             return str(table.words(column)[0])
     return body
 
 
+_EXAMPLES = 3
+"""Bodies that a note about their numbers lists."""
+
+
 def robot_numbers(names: Sequence[str]) -> tuple[list[int], list[str]]:
     """Take the numbers of robots from their names, or count them and say so."""
-    if len({*(numbers := numbers_in(names))}) == len(names):
+    numbers = numbers_in(names)
+    if len({*numbers}) == len(names):
         return numbers, []
-    listed = ", ".join(f"{name} is {number}" for number, name in enumerate(names[:3]))
-    more = ", ..." * (len(names) > 3)  # noqa: PLR2004
-    return [*range(len(names))], [f"bodies are numbered as listed: {listed}{more}"]
+    examples = [f"{name} is {number}" for number, name in enumerate(names)]
+    if len(examples) > _EXAMPLES:
+        examples = [*examples[:_EXAMPLES], "..."]
+    return [*range(len(names))], [f"bodies are numbered as listed: {', '.join(examples)}"]
 
 
 def numbers_in(names: Sequence[str]) -> list[int]:
@@ -715,14 +795,16 @@ def numbers_in(names: Sequence[str]) -> list[int]:
     >>> numbers_in(["tb3_0/base", "tb3_12/base"])
     [0, 12]
     """
-    found = [re.findall(r"\d+", name) for name in names]
-    if len({*map(len, found)}) != 1 or not found[0]:
+    digits = [re.findall(r"\d+", name) for name in names]
+    counts = {len(numbers) for numbers in digits}
+    if len(counts) != 1 or counts == {0}:
         return []
-    differ = [place for place in zip(*found, strict=True) if len({*place}) > 1]
-    several = differ if len(found[0]) > 1 else [*zip(*found, strict=True)]
-    if len(several) != 1 or max(map(len, several[0])) > LONGEST_NUMBER:
+    candidates = [*zip(*digits, strict=True)]
+    if counts != {1}:
+        candidates = [texts for texts in candidates if len({*texts}) > 1]
+    if len(candidates) != 1 or max(map(len, candidates[0])) > LONGEST_NUMBER:
         return []
-    return [*map(int, several[0])]
+    return [int(text) for text in candidates[0]]
 
 
 def _add_quaternions(
@@ -733,49 +815,79 @@ def _add_quaternions(
     Raises:
         InputError: the order of angles is unknown, or a matrix is no rotation.
     """
-    numbers, turn = rows[[*body.turn]].to_numpy(float), body.turn
+    turn = body.turn
+    numbers = rows[[*turn]].to_numpy(float)
     for name in turn:
         del rows[name]
     if turn[0] in {"qw", "rw"}:
         rows[QUATERNION] = numbers
         return []
-    if len(turn) == 9:  # noqa: PLR2004 - a matrix, column by column
-        matrix = numbers.reshape(-1, 3, 3).swapaxes(1, 2)
-        if len(mirrored := np.flatnonzero(~(np.linalg.det(matrix) > 0.5))):  # noqa: PLR2004
-            problem = "the matrix mirrors, it is no rotation; export a right-handed frame"
-            line = int(rows["line"].iloc[mirrored[0]])
-            raise InputError(problem, path=table.path, line=line, key=body.columns[turn[0]])
-        rows[QUATERNION] = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
+    if len(turn) == _CELLS_OF_A_MATRIX:
+        rows[QUATERNION] = _quaternions_of_matrices(numbers, rows, table, body)
         return []
-    angles = numbers[:, :1] if turn[0] == "angle" else numbers
-    by_name = {name: split_unit(body.columns[name], ())[1].lower() for name in turn}
-    units = {by_name["angle"]} if turn[0] == "angle" else {*by_name.values()}
-    if len({_ANGLES.get(unit) for unit in units}) > 1:
-        listed = ", ".join(f"{name} in {unit or 'none'}" for name, unit in by_name.items())
-        problem = f"the angles have different units: {listed}; convert them to one"
-        raise InputError(problem, path=table.path, line=sheet.line)
-    degrees = _ANGLES.get(min(units), sheet.degrees)
-    guessed = degrees is None
-    if degrees is None:
-        degrees = bool(np.abs(angles).max(initial=0.0) > 2.0 * np.pi + 1e-3)
-    angles = np.radians(angles) if degrees else angles
-    if turn[0] == "angle":
-        length = np.linalg.norm(numbers[:, 1:], axis=1, keepdims=True)
-        vector = angles * numbers[:, 1:] / np.maximum(length, np.finfo(float).tiny)
+    has_axis = turn[0] == "angle"
+    angles = numbers[:, :1] if has_axis else numbers
+    stated = _stated_degrees(body, table, sheet)
+    is_largest_in_degrees = bool(np.abs(angles).max(initial=0.0) > 2.0 * np.pi + 1e-3)
+    degrees = is_largest_in_degrees if stated is None else stated
+    if degrees:
+        angles = np.radians(angles)
+    if has_axis:
+        axis = numbers[:, 1:]
+        length = np.linalg.norm(axis, axis=1, keepdims=True)
+        vector = angles * axis / np.maximum(length, np.finfo(float).tiny)
         rows[QUATERNION] = Rotation.from_rotvec(vector).as_quat(scalar_first=True)
         return []
     euler = assumed.euler or sheet.euler or TURNS[turn]
     if not euler:
-        problem = (
-            f"{','.join(body.columns[name] for name in turn)} are angles in an order that the "
-        )
-        problem += "file does not state; export quaternions, or add --euler XYZ or --euler rotvec"
+        listed = ",".join(body.columns[name] for name in turn)
+        problem = f"{listed} are angles in an order that the file does not state; export "
+        problem += "quaternions, or add --euler XYZ or --euler rotvec"
         raise InputError(problem, path=table.path, line=sheet.line)
     rows[["a1", "a2", "a3"]] = angles
     rows[QUATERNION] = turns_by(angles, euler)
+    if assumed.euler and stated is not None:
+        return []
+    if euler not in ORDERS:
+        return [f"angles read as --euler {euler}"]
     unit = "degrees" if degrees else "radians"
-    how = f"{', '.join(turn)} in {unit}: {ORDERS[euler]}" if euler in ORDERS else f"--euler {euler}"
-    return [] if assumed.euler and not guessed else [f"angles read as {how}"]
+    return [f"angles read as {', '.join(turn)} in {unit}: {ORDERS[euler]}"]
+
+
+_CELLS_OF_A_MATRIX = 9
+
+
+def _quaternions_of_matrices(
+    numbers: Reals, rows: pd.DataFrame, table: CsvFile, body: _PoseColumns
+) -> Reals:
+    """Convert matrices, column by column in rows of shape (n, 9), to quaternions wxyz, (n, 4).
+
+    Raises:
+        InputError: a matrix is no rotation.
+    """
+    matrix = numbers.reshape(-1, 3, 3).swapaxes(1, 2)
+    mirrored = np.flatnonzero(~(np.linalg.det(matrix) > 0.5))  # noqa: PLR2004 - 1 but for rounding
+    if len(mirrored):
+        problem = "the matrix mirrors, it is no rotation; export a right-handed frame"
+        line = int(rows["line"].iloc[mirrored[0]])
+        raise InputError(problem, path=table.path, line=line, key=body.columns[body.turn[0]])
+    wxyz: Reals = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
+    return wxyz
+
+
+def _stated_degrees(body: _PoseColumns, table: CsvFile, sheet: Sheet) -> bool | None:
+    """Whether a table says that angles are in degrees; None if it does not say.
+
+    Raises:
+        InputError: columns of angles have different units.
+    """
+    unit_of = {name: split_unit(body.columns[name], ())[1].lower() for name in body.turn}
+    units = {unit_of["angle"]} if body.turn[0] == "angle" else {*unit_of.values()}
+    if len({_ANGLES.get(unit) for unit in units}) > 1:
+        listed = ", ".join(f"{name} in {unit or 'none'}" for name, unit in unit_of.items())
+        problem = f"the angles have different units: {listed}; convert them to one"
+        raise InputError(problem, path=table.path, line=sheet.line)
+    return _ANGLES.get(min(units), sheet.degrees)
 
 
 ORDERS = {
@@ -822,20 +934,22 @@ def robots_of(text: CsvFile, column: str) -> Ints:
     names: list[str] = text.words(column).tolist()
     if any(re.fullmatch(r"\s*[-+]?\d+\s*", name) for name in names):
         return text.integers(column)
-    single = [*dict.fromkeys(names)]
-    numbers, named = numbers_in(single), dict[int, str]()
+    unique = [*dict.fromkeys(names)]
+    numbers = numbers_in(unique)
     if not numbers:
-        odd = next((name for name in single if len(re.findall(r"\d+", name)) != 1), "")
-        odd = odd or max(single, key=len)
+        odd = next((name for name in unique if len(re.findall(r"\d+", name)) != 1), "")
+        odd = odd or max(unique, key=len)
         problem = f"{odd[:40]!r} has no number, or several; write it like bot_7, or delete its "
         problem += "rows if it is no robot"
         raise InputError(problem, path=text.path, line=text.line(names.index(odd)), key=column)
-    for number, name in zip(numbers, single, strict=True):
-        if named.setdefault(number, name) != name:
+    taken: set[int] = set()
+    for number, name in zip(numbers, unique, strict=True):
+        if number in taken:
             problem = f"{name[:40]!r} has the number of another robot; give each its own"
             raise InputError(problem, path=text.path, line=text.line(names.index(name)), key=column)
-    robot = dict(zip(single, numbers, strict=True))
-    return np.array([robot[name] for name in names], np.int64)
+        taken.add(number)
+    number_of = dict(zip(unique, numbers, strict=True))
+    return np.array([number_of[name] for name in names], np.int64)
 
 
 def report_incomplete(path: Path, lines: Sequence[int], *, drop: bool, name: str = "") -> list[str]:
@@ -849,9 +963,11 @@ def report_incomplete(path: Path, lines: Sequence[int], *, drop: bool, name: str
     """
     if not lines:
         return []
-    rows, where = counted(len(lines), "incomplete row"), f"line {line_ranges(lines)}"
+    rows = counted(len(lines), "incomplete row")
+    where = f"line {line_ranges(lines)}"
     if drop:
-        return [f"{rows}{f' of {name}' * bool(name)} dropped: {where}"]
+        source = f"{rows} of {name}" if name else rows
+        return [f"{source} dropped: {where}"]
     problem = f"{rows}, empty or NaN: {where}; complete them, or drop them with --drop-incomplete"
     raise InputError(problem, path=path, line=lines[0])
 
@@ -864,14 +980,14 @@ def line_ranges(lines: Collection[int]) -> str:
     """
     number = np.fromiter(lines, int)
     parts = np.split(number, np.flatnonzero(np.diff(number) > 1) + 1)
-    return ", ".join(f"{p[0]}" if len(p) == 1 else f"{p[0]}-{p[-1]}" for p in parts)
+    return ", ".join(f"{part[0]}" if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts)
 
 
-def _runs(text: CsvFile, known: Mapping[str, str]) -> list[str]:
+def _runs(text: CsvFile, label_columns: Mapping[str, str]) -> list[str]:
     """Read the structure of each row; its name becomes that of a folder."""
-    if "run" not in known:
+    if "run" not in label_columns:
         return [""] * len(text.rows)
-    names: list[str] = text.words(known["run"]).tolist()
+    names: list[str] = text.words(label_columns["run"]).tolist()
     for row, name in enumerate(names):
         if not re.fullmatch(r"(?!\.)[A-Za-z0-9._-]{1,80}", name):
             problem = f"{name[:40]!r} cannot be a folder; use letters, digits, dots, - and _"

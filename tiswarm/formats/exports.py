@@ -32,21 +32,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import ASSUMED
+from tiswarm.records.frames import csv_text
 from tiswarm.records.mcap import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.swarm_view import POSE, Coloring, SwarmView
 
 
 def encode_csv(view: SwarmView) -> dict[str, bytes]:
     """Encode poses and contacts as comma-separated values."""
-    return {
-        f"{name}.csv": table.to_csv(index=False, lineterminator="\n").encode()
-        for name, table in _tables(view).items()
-    }
+    return {f"{name}.csv": csv_text(table).encode() for name, table in _tables(view).items()}
 
 
 def encode_parquet(view: SwarmView) -> dict[str, bytes]:
@@ -85,11 +84,15 @@ def encode_mcap(view: SwarmView) -> dict[str, bytes]:
 
 def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
     """Tabulate poses in the format of `tiswarm import`, and contacts with their positions."""
-    radius, unit = view.log.dock_radius, view.log.length_unit
+    radius = view.log.dock_radius
+    unit = view.log.length_unit
     i, a, j, b = view.log.contacts.T
-    pose, known = view.best_pose, np.isfinite(view.best_pose).all(axis=1)
+    pose = view.best_pose
+    is_known = np.isfinite(pose).all(axis=1)
     dock = np.full((len(pose), len(view.dock_offset_body), 3), np.nan)  # of robots that left
-    dock[known] = pose[known, None, :3] + dock_offsets(pose[known, 3:], view.dock_offset_body)
+    dock[is_known] = pose[is_known, None, :3] + dock_offsets(
+        pose[is_known, 3:], view.dock_offset_body
+    )
     contacts = pd.DataFrame(
         {"robot": view.robot[j], "dock": b, "other_robot": view.robot[i], "other_dock": a}
     )
@@ -99,15 +102,17 @@ def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
         if np.isfinite(values).any():
             tables["estimate"][f"{name}_{unit}"] = values * radius
     for name in view.poses:
-        tables[name] = tables[name].assign(**{each.title: _cells(each) for each in view.own})
+        tables[name] = tables[name].assign(
+            **{coloring.title: _cells(coloring) for coloring in view.own}
+        )
     return tables
 
 
-def _cells(own: Coloring) -> Any:  # noqa: ANN401 - a column
+def _cells(coloring: Coloring) -> Any:  # noqa: ANN401 - a column
     """Return numbers, or words, empty where unknown."""
-    if not own.words:
-        return own.value
-    return ["" if np.isnan(place) else own.words[int(place)] for place in own.value]
+    if not coloring.words:
+        return coloring.value
+    return ["" if np.isnan(number) else coloring.words[int(number)] for number in coloring.value]
 
 
 def _pose_tables(view: SwarmView) -> dict[str, pd.DataFrame]:
@@ -116,7 +121,8 @@ def _pose_tables(view: SwarmView) -> dict[str, pd.DataFrame]:
     tables = {}
     for name, pose in view.poses.items():
         table = pd.DataFrame({"robot": view.robot, "join": np.arange(len(view.robot))})
-        table[places], table[POSE[3:]] = pose[:, :3] * view.log.dock_radius, pose[:, 3:]
+        table[places] = pose[:, :3] * view.log.dock_radius
+        table[POSE[3:]] = pose[:, 3:]
         tables[name] = table
     return tables
 
@@ -178,49 +184,49 @@ def _append_frames(file: Any, view: SwarmView, pose: Reals) -> None:  # noqa: AN
     from gsd.hoomd import Frame  # noqa: PLC0415 - an extra
 
     unit = view.log.dock_radius
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    place = unit * view.from_origin(pose)[known, :3]
+    shown = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    position = unit * view.from_origin(pose)[shown, :3]
     logged = {"robot": view.robot} | {
         name: unit * values
         for name, values in [("error", view.error), ("sd", view.sd)]
         if np.isfinite(values).any()
     }
-    logged |= {re.sub(r"\W+", "_", each.label): each.value for each in view.own}
+    logged |= {re.sub(r"\W+", "_", coloring.label): coloring.value for coloring in view.own}
     shape = {
         "type": "SphereUnion",
         "centers": (unit * view.dock_offset_body).tolist(),
         "diameters": [2.0 * unit] * len(view.dock_offset_body),
     }
-    bonds = _bonds(view, known)
+    bonds = _bonds(view, shown)
     reach = unit * (1.0 + np.linalg.norm(view.dock_offset_body, axis=1).max())
-    frames = min(len(known), _MOST_FRAMES)
-    for count in np.unique(np.linspace(1, len(known), frames).round().astype(int)).tolist():
+    frames = min(len(shown), _MOST_FRAMES)
+    for count in np.unique(np.linspace(1, len(shown), frames).round().astype(int)).tolist():
         frame = Frame()
-        frame.configuration.step = int(known[count - 1]) + 1
+        frame.configuration.step = int(shown[count - 1]) + 1
         # Positions have to be inside a box about the origin; no axis is periodic in fact.
-        frame.configuration.box = [*(2.0 * (np.abs(place).max(axis=0) + reach)), 0.0, 0.0, 0.0]
+        frame.configuration.box = [*(2.0 * (np.abs(position).max(axis=0) + reach)), 0.0, 0.0, 0.0]
         frame.particles.N = count
         frame.particles.types = ["robot"]
         frame.particles.type_shapes = [shape]
-        frame.particles.position = place[:count]
-        frame.particles.orientation = pose[known[:count], 3:]
+        frame.particles.position = position[:count]
+        frame.particles.orientation = pose[shown[:count], 3:]
         frame.particles.diameter = np.full(count, 2.0 * reach)
-        made = bonds[bonds.max(axis=1, initial=0) < count]
-        frame.bonds.N = len(made)
+        shown_bonds = bonds[bonds.max(axis=1, initial=0) < count]
+        frame.bonds.N = len(shown_bonds)
         frame.bonds.types = ["contact"]
-        frame.bonds.group = made
-        frame.log = {f"particles/{name}": values[known[:count]] for name, values in logged.items()}
+        frame.bonds.group = shown_bonds
+        frame.log = {f"particles/{name}": values[shown[:count]] for name, values in logged.items()}
         frame.log["origin"] = view.log.anchor_position
         file.append(frame)
 
 
-def _bonds(view: SwarmView, known: Ints) -> Ints:
+def _bonds(view: SwarmView, shown: Ints) -> Ints:
     """Pairs of robots in contact, each once, by their places among the known ones."""
-    place = np.full(len(view.robot), -1)
-    place[known] = np.arange(len(known))
-    pairs: Ints = np.unique(place[view.log.contacts[:, [0, 2]]], axis=0)
-    both: Ints = pairs[(pairs >= 0).all(axis=1)]
-    return both
+    row_of = np.full(len(view.robot), -1)
+    row_of[shown] = np.arange(len(shown))
+    pairs: Ints = np.unique(row_of[view.log.contacts[:, [0, 2]]], axis=0)
+    shown_pairs: Ints = pairs[(pairs >= 0).all(axis=1)]
+    return shown_pairs
 
 
 _EXACT_SD = 1e-3
@@ -245,36 +251,57 @@ def encode_pyfg(view: SwarmView) -> dict[str, bytes]:
 
 
 def _lines(view: SwarmView) -> Iterator[str]:
-    log, unit, pose = view.log, view.log.dock_radius, view.best_pose
-    known = np.asarray(np.isfinite(pose).all(axis=1))
-    robots = np.flatnonzero(known).tolist()
-    docks = len(log.dock_offset_body)
-    center = pose[known, :3]
-    dock = unit * (center[:, None] + dock_offsets(pose[known, 3:], view.dock_offset_body))
-    exact = (_EXACT_SD * unit) ** 2
+    """Yield the lines of a factor graph: variables first, then measurements."""
+    is_known = np.asarray(np.isfinite(view.best_pose).all(axis=1))
+    yield from _variables(view, is_known)
+    yield from _orientation_priors(view.log, is_known)
+    yield from _measurements(view.log, is_known)
+
+
+def _variables(view: SwarmView, is_known: Bools) -> Iterator[str]:
+    """Yield robots and docks, where they start."""
+    unit = view.log.dock_radius
+    pose = view.best_pose
+    robots = np.flatnonzero(is_known).tolist()
+    docks = len(view.log.dock_offset_body)
+    center = pose[is_known, :3]
+    dock = unit * (center[:, None] + dock_offsets(pose[is_known, 3:], view.dock_offset_body))
     for i in robots:
         yield f"VERTEX_SE3:QUAT {i} A{i} {_text(unit * pose[i, :3])} {_text(_xyzw(pose[i, 3:]))}"
     for k, i in enumerate(robots):
         for d in range(docks):
             yield f"VERTEX_XYZ L{docks * i + d} {_text(dock[k, d])}"
+
+
+def _orientation_priors(log: SensingLog, is_known: Bools) -> Iterator[str]:
+    """Yield a prior for each sensed orientation; that of the anchor has its position, too."""
+    unit = log.dock_radius
     noise = log.noise or ASSUMED
     angle = np.radians([noise.tilt_deg, noise.tilt_deg, noise.yaw_deg])
-    turn = np.maximum(angle, _LEAST_ANGLE_SD) ** 2
-    for i in filter(lambda i: np.isfinite(log.orientation_wxyz[i]).all(), robots):
-        spread = exact if i == 0 else (_UNKNOWN_SD * unit) ** 2
-        at = f"{_text(log.anchor_position)} {_text(_xyzw(log.orientation_wxyz[i]))}"
-        covariance = _triangle(np.diag([spread] * 3 + turn.tolist()))
-        yield f"VERTEX_SE3:QUAT:PRIOR {i} A{i} {at} {covariance}"
+    turn_variance = np.maximum(angle, _LEAST_ANGLE_SD) ** 2
+    is_sensed = np.isfinite(log.orientation_wxyz).all(axis=1)
+    for i in np.flatnonzero(is_known & is_sensed).tolist():
+        position_sd = _EXACT_SD if i == 0 else _UNKNOWN_SD
+        position_variance = (position_sd * unit) ** 2
+        pose_text = f"{_text(log.anchor_position)} {_text(_xyzw(log.orientation_wxyz[i]))}"
+        covariance = _triangle(np.diag([position_variance] * 3 + turn_variance.tolist()))
+        yield f"VERTEX_SE3:QUAT:PRIOR {i} A{i} {pose_text} {covariance}"
+
+
+def _measurements(log: SensingLog, is_known: Bools) -> Iterator[str]:
+    """Yield arms from robots to docks, contacts of docks, and ranges between robots."""
+    docks = len(log.dock_offset_body)
+    exact = (_EXACT_SD * log.dock_radius) ** 2
     arm = _triangle(exact * np.eye(3))
-    for i in robots:
+    for i in np.flatnonzero(is_known).tolist():
         for d, offset in enumerate(log.dock_offset_body):
             yield f"EDGE_SE3_XYZ {i} A{i} L{docks * i + d} {_text(offset)} {arm}"
-    for i, a, j, b in log.contacts[known[log.contacts[:, [0, 2]]].all(axis=1)].tolist():
+    for i, a, j, b in log.contacts[is_known[log.contacts[:, [0, 2]]].all(axis=1)].tolist():
         yield f"EDGE_RANGE {j} L{docks * i + a} L{docks * j + b} {log.spacing!r} {exact!r}"
-    shared = np.append(log.source_sd, 0.0)  # a source of -1 is none
+    source_sd = np.append(log.source_sd, 0.0)  # a source of -1 is none
     for i, j, distance, sd, source in log.ranges.tolist():
-        if known[int(i)] and known[int(j)]:
-            variance = sd**2 + float(shared[int(source)]) ** 2
+        if is_known[int(i)] and is_known[int(j)]:
+            variance = sd**2 + float(source_sd[int(source)]) ** 2
             yield f"EDGE_RANGE {int(i)} A{int(i)} A{int(j)} {distance!r} {variance!r}"
 
 

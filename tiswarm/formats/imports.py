@@ -96,17 +96,17 @@ def convert(
     for name in assumed:
         require_name(name, [field.name for field in fields(Assumptions)], "assumed")
     body = {} if docks is None else {"dock_offset_body": read_dock_offsets(docks)}
-    given = {name: value for name, value in assumed.items() if value is not None}
-    stated = Assumptions(**{**given, **body})
+    facts = {name: value for name, value in assumed.items() if value is not None}
+    stated = Assumptions(**{**facts, **body})
     if stated.beacons is None:
-        found = import_poses(path, stated)
+        imports = import_poses(path, stated)
     else:
-        found = {"": _import_ranges(path, stated, given.get("dock_radius"))}
+        imports = {"": _import_ranges(path, stated, facts.get("dock_radius"))}
     if out is not None:
         poses = path.iterdir() if path.is_dir() else [path]
         inputs = [*poses, stated.contacts, docks, stated.beacons]
-        write_imports(found, out, Outputs(inputs=inputs, overwrite=overwrite))
-    return found
+        write_imports(imports, out, Outputs(inputs=inputs, overwrite=overwrite))
+    return imports
 
 
 def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
@@ -123,19 +123,23 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
     if assumed.contacts is not None and len(runs) > 1:
         problem = "the poses have several runs; import each with its own contacts"
         raise InputError(problem, path=path, argument="contacts")
-    found = {run: _import_run(path, poses, assumed) for run, poses in runs.items()}
-    for imported in found.values():
+    imports = {run: _import_run(path, poses, assumed) for run, poses in runs.items()}
+    for imported in imports.values():
         advised = f"--up {assumed.up}"  # what the user did needs no advice
         imported.notes[:0] = [note for note in table.notes if not note.endswith(advised)]
-    return found
+    return imports
 
 
 def _import_ranges(path: Path, assumed: Assumptions, radius: float | None) -> Imported:
     """Turn tables of ranges and beacons into a log; places of tags are unknown."""
     log, notes, warnings = read_ranges(
-        path, Path(str(assumed.beacons)), columns=assumed.columns, sd=assumed.range_sd,
-        radius=radius, drop_incomplete=assumed.drop_incomplete,
-    )  # fmt: skip
+        path,
+        Path(str(assumed.beacons)),
+        columns=assumed.columns,
+        sd=assumed.range_sd,
+        radius=radius,
+        drop_incomplete=assumed.drop_incomplete,
+    )
     with at_line(path, 1):
         check_header(log)
     return Imported(log, np.full((log.robot_count, 3), np.nan), notes, warnings)
@@ -158,13 +162,13 @@ def _tables(path: Path, assumed: Assumptions) -> Iterator[PoseTable | None]:
         yield get("import_format", name)(path, assumed)
 
 
-def write_imports(found: Mapping[str, Imported], out: Path, outputs: Outputs = NEW) -> None:
+def write_imports(imports: Mapping[str, Imported], out: Path, outputs: Outputs = NEW) -> None:
     """Write `sensing.jsonl` and `truth.csv` of each structure to a folder of its name in `out`.
 
     There is no truth of tags with ranges.
 
     Args:
-        found: What became of each structure, by its name.
+        imports: What became of each structure, by its name.
         out: Folder, which is made if need be.
         outputs: What may be written.
 
@@ -172,17 +176,20 @@ def write_imports(found: Mapping[str, Imported], out: Path, outputs: Outputs = N
         InputError: an output is an input, or exists and is to stay; then nothing is written.
         EnvironmentTroubleError: `out` cannot be made or written to.
     """
-    files = [out / run / "sensing.jsonl" for run in found]
-    files += [out / run / "truth.csv" for run in found if _is_known(found[run])]
+    files = [out / run / "sensing.jsonl" for run in imports]
+    files += [out / run / "truth.csv" for run in imports if _is_known(imports[run])]
     outputs.check({"out": files})
-    for run, (log, position, *_) in found.items():
+    for run, (log, position, *_) in imports.items():
         make_folder(out / run)
         write_sensing_log(log, out / run / "sensing.jsonl", opened=outputs.opened)
-        if _is_known(found[run]):
+        if _is_known(imports[run]):
             write_positions(
-                out / run / "truth.csv", log.robot_id, position, length_unit=log.length_unit,
+                out / run / "truth.csv",
+                log.robot_id,
+                position,
+                length_unit=log.length_unit,
                 opened=outputs.opened,
-            )  # fmt: skip
+            )
 
 
 def _is_known(imported: Imported) -> bool:
@@ -196,35 +203,44 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
         raise InputError(problem, argument="up")
     if assumed.left_handed:
         poses = poses.right_handed(assumed.up)
-        if (body := assumed.dock_offset_body) is not None:
-            assumed = replace(assumed, dock_offset_body=body * horizontal_mirror(assumed.up))
-    poses = poses if assumed.up == "z" else poses.upright(assumed.up)
-    poses = poses.conjugate() if assumed.conjugate else poses
+        docks = assumed.dock_offset_body
+        if docks is not None:
+            assumed = replace(assumed, dock_offset_body=docks * horizontal_mirror(assumed.up))
+    if assumed.up != "z":
+        poses = poses.upright(assumed.up)
+    if assumed.conjugate:
+        poses = poses.conjugate()
     poses, order_of_numbers = in_likely_order(poses, assumed)
     poses, guessed = with_docks(poses, assumed, path)
     poses, glitches = without_glitches(poses, with_limits(poses, assumed)[0])
     moving, _ = with_limits(poses, assumed)
-    poses, left = with_final_rests(poses, moving)
-    assumed, widened = with_limits(poses, assumed, left)
-    if (seen := turning_noise(poses)) and assumed.tilt_deg is None and assumed.yaw_deg is None:
-        assumed = replace(assumed, tilt_deg=seen[0], yaw_deg=seen[1])
-        stated = (
-            "orientations of robots at rest vary by {:g} deg of tilt and {:g} deg of yaw (1 sd)"
+    poses, noise_share = with_final_rests(poses, moving)
+    assumed, widened = with_limits(poses, assumed, noise_share)
+    noise = turning_noise(poses)
+    if noise and assumed.tilt_deg is None and assumed.yaw_deg is None:
+        tilt, yaw = noise
+        assumed = replace(assumed, tilt_deg=tilt, yaw_deg=yaw)
+        widened.append(
+            f"orientations of robots at rest vary by {tilt:g} deg of tilt and {yaw:g} deg of yaw "
+            "(1 sd), which the log states; --tilt-deg, --yaw-deg"
         )
-        widened.append(f"{stated.format(*seen)}, which the log states; --tilt-deg, --yaw-deg")
     contacts, gaps, overlaps = find_contacts(poses, assumed)
     rests = find_rests(poses, moving)
     anchors = _anchors(poses, rests, assumed.anchors, path)
     order, joined = _join_order(
         poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected
     )
-    stances, early = (None, 0) if rests is None else stances_of(rests, poses, order, moving)
+    stances = None
+    early = 0
+    if rests is not None:
+        stances, early = stances_of(rests, poses, order, moving)
     log = _log(poses, contacts, anchors, order, stances, assumed)
     with at_line(path, 1):
         check_header(log)
     refuse_crowds(log, path)
-    size = f"{counted(log.robot_count, 'robot')}, {counted(len(log.contacts), 'contact')}"
-    if log.stances is not None:
+    if log.stances is None:
+        size = f"{counted(log.robot_count, 'robot')}, {counted(len(log.contacts), 'contact')}"
+    else:
         size = log.size
     notes = [*order_of_numbers, *guessed, *glitches, *widened, *gaps, *joined]
     notes += [*_describe_rests(poses, rests), *_describe(log), size]
@@ -247,13 +263,18 @@ def _anchors(poses: Poses, rests: Rests | None, names: tuple[int, ...], path: Pa
         if name not in row:
             problem = f"there is no robot {name}; name one of the file"
             raise InputError(problem, path=path, argument="anchor")
-    key, first, is_first = "anchor", 0, np.ones(len(row), np.bool_)
     if poses.join is not None:
-        key, first = "join", int(poses.join.argmin())
+        key = "join"
+        first = int(poses.join.argmin())
         is_first = np.arange(len(row)) == first
     elif rests is not None:
-        key, first = "time", int(np.lexsort(rests.arrival)[0])
+        key = "time"
+        first = int(np.lexsort(rests.arrival)[0])
         is_first = (rests.arrival == rests.arrival[:, [first]]).all(axis=0)
+    else:
+        key = "anchor"
+        first = 0
+        is_first = np.ones(len(row), np.bool_)
     anchors = [*dict.fromkeys(row[name] for name in names)] or [first]
     if not is_first[anchors[0]]:
         problem = f"robot {poses.robot_id[first]} joined first, not {names[0]}; name it first"
@@ -274,9 +295,12 @@ def _join_order(
     for i, _, j, _ in contacts.tolist():
         neighbors[i].append(j)
         neighbors[j].append(i)
-    tied, waiting = dict.fromkeys(anchors), deque(anchors)
+    tied = dict.fromkeys(anchors)
+    waiting = deque(anchors)
     while waiting:
-        new = sorted({other for other in neighbors[waiting.popleft()] if other not in tied})
+        new = sorted(
+            {neighbor for neighbor in neighbors[waiting.popleft()] if neighbor not in tied}
+        )
         tied |= dict.fromkeys(new)
         waiting.extend(new)
     notes = []
@@ -290,10 +314,13 @@ def _join_order(
         order = outward
         name = poses.robot_id[anchors[0]]
         notes.append(f"no column join: robots join outward from robot {name}, by contacts")
-    if lost := len(neighbors) - len(tied):
+    disconnected = len(neighbors) - len(tied)
+    if disconnected:
         fate = "dropped" if drop_disconnected else "kept: drop them with --drop-disconnected"
-        notes.append(f"{counted(lost, 'robot')} disconnected from the anchor {fate}")
-    return order[np.isin(order, [*tied])] if drop_disconnected else order, notes
+        notes.append(f"{counted(disconnected, 'robot')} disconnected from the anchor {fate}")
+    if drop_disconnected:
+        order = order[np.isin(order, [*tied])]
+    return order, notes
 
 
 def _log(
@@ -306,21 +333,21 @@ def _log(
 ) -> sensing_log.SensingLog:
     """Derive what the robots in `order` would have sensed at rest."""
     count = len(order)
-    place = np.full(len(poses.robot_id), -1)
-    place[order] = np.arange(count)
-    renamed = contacts.astype(np.int32)
-    renamed[:, [0, 2]] = place[contacts[:, [0, 2]]]
-    renamed = renamed[(renamed[:, [0, 2]] >= 0).all(axis=1)]
-    swapped = renamed[:, 0] > renamed[:, 2]
-    renamed[swapped] = renamed[swapped][:, [2, 3, 0, 1]]
+    join_index = np.full(len(poses.robot_id), -1)
+    join_index[order] = np.arange(count)
+    logged = contacts.astype(np.int32)
+    logged[:, [0, 2]] = join_index[contacts[:, [0, 2]]]
+    logged = logged[(logged[:, [0, 2]] >= 0).all(axis=1)]
+    is_swapped = logged[:, 0] > logged[:, 2]
+    logged[is_swapped] = logged[is_swapped][:, [2, 3, 0, 1]]
     least, greatest = assumed.level
     height = poses.docks[order, :, 2]
     standing = np.argwhere((height >= least) & (height <= greatest)).astype(np.int32)
-    known = sorted(anchors[1:], key=lambda row: place[row])
+    further_anchors = sorted(anchors[1:], key=lambda row: join_index[row])
     fixes = [
-        (place[row], *axis, along, sensing_log.KNOWN_SD * assumed.dock_radius, -1)
-        for row in known
-        for axis, along in zip(np.eye(3), poses.position[row], strict=True)
+        (join_index[row], *axis, coordinate, sensing_log.KNOWN_SD * assumed.dock_radius, -1)
+        for row in further_anchors
+        for axis, coordinate in zip(np.eye(3), poses.position[row], strict=True)
     ]
     return sensing_log.SensingLog(
         robot_id=poses.robot_id[order],
@@ -328,7 +355,7 @@ def _log(
         dock_offset_body=poses.dock_offset_body,
         anchor_position=poses.position[order[0]],
         orientation_wxyz=poses.orientation_wxyz[order],
-        contacts=sensing_log.canonical_contacts(renamed),
+        contacts=sensing_log.canonical_contacts(logged),
         ground_z=assumed.ground_z,
         ground_docks=standing,
         fixes=np.array(fixes).reshape(-1, 7),
@@ -350,18 +377,18 @@ def _noise(assumed: Assumptions) -> sensing_log.SensingNoise | None:
             tilt_deg=ASSUMED.tilt_deg if tilt is None else tilt,
             yaw_deg=ASSUMED.yaw_deg if yaw is None else yaw,
         )
-    except ValidationError as found:
-        error = found.errors(include_url=False)[0]
-        raise InputError(explain(error), key=str(error["loc"][0])) from found
+    except ValidationError as error:
+        mistake = error.errors(include_url=False)[0]
+        raise InputError(explain(mistake), key=str(mistake["loc"][0])) from error
 
 
 def _describe_rests(poses: Poses, rests: Rests | None) -> Iterator[str]:
     """Say in lines what became of poses over time."""
     if rests is None or poses.samples is None:
         return
-    number = len(rests.position) - len(poses.robot_id)
-    many = counted(len(poses.samples.time), "pose")
-    yield f"{counted(number, 'stance')} before the final poses, from {many} over time"
+    stances = counted(len(rests.position) - len(poses.robot_id), "stance")
+    samples = counted(len(poses.samples.time), "pose")
+    yield f"{stances} before the final poses, from {samples} over time"
     if rests.unseen:
         yield f"{counted(rests.unseen, 'stance')} without a pose: where flips beside a gap lead"
     if len(rests.cut):
@@ -393,13 +420,14 @@ def _named(poses: Poses, robots: Ints) -> str:
 
 def _describe(log: sensing_log.SensingLog) -> Iterator[str]:
     """Say in lines what a log lacks, and what it would gain."""
-    has = {
+    is_stated = {
         "ground contacts (--ground-z)": len(log.ground_docks) > 0,
         "heights (--heights)": not np.isnan(log.flip_height).all(),
         "stances": log.stances is not None,
         "noise (--tilt-deg, --yaw-deg)": log.noise is not None,
     }
-    if lacking := [what for what, is_there in has.items() if not is_there]:
+    lacking = [name for name in is_stated if not is_stated[name]]
+    if lacking:
         yield f"the log lacks {', '.join(lacking)}"
     if np.isnan(log.flip_height).all() or log.stances is None:
         yield GAINS
@@ -472,25 +500,30 @@ def guess_dock_offset(
     """
     count = len(position)
     _, near = cKDTree(position).query(position, k=min(count, _NEAREST + 1))
-    first = np.repeat(np.arange(count), near.size // count)
-    i, j = np.unique(np.sort(np.stack([first, near.ravel()]), axis=0), axis=1)
+    robot = np.repeat(np.arange(count), near.size // count)
+    i, j = np.unique(np.sort(np.stack([robot, near.ravel()]), axis=0), axis=1)
     i, j = i[i != j], j[i != j]
     arm = dock_offsets(orientation_wxyz, docks_in_plane(1.0))
     between = (position[j] - position[i])[:, None, None]
     spread = arm[j][:, None] - arm[i][:, :, None]
-    a, b = (spread**2).sum(axis=-1), (between * spread).sum(axis=-1)
-    square = b**2 - a * ((between**2).sum(axis=-1) - 4.0 * radius**2)
-    crossing = (a > 1e-9) & (square >= 0.0)  # noqa: PLR2004 - parallel arms have no root
-    a, b, half = a[crossing], b[crossing], np.sqrt(square[crossing])
+    # The roots of a rho^2 + 2 b rho + c.
+    a = (spread**2).sum(axis=-1)
+    b = (between * spread).sum(axis=-1)
+    c = (between**2).sum(axis=-1) - 4.0 * radius**2
+    square = b**2 - a * c
+    has_roots = (a > 1e-9) & (square >= 0.0)  # noqa: PLR2004 - parallel arms have no root
+    a = a[has_roots]
+    b = b[has_roots]
+    half = np.sqrt(square[has_roots])
     roots = np.sort(np.concatenate([-b - half, -b + half]) / np.tile(a, 2))
     roots = roots[(roots > (TANGENT_RHO - 1e-3) * radius) & (roots < _LONGEST_OFFSET * radius)]
     if not roots.size:
         return None
-    inside = np.searchsorted(roots, roots + width, side="right") - np.arange(roots.size)
-    best = inside.argmax()
-    offset = float(np.median(roots[best : best + inside[best]]))
-    others = inside[np.abs(roots - offset) > 2.0 * width]
-    if inside[best] < max(0.5 * count, _STANDS_OUT * others.max(initial=0)):
+    counts = np.searchsorted(roots, roots + width, side="right") - np.arange(roots.size)
+    best = counts.argmax()
+    offset = float(np.median(roots[best : best + counts[best]]))
+    counts_elsewhere = counts[np.abs(roots - offset) > 2.0 * width]
+    if counts[best] < max(0.5 * count, _STANDS_OUT * counts_elsewhere.max(initial=0)):
         return None
     return float(f"{offset:.4g}")
 
@@ -542,7 +575,8 @@ def histogram(
     yield f"gaps between docks [{unit}], contacts marked #:"
     for k in range(filled[0], filled[-1] + 1):
         touches = edges[k] >= -largest_overlap and edges[k + 1] <= largest_gap
-        bar = "#."[not touches] * int(np.ceil(_LONGEST_BAR * number[k] / number.max()))
+        length = int(np.ceil(_LONGEST_BAR * number[k] / number.max()))
+        bar = length * ("#" if touches else ".")
         yield f"{edges[k]:>9.3g} to {edges[k + 1]:<8.3g}{number[k]:>6} {bar}".rstrip()
 
 
@@ -581,22 +615,24 @@ def with_docks(
 
 
 def with_limits(
-    poses: Poses, assumed: Assumptions, left: float = 1.0
+    poses: Poses, assumed: Assumptions, noise_share: float = 1.0
 ) -> tuple[Assumptions, list[str]]:
     """Set limits of gap and overlap that are not given, and say so where errors widen them.
 
     Args:
         poses: Robots, whose docks are known.
         assumed: Limits that are given.
-        left: Part of the noise of samples that final poses have [1].
+        noise_share: Part of the noise of samples that final poses have [1].
     """
     if assumed.gap is not None and assumed.overlap is not None:
         return assumed, []
-    radius, least, samples = assumed.dock_radius, TOLERANCE * assumed.dock_radius, poses.samples
+    radius = assumed.dock_radius
+    least = TOLERANCE * radius
+    samples = poses.samples
     why = "about as far, docks overlap by errors of the poses"
     if samples is not None:
         docks = samples.docks(poses.dock_offset_body)
-        step = left * step_of_noise(docks, samples.robot, LOUDEST * radius)
+        step = noise_share * step_of_noise(docks, samples.robot, LOUDEST * radius)
         if _STEPS_OF_NOISE * step > least:
             least = float(f"{_STEPS_OF_NOISE * step:.2g}")
             why = f"docks at rest vary by about {0.5 * step:.2g}"
@@ -604,25 +640,28 @@ def with_limits(
     limit = contact_limit(surface_gaps(poses.docks, pair, radius), radius, least) or least
     if limit == TOLERANCE * radius:
         return assumed, []
-    gap, overlap = (limit if given is None else given for given in (assumed.gap, assumed.overlap))
-    found = replace(assumed, gap=gap, overlap=overlap)
+    gap = limit if assumed.gap is None else assumed.gap
+    overlap = limit if assumed.overlap is None else assumed.overlap
     text = f"contacts have gaps up to {gap:g} and overlaps up to {overlap:g} {poses.length_unit}"
-    return found, [f"{text}: {why}"]
+    return replace(assumed, gap=gap, overlap=overlap), [f"{text}: {why}"]
 
 
 def in_likely_order(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[str]]:
     """Read quaternions in the other order where far more docks touch so, and say so."""
-    robots = len(poses.robot_id)
-    if poses.other_order == 0 or (touching := count_touching(poses, assumed)) >= ENOUGH * robots:
+    if poses.other_order == 0:
         return poses, []
-    other = poses.reordered()
-    more = count_touching(other, assumed)
-    if more < max(ENOUGH * robots, FAR_MORE * touching):
+    robots = len(poses.robot_id)
+    as_written = count_touching(poses, assumed)
+    if as_written >= ENOUGH * robots:
+        return poses, []
+    reordered = poses.reordered()
+    as_reordered = count_touching(reordered, assumed)
+    if as_reordered < max(ENOUGH * robots, FAR_MORE * as_written):
         return poses, []
     names = "x, y, z, w" if poses.other_order == 1 else "w, x, y, z"
-    found = f"{counted(more, 'contact')} instead of {touching}"
-    note = f"quaternions read as {names}, though columns have the other order: {found}"
-    return other, [f"{note}; rename the columns"]
+    gain = f"{counted(as_reordered, 'contact')} instead of {as_written}"
+    note = f"quaternions read as {names}, though columns have the other order: {gain}"
+    return reordered, [f"{note}; rename the columns"]
 
 
 def count_touching(poses: Poses, assumed: Assumptions) -> int:
@@ -630,17 +669,17 @@ def count_touching(poses: Poses, assumed: Assumptions) -> int:
 
     The count is 0 if no offset stands out, or if more docks overlap: they are rigid.
     """
-    radius, body = assumed.dock_radius, assumed.dock_offset_body
-    limits = assumed.largest_gap, assumed.largest_overlap
-    if body is None:
-        turn = poses.orientation_wxyz
-        offset = guess_dock_offset(poses.position, turn, radius, sum(limits))
-        body = None if offset is None else docks_in_plane(offset)
-    if body is None:
-        return 0
-    docks = poses._replace(dock_offset_body=body).docks
-    gap = surface_gaps(docks, dock_pairs(docks, 2.0 * radius + limits[0]), radius)
-    touching = int((gap >= -limits[1]).sum())
+    radius = assumed.dock_radius
+    dock_offset_body = assumed.dock_offset_body
+    if dock_offset_body is None:
+        width = assumed.largest_gap + assumed.largest_overlap
+        offset = guess_dock_offset(poses.position, poses.orientation_wxyz, radius, width)
+        if offset is None:
+            return 0
+        dock_offset_body = docks_in_plane(offset)
+    docks = poses._replace(dock_offset_body=dock_offset_body).docks
+    gap = surface_gaps(docks, dock_pairs(docks, 2.0 * radius + assumed.largest_gap), radius)
+    touching = int((gap >= -assumed.largest_overlap).sum())
     return touching if 2 * touching >= len(gap) else 0
 
 
@@ -649,26 +688,30 @@ def find_contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], 
 
     Contacts are rows of (robot, dock, later robot, its dock), shape (n, 4).
     """
-    radius, unit = assumed.dock_radius, poses.length_unit
-    gap_limit, overlap_limit = assumed.largest_gap, assumed.largest_overlap
+    radius = assumed.dock_radius
+    unit = poses.length_unit
+    largest_gap = assumed.largest_gap
+    largest_overlap = assumed.largest_overlap
     if assumed.contacts is None:
-        within = max(gap_limit, FARTHEST_SHOWN * radius)
-        pair = dock_pairs(poses.docks, 2.0 * radius + within)
+        shown = max(largest_gap, FARTHEST_SHOWN * radius)
+        pair = dock_pairs(poses.docks, 2.0 * radius + shown)
     else:
         pair = read_contacts(assumed.contacts, poses)
     gap = surface_gaps(poses.docks, pair, radius)
-    wide, deep = gap > gap_limit, gap < -overlap_limit
-    limits = {"largest_gap": gap_limit, "largest_overlap": overlap_limit}
-    notes = [*histogram(gap, radius, unit=unit, **limits)]
-    if deep.any():
-        by = f"by more than {overlap_limit:g} {unit}"
-        notes.append(f"{counted(deep.sum(), 'overlap')} of two docks {by}")
+    is_apart = gap > largest_gap
+    overlaps = gap < -largest_overlap
+    notes = [
+        *histogram(gap, radius, largest_gap=largest_gap, largest_overlap=largest_overlap, unit=unit)
+    ]
+    if overlaps.any():
+        count = counted(overlaps.sum(), "overlap")
+        notes.append(f"{count} of two docks by more than {largest_overlap:g} {unit}")
     if assumed.contacts is None:
-        pair = pair[~wide & ~deep]
-    elif wide.any():
-        listed = counted(wide.sum(), "listed contact")
-        notes.append(f"{listed} with a gap of more than {gap_limit:g} {unit}")
-    return pair, notes, int(deep.sum())
+        pair = pair[~is_apart & ~overlaps]
+    elif is_apart.any():
+        count = counted(is_apart.sum(), "listed contact")
+        notes.append(f"{count} with a gap of more than {largest_gap:g} {unit}")
+    return pair, notes, int(overlaps.sum())
 
 
 def refuse_crowds(log: sensing_log.SensingLog, path: Path) -> None:
@@ -676,7 +719,8 @@ def refuse_crowds(log: sensing_log.SensingLog, path: Path) -> None:
     docks = len(log.dock_offset_body)
     ends = log.contacts.reshape(-1, 2) @ [docks, 1]
     number = np.bincount(ends, minlength=1)
-    if (most := int(number.max())) > MOST_CONTACTS:
+    most = int(number.max())
+    if most > MOST_CONTACTS:
         robot, dock = divmod(int(number.argmax()), docks)
         problem = f"dock {dock} of robot {log.robot_id[robot]} has {most} contacts, more than "
         remedy = f"{MOST_CONTACTS}; correct radius and offset of docks, or give smaller limits"
@@ -717,8 +761,8 @@ def few_contacts(
     at_rest = robots - in_motion
     if at_rest <= 1 or (contacts >= ENOUGH * at_rest and contacts >= overlaps):
         return []
-    found = f"{counted(contacts, 'contact')} and {counted(overlaps, 'overlap')}"
-    problem = f"{counted(robots, 'robot')} have {found} of docks; "
+    counts = f"{counted(contacts, 'contact')} and {counted(overlaps, 'overlap')}"
+    problem = f"{counted(robots, 'robot')} have {counts} of docks; "
     usual = "correct --dock-radius and --dock-offset, or give larger --gap and --overlap"
     # Spheres are docks wherever the frame of the body is.
     cause = "" if poses.docks_are_spheres else _likely_cause(poses, assumed, contacts)
@@ -733,21 +777,24 @@ def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
     """Name the other meaning of poses that would make far more docks touch; empty if none would."""
     poses = poses.nearest(_MOST_ROBOTS)
     least = max(ENOUGH * len(poses.robot_id), FAR_MORE * contacts, 1.0)
-    for other, found, remedy in _readings(poses, assumed):
-        if (touching := count_touching(other, assumed)) >= max(least, len(poses.robot_id) - 1.0):
-            return f"{found} {touching}: {remedy}"
-    quarter = Rotation.create_group("O")
-    for turn in (quarter[k] for k in range(1, len(quarter))):
+    tree = len(poses.robot_id) - 1.0  # contacts of a structure without cycles
+    for reading, what, remedy in _readings(poses, assumed):
+        touching = count_touching(reading, assumed)
+        if touching >= max(least, tree):
+            return f"{what} {touching}: {remedy}"
+    quarter_turns = Rotation.create_group("O")
+    for k in range(1, len(quarter_turns)):
+        turn = quarter_turns[k]
         turned = poses.turned(turn)
-        if (touching := count_touching(turned, assumed)) >= least:
-            bare = turned._replace(dock_offset_body=np.empty((0, 3)))
-            body = with_docks(bare, assumed)[0].dock_offset_body
-            return _by_docks(turn.apply(body), touching)
+        touching = count_touching(turned, assumed)
+        if touching >= least:
+            without_docks = turned._replace(dock_offset_body=np.empty((0, 3)))
+            with_guess, _ = with_docks(without_docks, assumed)
+            return _by_docks(turn.apply(with_guess.dock_offset_body), touching)
     moved = poses.dock_offset_body + _off_center(poses, assumed)
-    as_moved = replace(assumed, dock_offset_body=moved)
-    # Fitted unknowns put as many docks in contact by chance, where a structure has N - 1 contacts.
-    least = max(least, len(poses.robot_id) - 1.0 + _UNKNOWNS)
-    if (touching := count_touching(poses, as_moved)) >= least:
+    touching = count_touching(poses, replace(assumed, dock_offset_body=moved))
+    # Fitted unknowns put as many docks in contact by chance.
+    if touching >= max(least, tree + _UNKNOWNS):
         return _by_docks(moved, touching)
     return ""
 
@@ -759,16 +806,10 @@ def _readings(poses: Poses, assumed: Assumptions) -> Iterator[tuple[Poses, str, 
     """
     yield poses.conjugate(), "quaternions that turn world to body give", "add --conjugate"
     if poses.other_order:
-        both = "quaternions in the other order that turn world to body give"
-        yield poses.reordered().conjugate(), both, "rename the columns, and add --conjugate"
-    angles = np.asarray(poses.angles)
-    orders = [*EULER, *(order.swapcase() for order in EULER), "rotvec"]
-    for scale, unit in ((1.0, ""), (np.pi / 180.0, "deg"), (180.0 / np.pi, "rad")):
-        for order in () if poses.angles is None else orders:
-            turned = poses._replace(orientation_wxyz=turns_by(scale * angles, order))
-            remedy = f"write [{unit}] behind their names, and " * bool(unit)
-            read = f"angles in {unit}, read as {order}," if unit else f"angles read as {order}"
-            yield turned, f"{read} give", f"{remedy}add --euler {order}"
+        statement = "quaternions in the other order that turn world to body give"
+        yield poses.reordered().conjugate(), statement, "rename the columns, and add --conjugate"
+    if poses.angles is not None:
+        yield from _readings_of_angles(poses, poses.angles)
     for scale in (*_SCALES, *(1.0 / scale for scale in _SCALES)):
         size = f"{assumed.dock_radius / scale:.4g}"
         remedy = f"give --dock-radius {size}, and docks in that unit"
@@ -787,6 +828,21 @@ def _readings(poses: Poses, assumed: Assumptions) -> Iterator[tuple[Poses, str, 
         yield mirrored, "docks of the mirror image give", "reverse y in --docks"
 
 
+def _readings_of_angles(poses: Poses, angles: Reals) -> Iterator[tuple[Poses, str, str]]:
+    """Yield poses by angles in each order and unit, what would give contacts, and a remedy."""
+    orders = [*EULER, *(order.swapcase() for order in EULER), "rotvec"]
+    for scale, unit in ((1.0, ""), (np.pi / 180.0, "deg"), (180.0 / np.pi, "rad")):
+        for order in orders:
+            turned = poses._replace(orientation_wxyz=turns_by(scale * angles, order))
+            if unit:
+                what = f"angles in {unit}, read as {order}, give"
+                remedy = f"write [{unit}] behind their names, and add --euler {order}"
+            else:
+                what = f"angles read as {order} give"
+                remedy = f"add --euler {order}"
+            yield turned, what, remedy
+
+
 def _by_docks(offset: Reals, touching: int) -> str:
     """Name the offsets at which docks would touch, and the remedy."""
     places = ", ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in (offset + 0.0).tolist())
@@ -799,16 +855,19 @@ def off_the_ground(poses: Poses, assumed: Assumptions) -> list[str]:
         return []
     standing, below = _on_ground(poses, assumed)
     by_axis = {up: _on_ground(poses.upright(up), assumed) for up in UPWARD}
-    up = max(by_axis, key=lambda up: by_axis[up].standing * (by_axis[up].below == 0))
-    other = by_axis[up]
-    explains = below > 0 and other.below == 0 and other.standing >= max(1, FAR_MORE * standing)
+    standing_by_axis = {
+        up: count.standing if count.below == 0 else 0 for up, count in by_axis.items()
+    }
+    up = max(by_axis, key=standing_by_axis.__getitem__)
+    most_standing = standing_by_axis[up]
+    explains = below > 0 and most_standing >= max(1, FAR_MORE * standing)
     if standing and not explains:
         return []
     docks = f"{standing or 'no'} dock{'s stand' if standing > 1 else ' stands'}"
     problem = f"{docks} on the ground at z = {assumed.ground_z:g}, and {below} of "
     problem += f"{poses.docks[..., 0].size} are below it"
     if explains:
-        return [f"{problem}; with {up} up, {other.standing} stand and none is below: add --up {up}"]
+        return [f"{problem}; with {up} up, {most_standing} stand and none is below: add --up {up}"]
     lowest = float(poses.docks[..., 2].min()) - assumed.dock_radius
     return [f"{problem}; the lowest reaches to z = {lowest:.4g}: correct --ground-z or --up"]
 
@@ -835,37 +894,38 @@ def _off_center(poses: Poses, assumed: Assumptions) -> Reals:
     """
     turn = Rotation.from_quat(poses.orientation_wxyz, scalar_first=True).as_matrix()
     axis = assumed.dock_radius * np.arange(-_OFF_CENTER, _OFF_CENTER + 0.5 * _SHIFT, _SHIFT)
-    places = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
-    order = np.argsort([-len(_close(poses.docks, turn, at, assumed)) for at in places])
+    grid = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    order = np.argsort([-len(_close(poses.docks, turn, step, assumed)) for step in grid])
     refined = []
-    for place in [np.zeros(3), *places[order[:_BEST]]]:
+    for step in [np.zeros(3), *grid[order[:_BEST]]]:
+        offset = step
         for _ in range(2):  # docks that touch are others after the first time
-            pair = _close(poses.docks, turn, place, assumed)
+            pair = _close(poses.docks, turn, offset, assumed)
             if len(pair) >= _UNKNOWNS:
-                place = _refined(poses.docks, turn, place, pair, assumed.dock_radius)  # noqa: PLW2901
-        refined.append(place)
+                offset = _refined(poses.docks, turn, offset, pair, assumed.dock_radius)
+        refined.append(offset)
 
-    def touching(place: Reals) -> int:
-        moved = poses.dock_offset_body + place
+    def touching(offset: Reals) -> int:
+        moved = poses.dock_offset_body + offset
         return count_touching(poses, replace(assumed, dock_offset_body=moved))
 
     return max(refined, key=touching)
 
 
-def _close(docks: Reals, turn: Reals, off: Reals, assumed: Assumptions) -> Ints:
+def _close(docks: Reals, turn: Reals, offset: Reals, assumed: Assumptions) -> Ints:
     """List the docks that nearly touch where all are off by a vector in the body frame."""
-    docks = docks + (turn @ off)[:, None]
+    docks = docks + (turn @ offset)[:, None]
     pair = dock_pairs(docks, (2.0 + _NEAR) * assumed.dock_radius)
     return pair[surface_gaps(docks, pair, assumed.dock_radius) >= -_NEAR * assumed.dock_radius]
 
 
-def _refined(docks: Reals, turn: Reals, off: Reals, pair: Ints, radius: float) -> Reals:
+def _refined(docks: Reals, turn: Reals, offset: Reals, pair: Ints, radius: float) -> Reals:
     """Let most of the docks of some pairs touch, shape (3,)."""
 
-    def misfit(place: Reals) -> Reals:
-        return surface_gaps(docks + (turn @ place)[:, None], pair, radius) / radius
+    def misfit(offset: Reals) -> Reals:
+        return surface_gaps(docks + (turn @ offset)[:, None], pair, radius) / radius
 
-    found = least_squares(  # type: ignore[operator]
-        misfit, off, loss="cauchy", f_scale=TOLERANCE
+    solution = least_squares(  # type: ignore[operator]
+        misfit, offset, loss="cauchy", f_scale=TOLERANCE
     )
-    return np.asarray(found.x)
+    return np.asarray(solution.x)

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.formats.poses import Assumptions, Poses, Samples, some
+from tiswarm.formats.poses import SD_PER_MEDIAN_DEVIATION, Assumptions, Poses, Samples, some
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import Stances
 
@@ -42,8 +42,12 @@ _ANGLES = np.radians(np.arange(1.0, 361.0))
 """Angles by which flips are continued [rad]; between them docks move by less than 0.1 R."""
 
 
-_Candidate = tuple[float, Reals, Reals]
-"""How far a dock is from its place in another pose, position and orientation of a possible rest."""
+class _Candidate(NamedTuple):
+    """Pose of a possible rest."""
+
+    distance: float  # of a dock from its place in another pose
+    position: Reals  # (3,)
+    orientation_wxyz: Reals  # (4,)
 
 
 class Track(NamedTuple):
@@ -108,9 +112,9 @@ def with_unseen_rests(track: Track, dock_offset_body: Reals, put: float) -> tupl
         dock_offset_body: Center to dock, shape (D, 3).
         put: Largest motion of a pivot from one rest to the next.
     """
-    found = 0
+    inserted = 0
     if 2 * (track.end > track.begin).sum() < len(track.begin):
-        return track, found  # a table of stances, in which no pose is in motion
+        return track, inserted  # a table of stances, in which no pose is in motion
     for k in np.flatnonzero(~are_flips(track.docks(dock_offset_body), put))[::-1].tolist():
         for position, wxyz in _unseen(track, track.docks(dock_offset_body), k, put):
             longer = _inserted(track, k + 1, position, wxyz)
@@ -118,9 +122,9 @@ def with_unseen_rests(track: Track, dock_offset_body: Reals, put: float) -> tupl
             beside = [n for n in (k, k + 2) if in_motion[n] and 0 < n < len(in_motion) - 1]
             if continues(longer.docks(dock_offset_body), longer.turn)[beside].all():
                 track = longer.chosen(np.delete(np.arange(len(in_motion)), beside))
-                found += 1
+                inserted += 1
                 break
-    return track, found
+    return track, inserted
 
 
 def _inserted(track: Track, at: int, position: Reals, wxyz: Reals) -> Track:
@@ -138,49 +142,51 @@ def _unseen(track: Track, docks: Reals, before: int, put: float) -> list[tuple[R
 
     A pose is the likelier, the nearer a dock is to where one of the two poses has it.
     """
-    after, in_motion = before + 1, track.end == track.begin
-    found: list[_Candidate] = []
+    after = before + 1
+    in_motion = track.end == track.begin
+    candidates: list[_Candidate] = []
     if in_motion[after] and after + 1 < len(docks):
-        found += _continued(track, docks, (after + 1, after), before)
+        candidates += _continued(track, docks, (after + 1, after), before)
     if in_motion[before] and before > 0:
-        found += _continued(track, docks, (before - 1, before), after)
-    found.sort(key=lambda each: each[0])
-    return [(position, wxyz) for off, position, wxyz in found if off <= put]
+        candidates += _continued(track, docks, (before - 1, before), after)
+    candidates.sort(key=lambda candidate: candidate.distance)
+    return [(position, wxyz) for distance, position, wxyz in candidates if distance <= put]
 
 
 def _continued(track: Track, docks: Reals, flip: tuple[int, int], target: int) -> list[_Candidate]:
     """Continue a flip from one pose to another, to where each dock is nearest to a target's."""
     start, end = flip
     pivot = int(np.linalg.norm(docks[end] - docks[start], axis=1).argmin())
-    turn, center = track.turn, docks[end, pivot]
+    turn = track.turn
+    center = docks[end, pivot]
     way = (turn[end] * turn[start].inv()).as_rotvec()
     axis = way / max(float(np.linalg.norm(way)), np.finfo(float).tiny)
 
-    def off(angle: float) -> Reals:
+    def distances(angle: float) -> Reals:
         moved = center + Rotation.from_rotvec(angle * axis).apply(docks[end] - center)
-        distance: Reals = np.linalg.norm(moved - docks[target], axis=1)
-        return distance
+        apart: Reals = np.linalg.norm(moved - docks[target], axis=1)
+        return apart
 
-    apart = np.array([off(angle) for angle in _ANGLES])
-    found: list[_Candidate] = []
+    distances_by_angle = np.array([distances(angle) for angle in _ANGLES])
+    candidates: list[_Candidate] = []
     for dock in np.delete(np.arange(docks.shape[1]), pivot).tolist():
-        near = _ANGLES[apart[:, dock].argmin()]
-        angle = _least(off, dock, near)
+        near = _ANGLES[distances_by_angle[:, dock].argmin()]
+        angle = _nearest_angle(distances, dock, near)
         swing = Rotation.from_rotvec(angle * axis)
         wxyz = (swing * turn[end]).as_quat(scalar_first=True)
         position = center + swing.apply(track.position[end] - center)
-        found.append((float(off(angle)[dock]), position, wxyz))
-    return found
+        candidates.append(_Candidate(float(distances(angle)[dock]), position, wxyz))
+    return candidates
 
 
-def _least(off: Callable[[float], Reals], dock: int, near: float) -> float:
+def _nearest_angle(distances: Callable[[float], Reals], dock: int, start: float) -> float:
     """Find the angle at which a dock is least far off, within a step of another one [rad]."""
-    found = optimize.least_squares(  # type: ignore[operator]
-        lambda angle: off(float(angle[0]))[[dock]],
-        [near],
-        bounds=([near - _ANGLES[0]], [near + _ANGLES[0]]),
+    solution = optimize.least_squares(  # type: ignore[operator]
+        lambda angle: distances(float(angle[0]))[[dock]],
+        [start],
+        bounds=([start - _ANGLES[0]], [start + _ANGLES[0]]),
     )
-    return float(found.x[0])
+    return float(solution.x[0])
 
 
 _NEAR = 3.0
@@ -197,9 +203,6 @@ _ROUNDING = 1e-6
 
 LOUDEST = 0.12
 """Largest step that counts as noise [dock radii]; flips move docks by more than one."""
-
-_MAD = 1.4826
-"""Standard deviation of a normal distribution in median deviations."""
 
 _NOISE_MARGIN = 3.0
 """Largest motion of a robot at rest, per median of a step that noise alone makes."""
@@ -238,7 +241,8 @@ class Rests(NamedTuple):
     @property
     def in_motion(self) -> Ints:
         """Robots that move to the end of their samples, where most rests have several samples."""
-        lasting, last = self.end > self.begin, self.last
+        lasting = self.end > self.begin
+        last = self.last
         before: Ints = np.setdiff1d(np.arange(len(lasting)), last)
         if not len(before) or 2 * lasting[before].sum() < len(before):
             return np.empty(0, np.int64)
@@ -275,10 +279,12 @@ def motion_limits(samples: Samples, docks: Reals, assumed: Assumptions) -> Limit
         docks: Centers of their docks, shape (S, D, 3).
         assumed: Limits of contacts.
     """
-    limits = assumed.largest_gap, assumed.largest_overlap
-    put = max(sum(limits), _ROUNDING * assumed.dock_radius)
+    gap = assumed.largest_gap
+    overlap = assumed.largest_overlap
+    put = max(gap + overlap, _ROUNDING * assumed.dock_radius)
+    still = 0.5 * max(gap, overlap, 0.5 * put)
     noise = _NOISE_MARGIN * step_of_noise(docks, samples.robot, LOUDEST * assumed.dock_radius)
-    return Limits(max(0.5 * max(*limits, 0.5 * put), noise), max(put, noise))
+    return Limits(max(still, noise), max(put, noise))
 
 
 def with_final_rests(poses: Poses, assumed: Assumptions) -> tuple[Poses, float]:
@@ -298,17 +304,18 @@ def with_final_rests(poses: Poses, assumed: Assumptions) -> tuple[Poses, float]:
     if not step_of_noise(docks, samples.robot, LOUDEST * assumed.dock_radius):
         return poses, 1.0
     still = motion_limits(samples, docks, assumed).still
-    position, wxyz = poses.position.copy(), poses.orientation_wxyz.copy()
+    position = poses.position.copy()
+    wxyz = poses.orientation_wxyz.copy()
     start = np.searchsorted(samples.robot, np.arange(len(position) + 1))
-    least = len(docks)
+    fewest = len(docks)
     for robot, (first, after) in enumerate(pairwise(start.tolist())):
         moved = np.linalg.norm(docks[first:after] - docks[after - 1], axis=2).max(axis=1) > still
         begin = first + int(np.flatnonzero(moved)[-1]) + 1 if moved.any() else first
         position[robot] = samples.position[begin:after].mean(axis=0)
         turn = Rotation.from_quat(samples.orientation_wxyz[begin:after], scalar_first=True)
         wxyz[robot] = turn.mean().as_quat(scalar_first=True)
-        least = min(least, after - begin)
-    return poses._replace(position=position, orientation_wxyz=wxyz), float(least**-0.5)
+        fewest = min(fewest, after - begin)
+    return poses._replace(position=position, orientation_wxyz=wxyz), float(fewest**-0.5)
 
 
 def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
@@ -325,13 +332,16 @@ def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
     still, put = motion_limits(samples, docks, assumed)
     turn = Rotation.from_quat(samples.orientation_wxyz, scalar_first=True)
     start = np.searchsorted(samples.robot, np.arange(len(poses.robot_id) + 1))
-    tracks, pivot, cut, unseen = [], [], [], 0
+    tracks = []
+    pivots = []
+    cut = []
+    unseen = 0
     for robot, (first, after) in enumerate(pairwise(start.tolist())):
         runs = first + _runs_at_rest(docks[first:after], still)
         ends = np.append(runs[1:], after) - 1
         middle = np.array([_middle(docks, *run) for run in zip(runs, ends, strict=True)])
-        rests = np.flatnonzero(~continues(docks[middle], turn[middle]))
-        begins, lasts = _joined(docks[middle], rests, _NEAR * still)
+        resting = np.flatnonzero(~continues(docks[middle], turn[middle]))
+        begins, lasts = _joined(docks[middle], resting, _NEAR * still)
         middle = _corners(docks, runs, ends, begins, lasts)
         track = Track(
             samples.time[runs[begins]],
@@ -340,21 +350,22 @@ def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
             samples.orientation_wxyz[middle],
         )
         track, inserted = with_unseen_rests(track, poses.dock_offset_body, put)
-        lost = np.flatnonzero(~are_flips(track.docks(poses.dock_offset_body), put))
-        if len(lost):
+        breaks = np.flatnonzero(~are_flips(track.docks(poses.dock_offset_body), put))
+        if len(breaks):
             cut.append(robot)
-            track = track.chosen(slice(lost[-1] + 1, None))
+            track = track.chosen(slice(breaks[-1] + 1, None))
         tracks.append(track)
-        pivot.append(np.append(motions(track.docks(poses.dock_offset_body))[0], -1))
+        pivot, _, _ = motions(track.docks(poses.dock_offset_body))
+        pivots.append(np.append(pivot, -1))
         unseen += inserted
-    whole = Track(*(np.concatenate(parts) for parts in zip(*tracks, strict=True)))
+    rests = Track(*(np.concatenate(parts) for parts in zip(*tracks, strict=True)))
     return Rests(
         start=np.cumsum([0, *(len(track.begin) for track in tracks)]),
-        begin=whole.begin,
-        end=whole.end,
-        position=whole.position,
-        orientation_wxyz=whole.orientation_wxyz,
-        pivot=np.concatenate(pivot),
+        begin=rests.begin,
+        end=rests.end,
+        position=rests.position,
+        orientation_wxyz=rests.orientation_wxyz,
+        pivot=np.concatenate(pivots),
         appeared=samples.time[start[:-1]],
         cut=np.array(cut, np.int64),
         unseen=unseen,
@@ -369,17 +380,19 @@ def step_of_noise(docks: Reals, robot: Ints, most: float) -> float:
     """
     step = np.linalg.norm(docks[1:] - docks[:-1], axis=2).max(axis=1)[1:]
     at_rest = _moves_of_noise(docks, robot)
-    found = float(np.median(step[at_rest])) if at_rest.any() else 0.0
-    return found if found <= most else 0.0
+    median = float(np.median(step[at_rest])) if at_rest.any() else 0.0
+    return median if median <= most else 0.0
 
 
 def _moves_of_noise(docks: Reals, robot: Ints) -> Bools:
     """Whether docks moved back and forth up to each sample from the third, (S - 2,), if often."""
-    one = np.linalg.norm(docks[1:] - docks[:-1], axis=2).max(axis=1)
-    two = np.linalg.norm(docks[2:] - docks[:-2], axis=2).max(axis=1)
-    same = robot[2:] == robot[:-2]
-    at_rest: Bools = same & (two < _BACK_AND_FORTH * (one[1:] + one[:-1]))
-    return at_rest if at_rest.sum() >= _OFTEN * max(1, same.sum()) else np.zeros_like(at_rest)
+    in_one_step = np.linalg.norm(docks[1:] - docks[:-1], axis=2).max(axis=1)
+    in_two_steps = np.linalg.norm(docks[2:] - docks[:-2], axis=2).max(axis=1)
+    is_one_robot = robot[2:] == robot[:-2]
+    way = in_one_step[1:] + in_one_step[:-1]
+    at_rest: Bools = is_one_robot & (in_two_steps < _BACK_AND_FORTH * way)
+    is_often = at_rest.sum() >= _OFTEN * max(1, is_one_robot.sum())
+    return at_rest if is_often else np.zeros_like(at_rest)
 
 
 def turning_noise(poses: Poses) -> tuple[float, float] | None:
@@ -395,29 +408,34 @@ def turning_noise(poses: Poses) -> tuple[float, float] | None:
     step = np.degrees((turn[2:] * turn[1:-1].inv()).as_rotvec())[at_rest] / np.sqrt(2.0)
     if not step.any():
         return None
-    size = _MAD * np.median(np.abs(step), axis=0)  # a flip among them changes no median
+    size = SD_PER_MEDIAN_DEVIATION * np.median(
+        np.abs(step), axis=0
+    )  # a flip among them changes no median
     return float(f"{np.hypot(*size[:2]) / np.sqrt(2.0):.2g}"), float(f"{size[2]:.2g}")
 
 
 def _runs_at_rest(docks: Reals, still: float) -> Ints:
     """Return the first sample of each run without motion, of docks of one robot, (S, D, 3)."""
     first = [0]
-    ahead, length = 1, 1
+    ahead = 1
+    length = 1
     while ahead < len(docks):
-        off = np.linalg.norm(docks[ahead : ahead + length] - docks[first[-1]], axis=2).max(axis=1)
-        if (off > still).any():
-            first.append(ahead + int((off > still).argmax()))
-            ahead, length = first[-1] + 1, 1
+        moved = np.linalg.norm(docks[ahead : ahead + length] - docks[first[-1]], axis=2).max(axis=1)
+        if (moved > still).any():
+            first.append(ahead + int((moved > still).argmax()))
+            ahead = first[-1] + 1
+            length = 1
         else:
-            ahead, length = ahead + length, 2 * length
+            ahead += length
+            length *= 2
     return np.array(first)
 
 
 def _middle(docks: Reals, first: int, last: int) -> int:
     """Return the sample of a run that is nearest to the median of all."""
     run = docks[first : last + 1]
-    off = np.linalg.norm(run - np.median(run, axis=0), axis=2).sum(axis=1)
-    return int(first + off.argmin())
+    distance = np.linalg.norm(run - np.median(run, axis=0), axis=2).sum(axis=1)
+    return int(first + distance.argmin())
 
 
 def _joined(docks: Reals, rests: Ints, near: float) -> tuple[Ints, Ints]:
@@ -431,10 +449,11 @@ def _joined(docks: Reals, rests: Ints, near: float) -> tuple[Ints, Ints]:
     Returns:
         First and last run of each rest.
     """
-    begins, lasts = [rests[0]], [rests[0]]
+    begins = [rests[0]]
+    lasts = [rests[0]]
     for run in rests[1:].tolist():
-        off = np.linalg.norm(docks[run] - docks[begins[-1]], axis=1).max()
-        if run == lasts[-1] + 1 and off <= near:
+        moved = np.linalg.norm(docks[run] - docks[begins[-1]], axis=1).max()
+        if run == lasts[-1] + 1 and moved <= near:
             lasts[-1] = run
         else:
             begins.append(run)
@@ -457,10 +476,12 @@ def _corners(docks: Reals, runs: Ints, ends: Ints, first: Ints, last: Ints) -> I
     """
     corners = [runs[0], *ends[last[1:]]]
     for k in range(1, len(first) - 1):
-        start, end = runs[first[k] - 1], ends[last[k] + 1]
+        start = runs[first[k] - 1]
+        end = ends[last[k] + 1]
         between = docks[start + 1 : end]
-        detour = sum(np.linalg.norm(between - docks[at], axis=2).sum(axis=1) for at in (start, end))
-        corners[k] = start + 1 + detour.argmax()
+        to_start = np.linalg.norm(between - docks[start], axis=2).sum(axis=1)
+        to_end = np.linalg.norm(between - docks[end], axis=2).sum(axis=1)
+        corners[k] = start + 1 + (to_start + to_end).argmax()
     return np.array(corners)
 
 
@@ -490,26 +511,28 @@ def stances_of(
     chosen = np.concatenate(rows)
     if not len(chosen):
         return None, 0
-    spacing, level = assumed.spacing, assumed.level
     turn = rests.orientation_wxyz[chosen]
     docks = rests.position[chosen, None] + dock_offsets(turn, poses.dock_offset_body)
-    final, number = poses.docks[order], docks.shape[1]
-    near = cKDTree(docks.reshape(-1, 3)).query_ball_tree(
-        cKDTree(final.reshape(-1, 3)), spacing[1], p=2.0
-    )
-    pair = [(own, other) for own, others in enumerate(near) for other in others]
-    own, other = np.array(pair, np.int64).reshape(-1, 2).T
-    apart = np.linalg.norm(docks.reshape(-1, 3)[own] - final.reshape(-1, 3)[other], axis=1)
-    stance, robot = own // number, other // number
-    place = np.repeat(np.arange(len(order)), np.diff(start))
-    is_contact = (apart >= spacing[0]) & (robot < place[stance])
+    number = docks.shape[1]
+    stance_docks = docks.reshape(-1, 3)
+    final_docks = poses.docks[order].reshape(-1, 3)
+    least, greatest = assumed.spacing
+    neighbors = cKDTree(stance_docks).query_ball_tree(cKDTree(final_docks), greatest, p=2.0)
+    pairs = [(row, neighbor) for row, rows in enumerate(neighbors) for neighbor in rows]
+    stance_row, final_row = np.array(pairs, np.int64).reshape(-1, 2).T
+    distance = np.linalg.norm(stance_docks[stance_row] - final_docks[final_row], axis=1)
+    stance = stance_row // number
+    robot = final_row // number
+    mover = np.repeat(np.arange(len(order)), np.diff(start))
+    is_contact = (distance >= least) & (robot < mover[stance])
     early = np.zeros(len(is_contact), np.bool_)
     if poses.join is None:
         arrived = rests.begin[rests.last[order]]
         early = is_contact & (arrived[robot] > rests.end[chosen[stance]])
         is_contact &= ~early
-    contacts = np.column_stack([stance, own % number, robot, other % number])[is_contact]
-    standing = (docks[:, :, 2] >= level[0]) & (docks[:, :, 2] <= level[1])
+    contacts = np.column_stack([stance, stance_row % number, robot, final_row % number])[is_contact]
+    lowest, highest = assumed.level
+    standing = (docks[:, :, 2] >= lowest) & (docks[:, :, 2] <= highest)
     stances = Stances(
         start=start,
         orientation_wxyz=turn,
@@ -551,7 +574,8 @@ def without_glitches(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[st
         poses: Robots, whose docks are known.
         assumed: Limits of contacts, and most samples in a row that are one error.
     """
-    samples, most = poses.samples, assumed.glitch_frames
+    samples = poses.samples
+    most = assumed.glitch_frames
     if samples is None or most == 0:
         return poses, []
     docks = samples.docks(poses.dock_offset_body)
@@ -574,19 +598,25 @@ def without_glitches(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[st
         return poses, [
             f"{share}: they are noisier than the limits of contacts; give a larger --gap"
         ]
-    return (_kept(poses, samples, bad), [_note(poses, samples, bad)]) if bad.any() else (poses, [])
+    if not bad.any():
+        return poses, []
+    return _kept(poses, samples, bad), [_note(poses, samples, bad)]
 
 
 def _least_distance(offset: Reals) -> float:
     """Return the least distance of two docks of a robot; 0 if it has one."""
+    if len(offset) <= 1:
+        return 0.0
     apart = np.linalg.norm(offset[:, None] - offset, axis=2)
-    return float(apart[np.triu_indices(len(offset), 1)].min(initial=np.inf)) * (len(offset) > 1)
+    return float(apart[np.triu_indices(len(offset), 1)].min())
 
 
 def _between(motion: _Motion, put: float, most: int) -> Bools:
     """Mark samples that a robot leaves for where it was before, shape (S,)."""
-    docks, stays = motion.docks, motion.stays
-    bad, resume = np.zeros(len(docks), np.bool_), 0
+    docks = motion.docks
+    stays = motion.stays
+    is_error = np.zeros(len(docks), np.bool_)
+    resume = 0
     for before in np.flatnonzero(~stays).tolist():
         if before < resume:
             continue
@@ -595,42 +625,43 @@ def _between(motion: _Motion, put: float, most: int) -> Bools:
         back &= ~stays[before + 1 : before + 1 + len(ahead)]
         if back.any():
             resume = before + 2 + int(back.argmax())
-            bad[before + 1 : resume] = True
-    return bad
+            is_error[before + 1 : resume] = True
+    return is_error
 
 
 def _at_end(motion: _Motion, bad: Bools, still: float, most: int) -> Bools:
     """Mark the last samples if they are not where a robot goes from its rest, shape (S,)."""
-    found = np.zeros(len(bad), np.bool_)
-    good: Ints = np.flatnonzero(~bad)
-    docks, time = motion.docks[good], motion.time[good]
+    is_error = np.zeros(len(bad), np.bool_)
+    kept: Ints = np.flatnonzero(~bad)
+    docks = motion.docks[kept]
+    time = motion.time[kept]
     tail = np.flatnonzero(~motion.stays)
     tail = tail[tail >= len(bad) - 1 - most]
     # The first jump counts: what follows it within the error may jump on.
     if not len(tail) or bad[tail[0]] or bad[tail[0] + 1]:
-        return found
-    k = int(np.searchsorted(good, tail[0]))
-    if k == 0 or k + 1 >= len(good):
-        return found
+        return is_error
+    k = int(np.searchsorted(kept, tail[0]))
+    if k == 0 or k + 1 >= len(kept):
+        return is_error
     rested = np.linalg.norm(docks[k] - docks[k - 1], axis=1).max() <= still
     in_time = time[k + 1] - time[k] <= _GAP * np.median(np.diff(time))
-    found[tail[0] + 1 :] = rested and in_time
-    return found
+    is_error[tail[0] + 1 :] = rested and in_time
+    return is_error
 
 
 def _kept(poses: Poses, samples: Samples, bad: Bools) -> Poses:
     """Return the poses without bad samples; each robot ends at its last good one."""
-    left = Samples(
+    kept = Samples(
         samples.robot[~bad],
         samples.time[~bad],
         samples.position[~bad],
         samples.orientation_wxyz[~bad],
     )
-    last = np.searchsorted(left.robot, np.arange(len(poses.robot_id)), side="right") - 1
+    last = np.searchsorted(kept.robot, np.arange(len(poses.robot_id)), side="right") - 1
     return poses._replace(
-        samples=left,
-        position=left.position[last],
-        orientation_wxyz=left.orientation_wxyz[last],
+        samples=kept,
+        position=kept.position[last],
+        orientation_wxyz=kept.orientation_wxyz[last],
     )
 
 

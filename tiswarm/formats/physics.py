@@ -72,9 +72,9 @@ class Joint(NamedTuple):
     """Row of the robot."""
     dock: int
     """Its dock."""
-    other: int
-    """Row of the other robot."""
-    other_dock: int
+    partner: int
+    """Row of the other robot, or of the ground."""
+    partner_dock: int
     """Dock of the other robot."""
     place: Reals
     """Where they are joined [R], shape (3,)."""
@@ -117,12 +117,12 @@ class World(NamedTuple):
 
     def joint_name(self, joint: Joint) -> str:
         """Name a joint by robots and docks: `contact_3.0_7.2`, `foot_0.1` or `anchor_0`."""
-        own = f"{self.robots[joint.row]}.{joint.dock}"
+        dock = f"{self.robots[joint.row]}.{joint.dock}"
         if joint.dock == _NONE:
             return f"anchor_{self.robots[joint.row]}"
-        if joint.other == _NONE:
-            return f"foot_{own}"
-        return f"contact_{own}_{self.robots[joint.other]}.{joint.other_dock}"
+        if joint.partner == _NONE:
+            return f"foot_{dock}"
+        return f"contact_{dock}_{self.robots[joint.partner]}.{joint.partner_dock}"
 
     def in_body(self, row: int, place: Reals) -> Reals:
         """Return a place [R] in the frame of a robot, or of the ground [m]."""
@@ -144,33 +144,35 @@ class World(NamedTuple):
 def build_world(view: SwarmView) -> World:
     """Choose the robots whose pose is known and that have not left, and find what joins them."""
     pose = view.from_origin(view.best_pose)
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1) & ~view.log.is_gone)
-    row = np.full(len(pose), _NONE)
-    row[known] = np.arange(len(known))
-    center, wxyz = pose[known, :3], pose[known, 3:]
+    shown = np.flatnonzero(np.isfinite(pose).all(axis=1) & ~view.log.is_gone)
+    row_of = np.full(len(pose), _NONE)
+    row_of[shown] = np.arange(len(shown))
+    center = pose[shown, :3]
+    wxyz = pose[shown, 3:]
     dock = center[:, None] + dock_offsets(wxyz, view.dock_offset_body)
-    flat = dock.reshape(-1, 3)
-    pairs = cKDTree(flat).query_pairs(2.0 + _TOUCHING, output_type="ndarray")
-    near: Ints = np.sort(pairs, axis=1).reshape(-1, 2)
-    terrain, (x, y, z) = view.terrain, view.origin.tolist()
-    depth: Reals = np.full(len(flat), -np.inf)
+    dock_list = dock.reshape(-1, 3)
+    pairs = cKDTree(dock_list).query_pairs(2.0 + _TOUCHING, output_type="ndarray")
+    touching_docks: Ints = np.sort(pairs, axis=1).reshape(-1, 2)
+    terrain = view.terrain
+    x, y, z = view.origin.tolist()
+    depth: Reals = np.full(len(dock_list), -np.inf)
     slabs: list[Slab] = []
-    if terrain is not None and len(flat):
-        depth = terrain.depth(flat + view.origin, 1.0)
-        slabs = shown_slabs(terrain, flat + view.origin)
-    joints = [*_contacts(view, row, dock, near), *_feet(view, row, dock, depth)]
-    robot = np.arange(len(flat)) // dock.shape[1]
-    touching = {(i, j) for i, j in robot[near].tolist() if i != j}
+    if terrain is not None and len(dock_list):
+        depth = terrain.depth(dock_list + view.origin, 1.0)
+        slabs = shown_slabs(terrain, dock_list + view.origin)
+    joints = [*_contacts(view, row_of, dock, touching_docks), *_feet(view, row_of, dock, depth)]
+    robot = np.arange(len(dock_list)) // dock.shape[1]
+    touching = {(i, j) for i, j in robot[touching_docks].tolist() if i != j}
     touching |= {(i, _NONE) for i in robot[depth > -_TOUCHING].tolist()}
-    touching |= {(joint.row, joint.other) for joint in joints}
+    touching |= {(joint.row, joint.partner) for joint in joints}
     meters = _METERS.get(view.log.length_unit)
     return World(
         view=view,
         unit=FIREANT_RADIUS if meters is None else meters * view.log.dock_radius,
-        robots=view.robot[known].tolist(),
+        robots=view.robot[shown].tolist(),
         center=center,
         turn=Rotation.from_quat(wxyz, scalar_first=True),
-        color=view.color_by_join[known].round(3),
+        color=view.color_by_join[shown].round(3),
         joints=joints,
         touching=sorted(touching),
         slabs=[Slab(s.rear - x, s.edge - x, s.low_y - y, s.high_y - y, s.top - z) for s in slabs],
@@ -178,36 +180,38 @@ def build_world(view: SwarmView) -> World:
     )
 
 
-def _contacts(view: SwarmView, row: Ints, dock: Reals, near: Ints) -> Iterator[Joint]:
+def _contacts(view: SwarmView, row_of: Ints, dock: Reals, touching_docks: Ints) -> Iterator[Joint]:
     """Join docks that touch, by the number of the later robot.
 
     An estimate has the contacts of its log. A true structure lacks those that are false, and has
     those that the log misses.
     """
-    logged = view.log.contacts[(row[view.log.contacts[:, [0, 2]]] >= 0).all(axis=1)]
-    pairs = {(int(row[i]), a, int(row[j]), b) for i, a, j, b in logged.tolist()}
+    logged = view.log.contacts[(row_of[view.log.contacts[:, [0, 2]]] >= 0).all(axis=1)]
+    pairs = {(int(row_of[i]), a, int(row_of[j]), b) for i, a, j, b in logged.tolist()}
     if view.has_truth:
-        found = np.stack(np.divmod(near, dock.shape[1]), axis=2).reshape(-1, 4)
-        pairs |= {(i, a, j, b) for i, a, j, b in found.tolist() if i != j}
+        true_pairs = np.stack(np.divmod(touching_docks, dock.shape[1]), axis=2).reshape(-1, 4)
+        pairs |= {(i, a, j, b) for i, a, j, b in true_pairs.tolist() if i != j}
     for i, a, j, b in sorted(pairs, key=lambda pair: (pair[2], pair)):
-        one, other = dock[i, a], dock[j, b]
-        if not view.has_truth or np.linalg.norm(other - one) < 2.0 + _APART:
-            yield Joint(i, a, j, b, 0.5 * (one + other), _unit(other - one))
+        first = dock[i, a]
+        second = dock[j, b]
+        if not view.has_truth or np.linalg.norm(second - first) < 2.0 + _APART:
+            yield Joint(i, a, j, b, 0.5 * (first + second), _unit(second - first))
 
 
-def _feet(view: SwarmView, row: Ints, dock: Reals, depth: Reals) -> Iterator[Joint]:
+def _feet(view: SwarmView, row_of: Ints, dock: Reals, depth: Reals) -> Iterator[Joint]:
     """Join docks to the ground on which they stand; without ground, anchors to the world."""
-    log, terrain = view.log, view.terrain
+    log = view.log
+    terrain = view.terrain
     if terrain is None:
         center = view.from_origin(view.best_pose)[:, :3]
-        anchors = np.isfinite(log.known_position).all(axis=1) & (row >= 0)
+        anchors = np.isfinite(log.known_position).all(axis=1) & (row_of >= 0)
         for i in np.flatnonzero(anchors).tolist():
-            yield Joint(int(row[i]), _NONE, _NONE, _NONE, center[i], np.array([0.0, 0.0, -1.0]))
+            yield Joint(int(row_of[i]), _NONE, _NONE, _NONE, center[i], np.array([0.0, 0.0, -1.0]))
         return
-    standing = {(int(row[i]), d) for i, d in log.ground_docks.tolist() if row[i] >= 0}
+    standing = {(int(row_of[i]), d) for i, d in log.ground_docks.tolist() if row_of[i] >= 0}
     if view.has_truth and not terrain.is_plane:  # logs do not have docks on an edge
-        found = np.argwhere(np.abs(depth.reshape(dock.shape[:2])) < _TOUCHING)
-        standing |= {(i, d) for i, d in found.tolist()}
+        touching = np.argwhere(np.abs(depth.reshape(dock.shape[:2])) < _TOUCHING)
+        standing |= {(i, d) for i, d in touching.tolist()}
     for i, d in sorted(standing):
         foot = terrain.foot(dock[i, d][None] + view.origin)[0] - view.origin
         yield Joint(i, d, _NONE, _NONE, foot, _unit(foot - dock[i, d]))
@@ -261,14 +265,15 @@ def encode_mjcf(view: SwarmView) -> dict[str, bytes]:
     _add_ground(bodies, world)
     for row in range(len(world.robots)):
         _add_robot(bodies, world, row)
-    contact, equality = _add(root, "contact"), _add(root, "equality")
+    contact = _add(root, "contact")
+    equality = _add(root, "equality")
     for i, j in world.touching:
         _add(contact, "exclude", body1=world.name(i), body2=world.name(j))
     for joint in world.joints:
         bodies_of = {"body1": world.name(joint.row)}
-        if joint.other != _NONE:
-            bodies_of["body2"] = world.name(joint.other)
-        anchor = _text(world.in_body(joint.other, joint.place))  # in the frame of the second body
+        if joint.partner != _NONE:
+            bodies_of["body2"] = world.name(joint.partner)
+        anchor = _text(world.in_body(joint.partner, joint.place))  # in the frame of the second body
         _add(equality, "weld", bodies_of, name=world.joint_name(joint), anchor=anchor)
     ET.indent(root)
     return {"case.xml": ET.tostring(root, encoding="utf-8") + b"\n"}
@@ -312,6 +317,8 @@ def _add_robot(parent: ET.Element, world: World, row: int) -> None:
 
 # --- Webots ----------------------------------------------------------------------------------
 
+_NO_CONTROLLER = '"<none>"'
+
 
 def encode_wbt(view: SwarmView) -> dict[str, bytes]:
     """Encode the structure, or the estimate where the truth is unknown, for Webots R2023b.
@@ -323,7 +330,7 @@ def encode_wbt(view: SwarmView) -> dict[str, bytes]:
     world = build_world(view)
     connectors: dict[int, list[str]] = {row: [] for row in range(_NONE, len(world.robots))}
     for joint in world.joints:
-        for row, axis in ((joint.row, joint.axis), (joint.other, -joint.axis)):
+        for row, axis in ((joint.row, joint.axis), (joint.partner, -joint.axis)):
             connectors[row].append(_connector(world, joint, row, axis))
     robots = (_robot(world, row, connectors[row]) for row in range(len(world.robots)))
     nodes = [*_scenery(world), _ground(world, connectors[_NONE]), *robots]
@@ -336,9 +343,8 @@ def _scenery(world: World) -> Iterator[str]:
     info = [_quoted(text) for text in (_ABOUT, *about, f"tiswarm {__version__}")]
     title = _quoted(world.view.name or "case")
     yield _node("WorldInfo", title=title, info=info, gravity=repr(GRAVITY), basicTimeStep="2")
-    low, high = np.array(
-        [[np.min(axis, initial=0.0), np.max(axis, initial=0.0)] for axis in world.center.T]
-    ).T
+    low = np.min(world.center, axis=0, initial=0.0)
+    high = np.max(world.center, axis=0, initial=0.0)
     eye = 0.5 * (low + high) - [0.0, 1.5 * float((high - low).max()) + 15.0, 0.0]
     turned = "0 0 1 1.5707963267948966"
     yield _node("Viewpoint", orientation=turned, position=_text(world.unit * eye))
@@ -391,28 +397,39 @@ def _connector(world: World, joint: Joint, row: int, axis: Reals) -> str:
     turn = _frame(axis) if row == _NONE else world.turn[row].inv() * _frame(axis)
     name = _quoted(world.joint_name(joint))
     return _node(
-        "Connector", translation=_text(world.in_body(row, joint.place)), rotation=_rotation(turn),
-        name=name, model=name, isLocked="TRUE", numberOfRotations="0", snap="FALSE",
+        "Connector",
+        translation=_text(world.in_body(row, joint.place)),
+        rotation=_rotation(turn),
+        name=name,
+        model=name,
+        isLocked="TRUE",
+        numberOfRotations="0",
+        snap="FALSE",
         distanceTolerance=repr(0.1 * world.unit),
-    )  # fmt: skip
+    )
 
 
 def _robot(world: World, row: int, connectors: list[str]) -> str:
     """Write a robot with its docks, links and connectors."""
-    sphere, color = _node("Sphere", radius=repr(world.unit)), world.color[row]
+    sphere = _node("Sphere", radius=repr(world.unit))
+    color = world.color[row]
     docks = world.unit * world.view.dock_offset_body
     shapes = [_pose(offset, _shape(sphere, color)) for offset in docks]
+    link_radius = repr(_LINK_RADIUS * world.unit)
     for offset in docks:
-        height, radius = repr(float(np.linalg.norm(offset))), repr(_LINK_RADIUS * world.unit)
-        link = _shape(_node("Capsule", height=height, radius=radius), color)
+        height = repr(float(np.linalg.norm(offset)))
+        link = _shape(_node("Capsule", height=height, radius=link_radius), color)
         shapes.append(_pose(0.5 * offset, link, _frame(_unit(offset))))
     return _node(
-        "Robot", translation=_text(world.unit * world.center[row]),
-        rotation=_rotation(world.turn[row]), name=_quoted(world.name(row)),
-        children=[*shapes, *connectors], controller='"<none>"',
+        "Robot",
+        translation=_text(world.unit * world.center[row]),
+        rotation=_rotation(world.turn[row]),
+        name=_quoted(world.name(row)),
+        children=[*shapes, *connectors],
+        controller=_NO_CONTROLLER,
         boundingObject=_node("Group", children=[_pose(offset, sphere) for offset in docks]),
         physics=_node("Physics", density="-1", mass=repr(len(docks) / GRAVITY)),
-    )  # fmt: skip
+    )
 
 
 def _ground(world: World, connectors: list[str]) -> str:
@@ -432,6 +449,9 @@ def _ground(world: World, connectors: list[str]) -> str:
     bounds = [_pose(place, solid, turn) for place, solid, turn in solids]
     bounding = {"boundingObject": _node("Group", children=bounds)} if bounds else {}
     return _node(
-        "Robot", name=_quoted("ground"), children=[*shapes, *connectors], **bounding,
-        controller='"<none>"',
-    )  # fmt: skip
+        "Robot",
+        name=_quoted("ground"),
+        children=[*shapes, *connectors],
+        **bounding,
+        controller=_NO_CONTROLLER,
+    )

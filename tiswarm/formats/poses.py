@@ -111,6 +111,9 @@ class Assumptions:
         return ground + self.dock_radius + np.array([-self.largest_overlap, self.largest_gap])
 
 
+SD_PER_MEDIAN_DEVIATION = 1.4826
+"""Standard deviation of a normal distribution, per median of its absolute deviations."""
+
 QUATERNION = ["qw", "qx", "qy", "qz"]
 
 
@@ -163,8 +166,10 @@ _MOST_NAMED = 5
 
 def some(names: Sequence[object]) -> str:
     """List the first names, and count the others."""
-    more = f" and {len(names) - _MOST_NAMED} more" * (len(names) > _MOST_NAMED)
-    return ", ".join(map(str, names[:_MOST_NAMED])) + more
+    listed = ", ".join(str(name) for name in names[:_MOST_NAMED])
+    if len(names) > _MOST_NAMED:
+        return f"{listed} and {len(names) - _MOST_NAMED} more"
+    return listed
 
 
 class Samples(NamedTuple):
@@ -220,15 +225,16 @@ class Poses(NamedTuple):
     def right_handed(self, up: str) -> "Poses":
         """Reverse the horizontal axis of a left-handed world, and that of bodies."""
         sign = horizontal_mirror(up)
-        return self._mapped(
+        mirrored = self._mapped(
             lambda wxyz: wxyz * [1.0, *(-sign)],
-            lambda place: place * sign,
-        )._replace(dock_offset_body=self.dock_offset_body * sign)
+            lambda position: position * sign,
+        )
+        return mirrored._replace(dock_offset_body=self.dock_offset_body * sign)
 
     def nearest(self, most: int) -> "Poses":
         """Return the robots that are nearest to the first one, without samples."""
-        off = np.linalg.norm(self.position - self.position[0], axis=1)
-        near = np.sort(off.argsort(kind="stable")[:most])
+        distance = np.linalg.norm(self.position - self.position[0], axis=1)
+        near = np.sort(distance.argsort(kind="stable")[:most])
         return self._replace(
             robot_id=self.robot_id[near],
             position=self.position[near],
@@ -243,16 +249,16 @@ class Poses(NamedTuple):
         position: Callable[[Reals], Reals] | None = None,
     ) -> "Poses":
         """Map all orientations, and positions."""
-        place = position or (lambda there: there)
-        samples = self.samples and self.samples._replace(
-            orientation_wxyz=orientation(self.samples.orientation_wxyz),
-            position=place(self.samples.position),
-        )
-        return self._replace(
-            orientation_wxyz=orientation(self.orientation_wxyz),
-            position=place(self.position),
-            samples=samples,
-        )
+        mapped = self._replace(orientation_wxyz=orientation(self.orientation_wxyz))
+        if position is not None:
+            mapped = mapped._replace(position=position(self.position))
+        samples = self.samples
+        if samples is None:
+            return mapped
+        samples = samples._replace(orientation_wxyz=orientation(samples.orientation_wxyz))
+        if position is not None:
+            samples = samples._replace(position=position(samples.position))
+        return mapped._replace(samples=samples)
 
 
 def poses_by_run(table: PoseTable, path: Path, *, shape_error: float) -> dict[str, Poses]:
@@ -309,27 +315,29 @@ def read_contacts(path: Path, poses: Poses) -> Ints:
     Raises:
         InputError: the table is malformed, or a robot or dock does not exist.
     """
-    table, columns = CsvFile(path), ["robot", "dock", "other", "other_dock"]
+    table = CsvFile(path)
+    columns = ["robot", "dock", "other", "other_dock"]
     if {*table.columns} != {*columns}:
         problem = f"the columns are not {','.join(columns)}; rename them"
         raise InputError(problem, path=path, line=1)
-    rows = np.column_stack([table.integers(name) for name in columns])
+    contacts = np.column_stack([table.integers(name) for name in columns])
     docks = len(poses.dock_offset_body)
-    number = {name: row for row, name in enumerate(poses.robot_id.tolist())}
-    for row, (robot, dock, other, other_dock) in enumerate(rows.tolist()):
+    row_of = {name: row for row, name in enumerate(poses.robot_id.tolist())}
+    for k, (robot, dock, partner, partner_dock) in enumerate(contacts.tolist()):
+        unknown = [name for name in (robot, partner) if name not in row_of]
         problem = ""
-        if unknown := [name for name in (robot, other) if name not in number]:
+        if unknown:
             problem = f"there is no robot {unknown[0]} in the poses; correct it"
-        elif robot == other:
+        elif robot == partner:
             problem = f"robot {robot} cannot touch itself; name another robot"
-        elif not (0 <= dock < docks and 0 <= other_dock < docks):
+        elif not (0 <= dock < docks and 0 <= partner_dock < docks):
             problem = f"docks count from 0 to {docks - 1}; correct dock or other_dock"
         if problem:
-            raise InputError(problem, path=path, line=table.line(row))
-        rows[row, [0, 2]] = number[robot], number[other]
-    swapped = rows[:, 0] > rows[:, 2]
-    rows[swapped] = rows[swapped][:, [2, 3, 0, 1]]
-    return np.unique(rows, axis=0)
+            raise InputError(problem, path=path, line=table.line(k))
+        contacts[k, [0, 2]] = [row_of[robot], row_of[partner]]
+    is_swapped = contacts[:, 0] > contacts[:, 2]
+    contacts[is_swapped] = contacts[is_swapped][:, [2, 3, 0, 1]]
+    return np.unique(contacts, axis=0)
 
 
 def _rotation(wxyz: Reals) -> Rotation:
@@ -341,14 +349,14 @@ def _wxyz(turn: Rotation) -> Reals:
 
 
 def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float) -> Poses:
-    by = ["robot", "time"] if "time" in rows else ["robot"]
-    rows = _by_robot(rows, by, path)
-    pose = rows.drop_duplicates(by)
-    place = rows[[*"xyz"]].to_numpy(float).reshape(len(pose), -1, 3)
-    position = place.mean(axis=1)
+    keys = ["robot", "time"] if "time" in rows else ["robot"]
+    rows = _by_robot(rows, keys, path)
+    pose = rows.drop_duplicates(keys)
+    points = rows[[*"xyz"]].to_numpy(float).reshape(len(pose), -1, 3)
+    position = points.mean(axis=1)
     if "sphere" in rows:
-        dock_offset_body = place[0] - position[0]
-        orientation = _align(place - position[:, None], pose, path, shape_error)
+        dock_offset_body = points[0] - position[0]
+        orientation = _align(points - position[:, None], pose, path, shape_error)
     else:
         dock_offset_body = np.empty((0, 3))
         if table.dock_offset_body is not None:
@@ -356,7 +364,9 @@ def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float)
         orientation = _unit_quaternions(pose, path)
     robot, names = pd.factorize(pose["robot"])
     last = np.flatnonzero(~pose["robot"].duplicated(keep="last"))
-    over_time = len(last) < len(pose)
+    samples = None
+    if len(last) < len(pose):
+        samples = Samples(robot, pose["time"].to_numpy(float), position, orientation)
     return Poses(
         robot_id=np.asarray(names, np.int64),
         position=position[last],
@@ -364,43 +374,49 @@ def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float)
         dock_offset_body=dock_offset_body,
         join=pose["join"].to_numpy(np.int64)[last] if "join" in pose else None,
         length_unit=table.length_unit,
-        samples=Samples(robot, pose["time"].to_numpy(float), position, orientation)
-        if over_time
-        else None,
+        samples=samples,
         other_order=_OTHER_ORDER.get(tuple(table.quaternion_order), 0),
         angles=pose[["a1", "a2", "a3"]].to_numpy(float)[last] if "a1" in pose else None,
         docks_are_spheres="sphere" in rows,
     )
 
 
-def _by_robot(table: pd.DataFrame, by: list[str], path: Path) -> pd.DataFrame:
+def _by_robot(table: pd.DataFrame, keys: list[str], path: Path) -> pd.DataFrame:
     """Gather the rows of each robot, sorted by time and sphere; all have the same spheres."""
-    spheres = "sphere" in table
-    repeated = table[table.duplicated([*by, "sphere"] if spheres else by)]
+    has_spheres = "sphere" in table
+    repeated = table[table.duplicated([*keys, "sphere"] if has_spheres else keys)]
     if len(repeated):
         first = repeated.iloc[0]
-        what = f"sphere {first['sphere']} of robot" if spheres else "robot"
-        when = f" at time {first['time']:g}" if "time" in by else ""
+        what = f"sphere {first['sphere']} of robot" if has_spheres else "robot"
+        when = f" at time {first['time']:g}" if "time" in keys else ""
         remedy = "keep one"
         if not when:
             remedy += ", or give the time of each in a column time (--column time=NAME)"
         problem = f"{what} {repeated['robot'].iloc[0]} has a row already{when}; {remedy}"
         file = Path(first.get("file", path))  # one of a folder
         raise InputError(problem, path=file, line=int(first["line"]))
-    if not spheres and "time" not in by:
+    if not has_spheres and "time" not in keys:
         return table
     robot, _ = pd.factorize(table["robot"])
-    minor = ["sphere"] * spheres + ["time"] * ("time" in by)
-    table = table.iloc[np.lexsort((*(table[name].to_numpy() for name in minor), robot))]
-    wanted: list[int] = []
-    for _, rows in table.groupby(by, sort=False) if spheres else ():
-        found = rows["sphere"].tolist()
-        wanted = wanted or found
-        if found != wanted:
-            what = f"robot {rows['robot'].iloc[0]} has spheres {found}, the first robot {wanted}"
-            problem = f"{what}; complete it"
-            raise InputError(problem, path=path, line=int(rows["line"].min()), key="sphere")
+    sort_keys = ["sphere"] if has_spheres else []
+    if "time" in keys:
+        sort_keys.append("time")
+    table = table.iloc[np.lexsort((*(table[name].to_numpy() for name in sort_keys), robot))]
+    if has_spheres:
+        _refuse_other_spheres(table, keys, path)
     return table
+
+
+def _refuse_other_spheres(table: pd.DataFrame, keys: list[str], path: Path) -> None:
+    """Raise InputError where a robot has other spheres than the first one."""
+    first: list[int] = []
+    for _, rows in table.groupby(keys, sort=False):
+        spheres = rows["sphere"].tolist()
+        first = first or spheres
+        if spheres != first:
+            robot = rows["robot"].iloc[0]
+            problem = f"robot {robot} has spheres {spheres}, the first robot {first}; complete it"
+            raise InputError(problem, path=path, line=int(rows["line"].min()), key="sphere")
 
 
 def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
@@ -421,16 +437,17 @@ def _align(offset: Reals, first: pd.DataFrame, path: Path, shape_error: float) -
 
     This is the best rotation (Kabsch 1976), and any of these where spheres are in one line.
     """
-    left, _, right = np.linalg.svd(np.einsum("nda,db->nab", offset, offset[0]))
-    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
-    rotation = left @ right
-    off = np.linalg.norm(offset[0] @ rotation.swapaxes(1, 2) - offset, axis=2).max(axis=1)
-    if not (off <= shape_error).all():
-        worst = int(np.argmax(~(off <= shape_error)))
+    u, _, vt = np.linalg.svd(np.einsum("nda,db->nab", offset, offset[0]))
+    u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
+    rotation = u @ vt
+    misfit = np.linalg.norm(offset[0] @ rotation.swapaxes(1, 2) - offset, axis=2).max(axis=1)
+    if not (misfit <= shape_error).all():
+        worst = int(np.argmax(~(misfit <= shape_error)))
+        row = first.iloc[worst]
         problem = (
-            f"the spheres of robot {first['robot'].iloc[worst]} are up to {off[worst]:.3g} off the "
-            "first robot's shape; give rigid robots of one shape, or a larger --gap"
+            f"the spheres of robot {row['robot']} are up to {misfit[worst]:.3g} off the first "
+            "robot's shape; give rigid robots of one shape, or a larger --gap"
         )
-        raise InputError(problem, path=path, line=int(first["line"].iloc[worst]))
+        raise InputError(problem, path=path, line=int(row["line"]))
     wxyz: Reals = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
     return wxyz

@@ -26,7 +26,7 @@ from tiswarm.formats.columns import (
     robot_numbers,
     split_unit,
 )
-from tiswarm.formats.poses import some
+from tiswarm.formats.poses import SD_PER_MEDIAN_DEVIATION, some
 from tiswarm.records.io import CsvFile
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog, SensingNoise
@@ -41,9 +41,6 @@ _NAMES: Mapping[str, Sequence[str]] = {
     **{axis: (axis, f"pos_{axis}", f"position.{axis}") for axis in "xyz"},
 }
 """Names of columns by their meaning, in lower case and without a unit."""
-
-_MAD = 1.4826
-"""Standard deviation of a normal distribution in median deviations."""
 
 _FEWEST = 3
 """Readings of a pair from which on they state a scatter."""
@@ -96,6 +93,15 @@ class _Ranges(NamedTuple):
     unit: str
 
 
+class _Range(NamedTuple):
+    """A range between two robots, with its standard deviation."""
+
+    tag: str
+    partner: str  # beacon or further tag
+    length: float
+    sd: float  # NaN where none is stated
+
+
 def read_beacons(path: Path, columns: Mapping[str, str]) -> Beacons:
     """Read a table `beacon,x,y,z`, with `sd`, `bias` and `bias_sd` where these are known.
 
@@ -108,26 +114,29 @@ def read_beacons(path: Path, columns: Mapping[str, str]) -> Beacons:
     """
     refuse_other_files(path)
     table = CsvFile(path, plain_sheet(path).text)
-    found = _columns(table, {**_NAMES, "beacon": (*_NAMES["beacon"], "name", "id")}, columns)
-    if lacking := [name for name in ("beacon", *"xyz") if name not in found]:
+    column_of = _columns(table, {**_NAMES, "beacon": (*_NAMES["beacon"], "name", "id")}, columns)
+    lacking = [name for name in ("beacon", *"xyz") if name not in column_of]
+    if lacking:
         problem = f"the columns are {','.join(table.columns)[:200]}, not beacon,x,y,z; add "
         problem += f"{','.join(lacking)}, or name columns as by --column {lacking[0]}=NAME"
         raise InputError(problem, path=path, line=1)
-    names = [name.strip() for name in table.words(found["beacon"]).tolist()]
+    names = [name.strip() for name in table.words(column_of["beacon"]).tolist()]
     for row, name in enumerate(names):
         if name in names[:row]:
             problem = f"beacon {name[:40]} has a row already; keep one"
-            raise InputError(problem, path=path, line=table.line(row), key=found["beacon"])
-    units = {split_unit(found[axis], LENGTHS)[1] for axis in "xyz"}
+            raise InputError(problem, path=path, line=table.line(row), key=column_of["beacon"])
+    units = {split_unit(column_of[axis], LENGTHS)[1] for axis in "xyz"}
     if len(units) > 1:
         problem = f"the axes have different units: {', '.join(sorted(units))}; convert them to one"
         raise InputError(problem, path=path, line=1)
-    _refuse_other_units(path, found, ("bias", "sd", "bias_sd"), next(iter(units)))
+    _refuse_other_units(path, column_of, ("bias", "sd", "bias_sd"), next(iter(units)))
 
     def numbers(name: str) -> Reals:
-        return table.numbers(found[name], empty=0.0) if name in found else np.zeros(len(names))
+        return (
+            table.numbers(column_of[name], empty=0.0) if name in column_of else np.zeros(len(names))
+        )
 
-    place = np.column_stack([table.numbers(found[axis]) for axis in "xyz"])
+    place = np.column_stack([table.numbers(column_of[axis]) for axis in "xyz"])
     return Beacons(names, place, numbers("sd"), numbers("bias"), numbers("bias_sd"), units.pop())
 
 
@@ -155,67 +164,76 @@ def read_ranges(
     Raises:
         InputError: a table is malformed, units differ, or nothing states how exact ranges are.
     """
-    if unknown := [name for name in columns if name not in _NAMES]:
+    unknown = [name for name in columns if name not in _NAMES]
+    if unknown:
         problem = f"{unknown[0]!r} is no quantity of ranges; use {', '.join(_NAMES)}"
         raise InputError(problem, argument="column")
-    known, notes = read_beacons(beacons, columns), list[str]()
-    ranges = _read(path, known.name, columns, notes, drop=drop_incomplete)
-    if ranges.unit != known.unit and "" not in {ranges.unit, known.unit}:
-        problem = f"ranges are in {ranges.unit}, beacons in {known.unit}; convert them to one unit"
+    notes: list[str] = []
+    anchors = read_beacons(beacons, columns)
+    ranges = _read(path, anchors.name, columns, notes, drop=drop_incomplete)
+    if ranges.unit != anchors.unit and "" not in {ranges.unit, anchors.unit}:
+        problem = (
+            f"ranges are in {ranges.unit}, beacons in {anchors.unit}; convert them to one unit"
+        )
         raise InputError(problem, path=path, line=1)
-    place = {name: row for row, name in enumerate(known.name)}
-    bias = dict(zip(known.name, known.bias.tolist(), strict=True))
+    bias = dict(zip(anchors.name, anchors.bias.tolist(), strict=True))
     length = ranges.length - [bias.get(a, 0.0) + bias.get(b, 0.0) for a, b in ranges.ends]
-    stated = ranges.sd if sd is None else np.where(np.isnan(ranges.sd), sd, ranges.sd)
+    stated_sd = ranges.sd if sd is None else np.where(np.isnan(ranges.sd), sd, ranges.sd)
     rows = [
-        (a, b, float(value), float(width))
-        for (a, b), value, width in zip(ranges.ends, length, stated, strict=True)
-        if value > 0.0 and not (a in place and b in place)
+        _Range(a, b, float(row_length), float(row_sd))
+        for (a, b), row_length, row_sd in zip(ranges.ends, length, stated_sd, strict=True)
+        if row_length > 0.0 and not (a in bias and b in bias)
     ]
-    if lost := len(length) - len(rows):
-        notes.append(f"{counted(lost, 'range')} left out: empty, 0, or between two beacons")
+    left_out = len(length) - len(rows)
+    if left_out:
+        notes.append(f"{counted(left_out, 'range')} left out: empty, 0, or between two beacons")
     if not rows:
         raise InputError("there are no ranges of tags; add some", path=path, line=2)
-    warnings = _strangers(path, known.name, rows)
-    if np.isnan([row[3] for row in rows]).any():
+    warnings = _strangers(path, anchors.name, rows)
+    if np.isnan([row.sd for row in rows]).any():
         rows = _pooled(path, rows, notes, warnings)
-    warnings += _impossible(known, rows)
-    size = radius or float(f"{_RADIUS * np.median([row[2] for row in rows]):.1g}")
-    return _log(known, rows, size, ranges.unit or known.unit, notes), notes, warnings
+    warnings += _impossible(anchors, rows)
+    if not radius:
+        radius = float(f"{_RADIUS * np.median([row.length for row in rows]):.1g}")
+    return _log(anchors, rows, radius, ranges.unit or anchors.unit, notes), notes, warnings
 
 
 def _log(
-    known: Beacons, rows: Sequence["_Row"], radius: float, unit: str, notes: list[str]
+    beacons: Beacons, rows: Sequence[_Range], radius: float, unit: str, notes: list[str]
 ) -> SensingLog:
     """Log beacons, the best known first, then tags; note who has which number."""
-    place = {name: row for row, name in enumerate(known.name)}
-    tags = sorted({name for a, b, *_ in rows for name in (a, b)} - {*place}, key=_natural)
-    first = int(known.sd.argmin())
-    names = [known.name[first], *(n for n in known.name if n != known.name[first]), *tags]
-    numbers, renamed = _numbers(names, len(place))
+    beacon_row = {name: row for row, name in enumerate(beacons.name)}
+    robots = {name for row in rows for name in (row.tag, row.partner)}
+    tags = sorted(robots - {*beacon_row}, key=_natural)
+    best = int(beacons.sd.argmin())
+    further = [name for row, name in enumerate(beacons.name) if row != best]
+    names = [beacons.name[best], *further, *tags]
+    numbers, renamed = _numbers(names, len(beacon_row))
     notes += renamed
     notes.append(
-        f"{len(place)} beacons, {counted(len(tags), 'tag')}, {counted(len(rows), 'range')}"
+        f"{len(beacon_row)} beacons, {counted(len(tags), 'tag')}, {counted(len(rows), 'range')}"
     )
-    row_of = {name: row for row, name in enumerate(names)}
-    source = [k for k, name in enumerate(names) if name in place and known.bias_sd[place[name]] > 0]
+    robot_row = {name: row for row, name in enumerate(names)}
+    sources = [
+        name for name in names if name in beacon_row and beacons.bias_sd[beacon_row[name]] > 0
+    ]
     entries = []
-    for a, b, value, width in rows:
-        later, earlier = sorted((row_of[a], row_of[b]), reverse=True)
-        shared = source.index(earlier) if earlier in source else -1
-        entries.append((later, earlier, value, width, shared))
+    for a, b, length, sd in rows:
+        earlier, later = sorted((robot_row[a], robot_row[b]))
+        source = sources.index(names[earlier]) if names[earlier] in sources else -1
+        entries.append((later, earlier, length, sd, source))
     fixes = [
-        (row_of[name], *axis, along, known.sd[k] or KNOWN_SD * radius, -1)
-        for name, k in place.items()
-        if k != first
-        for axis, along in zip(np.eye(3), known.place[k], strict=True)
+        (robot_row[name], *axis, coordinate, beacons.sd[k] or KNOWN_SD * radius, -1)
+        for name, k in beacon_row.items()
+        if k != best
+        for axis, coordinate in zip(np.eye(3), beacons.place[k], strict=True)
     ]
     count = len(names)
     return SensingLog(
         robot_id=np.array(numbers, np.int64),
         dock_radius=radius,
         dock_offset_body=np.zeros((1, 3)),
-        anchor_position=known.place[first],
+        anchor_position=beacons.place[best],
         orientation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
         contacts=np.empty((0, 4), np.int32),
         fixes=np.array(sorted(fixes)).reshape(-1, 7),
@@ -223,89 +241,111 @@ def _log(
         flip_height=np.full(count, np.nan),
         spawn_position=np.full((count, 3), np.nan),
         noise=SensingNoise(tilt_deg=0.0, yaw_deg=0.0),
-        source_name=tuple(f"beacon {names[k]}"[:40] for k in source),
-        source_sd=np.array([known.bias_sd[place[names[k]]] for k in source], np.float64),
+        source_name=tuple(f"beacon {name}"[:40] for name in sources),
+        source_sd=np.array([beacons.bias_sd[beacon_row[name]] for name in sources], np.float64),
         length_unit=unit or "unit",
     )
 
 
-def _strangers(path: Path, beacons: Sequence[str], rows: Sequence["_Row"]) -> list[str]:
+def _strangers(path: Path, beacons: Sequence[str], rows: Sequence[_Range]) -> list[str]:
     """Warn of beacons without ranges beside names that no table has as beacons or tags.
 
     Raises:
         InputError: no range is to a beacon.
     """
-    named = {name for a, b, *_ in rows for name in (a, b)}
-    strangers = sorted({b for _, b, *_ in rows} - {a for a, *_ in rows} - {*beacons}, key=_natural)
-    silent = [name for name in beacons if name not in named]
-    if len(silent) == len(beacons):
-        problem = f"no range is to a beacon: ranges have {some(strangers or sorted(named))}, "
-        raise InputError(f"{problem}beacons are {some(beacons)}; write them alike", path=path)
+    tags = {row.tag for row in rows}
+    partners = {row.partner for row in rows}
+    strangers = sorted(partners - tags - {*beacons}, key=_natural)
+    if not (tags | partners) & {*beacons}:
+        names = some(strangers or sorted(tags | partners))
+        problem = f"no range is to a beacon: ranges have {names}, beacons are {some(beacons)}; "
+        raise InputError(f"{problem}write them alike", path=path)
+    if not strangers:
+        return []
     problem = f"ranges are to names without a place, which are located as tags: {some(strangers)}; "
-    return [f"{problem}add their places if they are beacons"] if strangers else []
+    return [f"{problem}add their places if they are beacons"]
 
 
-def _impossible(known: Beacons, rows: Sequence["_Row"]) -> list[str]:
-    """Warn where ranges of a tag to two beacons are no triangle with the distance of these."""
-    place = dict(zip(known.name, known.place, strict=True))
+class _Triangles(NamedTuple):
+    """Triangles of a tag and two beacons, by their sides."""
+
+    base: Reals  # between the beacons, (K,)
+    ranges: Reals  # from the tag to both beacons, (K, 2)
+    slack: Reals  # by which the sides may miss each other, (K,)
+
+    def impossible(self, scale: float) -> int:
+        """Count triangles that cannot be, with ranges in another unit."""
+        to_first, to_second = scale * self.ranges.T
+        miss = np.maximum(
+            np.abs(to_first - to_second) - self.base, self.base - to_first - to_second
+        )
+        return int((miss > scale * self.slack).sum())
+
+
+def _triangles(beacons: Beacons, rows: Sequence[_Range]) -> _Triangles:
+    """List the triangles of tags, the first ranges of each, with two beacons."""
+    place = dict(zip(beacons.name, beacons.place, strict=True))
     by_tag: dict[str, list[tuple[Reals, float, float]]] = {}
-    for a, b, value, width in rows:
+    for a, b, length, sd in rows:
         for tag, beacon in ((a, b), (b, a)):
             if beacon in place and tag not in place:
-                by_tag.setdefault(tag, []).append((place[beacon], value, width))
-    apart, first, second, slack = list[float](), list[float](), list[float](), list[float]()
-    for seen in by_tag.values():
-        for one, other in combinations(seen[:_MOST_OF_A_TAG], 2):
-            apart.append(float(np.linalg.norm(one[0] - other[0])))
-            first.append(one[1])
-            second.append(other[1])
-            slack.append(_SLACK * float(np.hypot(one[2], other[2])))
-    sides = np.array([apart, first, second])
-    number = _not_triangles(sides, np.array(slack), 1.0)
-    if number <= _FEW * len(apart):
+                by_tag.setdefault(tag, []).append((place[beacon], length, sd))
+    base = []
+    ranges = []
+    slack = []
+    for measured in by_tag.values():
+        pairs = combinations(measured[:_MOST_OF_A_TAG], 2)
+        for (place_a, length_a, sd_a), (place_b, length_b, sd_b) in pairs:
+            base.append(float(np.linalg.norm(place_a - place_b)))
+            ranges.append((length_a, length_b))
+            slack.append(_SLACK * float(np.hypot(sd_a, sd_b)))
+    return _Triangles(np.array(base), np.array(ranges).reshape(-1, 2), np.array(slack))
+
+
+def _impossible(beacons: Beacons, rows: Sequence[_Range]) -> list[str]:
+    """Warn where ranges of a tag to two beacons are no triangle with the distance of these."""
+    triangles = _triangles(beacons, rows)
+    count = len(triangles.base)
+    number = triangles.impossible(1.0)
+    if number <= _FEW * count:
         return []
-    problem = f"{number} of {len(apart)} triangles of a tag and two beacons cannot be"
-    for unit, length in _SCALES.items() if number > _MOST * len(apart) else ():
-        for scale, fit in (
-            (length, f"{unit} and beacons in m"),
-            (1 / length, f"m and beacons in {unit}"),
-        ):
-            if _not_triangles(sides, np.array(slack), scale) <= _FEW * len(apart):
-                return [f"{problem}; with ranges in {fit} they can: convert them to one unit"]
+    problem = f"{number} of {count} triangles of a tag and two beacons cannot be"
+    if number > _MOST * count:
+        for unit, meters in _SCALES.items():
+            for scale, fit in (
+                (meters, f"{unit} and beacons in m"),
+                (1 / meters, f"m and beacons in {unit}"),
+            ):
+                if triangles.impossible(scale) <= _FEW * count:
+                    return [f"{problem}; with ranges in {fit} they can: convert them to one unit"]
     return [f"{problem}: correct places or names of beacons, or give their bias"]
 
 
-def _not_triangles(sides: Reals, slack: Reals, scale: float) -> int:
-    """Count triangles that cannot be, with ranges in another unit."""
-    apart, first, second = sides[0], scale * sides[1], scale * sides[2]
-    off = np.maximum(np.abs(first - second) - apart, apart - first - second)
-    return int((off > scale * slack).sum())
-
-
 def _refuse_other_units(
-    path: Path, found: Mapping[str, str], names: Sequence[str], unit: str
+    path: Path, column_of: Mapping[str, str], names: Sequence[str], unit: str
 ) -> None:
     """Refuse columns of lengths in another unit than those beside them; some may have none."""
     for name in names:
-        other = split_unit(found[name], LENGTHS)[1] if name in found else ""
-        if other and other.lower() != unit.lower():
-            problem = f"this column is in {other}, others in {unit or 'none'}; convert them to one"
-            raise InputError(f"{problem} unit", path=path, line=1, key=found[name])
+        column = column_of.get(name, "")
+        _, column_unit = split_unit(column, LENGTHS)
+        if column_unit and column_unit.lower() != unit.lower():
+            problem = f"this column is in {column_unit}, others in {unit or 'none'}; "
+            raise InputError(f"{problem}convert them to one unit", path=path, line=1, key=column)
 
 
 def _columns(
-    table: CsvFile, names: Mapping[str, Sequence[str]], given: Mapping[str, str]
+    table: CsvFile, names: Mapping[str, Sequence[str]], stated: Mapping[str, str]
 ) -> dict[str, str]:
     """Find columns by their meaning, those first whose names are given."""
     bare = {column: split_unit(column, LENGTHS)[0].lower() for column in table.columns}
-    found = {meaning: column for meaning, column in given.items() if column in bare}
-    for meaning, known in names.items():
-        if meaning in found:
+    column_of = {meaning: column for meaning, column in stated.items() if column in bare}
+    for meaning, usual in names.items():
+        if meaning in column_of:
             continue
-        column = next((c for name in known for c in table.columns if bare[c] == name), None)
-        if column is not None:
-            found[meaning] = column
-    return found
+        columns = [column for name in usual for column in table.columns if bare[column] == name]
+        if columns:
+            column_of[meaning] = columns[0]
+    return column_of
 
 
 def _read(
@@ -322,41 +362,46 @@ def _read(
     """
     refuse_other_files(path)
     table = CsvFile(path, plain_sheet(path).text)
-    found = _columns(table, _NAMES, columns)
-    wide = {} if "beacon" in found else _by_beacon(table.columns, beacons)
-    wanted = [] if wide else ["tag", "beacon", "range"]
-    if lacking := [name for name in wanted if name not in found]:
+    column_of = _columns(table, _NAMES, columns)
+    beacon_of = {} if "beacon" in column_of else _by_beacon(table.columns, beacons)
+    wanted = [] if beacon_of else ["tag", "beacon", "range"]
+    lacking = [name for name in wanted if name not in column_of]
+    if lacking:
         problem = f"the columns are {','.join(table.columns)[:200]}, neither tag,beacon,range nor "
         problem += f"tag and names of beacons; rename or add {','.join(lacking)}, or name columns "
         raise InputError(f"{problem}as by --column {lacking[0]}=NAME", path=path, line=1)
-    values = [*wide] or [found["range"]]
+    values = [*beacon_of] or [column_of["range"]]
     units = {split_unit(column, LENGTHS)[1] for column in values}
     if len(units) > 1:
         problem = f"ranges have different units: {', '.join(sorted(units))}; convert them to one"
         raise InputError(problem, path=path, line=1)
-    if not wide:
-        lines = table.incomplete([found[name] for name in wanted])
+    if not beacon_of:
+        lines = table.incomplete([column_of[name] for name in wanted])
         notes += report_incomplete(path, lines, drop=drop)
         table.drop(lines)
-    _refuse_other_units(path, found, ("sd",), next(iter(units)))
+    _refuse_other_units(path, column_of, ("sd",), next(iter(units)))
     tags = ["tag"] * len(table.rows)
-    if "tag" in found:
-        tags = [name.strip() for name in table.words(found["tag"]).tolist()]
-    ends, length, sd = list[tuple[str, str]](), list[float](), list[float]()
+    if "tag" in column_of:
+        tags = [name.strip() for name in table.words(column_of["tag"]).tolist()]
+    ends: list[tuple[str, str]] = []
+    lengths: list[float] = []
+    sd: list[float] = []
     for column in values:
-        lost = {*table.incomplete([column])}
-        for line in lost:
+        for line in table.incomplete([column]):
             table.rows[line][table.columns.index(column)] = ""
-        others = [wide[column]] * len(tags) if wide else table.words(found["beacon"]).tolist()
-        ends += [(tag, other.strip()) for tag, other in zip(tags, others, strict=True)]
-        length += table.numbers(column, empty=0.0).tolist()
-        sd += _deviations(table, found.get("sd"))
-    for row, (tag, other) in enumerate(ends):
-        if tag == other:
+        if beacon_of:
+            partners = [beacon_of[column]] * len(tags)
+        else:
+            partners = table.words(column_of["beacon"]).tolist()
+        ends += [(tag, partner.strip()) for tag, partner in zip(tags, partners, strict=True)]
+        lengths += table.numbers(column, empty=0.0).tolist()
+        sd += _deviations(table, column_of.get("sd"))
+    for row, (tag, partner) in enumerate(ends):
+        if tag == partner:
             problem = f"{tag[:40]!r} has a range to itself; name another robot, or give tags and "
             problem += "beacons different names, such as T1 and A1"
             raise InputError(problem, path=path, line=table.line(row % len(tags)))
-    return _Ranges(ends, np.array(length), np.array(sd), units.pop())
+    return _Ranges(ends, np.array(lengths), np.array(sd), units.pop())
 
 
 def _deviations(table: CsvFile, column: str | None) -> list[float]:
@@ -373,49 +418,55 @@ def _deviations(table: CsvFile, column: str | None) -> list[float]:
 
 def _by_beacon(columns: Sequence[str], beacons: Sequence[str]) -> dict[str, str]:
     """Find columns that are named after beacons, such as `range_A1 [m]`."""
-    found = {}
+    beacon_of = {}
+    words = r"^(?:range|distance|dist|d)[\W_]*|[\W_]{0,8}(?:range|distance|dist)$"
     for column in columns:
-        name = re.sub(r"^(?:range|distance|dist|d)[\W_]*|[\W_]{0,8}(?:range|distance|dist)$", "",
-                      split_unit(column, LENGTHS)[0], flags=re.IGNORECASE)  # fmt: skip
+        name, _ = split_unit(column, LENGTHS)
+        name = re.sub(words, "", name, flags=re.IGNORECASE)
         if name in beacons:
-            found[column] = name
-    return found
+            beacon_of[column] = name
+    return beacon_of
 
 
-_Row = tuple[str, str, float, float]
-
-
-def _pooled(path: Path, rows: Sequence[_Row], notes: list[str], warnings: list[str]) -> list[_Row]:
+def _pooled(
+    path: Path, rows: Sequence[_Range], notes: list[str], warnings: list[str]
+) -> list[_Range]:
     """Replace readings without a standard deviation by the median of each pair, with a scatter."""
     pairs: dict[tuple[str, str], list[float]] = {}
-    kept = [row for row in rows if not np.isnan(row[3])]
-    for a, b, value, width in rows:
-        if np.isnan(width):
-            pairs.setdefault((a, b) if _natural(a) < _natural(b) else (b, a), []).append(value)
+    with_sd = [row for row in rows if not np.isnan(row.sd)]
+    for a, b, reading, sd in rows:
+        if np.isnan(sd):
+            pair = (a, b) if _natural(a) < _natural(b) else (b, a)
+            pairs.setdefault(pair, []).append(reading)
     scatter = {
-        pair: _MAD * float(np.median(np.abs(np.array(each) - np.median(each))))
-        for pair, each in pairs.items()
-        if len(each) >= _FEWEST
+        pair: SD_PER_MEDIAN_DEVIATION
+        * float(np.median(np.abs(np.array(readings) - np.median(readings))))
+        for pair, readings in pairs.items()
+        if len(readings) >= _FEWEST
     }
-    width = float(np.median([*scatter.values()])) if scatter else 0.0
-    if not width:
+    sd = float(np.median([*scatter.values()])) if scatter else 0.0
+    if not sd:
         shown = "repeated readings are equal" if scatter else "no repeated readings show it"
         problem = f"nothing states how exact ranges are, and {shown}; add a "
         raise InputError(f"{problem}column sd, or give --range-sd", path=path, line=1)
     notes.append(
-        f"ranges scatter by {width:.2g} (1 sd), in {counted(len(scatter), 'pair')} with repeated "
+        f"ranges scatter by {sd:.2g} (1 sd), in {counted(len(scatter), 'pair')} with repeated "
         "readings: the median of each pair counts once, with that sd"
     )
-    if wide := [f"{a} to {b}" for (a, b), each in scatter.items() if each > _MOVED * width]:
-        problem = f"readings scatter far more than others: {some(wide)}; robots moved, or paths "
+    far_wider = [f"{a} to {b}" for (a, b), pair_sd in scatter.items() if pair_sd > _MOVED * sd]
+    if far_wider:
+        problem = (
+            f"readings scatter far more than others: {some(far_wider)}; robots moved, or paths "
+        )
         warnings.append(f"{problem}changed: cut the table to a time of rest")
     if _drift(pairs) > _DRIFT:
         problem = "readings of a pair follow each other closely, and drift: robots moved; "
         warnings.append(f"{problem}cut the table to a time of rest")
-    return kept + [
-        (*pair, float(np.median(each)), max(width, scatter.get(pair, 0.0)))
-        for pair, each in pairs.items()
+    medians = [
+        _Range(*pair, float(np.median(readings)), max(sd, scatter.get(pair, 0.0)))
+        for pair, readings in pairs.items()
     ]
+    return with_sd + medians
 
 
 def _drift(pairs: Mapping[tuple[str, str], Sequence[float]]) -> float:
@@ -423,19 +474,21 @@ def _drift(pairs: Mapping[tuple[str, str], Sequence[float]]) -> float:
 
     It is 1 for readings with errors of their own; 0 where there are too few, or equal ones.
     """
-    ratios = [0.0]
-    for each in pairs.values():
-        steps = np.abs(np.diff(each))
-        if len(each) >= _FEWEST_IN_ORDER and (step := float(np.median(steps))) > 0.0:
-            off = np.abs(np.array(each) - np.median(each))
-            ratios.append(float(np.median(off)) * np.sqrt(2.0) / step)
-    return float(np.median(ratios[1:] or ratios))
+    ratios = []
+    for readings in pairs.values():
+        if len(readings) < _FEWEST_IN_ORDER:
+            continue
+        step = float(np.median(np.abs(np.diff(readings))))
+        if step > 0.0:
+            deviation = np.abs(np.array(readings) - np.median(readings))
+            ratios.append(float(np.median(deviation)) * np.sqrt(2.0) / step)
+    return float(np.median(ratios or [0.0]))
 
 
 def _natural(name: str) -> tuple[int, str]:
     """Sort names by the first number in them."""
-    found = re.search(r"\d+", name)
-    return (int(found[0]) if found else 0, name)
+    number = re.search(r"\d+", name)
+    return int(number[0]) if number else 0, name
 
 
 def _numbers(names: Sequence[str], beacons: int) -> tuple[list[int], list[str]]:
@@ -444,6 +497,7 @@ def _numbers(names: Sequence[str], beacons: int) -> tuple[list[int], list[str]]:
     if all(str(number) in name for number, name in zip(numbers, names, strict=True)):
         return numbers, []
     tags, _ = robot_numbers(names[beacons:])
-    after = [max(tags, default=-1) + 1 + k for k in range(beacons)]
-    listed = [f"{name} is {k}" for name, k in zip(names, [*after, *tags], strict=True)]
-    return [*after, *tags], [f"robots are numbered: {some(listed)}"]
+    numbers_of_beacons = [max(tags, default=-1) + 1 + k for k in range(beacons)]
+    numbers = [*numbers_of_beacons, *tags]
+    listed = [f"{name} is {number}" for name, number in zip(names, numbers, strict=True)]
+    return numbers, [f"robots are numbered: {some(listed)}"]

@@ -14,7 +14,7 @@ is the join index. Bodies that the cameras lost have empty cells, or zeros in Qu
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,37 +50,48 @@ def read_gsd(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
         return None
     hoomd = gsd_library()
     refuse_special(path)
-    tables, docks, left_out = [], None, 0
+    tables = []
+    docks: Reals | None = None
+    constituents = 0
     try:
         with hoomd.open(path, mode="r") as frames:
             for number, frame in enumerate(frames, start=1):
-                particles, box = frame.particles, np.asarray(frame.configuration.box, np.float64)
+                particles = frame.particles
+                rows = _rows_of_frame(frame, number, path)
                 body = np.asarray(particles.body, np.int64)
                 is_robot = (body < 0) | (body == np.arange(particles.N))
-                left_out += int((~is_robot).sum())
-                place = np.asarray(particles.position, np.float64) + frame.log.get("origin", 0.0)
-                around = np.asarray(particles.image, np.float64)
-                if around.any() and box[3:].any():
-                    problem = (
-                        f"frame {number} wraps around a box that is not rectangular; unwrap it"
-                    )
-                    raise InputError(problem, path=path)
-                rows = pd.DataFrame(place + around * box[:3], columns=[*"xyz"])
-                rows[poses.QUATERNION] = np.asarray(particles.orientation, np.float64)
-                rows["robot"] = np.asarray(
-                    frame.log.get("particles/robot", np.arange(particles.N)), np.int64
-                )
-                rows["time"], rows["line"] = float(frame.configuration.step), number
+                constituents += int((~is_robot).sum())
                 tables.append(rows[is_robot])
-                docks = _docks(particles, path, assumed.dock_radius) if docks is None else docks
+                if docks is None:
+                    docks = _docks(particles, path, assumed.dock_radius)
     except (RuntimeError, OSError, LookupError, ValueError, TypeError, MemoryError) as error:
         raise InputError(f"not a whole GSD file ({error}); copy it again", path=path) from error
     if not sum(map(len, tables)):
         raise InputError("there are no particles; name a file with robots", path=path)
     rows = pd.concat(tables).assign(run="")
     columns.refuse_far(rows, path, assumed.dock_radius)
-    notes = [f"{counted(left_out, 'constituent')} of rigid bodies left out"] if left_out else []
+    notes = []
+    if constituents:
+        notes.append(f"{counted(constituents, 'constituent')} of rigid bodies left out")
     return poses.PoseTable(rows, "", (), notes, docks)
+
+
+def _rows_of_frame(frame: Any, number: int, path: Path) -> pd.DataFrame:  # noqa: ANN401 - no types
+    """Read all particles of a frame; its number is their line."""
+    particles = frame.particles
+    box = np.asarray(frame.configuration.box, np.float64)
+    wrapped = np.asarray(particles.position, np.float64) + frame.log.get("origin", 0.0)
+    image = np.asarray(particles.image, np.float64)
+    if image.any() and box[3:].any():
+        problem = f"frame {number} wraps around a box that is not rectangular; unwrap it"
+        raise InputError(problem, path=path)
+    rows = pd.DataFrame(wrapped + image * box[:3], columns=[*"xyz"])
+    rows[poses.QUATERNION] = np.asarray(particles.orientation, np.float64)
+    robot = frame.log.get("particles/robot", np.arange(particles.N))
+    rows["robot"] = np.asarray(robot, np.int64)
+    rows["time"] = float(frame.configuration.step)
+    rows["line"] = number
+    return rows
 
 
 def read_bag(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
@@ -102,45 +113,48 @@ def read_bag(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
     except ImportError as error:
         problem = "bags need the library rosbags; pip install 'tiswarm[ros]'"
         raise EnvironmentTroubleError(problem) from error
-    found: list[tuple[str, float, list[float]]] = []
+    stamped: list[tuple[str, float, list[float]]] = []
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
             for connection, stamp, raw in bag.messages():
                 message = bag.deserialize(raw, connection.msgtype)
-                found += (
+                stamped += (
                     (name, stamp, pose) for name, pose in _poses_in(message, connection.topic)
                 )
     except Exception as error:  # the library has many kinds, and bags are anybody's
         problem = f"not a whole bag ({type(error).__name__}: {str(error)[:80]}); record it again"
         raise InputError(problem, path=path) from error
-    if not found:
+    if not stamped:
         raise InputError("the bag has no poses; record odometry, poses or tf", path=path)
-    names = [*dict.fromkeys(name for name, *_ in found)]
+    names = [*dict.fromkeys(name for name, *_ in stamped)]
     numbers, notes = columns.robot_numbers(names)
     robot = dict(zip(names, numbers, strict=True))
-    rows = pd.DataFrame([pose for *_, pose in found], columns=[*"xyz", *poses.QUATERNION])
-    rows["robot"] = [robot[name] for name, *_ in found]
-    rows["time"] = np.array([stamp - found[0][1] for _, stamp, _ in found]) * 1e-9
+    rows = pd.DataFrame([pose for *_, pose in stamped], columns=[*"xyz", *poses.QUATERNION])
+    rows["robot"] = [robot[name] for name, *_ in stamped]
+    rows["time"] = np.array([stamp - stamped[0][1] for _, stamp, _ in stamped]) * 1e-9
     rows = rows.assign(line=1, run="").drop_duplicates(["robot", "time"])
-    rows = rows if rows["robot"].duplicated().any() else rows.drop(columns="time")
+    if not rows["robot"].duplicated().any():
+        rows = rows.drop(columns="time")
     columns.refuse_far(rows, path, assumed.dock_radius)
     return poses.PoseTable(rows, "m", poses.QUATERNION, notes)
 
 
 def _poses_in(message: Any, name: str) -> Iterator[tuple[str, list[float]]]:  # noqa: ANN401 - of ROS
     """Yield the poses in a message: a name, then x, y, z, qw, qx, qy, qz."""
-    name = getattr(message, "child_frame_id", "") if hasattr(message, "transform") else name
-    for place, turn in (("position", "orientation"), ("translation", "rotation")):
-        if hasattr(message, place) and hasattr(message, turn):
-            p, q = getattr(message, place), getattr(message, turn)
+    if hasattr(message, "transform"):
+        name = getattr(message, "child_frame_id", "")
+    for position_key, turn_key in (("position", "orientation"), ("translation", "rotation")):
+        if hasattr(message, position_key) and hasattr(message, turn_key):
+            p = getattr(message, position_key)
+            q = getattr(message, turn_key)
             yield name, [float(number) for number in (p.x, p.y, p.z, q.w, q.x, q.y, q.z)]
             return
     for key in ("pose", "poses", "transform", "transforms"):
         inner = getattr(message, key, None)
         if isinstance(inner, list):
             names = getattr(message, "name", None) or [f"{name}_{k}" for k in range(len(inner))]
-            for each, named in zip(inner, names, strict=False):
-                yield from _poses_in(each, named)
+            for item, item_name in zip(inner, names, strict=False):
+                yield from _poses_in(item, item_name)
         elif inner is not None:
             yield from _poses_in(inner, name)
 
@@ -167,21 +181,18 @@ def read_tum(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
     """
     if not path.is_dir() and path.suffix != ".tum":
         return None
-    drop, notes = assumed.drop_incomplete, list[str]()
     if path.is_dir():
         return _read_folder(path, assumed)
-    rows, lines = _trajectory(path, assumed.dock_radius)
-    notes += columns.report_incomplete(path, lines, drop=drop)
+    rows, incomplete = _trajectory(path, assumed.dock_radius)
+    dropped = columns.report_incomplete(path, incomplete, drop=assumed.drop_incomplete)
     rank = rows["time"].argsort(kind="stable").argsort().to_numpy()
+    rows = rows.drop(columns="time").assign(robot=rank, join=rank, run="")
     note = "a robot a line, numbered by time; for poses over time, name a folder with a file each"
-    return poses.PoseTable(
-        rows.drop(columns="time").assign(robot=rank, join=rank, run=""), "", (), [note, *notes]
-    )
+    return poses.PoseTable(rows, "", (), [note, *dropped])
 
 
 def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
     """Read a file for each robot, whose number is in the file's name: `.tum`, else tables."""
-    tables, notes, named = [], list[str](), dict[int, str]()
     files = sorted(path.glob("*.tum")) or sorted(
         file for file in path.iterdir() if file.suffix in {".csv", ".txt", ".tsv"}
     )
@@ -190,14 +201,18 @@ def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
         file = next((file for file in files if len(re.findall(r"\d+", file.stem)) != 1), files[0])
         problem = "the name has no number, or several; name the file as robot_7.tum, or move it "
         raise InputError(f"{problem}out of the folder if it is of no robot", path=file)
+    tables = []
+    file_of: dict[int, str] = {}
     for file, robot in zip(files, robots, strict=True):
-        if (other := named.setdefault(robot, file.name)) != file.name:
-            problem = f"the name has the number of {other}; give each robot its own"
+        if robot in file_of:
+            problem = f"the name has the number of {file_of[robot]}; give each robot its own"
             raise InputError(problem, path=file)
+        file_of[robot] = file.name
         if file.suffix == ".tum":
-            rows, lines = _trajectory(file, assumed.dock_radius)
-            drop = assumed.drop_incomplete
-            notes += columns.report_incomplete(file, lines, drop=drop, name=file.name)
+            rows, incomplete = _trajectory(file, assumed.dock_radius)
+            notes = columns.report_incomplete(
+                file, incomplete, drop=assumed.drop_incomplete, name=file.name
+            )
             table = poses.PoseTable(rows.assign(robot=robot), "", (), notes)
         else:
             table = columns.read_table(file, assumed, robot=robot)
@@ -206,16 +221,17 @@ def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
         problem = "there are no files *.tum or *.csv; add one for each robot"
         raise InputError(problem, path=path)
     rows = pd.concat([table.rows for table in tables]).assign(run="")
+    all_notes = [note for table in tables for note in table.notes]
     if files[0].suffix != ".tum":
-        rows = (
-            rows if rows["robot"].duplicated().any() else rows.drop(columns="time", errors="ignore")
-        )
-        notes = [*dict.fromkeys(note for table in tables for note in table.notes)]
-    if len(units := {table.length_unit for table in tables}) > 1:
+        if not rows["robot"].duplicated().any():
+            rows = rows.drop(columns="time", errors="ignore")
+        all_notes = [*dict.fromkeys(all_notes)]
+    units = {table.length_unit for table in tables}
+    if len(units) > 1:
         listed = " and ".join(unit or "none" for unit in sorted(units))
         problem = f"files have different units, {listed}; convert them to one"
         raise InputError(problem, path=path)
-    return tables[0]._replace(rows=rows, notes=notes)
+    return tables[0]._replace(rows=rows, notes=all_notes)
 
 
 def _trajectory(path: Path, dock_radius: float) -> tuple[pd.DataFrame, list[int]]:
@@ -253,12 +269,16 @@ def _trajectory(path: Path, dock_radius: float) -> tuple[pd.DataFrame, list[int]
 
 
 _VICON = ("Objects", "Segments")
-_VICON_OTHERS = ("Trajectories", "Model Outputs", "Joints", "Devices", "Unlabeled")
+_VICON_WITHOUT_POSES = ("Trajectories", "Model Outputs", "Joints", "Devices", "Unlabeled")
 
 _LONGEST_HEAD = 100
 """Lines after which a head without an end is none; events of Qualisys have a line each."""
 
 _Lines = list[list[str]]
+
+_ReadHead = Callable[[Path, _Lines, list[str]], tuple[list[str], int, columns.Sheet]]
+"""Takes the file, the cells of its first lines, and all lines; returns the names of columns, the
+last line of the head, and what the program implies."""
 
 
 def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
@@ -268,22 +288,28 @@ def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None
         InputError: a line is malformed, or the export lacks orientations or has them in angles
             whose order it does not state.
     """
-    _, first = next(numbered_lines(path, LONGEST_TEXT), (1, ""))
-    start = _cells(first, path, 1)[0]
-    heads = {"Format Version": _motive, "FILE_VERSION": _qualisys, "NO_OF_FRAMES": _qualisys}
-    head = _vicon if start in {*_VICON, *_VICON_OTHERS} else heads.get(start)
-    if head is None:
+    _, first_line = next(numbered_lines(path, LONGEST_TEXT), (1, ""))
+    start = _cells(first_line, path, 1)[0]
+    readers: dict[str, _ReadHead] = {
+        "Format Version": _motive,
+        "FILE_VERSION": _qualisys,
+        "NO_OF_FRAMES": _qualisys,
+        **dict.fromkeys((*_VICON, *_VICON_WITHOUT_POSES), _vicon),
+    }
+    read_head = readers.get(start)
+    if read_head is None:
         return None
     lines = [text.rstrip() for _, text in numbered_lines(path, LONGEST_TEXT)]
     cells = [_cells(text, path, number) for number, text in enumerate(lines[:_LONGEST_HEAD], 1)]
-    names, last, sheet = head(path, cells, lines)
-    separator = "\t" if "\t" in lines[last] else ";" if ";" in lines[last] else ","
+    names, last, sheet = read_head(path, cells, lines)
+    separator = next((sign for sign in "\t;" if sign in lines[last]), ",")
     rows = [line if line.strip(f"{separator} ") else "#" for line in lines[last + 1 :]]
-    if head is _vicon and "#" in rows:  # a blank line ends a block
+    if read_head is _vicon and "#" in rows:  # a blank line ends a block
         rows = rows[: rows.index("#")]
     for k, row in enumerate(rows):
-        lacks = len(names) - row.count(separator) - 1
-        rows[k] = row if row == "#" else row + separator * lacks
+        if row != "#":
+            lacking = len(names) - row.count(separator) - 1
+            rows[k] = row + separator * lacking
     if not any(row != "#" for row in rows):
         raise InputError("there are no poses; export frames with bodies", path=path, line=1)
     text = [*"#" * last, columns.header_line(names, separator), *rows]
@@ -292,7 +318,9 @@ def read_mocap(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None
 
 def _cells(text: str, path: Path, number: int) -> list[str]:
     """Split a line of a head."""
-    separator = "\t" if "\t" in text else ";" if text.count(";") > text.count(",") else ","
+    separator = ";" if text.count(";") > text.count(",") else ","
+    if "\t" in text:
+        separator = "\t"
     cells = split_cells(text, separator, path, number, is_strict=False)
     return [cell.strip() for cell in cells] or [""]
 
@@ -308,7 +336,8 @@ def _end(head: _Lines, path: Path, program: str, remedy: str) -> int:
 def _motive(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, columns.Sheet]:
     """Name the columns of an export of Motive."""
     facts = dict(zip(head[0][::2], head[0][1::2], strict=False))
-    if (space := facts.get("Coordinate Space", "Global")) != "Global":
+    space = facts.get("Coordinate Space", "Global")
+    if space != "Global":
         problem = f"Coordinate Space is {space[:40]}; export again with Global"
         raise InputError(problem, path=path, line=1)
     remedy = "rows Type, Name and Frame; export it with them"
@@ -324,11 +353,15 @@ def _motive(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, col
     ]
     names[:2] = head[end][:2]
     turn = facts.get("Rotation Type", "Quaternion")
-    return names, end, columns.Sheet(
-        "", "Motive", facts.get("Length Units", "Meters").lower(), degrees=True,
+    sheet = columns.Sheet(
+        text="",
+        program="Motive",
+        length_unit=facts.get("Length Units", "Meters").lower(),
+        degrees=True,
         euler="" if turn == "Quaternion" else turn,
         notes=["Motive has y up unless an export maps its axes: --up y"],
-    )  # fmt: skip
+    )
+    return names, end, sheet
 
 
 def _qualisys(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, columns.Sheet]:
@@ -338,11 +371,14 @@ def _qualisys(path: Path, head: _Lines, _: list[str]) -> tuple[list[str], int, c
     bodies = next((cells[1:] for cells in head if cells[0] == "BODY_NAMES"), [])
     if not bodies:
         raise InputError(f"Qualisys' export lacks {remedy}", path=path, line=1)
-    names, count, body = [], 0, ""
+    names = []
+    listed_bodies = iter(bodies)
+    body = ""
     for cell in head[end]:
-        if found := re.fullmatch(r"(?:(.*) )?X", cell):
-            body = found[1] or (bodies[count] if count < len(bodies) else "")
-            count += 1
+        x_of_body = re.fullmatch(r"(?:(.*) )?X", cell)
+        if x_of_body:
+            listed_body = next(listed_bodies, "")
+            body = x_of_body[1] or listed_body
         names.append(f"{body}/{cell.removeprefix(f'{body} ')}" if body else cell)
     if "Time" in names:  # which is not counted in frames
         names[names.index("Frame")] = ""
@@ -356,11 +392,14 @@ def _vicon(path: Path, _: _Lines, lines: list[str]) -> tuple[list[str], int, col
         problem = "Vicon's export has no block Objects or Segments, so no orientations; "
         raise InputError(f"{problem}export rigid bodies, with quaternions", path=path, line=1)
     bodies, axes, units = (_cells(lines[start + k], path, start + k + 1) for k in (2, 3, 4))
-    names, body = [], ""
+    names = []
+    body = ""
     for place, axis in enumerate(axes):
         if place < len(bodies) and bodies[place]:
             body = bodies[place].removeprefix("Global Angle ").partition(":")[0]
         unit = units[place] if place < len(units) else ""
-        named = f"{body}/{axis} [{unit}]" if unit else f"{body}/{axis}"
-        names.append(named if body and re.fullmatch("[RT][XYZW]'*", axis) else axis)
+        name = axis
+        if body and re.fullmatch("[RT][XYZW]'*", axis):
+            name = f"{body}/{axis} [{unit}]" if unit else f"{body}/{axis}"
+        names.append(name)
     return names, start + 4, columns.Sheet("", "Vicon", "mm", degrees=False)

@@ -268,10 +268,11 @@ class Estimate:
     @property
     def configuration(self) -> Reals:
         """Centers of one configuration, not halfway between several [log unit], shape (N, 3)."""
-        found = (self.solutions[0] if self.solutions else self).position.copy()
+        likeliest = self.solutions[0].position if self.solutions else self.position
+        center = likeliest.copy()
         for turn in self.turns:
-            found[np.concatenate([turn.robots, turn.about])] = turn.place
-        return found
+            center[np.concatenate([turn.robots, turn.about])] = turn.place
+        return center
 
     @property
     def robot_count(self) -> int:
@@ -302,9 +303,10 @@ class Estimate:
 
         Free motions beside `turns` move it. None where that was not found out.
         """
-        if (known := self.observability) is None or known.floppy is None:
+        observability = self.observability
+        if observability is None or observability.floppy is None:
             return None
-        is_open: Bools = known.floppy & ~known.disconnected
+        is_open: Bools = observability.floppy & ~observability.disconnected
         for turn in self.turns:
             is_open[turn.robots] = False
         return is_open
@@ -317,31 +319,32 @@ class Estimate:
     def __repr__(self) -> str:
         """Describe the estimate in a line."""
         parts = [f"{counted(self.robot_count, 'robot')}, lengths in {self.length_unit}"]
-        if self.sd is not None and len(sd := self.sd[np.isfinite(self.sd)]):
-            parts.append(f"sd {np.median(sd):.2g} in the median")
+        if self.sd is not None and np.isfinite(self.sd).any():
+            parts.append(f"sd {np.median(self.sd[np.isfinite(self.sd)]):.2g} in the median")
         if self.convergence is not None:
             parts.append("converged" if self.convergence.converged else "not converged")
-            parts += [] if self.convergence.consistent else ["not consistent"]
-        if self.is_open is not None and (count := int(self.is_open.sum())):
-            parts.append(f"{counted(count, 'robot')} not determined")
+            if not self.convergence.consistent:
+                parts.append("not consistent")
+        if self.is_open is not None and self.is_open.any():
+            parts.append(f"{counted(int(self.is_open.sum()), 'robot')} not determined")
         return f"Estimate({', '.join(parts)})"
 
     def columns(self) -> dict[str, Sequence[object]]:
         """List the columns of `estimate.csv` by name."""
         unit = self.length_unit
-        found = position_columns(self.robot_id, self.position, unit)
+        columns = position_columns(self.robot_id, self.position, unit)
         if self.sd is not None:
-            found[f"sd_{unit}"] = self.sd.tolist()
+            columns[f"sd_{unit}"] = self.sd.tolist()
         if self.observability is not None:
-            found["known"] = self.known
+            columns["known"] = self.known
         if self.gone is not None:
-            found["gone"] = np.where(self.gone, "yes", "no").tolist()
+            columns["gone"] = np.where(self.gone, "yes", "no").tolist()
         if self.yaw is not None:
-            found["yaw_deg"] = np.degrees(self.yaw).tolist()
+            columns["yaw_deg"] = np.degrees(self.yaw).tolist()
         if self.undetermined is not None:
             axes = np.where(self.undetermined, [*"xyz"], "")
-            found["undetermined"] = ["".join(row) for row in axes.tolist()]
-        return found
+            columns["undetermined"] = ["".join(row) for row in axes.tolist()]
+        return columns
 
     def to_frame(self) -> "pd.DataFrame":
         """Make a data frame with the columns of `estimate.csv`."""
@@ -356,21 +359,27 @@ class Estimate:
             InputError: there is no such solution.
         """
         if not 1 <= number <= len(self.solutions):
-            found = f"found {counted(len(self.solutions), 'solution')}"
+            what = f"found {counted(len(self.solutions), 'solution')}"
             remedy = f"choose 1 to {len(self.solutions)}" if self.solutions else "leave it out"
-            raise InputError(f"{number}: the method {found}; {remedy}", argument="solution")
+            raise InputError(f"{number}: the method {what}; {remedy}", argument="solution")
         chosen = self.solutions[number - 1]
         return replace(
-            self, position=chosen.position, sd=chosen.sd, yaw=None, mirrored=None,
+            self,
+            position=chosen.position,
+            sd=chosen.sd,
+            yaw=None,
+            mirrored=None,
             trace=np.concatenate([self.trace[:-1], chosen.position[None]]),
             residual=np.append(self.residual[:-1], chosen.residual),
             residual_sd=chosen.residual_sd,
-        )  # fmt: skip
+        )
 
 
 def position_columns(
     robot_id: Ints, position: Reals, length_unit: str
 ) -> dict[str, Sequence[object]]:
     """List the columns of a table of positions (N, 3) by name."""
-    lengths = zip("xyz", position.T.tolist(), strict=True)
-    return {"robot": robot_id.tolist(), **{f"{axis}_{length_unit}": v for axis, v in lengths}}
+    columns: dict[str, Sequence[object]] = {"robot": robot_id.tolist()}
+    for axis, coordinates in zip("xyz", position.T.tolist(), strict=True):
+        columns[f"{axis}_{length_unit}"] = coordinates
+    return columns

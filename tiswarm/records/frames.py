@@ -6,6 +6,7 @@ much memory. The centers of an estimate at some iterations have the table `trace
 """
 
 import math
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +31,35 @@ def write_frame(table: pd.DataFrame, path: Path, *, opened: Opener = replacing) 
     """Write a CSV whose numbers read back to the same bits."""
     with opened(path) as file:
         file.write(table.to_csv(index=False, lineterminator="\n").encode())
+
+
+_FORMULA = re.compile(r"[=+\-@\t\r]")
+"""How cells begin that spreadsheets compute."""
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """Write a table for people as CSV.
+
+    Spreadsheets compute words that begin like a formula: an apostrophe before them makes them text.
+    Numbers stay as they are, with every bit.
+    """
+    written = table.copy()
+    for place, (_, cells) in enumerate(table.items()):
+        if not pd.api.types.is_numeric_dtype(cells):
+            written.isetitem(place, cells.map(_not_computed).to_numpy())
+    heading = [str(_not_computed(name)) for name in table]
+    return written.to_csv(index=False, header=heading, lineterminator="\n")
+
+
+def _not_computed(cell: object) -> object:
+    """Put an apostrophe before a text that spreadsheets would compute; numbers stay."""
+    if not isinstance(cell, str) or not _FORMULA.match(cell):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 def read_frame(
@@ -59,8 +89,8 @@ def read_frame(
     """
     run_file(path)
     try:
-        found = list(_stored(path, None).columns)
-        before = found[: found.index(numbers_after)] if numbers_after in found else []
+        header = list(_stored(path, None).columns)
+        before = header[: header.index(numbers_after)] if numbers_after in header else []
         named = {*before} - {*numbers, *gaps, "robots"} | {*words, *notes}
         # A copy is the caller's own, in one piece: pandas 3 warns of columns that it read apart.
         table = _stored(path, frozenset(named)).copy()
@@ -70,17 +100,17 @@ def read_frame(
         raise damaged(path, "rows have more cells than the header")
     columns = [*numbers, *gaps]
     if table.empty and empty:
-        table = table.reindex(columns=list(dict.fromkeys([*found, *columns])))
+        table = table.reindex(columns=list(dict.fromkeys([*header, *columns])))
     for column in filter(None, [*words, *columns, numbers_after]):
         if column not in table:
             problem = f"there is no such column; {way_back(path)}"
             raise InputError(problem, path=path, line=1, key=column)
     if table.empty and not empty:
         raise InputError(f"there are no rows; {way_back(path)}", path=path, line=2)
-    after = found[found.index(numbers_after) + 1 :] if numbers_after else []
+    after = header[header.index(numbers_after) + 1 :] if numbers_after else []
     after = [name for name in after if name not in notes]
-    swept = [name for name in found if name == "robots"]
-    _check_numbers(table, [*columns, *after, *swept], path, known=numbers)
+    swept = [name for name in header if name == "robots"]
+    _check_numbers(table, [*columns, *after, *swept], path, complete=numbers)
     return table
 
 
@@ -100,13 +130,16 @@ def _parsed(
 ) -> pd.DataFrame:
     """Read a CSV with some columns of text; its header alone if they are None."""
     return pd.read_csv(
-        file, nrows=0 if words is None else None, dtype=dict.fromkeys(words or (), str),
+        file,
+        nrows=0 if words is None else None,
+        dtype=dict.fromkeys(words or (), str),
         # Only empty cells are unknown: a condition may be called `NA` or `null`.
-        keep_default_na=False, na_values=[""],
+        keep_default_na=False,
+        na_values=[""],
         # The quicker default is wrong in the last bit of half of all numbers.
         float_precision="round_trip",
         low_memory=False,
-    )  # fmt: skip
+    )
 
 
 def _are_usual(table: pd.DataFrame, *, gaps: bool = True) -> bool:
@@ -118,19 +151,19 @@ def _are_usual(table: pd.DataFrame, *, gaps: bool = True) -> bool:
 
 
 def _check_numbers(
-    table: pd.DataFrame, columns: Sequence[str], path: Path, *, known: Sequence[str]
+    table: pd.DataFrame, columns: Sequence[str], path: Path, *, complete: Sequence[str]
 ) -> None:
     """Turn truth into numbers, and refuse the first cell that is no number of a usual size.
 
-    Cells may be unknown but in the columns `known`.
+    Cells may be unknown but in the columns `complete`.
     """
     for column in columns:
         if table[column].dtype == object:  # as pandas reads True beside an empty cell
             cells = table[column].map(lambda cell: float(cell) if isinstance(cell, bool) else cell)
             table[column] = cells.infer_objects()
-    if not (_are_usual(table[[*columns]]) and _are_usual(table[[*known]], gaps=False)):
+    if not (_are_usual(table[[*columns]]) and _are_usual(table[[*complete]], gaps=False)):
         for column in columns:  # where it is takes a hundred times as long
-            _check_column(table[column], path, gaps=column not in known)
+            _check_column(table[column], path, gaps=column not in complete)
 
 
 def _check_column(cells: pd.Series, path: Path, *, gaps: bool) -> None:

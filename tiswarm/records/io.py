@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from tiswarm.base import files
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 
@@ -168,7 +169,8 @@ def raw_lines(
         InputError: the file cannot be opened, read or decompressed, has a line of more than 64 MiB,
             or is compressed and has more than `most` [byte].
     """
-    number, is_packed = 0, source is None and path.suffix == ".zst"
+    number = 0
+    is_packed = source is None and path.suffix == ".zst"
     try:
         opened = nullcontext(source) if source else _opened(path, takes_pipe=takes_pipe)
         with opened as file:
@@ -266,11 +268,9 @@ def refuse_special(path: Path, *, takes_pipe: bool = False) -> None:
         raise unreadable(path, error) from error
     except ValueError as error:  # of a NUL
         raise InputError("no path of a file; name a file", path=path) from error
-    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
-        return
-    if not (takes_pipe and str(path).startswith(_OPENED_BY_SHELL)):
-        problem = "is a pipe or a device; write its content to a file, and name that"
-        raise InputError(problem, path=path)
+    is_opened_by_shell = str(path).startswith(_OPENED_BY_SHELL)
+    if not (takes_pipe and is_opened_by_shell):
+        files.refuse_special(path, mode)
 
 
 def unpacked(data: bytes, size: int) -> bytes:
@@ -318,12 +318,12 @@ def run_file(path: Path, most: int = MAX_FILE_BYTES) -> Path:
         InputError: the file is missing, larger than `most` [byte], or not a regular file.
     """
     try:
-        found = path.lstat()
+        status = path.lstat()
     except OSError as error:
         raise damaged(path, error.strerror) from error
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise damaged(path, "it is a link or no regular file")
-    if found.st_size > most:
+    if status.st_size > most:
         raise damaged(path, f"it is larger than {most // 2**30} GiB")
     if not path.name.isprintable():
         raise damaged(path, "its name is not printable")
@@ -372,7 +372,8 @@ class CsvFile:
         self._separator = max(",;\t", key=header.count)
         self.columns = [name.strip() for name in self._split(first, header)]
         for number, name in enumerate(self.columns, start=1):
-            if problem := _fault_of_name(name):
+            problem = _fault_of_name(name)
+            if problem:
                 raise InputError(f"the name of column {number} {problem}", path=path, line=first)
 
     @cached_property
@@ -426,7 +427,8 @@ class CsvFile:
     def _values(
         self, column: str, parse: Callable[[str], float], wanted: str, empty: float | None = None
     ) -> list[float]:
-        place, values = self.columns.index(column), []
+        place = self.columns.index(column)
+        values = []
         has_points = self._separator == "," or any(
             "." in cells[place] for cells in self.rows.values()
         )
@@ -485,8 +487,9 @@ def _fault_of_name(name: str) -> str:
     """Say what is wrong with the name of a column; empty if nothing is."""
     if len(name) > LONGEST_NAME:
         return f"has {len(name)} characters; shorten it to at most {LONGEST_NAME}"
-    if found := _CONTROL.search(name):
-        return f"has the control character 0x{ord(found[0]):02x}; delete it"
+    control = _CONTROL.search(name)
+    if control:
+        return f"has the control character 0x{ord(control[0]):02x}; delete it"
     return ""
 
 

@@ -41,7 +41,8 @@ def encode_messages(topics: Mapping[str, Iterable[tuple[int, Mapping[str, Any]]]
     for topic, messages in topics.items():
         channel = writer.register_channel(topic, "json", schema_id=0)
         for number, (join, content) in enumerate(messages):
-            data, time = json.dumps(content, allow_nan=False).encode(), join * _NANOSECONDS
+            data = json.dumps(content, allow_nan=False).encode()
+            time = join * _NANOSECONDS
             writer.add_message(channel, time, data, time, number)
     writer.finish()
     return stream.getvalue()
@@ -95,7 +96,8 @@ def _messages(file: BinaryIO) -> Iterator[bytes]:
             content = replace(record, compression="", data=_unpacked_chunk(record))
             stream, length = get_chunk_data_stream(content, validate_crc=True)
             while stream.count < length:
-                opcode, size = stream.read1(), stream.read8()
+                opcode = stream.read1()
+                size = stream.read8()
                 if opcode == Opcode.MESSAGE:
                     yield Message.read(stream, size)
                 elif opcode == Opcode.CHANNEL:

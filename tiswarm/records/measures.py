@@ -88,10 +88,15 @@ class Measure:
 
 
 # Measures whose smaller, or larger, values are better.
-_smaller, _larger = partial(Measure, better="smaller"), partial(Measure, better="larger")
+_smaller = partial(Measure, better="smaller")
+_larger = partial(Measure, better="larger")
 
-_STRUCTURE, _BOTH, _ESTIMATE = "structure", "structure, estimate", "estimate"
-_LOG, _WALKS, _TRAFFIC = "log, cues", "walks", "messages"
+_STRUCTURE = "structure"
+_BOTH = "structure, estimate"
+_ESTIMATE = "estimate"
+_LOG = "log, cues"
+_WALKS = "walks"
+_TRAFFIC = "messages"
 
 
 JOINED = Measure("joined", "1", _STRUCTURE, "robots that joined")
@@ -103,9 +108,12 @@ DISCONNECTED = _smaller(
     "disconnected", "1", _ESTIMATE, "robots that no measurement ties to an anchor"
 )
 CONTACTS = Measure(
-    "contacts_per_robot", "1", _STRUCTURE, "contacts of a robot with earlier ones, in the mean",
+    "contacts_per_robot",
+    "1",
+    _STRUCTURE,
+    "contacts of a robot with earlier ones, in the mean",
     label="Contacts per robot",
-)  # fmt: skip
+)
 RMS_RADIUS = Measure(
     "rms_radius_R", "R", _STRUCTURE, "root mean square distance of robots from their centroid"
 )
@@ -117,26 +125,35 @@ DEPTH = Measure(
     "depth_R", "R", _STRUCTURE, "depth of the lowest robot below the ground", label="Depth"
 )
 BEYOND_EDGE = Measure(
-    "beyond_edge", "1", _STRUCTURE,
+    "beyond_edge",
+    "1",
+    _STRUCTURE,
     "share of the robots beyond the edge, or over the gap; empty on flat ground",
-)  # fmt: skip
+)
 CROSSED = Measure(
     "crossed", "1", _STRUCTURE, "whether a bridge joins both sides of its gap", label="Closed"
 )
 FLIPS_AS_PLANNED = _larger(
-    "flips_as_planned", "1", _WALKS,
+    "flips_as_planned",
+    "1",
+    _WALKS,
     "share of all flips tried that ended at the robot, or on the ground, as planned; the way back "
-    "does not count; empty where robots know the truth", label="Flips as planned",
-)  # fmt: skip
+    "does not count; empty where robots know the truth",
+    label="Flips as planned",
+)
 FAILED_FLIPS = _smaller(
-    "failed_flips", "1", _WALKS,
+    "failed_flips",
+    "1",
+    _WALKS,
     "flips that met nothing, or where the robot had been, for each flip taken; empty where robots "
     "know the truth",
-)  # fmt: skip
+)
 TRIES = _smaller(
-    "tries_per_robot", "1", _WALKS,
+    "tries_per_robot",
+    "1",
+    _WALKS,
     "flips of a robot in the mean, the way back to its best stance and failed ones included",
-)  # fmt: skip
+)
 BELIEF_BUILDING, BELIEF_NEWEST, BELIEF_FINAL, BELIEF_PER_CONTACT = (
     Measure(
         f"belief_{name}_R",
@@ -153,19 +170,23 @@ BELIEF_BUILDING, BELIEF_NEWEST, BELIEF_FINAL, BELIEF_PER_CONTACT = (
     )
 )
 BELIEF_SENT = _smaller(
-    "belief_sent_B", "B", _WALKS,
+    "belief_sent_B",
+    "B",
+    _WALKS,
     "sent by a robot in the mean for the places that robots build by; empty where they send none",
     label="Sent by a robot",
-)  # fmt: skip
+)
 BELIEF_WORST_SENT = _smaller("belief_worst_sent_B", "B", _WALKS, "most that a robot sent for these")
 PEAK_STRESS = Measure(
     "peak_stress", "dock weights/R^2", _STRUCTURE, "largest stress in any contact"
 )
 FLOPPY_MODES = _smaller(
-    "floppy_modes", "1", _LOG,
+    "floppy_modes",
+    "1",
+    _LOG,
     "motions that change no measurement that the method uses; empty where they were not counted",
     label="Floppy modes",
-)  # fmt: skip
+)
 COVERAGE_50 = Measure(
     "coverage_50", "1", _BOTH, "share of robots, without anchors, in their 50 % interval"
 )
@@ -181,44 +202,60 @@ CONSISTENT = _larger(
     "consistent", "1", _ESTIMATE, "whether noise as stated explains the measurements"
 )
 TESTABLE = Measure(
-    "testable", "1", _ESTIMATE,
+    "testable",
+    "1",
+    _ESTIMATE,
     "whether the log could be found not consistent: it was, or its spare measurements are at least "
     "a quarter of the unknown coordinates",
-)  # fmt: skip
+)
 SPARE = Measure(
-    "spare_measurements", "1", _ESTIMATE,
+    "spare_measurements",
+    "1",
+    _ESTIMATE,
     "measurements beyond the unknowns that they determine; empty where they were not counted",
-)  # fmt: skip
+)
 OPEN = Measure(
-    "open_robots", "1", _ESTIMATE,
+    "open_robots",
+    "1",
+    _ESTIMATE,
     "robots tied to the anchor whose positions the measurements do not determine: free motions "
     "move them; empty where these were not found out",
-)  # fmt: skip
+)
 MISFIT = Measure(
-    "misfit_sd", "1", _ESTIMATE,
+    "misfit_sd",
+    "1",
+    _ESTIMATE,
     "excess of the least chi-square over its expectation, in standard deviations of a chi-square",
-)  # fmt: skip
+)
 SD_FACTOR = Measure(
     "sd_factor", "1", _ESTIMATE, "Birge ratio that multiplied `sd_R`; 1 if consistent"
 )
 MIRRORED = Measure(
-    "mirrored", "1", _ESTIMATE,
+    "mirrored",
+    "1",
+    _ESTIMATE,
     "robots that solutions put apart; empty if the method looks for one solution only",
-)  # fmt: skip
+)
 SUSPECTS = Measure(
-    "suspects", "1", _ESTIMATE,
+    "suspects",
+    "1",
+    _ESTIMATE,
     "robots that the estimate names, since their measurements all disagree: outliers, whose "
     "orientations do not count; 0 with methods that name none",
-)  # fmt: skip
+)
 STEPS = Measure(
-    "steps_per_robot", "1", _ESTIMATE,
+    "steps_per_robot",
+    "1",
+    _ESTIMATE,
     "steps of a robot in the mean, those in rounds of back-propagation included",
     label="Steps per robot",
-)  # fmt: skip
+)
 LOCATED = _larger(
-    "located", "1", _ESTIMATE,
+    "located",
+    "1",
+    _ESTIMATE,
     "share of robots located, without anchors, if the method places robots one by one",
-)  # fmt: skip
+)
 RMSE_LOCATED = _smaller(
     "rmse_located_R", "R", _BOTH, "RMSE of the robots located; empty if there are none"
 )
@@ -232,13 +269,18 @@ CONTACTS_WITHIN_DOCK = _larger(
     "contacts_within_dock", "1", _BOTH, "share of pairs in contact whose vector errs by at most 2 R"
 )
 DOUBTFUL = Measure(
-    "doubtful", "1", _ESTIMATE,
+    "doubtful",
+    "1",
+    _ESTIMATE,
     "robots that do not trust their own positions, if robots localize themselves",
-)  # fmt: skip
+)
 SENT = _smaller(
-    "sent_B", "B", _TRAFFIC, "sent by a robot in the mean, what it passes on for others included",
+    "sent_B",
+    "B",
+    _TRAFFIC,
+    "sent by a robot in the mean, what it passes on for others included",
     label="Sent by a robot",
-)  # fmt: skip
+)
 WORST_SENT = _smaller("worst_sent_B", "B", _TRAFFIC, "most that a robot sent")
 HEARD = _smaller("heard_B", "B", _TRAFFIC, "heard by a robot in the mean")
 WORST_HEARD = _smaller("worst_heard_B", "B", _TRAFFIC, "most that a robot heard")
@@ -253,16 +295,23 @@ SOLVED_SHARE = _smaller(
 )
 FIRST_ON_ANCHOR, SECOND_ON_ANCHOR, THIRD_ON_ANCHOR = (
     Measure(
-        f"{place}_on_anchor", "1", _STRUCTURE,
+        f"{place}_on_anchor",
+        "1",
+        _STRUCTURE,
         f"join index of the {place} robot that touches an anchor; the first anchor has index 0; "
         "empty if fewer do, so the mean is over structures in which so many do",
     )
     for place in ("first", "second", "third")
-)  # fmt: skip
+)
 RMSE = _smaller(
-    "rmse_R", "R", _BOTH, "root mean square position error of all robots", label="RMSE",
-    paired=True, published="paper_rmse_radii",
-)  # fmt: skip
+    "rmse_R",
+    "R",
+    _BOTH,
+    "root mean square position error of all robots",
+    label="RMSE",
+    paired=True,
+    published="paper_rmse_radii",
+)
 RMSE_RHO = _smaller(
     "rmse_rho", "rho", _BOTH, "RMSE in distances from a robot's center to a dock", paired=True
 )
@@ -270,18 +319,28 @@ RMSE_YAW_ALIGNED = _smaller(
     "rmse_yaw_aligned_R", "R", _BOTH, "RMSE after alignment by yaw and translation", paired=True
 )
 RMSE_RIGID_ALIGNED = _smaller(
-    "rmse_rigid_aligned_R", "R", _BOTH, "RMSE after alignment by rotation and translation",
+    "rmse_rigid_aligned_R",
+    "R",
+    _BOTH,
+    "RMSE after alignment by rotation and translation",
     paired=True,
-)  # fmt: skip
+)
 RMSE_PER_CONTACT = _smaller(
-    "rmse_per_contact_R", "R", _BOTH,
-    "RMSE of the vector between two robots in contact, one hop apart", paired=True,
-)  # fmt: skip
+    "rmse_per_contact_R",
+    "R",
+    _BOTH,
+    "RMSE of the vector between two robots in contact, one hop apart",
+    paired=True,
+)
 DISPARITY = _smaller(
-    "procrustes_disparity", "1", _BOTH,
+    "procrustes_disparity",
+    "1",
+    _BOTH,
     "squared error after rigid alignment, relative to the squared extent of the structure",
-    label="Procrustes disparity", paired=True, published="paper_procrustes_disparity",
-)  # fmt: skip
+    label="Procrustes disparity",
+    paired=True,
+    published="paper_procrustes_disparity",
+)
 SSE = _smaller("sse_R2", "R^2", _BOTH, "sum of squared position errors", averaged=False)
 CHAINS = Measure(
     "chains", "1", _ESTIMATE, "chains, or starts, that enter the estimate", averaged=False
@@ -303,7 +362,7 @@ SPAWNS = Measure(
     "spawns", "1", _STRUCTURE, "robots spawned, those that never joined included", averaged=False
 )
 
-MEASURES = {each.column: each for each in [*globals().values()] if isinstance(each, Measure)}
+MEASURES = {value.column: value for value in [*globals().values()] if isinstance(value, Measure)}
 """All measures of the package by column, in the order above."""
 
 MAIN = (RMSE, DISPARITY)

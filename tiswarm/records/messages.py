@@ -31,7 +31,9 @@ _PLAIN_WORDS = {
 
 def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
     """Write one pydantic error as a message; `allowed` are the keys of the section at fault."""
-    kind, message, context = error["type"], error["msg"], error.get("ctx", {})
+    kind = error["type"]
+    message = error["msg"]
+    context = error.get("ctx", {})
     if kind in UNKNOWN_KEY:
         near = difflib.get_close_matches(str(error["loc"][-1]), allowed, n=1)
         keys = f"the keys here are {', '.join(allowed)}" if allowed else "leave it out"
@@ -47,13 +49,14 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
         near = difflib.get_close_matches(str(error["loc"][-1]), allowed, n=2)[1:]
         meant = f"; did you mean {near[0]}?" if near else ""
         return f"{shown(error['input'])} should be keys with values{meant}"
-    if found := re.match(r"(Input|Tuple|List|Dictionary|String) should", message):
-        message = shown(error["input"]) + message.removeprefix(found[1])
+    subject = re.match(r"(Input|Tuple|List|Dictionary|String) should", message)
+    if subject:
+        message = shown(error["input"]) + message.removeprefix(subject[1])
     for word, plain in _PLAIN_WORDS.items():
         message = message.replace(word, plain)
     if kind == "literal_error":
         choices = re.findall("'(.+?)'", context["expected"])
-        message = re.sub(r"\b(True|False)\b", lambda found: found[0].lower(), message)
+        message = re.sub(r"\b(True|False)\b", lambda match: match[0].lower(), message)
         message += did_you_mean(error["input"], choices)
     if kind == "too_long" and [type(item) for item in list(error["input"])[-2:]] == [str, str]:
         message += "; name one source, and add the variance of the other to the sd"
@@ -70,8 +73,11 @@ def dotted(path: Sequence[Part]) -> str:
     """Write the path to a value as `stances[2].contacts[0]`."""
     text = ""
     for part in path:
-        name = str(part) if str(part).isprintable() else json.dumps(part)
-        text += f"[{part}]" if isinstance(part, int) else f".{name}" if text else name
+        if isinstance(part, int):
+            text += f"[{part}]"
+            continue
+        name = part if part.isprintable() else json.dumps(part)
+        text += f".{name}" if text else name
     return text
 
 

@@ -101,29 +101,33 @@ def read_estimate(log: SensingLog, path: Path) -> Estimate:
         InputError: the table cannot be read, is malformed, or has other robots than the log.
     """
     robot, position, further = read_positions(path, log.length_unit)
-    order, robots = _join_order(log, robot, path), log.robot_count
-    known = further.get("known", np.full(robots, ""))[order]
-    sd, yaw_deg = further.get(f"sd_{log.length_unit}"), further.get("yaw_deg")
+    order = _join_order(log, robot, path)
+    robots = log.robot_count
+    status = further.get("known", np.full(robots, ""))[order]
+    sd = further.get(f"sd_{log.length_unit}")
+    yaw_deg = further.get("yaw_deg")
     axes = further.get("undetermined")
-    disconnected = known == "disconnected"
+    undetermined = None
+    if axes is not None:
+        open_axes = [[axis in word for axis in "xyz"] for word in axes[order]]
+        undetermined = np.array(open_axes, np.bool_)
+    disconnected = status == "disconnected"
     return Estimate(
         robot_id=log.robot_id,
         position=position[order],
         disconnected=disconnected,
         sd=None if sd is None else sd[order],
-        undetermined=None
-        if axes is None
-        else np.array([[*map(w.count, "xyz")] for w in axes[order]], np.bool_),
+        undetermined=undetermined,
         yaw=None if yaw_deg is None else np.radians(yaw_deg[order]),
         gone=log.is_gone if log.gone.size else None,
-        mirrored=known == "mirrored" if (known != "").all() else None,
+        mirrored=status == "mirrored" if (status != "").all() else None,
         observability=Observability(
             cues=(),
             yaw_unknown=yaw_deg is not None,
             unknowns=(3 if yaw_deg is None else 4) * (robots - 1),
             gauge_yaw_sd=None,
             floppy_modes=None,
-            floppy=known == "floppy" if (known != "").all() else None,
+            floppy=status == "floppy" if (status != "").all() else None,
             disconnected=disconnected,
         ),
         iteration=np.empty(0, np.int64),

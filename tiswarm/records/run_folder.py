@@ -88,10 +88,12 @@ def read_manifest(run: Path) -> Manifest:
         InputError: it is damaged.
     """
     path = run / _MANIFEST
-    found = read_json(path, _KIND) if os.path.lexists(path) else Manifest()
-    if found is None:
+    if not os.path.lexists(path):
+        return Manifest()
+    manifest = read_json(path, _KIND)
+    if manifest is None:
         raise InputError("is damaged; run the scenario again to restore it", path=path)
-    return found
+    return manifest
 
 
 def write_manifest(run: Path, manifest: Manifest) -> None:
@@ -143,7 +145,10 @@ def variant_name(point: Mapping[str, object], condition: str) -> str:
     for key, value in point.items():
         text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
         text = re.sub(r"[^A-Za-z0-9._+-]+", "-", text)
-        names.append(f"{key}={text.strip('-') if isinstance(value, (dict, list)) else text}")
+        if isinstance(value, (dict, list)):
+            text = text.strip("-")
+        names.append(f"{key}={text}")
     label = ",".join([*names, condition])
-    short = f"{label[: MAX_VARIANT_NAME - 9]}-{sha256(label.encode()).hexdigest()[:8]}"
-    return label if len(label) <= MAX_VARIANT_NAME else short
+    if len(label) <= MAX_VARIANT_NAME:
+        return label
+    return f"{label[: MAX_VARIANT_NAME - 9]}-{sha256(label.encode()).hexdigest()[:8]}"

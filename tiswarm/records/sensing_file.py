@@ -84,7 +84,8 @@ class SensingLogBuilder:
             header: First line of the log.
             of_some: Whether it is of some robots only: what they sensed of others is left out.
         """
-        self.header, self._of_some = header, of_some
+        self.header = header
+        self._of_some = of_some
         self._source_of = {name: row for row, name in enumerate(header.sources or {})}
         self._index_of: dict[int, int] = {}
         self._gone: dict[int, int] = {}  # robots that had joined by then
@@ -121,7 +122,8 @@ class SensingLogBuilder:
         if line.robot in self._index_of:
             problem = f"robot {line.robot} has a line already; give every robot its own number"
             raise InputError(problem, key="robot")
-        entry, number = len(self._line), len(self._index_of)
+        entry = len(self._line)
+        number = len(self._index_of)
         stance = self._enter(line, number)
         self._index_of[line.robot] = number
         self._entry.append(entry)
@@ -129,7 +131,8 @@ class SensingLogBuilder:
 
     def replace(self, line: RobotLine) -> SensedStance:
         """Take a new line of a robot in place of its last one, and return its final stance."""
-        entry, number = len(self._line), self._present(line.robot, "robot")
+        entry = len(self._line)
+        number = self._present(line.robot, "robot")
         stance = self._enter(line, number)
         self._entry[number] = entry
         return stance
@@ -152,19 +155,21 @@ class SensingLogBuilder:
                 dock; the line of either of the two has each.
         """
         released: list[tuple[int, int, int, int]] = []
-        for place, (dock, name, its) in enumerate(contacts):
-            own, other = self._present(robot, "robot"), self._present(name, f"contacts[{place}]")
-            ends = [(own, -1 if dock is None else dock), (other, -1 if its is None else its)]
-            (earlier, its_dock), (later, own_dock) = sorted(ends)
-            contact = (later, own_dock, earlier, its_dock)
+        for place, (dock, name, partner_dock) in enumerate(contacts):
+            number = self._present(robot, "robot")
+            partner = self._present(name, f"contacts[{place}]")
+            end = (number, -1 if dock is None else dock)
+            partner_end = (partner, -1 if partner_dock is None else partner_dock)
+            (earlier, earlier_dock), (later, later_dock) = sorted([end, partner_end])
+            contact = (later, later_dock, earlier, earlier_dock)
             if contact in released or not self._final.holds((self._entry[later], *contact[1:])):
                 problem = f"robots {robot} and {name} do not touch so; correct the docks"
                 raise InputError(problem, key=f"contacts[{place}]")
             released.append(contact)
-        for later, own_dock, earlier, its_dock in released:
-            if self._final.drop((self._entry[later], own_dock, earlier, its_dock)):
-                for end in self._ends(later, own_dock, earlier, its_dock):
-                    self._touching[end] -= 1
+        for later, later_dock, earlier, earlier_dock in released:
+            if self._final.drop((self._entry[later], later_dock, earlier, earlier_dock)):
+                for touched in self._ends(later, later_dock, earlier, earlier_dock):
+                    self._touching[touched] -= 1
         self._lines += 1
 
     def log(self) -> SensingLog:
@@ -183,21 +188,23 @@ class SensingLogBuilder:
             The log, and the number of each of its M robots, ascending, shape (M,).
         """
         entry = self._entry[number]
-        named = self._final.named(entry, entry + 1)
-        named |= self._earlier.named(*self._stance_start[entry : entry + 2])
-        robots = np.array(sorted({0, number} | named))
+        mentioned = self._final.mentioned(entry, entry + 1)
+        mentioned |= self._earlier.mentioned(*self._stance_start[entry : entry + 2])
+        robots = np.array(sorted({0, number} | mentioned))
         return self._log(robots, standing=len(robots) - 1), robots
 
     def _log(self, robots: Ints, standing: int = 0) -> SensingLog:
         """Assemble the log of some robots, ascending; so many of the first only stand."""
-        entry, start = _of_entries(self._entry, 1)[robots], _of_entries(self._stance_start, 1)
+        entry = _of_entries(self._entry, 1)[robots]
+        start = _of_entries(self._stance_start, 1)
         final = self._final.arrays(entry, robots, standing)
         final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
         numbers: dict[str, Any] = {
             name: _of_entries(self._numbers[name], len(key.columns))[entry]
             for name, key in NUMBERS.items()
         }
-        line, count = _of_entries(self._line, 1)[entry], np.diff(start)[entry]
+        line = _of_entries(self._line, 1)[entry]
+        count = np.diff(start)[entry]
         count[:standing] = 0
         for number in numbers.values():
             number[:standing] = np.nan
@@ -209,14 +216,15 @@ class SensingLogBuilder:
             pivot_dock=_of_entries(self._pivot_dock, 1)[chosen],
             **self._earlier.arrays(chosen, robots),
         )
-        gone = np.flatnonzero(np.isin(robots, [*self._gone]))
-        after = np.searchsorted(robots, [self._gone[n] for n in robots[gone].tolist()])
-        robot, left = np.arange(len(line)), np.sort(after)
-        in_order = np.array_equal(line, 2 + robot + np.searchsorted(left, robot, side="right"))
+        departed = np.flatnonzero(np.isin(robots, [*self._gone]))
+        left_after = np.searchsorted(robots, [self._gone[n] for n in robots[departed].tolist()])
+        index = np.arange(len(line))
+        lines_before = np.searchsorted(np.sort(left_after), index, side="right")
+        in_order = np.array_equal(line, 2 + index + lines_before)
         return SensingLog(
             robot_id=np.array(list(self._index_of), dtype=np.int64)[robots],
-            gone=gone,
-            left_after=after,
+            gone=departed,
+            left_after=left_after,
             line=None if in_order else line,
             dock_radius=self.header.dock_radius,
             dock_offset_body=np.array(self.header.dock_offsets, dtype=np.float64),
@@ -235,7 +243,8 @@ class SensingLogBuilder:
         if robot not in self._index_of:
             problem = f"robot {robot} is not on an earlier line; let it join first"
             raise InputError(problem, key=key)
-        if (number := self._index_of[robot]) in self._gone:
+        number = self._index_of[robot]
+        if number in self._gone:
             problem = f"robot {robot} has left; delete this line, or let the robot leave later"
             raise InputError(problem, key=key)
         return number
@@ -243,21 +252,24 @@ class SensingLogBuilder:
     def _enter(self, line: RobotLine, number: int) -> SensedStance:
         """Append the entry of a robot of this number, and return its final stance."""
         stances = line.stances or []
-        for name, key in NUMBERS.items():
-            anchor = self.header.anchor_position
+        anchor = self.header.anchor_position
+        for key_name, key in NUMBERS.items():
             start = anchor[2] if key.columns == ("height",) else anchor
-            self.header.refuse_far(name, getattr(line, name), start)
-        who = (line.robot, number)
-        final = self._checked(line, "", who)
-        earlier = [self._checked(each, f"stances[{n}].", who) for n, each in enumerate(stances)]
-        self._count_contacts(who, final)
+            self.header.refuse_far(key_name, getattr(line, key_name), start)
+        name = line.robot
+        final = self._checked(line, "", name, number)
+        earlier = [
+            self._checked(stance, f"stances[{n}].", name, number)
+            for n, stance in enumerate(stances)
+        ]
+        self._count_contacts(name, number, final)
         self._final.append(final)
-        for stance in earlier:
-            self._earlier.append(stance)
-        for name, key in NUMBERS.items():
-            number = getattr(line, name)
+        for checked in earlier:
+            self._earlier.append(checked)
+        for key_name, key in NUMBERS.items():
+            value = getattr(line, key_name)
             missing = [math.nan] * len(key.columns)
-            self._numbers[name].extend(missing if number is None else np.ravel(number))
+            self._numbers[key_name].extend(missing if value is None else np.ravel(value))
         self._pivot_dock.extend(entry.pivot_dock for entry in stances)
         self._stance_start.append(len(self._pivot_dock))
         self._has_stances.append(line.stances is not None)
@@ -266,7 +278,7 @@ class SensingLogBuilder:
         return final
 
     def _checked(
-        self, entry: RobotLine | StanceEntry, prefix: str, who: tuple[int, int]
+        self, entry: RobotLine | StanceEntry, prefix: str, robot: int, number: int
     ) -> SensedStance:
         """Check one stance of the robot of this name and number."""
         if isinstance(entry, StanceEntry):
@@ -274,70 +286,71 @@ class SensingLogBuilder:
         if entry.ground_docks and self.header.ground_z is None:
             problem = "there is no ground; give ground_z in the header or leave ground_docks empty"
             raise InputError(problem, key=f"{prefix}ground_docks")
-        orientation = self._orientation(entry, f"{prefix}orientation_wxyz", who[1])
+        orientation = self._orientation(entry, f"{prefix}orientation_wxyz", number)
         check: dict[str, Callable[[Any, str], Any]] = {
             "dock": self._check_dock,
             "dock or null": lambda dock, key: -1 if dock is None else self._check_dock(dock, key),
-            "robot": partial(self._robot_index, *who),
+            "robot": partial(self._robot_index, robot, number),
             "source": self._source_index,
         }
         lists: dict[str, list[tuple[Any, ...]]] = {}
         for name, key in LISTS.items():
-            given = getattr(entry, name)
-            if given is not None and key.version > self.header.version:
-                self.header.refuse_new(f"{prefix}{name}", given, key.version)
+            listed = getattr(entry, name)
+            if listed is not None and key.version > self.header.version:
+                self.header.refuse_new(f"{prefix}{name}", listed, key.version)
             items: list[tuple[Any, ...]] = []
-            if not given:  # as most are
+            if not listed:  # as most are
                 lists[name] = items
                 continue
-            columns, reals = key.columns, _REALS[name]
-            first: dict[tuple[Any, ...], int] = {}
-            for place, numbers in enumerate(given):
-                if self._of_some and self._is_of_others(key, numbers, who[0]):
+            columns = key.columns
+            reals = _REALS[name]
+            first_place_of: dict[tuple[Any, ...], int] = {}
+            for place, numbers in enumerate(listed):
+                if self._of_some and self._is_of_others(key, numbers, robot):
                     continue
-                here = f"{prefix}{name}[{place}]"
+                place_key = f"{prefix}{name}[{place}]"
                 # A source may be left out at the end.
                 pairs = zip_longest(columns, [numbers] if len(columns) == 1 else numbers)
                 item = tuple(
-                    check[column](number, here) if column in check else number
+                    check[column](number, place_key) if column in check else number
                     for column, number in pairs
                 )
-                items.append(self._checked_reals(reals, item, here) if reals else item)
+                items.append(self._checked_reals(reals, item, place_key) if reals else item)
                 if columns[0] == "dock or null" and -1 not in item:
                     problem = "both docks are known; list the contact in contacts"
-                    raise InputError(problem, key=here)
-                before = first.setdefault(items[-1], place)
-                if before != place and not key.repeats:
-                    problem = f"repeats {prefix}{name}[{before}]; list it once"
-                    raise InputError(problem, key=here)
+                    raise InputError(problem, key=place_key)
+                first_place = first_place_of.setdefault(items[-1], place)
+                if first_place != place and not key.repeats:
+                    problem = f"repeats {prefix}{name}[{first_place}]; list it once"
+                    raise InputError(problem, key=place_key)
             lists[name] = sorted(items)
         return SensedStance(orientation, lists)
 
     def _checked_reals(
-        self, reals: list[tuple[Column, int, int]], item: tuple[Any, ...], where: str
+        self, reals: list[tuple[Column, int, int]], item: tuple[Any, ...], key: str
     ) -> tuple[Any, ...]:
         """Check the real numbers of an item beside each other; scale unit vectors."""
         checked = item
         for column, start, end in reals:
             part = item[start:end]
             if column in _UNIT:
-                unit = _unit(part, _UNIT[column], where)
+                unit = _unit(part, _UNIT[column], key)
                 if column != "normal":
                     checked = (*checked[:start], *unit, *checked[end:])
             elif column == "value":  # along the normal before it
                 along = np.dot(item[:start], self.header.anchor_position)
-                self.header.refuse_far(where, part[0], along)
+                self.header.refuse_far(key, part[0], along)
             elif column == "distance":
-                self.header.refuse_far(where, part[0], 0.0)
+                self.header.refuse_far(key, part[0], 0.0)
                 if not part[0] > 0.0:
                     problem = f"the distance {part[0]:g} should be positive; correct it"
-                    raise InputError(problem, key=where)
+                    raise InputError(problem, key=key)
             elif column == "vector":
-                self.header.refuse_far(where, part, 0.0)
+                self.header.refuse_far(key, part, 0.0)
                 if not any(part):
-                    raise InputError("the vector has length 0; correct it", key=where)
+                    raise InputError("the vector has length 0; correct it", key=key)
             elif column == "sd":
-                self.header.refuse_sd(where, part[0])
+                self.header.refuse_sd(key, part[0])
         return checked
 
     def _orientation(self, entry: RobotLine | StanceEntry, key: str, number: int) -> list[float]:
@@ -353,39 +366,40 @@ class SensingLogBuilder:
             raise InputError(problem, key=key)
         return [math.nan] * 4
 
-    def _ends(self, robot: int, dock: int, other: int, its: int) -> list[int]:
+    def _ends(self, robot: int, dock: int, partner: int, partner_dock: int) -> list[int]:
         """Return where `_touching` has the two docks of a contact."""
         docks = len(self.header.dock_offsets)
-        return [docks * robot + dock, docks * other + its]
+        return [docks * robot + dock, docks * partner + partner_dock]
 
-    def _count_contacts(self, who: tuple[int, int], final: SensedStance) -> None:
-        docks, (robot, mine) = len(self.header.dock_offsets), who
+    def _count_contacts(self, robot: int, number: int, final: SensedStance) -> None:
+        """Count the contacts of each dock that a new final stance of a robot changes."""
+        docks = len(self.header.dock_offsets)
         touching = Counter[int]()
         for contact in final.lists["contacts"]:
-            touching.update(self._ends(mine, *contact))
-        if mine < len(self._entry):
-            for contact in self._final.items("contacts", self._entry[mine]):
-                touching.subtract(self._ends(mine, *contact))
-        for place, more in touching.items():
-            before = self._touching[place] if place < len(self._touching) else 0
-            if before + more > sensing_format.MOST_CONTACTS:
-                name = [*self._index_of, robot][place // docks]
+            touching.update(self._ends(number, *contact))
+        if number < len(self._entry):
+            for contact in self._final.items("contacts", self._entry[number]):
+                touching.subtract(self._ends(number, *contact))
+        for end, change in touching.items():
+            count = self._touching[end] if end < len(self._touching) else 0
+            if count + change > sensing_format.MOST_CONTACTS:
+                name = [*self._index_of, robot][end // docks]
                 most = f"more than {sensing_format.MOST_CONTACTS} contacts; delete false ones"
-                problem = f"dock {place % docks} of robot {name} has {most}"
+                problem = f"dock {end % docks} of robot {name} has {most}"
                 raise InputError(problem, key="contacts")
-        if mine == len(self._entry):
+        if number == len(self._entry):
             self._touching.extend(bytes(docks))
-        for place, more in touching.items():
-            self._touching[place] += more
+        for end, change in touching.items():
+            self._touching[end] += change
 
-    def _is_of_others(self, key: Key, item: Sequence[Any], myself: int) -> bool:
+    def _is_of_others(self, key: Key, item: Sequence[Any], robot: int) -> bool:
         """Judge whether an item of a list is about a robot that is not in the log."""
         if key.robot is None:
             return False
-        return item[key.robot] != myself and item[key.robot] not in self._index_of
+        return item[key.robot] != robot and item[key.robot] not in self._index_of
 
-    def _robot_index(self, myself: int, number: int, name: int, key: str) -> int:
-        if name == myself:
+    def _robot_index(self, robot: int, number: int, name: int, key: str) -> int:
+        if name == robot:
             problem = "the robot touches itself; name another robot or delete the contact"
             raise InputError(problem, key=key)
         if self._index_of.get(name, number) >= number:
@@ -432,23 +446,23 @@ class _StanceColumns:
 
     def drop(self, contact: tuple[int, int, int, int]) -> bool:
         """Drop the items of a contact; return whether one of `contacts` was among them."""
-        found = {key: self._is_of(contact, key) for key in _OF_DOCKS}
-        for key, is_item in found.items():
+        is_dropped = {key: self._is_of(contact, key) for key in _OF_DOCKS}
+        for key, is_item in is_dropped.items():
             if is_item.any():
                 kept = array(self._lists[key].typecode)
                 kept.frombytes(self._table(key)[~is_item].tobytes())
                 self._lists[key] = kept
-        return bool(found["contacts"].any())
+        return bool(is_dropped["contacts"].any())
 
-    def named(self, first: int, stop: int) -> set[int]:
+    def mentioned(self, first: int, stop: int) -> set[int]:
         """List the robots that some stances in a row name."""
-        found: set[int] = set()
+        mentioned: set[int] = set()
         for name, key in LISTS.items():
             if key.robot is not None and self._lists[name]:
                 table = self._table(name)
                 begin, end = np.searchsorted(table[:, 0], [first, stop])
-                found.update(map(int, table[begin:end, 1 + key.robot].tolist()))
-        return found
+                mentioned.update(map(int, table[begin:end, 1 + key.robot].tolist()))
+        return mentioned
 
     def arrays(self, chosen: Ints, robots: Ints, standing: int = 0) -> dict[str, Any]:
         """Return the arrays of some stances, numbered in this order.
@@ -470,8 +484,8 @@ class _StanceColumns:
             table = table[np.repeat(first + count - end, count) + np.arange(count.sum())]
             table[:, 0] = np.repeat(np.arange(len(chosen)), count)
             if key.robot is not None:
-                other = table[:, 1 + key.robot]
-                other[:] = np.searchsorted(robots, other)
+                robot_column = table[:, 1 + key.robot]
+                robot_column[:] = np.searchsorted(robots, robot_column)
             lists[name] = table
         return {"orientation_wxyz": _of_entries(self._orientation, 4)[chosen], **lists}
 
@@ -493,10 +507,10 @@ def _of_entries(numbers: "array[Any]", count: int) -> Any:  # noqa: ANN401 - of 
     return rows if count == 1 else rows.reshape(-1, count)
 
 
-def _unit(parts: Sequence[float], what: str, key: str) -> list[float]:
+def _unit(parts: Sequence[float], quantity: str, key: str) -> list[float]:
     length = math.hypot(*parts)
     if not abs(length - 1.0) <= FAR_FROM_UNIT:  # as for lengths that are NaN
-        raise InputError(f"the {what} has length {length:.6g}; scale it to 1", key=key)
+        raise InputError(f"the {quantity} has length {length:.6g}; scale it to 1", key=key)
     scale = 1.0 if abs(length - 1.0) <= _CLOSE_TO_UNIT else length
     return [part / scale for part in parts]
 
@@ -600,8 +614,8 @@ def _header_entries(log: SensingLog) -> dict[str, object]:
         stated = asdict(log.noise).items()
         entries["noise"] = {key: value for key, value in stated if value is not None}
     if log.source_name:
-        shared = zip(log.source_name, log.source_sd.tolist(), strict=True)
-        entries["sources"] = {name: {"shared_sd": sd} for name, sd in shared}
+        sources = zip(log.source_name, log.source_sd.tolist(), strict=True)
+        entries["sources"] = {name: {"shared_sd": sd} for name, sd in sources}
     return entries
 
 
@@ -641,11 +655,11 @@ def _version(log: SensingLog) -> int:
     if len(log.gone):
         return sensing_format.EVENT_VERSION
     has_null = bool(np.isnan(log.orientation_wxyz).any())
-    found = [2 if has_null or log.source_name else 1]
+    versions = [2 if has_null or log.source_name else 1]
     for name, key in LISTS.items():
         if log.stated(key.noise) is not None or _is_used(name, log):
-            found.append(key.version)
-    return max(found)
+            versions.append(key.version)
+    return max(versions)
 
 
 def _is_used(key: str, log: SensingLog) -> bool:
@@ -657,7 +671,8 @@ def _lists(
     arrays: dict[str, NDArray[Any]], count: int, log: SensingLog
 ) -> Iterator[dict[str, list[object]]]:
     """Yield the lists of each stance, from arrays whose first column names the stance, in order."""
-    start, items = {}, {}
+    start = {}
+    items = {}
     for key, rows in arrays.items():
         pairs = zip(LISTS[key].columns, rows.T[1:], strict=True)
         columns = [_column(kind, number, log) for kind, number in pairs]

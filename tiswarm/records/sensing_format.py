@@ -99,21 +99,25 @@ def _value(name: str) -> Any:  # noqa: ANN401 - a type
 def _with(keys: Mapping[str, Key], base: type[BaseModel]) -> Any:  # noqa: ANN401 - a class
     """Add keys to a model; all but contacts may be left out or null."""
     kinds: dict[str, Any] = {}
-    found: dict[str, Any] = {"__module__": __name__, "__annotations__": kinds}
-    found["model_config"] = ConfigDict(use_attribute_docstrings=False)  # slow to look for
+    namespace: dict[str, Any] = {"__module__": __name__, "__annotations__": kinds}
+    namespace["model_config"] = ConfigDict(use_attribute_docstrings=False)  # slow to look for
     for name, key in keys.items():
         text = key.meaning if base is _RobotFields else None
         if name == _STATED:
             kinds[name] = _value(name)
-            found[name] = Field(... if base is _RobotFields else [], description=text)
+            namespace[name] = Field(... if base is _RobotFields else [], description=text)
         else:
-            kinds[name], found[name] = _value(name) | None, Field(None, description=text)
-    return new_class(base.__name__, (base,), {}, lambda names: names.update(found))
+            kinds[name] = _value(name) | None
+            namespace[name] = Field(None, description=text)
+    return new_class(base.__name__, (base,), {}, lambda names: names.update(namespace))
 
 
 _PYTHON: dict[str, Any] = {
-    "dock": int, "dock or null": int | None, "robot": int, "source": str | None,
-}  # fmt: skip
+    "dock": int,
+    "dock or null": int | None,
+    "robot": int,
+    "source": str | None,
+}
 """Types of numbers that are not real."""
 
 _WHEN_USED = ConfigDict(**STRICT, defer_build=True)
@@ -173,8 +177,8 @@ class HeaderLine(BaseModel):
     @model_validator(mode="after")
     def _refuse_new_keys(self) -> "HeaderLine":
         self.refuse_new("sources", self.sources)
-        for key in KEYS.values() if self.noise else ():
-            if key.noise:
+        for key in KEYS.values():
+            if self.noise and key.noise:
                 stated = getattr(self.noise, key.noise)
                 self.refuse_new(f"noise.{key.noise}", stated, key.version)
         return self
@@ -281,13 +285,13 @@ def parse_header(line: Line | HeaderLine) -> HeaderLine:
         raise InputError(problem, key="format")
     version = entries.get("version", VERSIONS[-1])
     if type(version) is not int or version not in VERSIONS:
-        known = f"{', '.join(map(str, VERSIONS[:-1]))} and {VERSIONS[-1]}"
-        problem = f"{shown(version)} is not supported; this program reads versions {known}"
+        versions = f"{', '.join(map(str, VERSIONS[:-1]))} and {VERSIONS[-1]}"
+        problem = f"{shown(version)} is not supported; this program reads versions {versions}"
         raise InputError(problem, key="version")
     try:
         return HeaderLine.model_validate_json(text)  # Python values would be no SensingNoise
-    except ValidationError as found:
-        raise _mistake(found, HeaderLine) from found
+    except ValidationError as error:
+        raise _mistake(error, HeaderLine) from error
 
 
 def _text(line: Line) -> str:
@@ -299,7 +303,8 @@ def parse_robot(line: Line | RobotLine) -> RobotLine:
     if isinstance(line, RobotLine):
         return line
     entries = parse_json(_text(line))
-    if (event := entries.get("event")) is not None:
+    event = entries.get("event")
+    if event is not None:
         problem = "is about a robot that has joined; give the line of one that joins"
         raise InputError(f"{shown(event)} {problem}", key="event")
     return parsed(entries, RobotLine)
@@ -309,18 +314,18 @@ def parsed(entries: dict[str, object], model: type[_Model]) -> _Model:
     """Check the content of a line; errors as for `parse_header`."""
     try:
         return model.model_validate(entries)
-    except ValidationError as found:
-        raise _mistake(found, model) from found
+    except ValidationError as error:
+        raise _mistake(error, model) from error
 
 
-def _mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
+def _mistake(error: ValidationError, model: type[BaseModel]) -> InputError:
     """Describe all that is missing in a line, or else its first mistake."""
-    errors = found.errors(include_url=False)
-    missing = [dotted(error["loc"]) for error in errors if error["type"] == "missing"]
+    errors = error.errors(include_url=False)
+    missing = [dotted(first["loc"]) for first in errors if first["type"] == "missing"]
     if len(missing) > 1:
         return InputError("are missing; add them", key=", ".join(missing))
-    error = errors[0]
-    path = error["loc"]
+    first = errors[0]
+    path = first["loc"]
     if path[-1:] == ("[key]",):  # a key itself is at fault, not its value
         path = path[:-2]
     noise = [field.name for field in fields(SensingNoise)]
@@ -330,7 +335,7 @@ def _mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
         "sources": list(SourceEntry.model_fields),
     }
     allowed = nested.get(str(path[0])) if path[1:] else None
-    return InputError(explain(error, allowed or list(model.model_fields)), key=dotted(path))
+    return InputError(explain(first, allowed or list(model.model_fields)), key=dotted(path))
 
 
 def parse_json(text: str) -> dict[str, object]:

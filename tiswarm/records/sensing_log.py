@@ -72,9 +72,20 @@ class SensingNoise:
 
 
 Column = Literal[
-    "dock", "dock or null", "robot", "source", "normal", "value", "distance", "vector", "direction",
-    "quaternion", "sd", "height", "coordinate",
-]  # fmt: skip
+    "dock",
+    "dock or null",
+    "robot",
+    "source",
+    "normal",
+    "value",
+    "distance",
+    "vector",
+    "direction",
+    "quaternion",
+    "sd",
+    "height",
+    "coordinate",
+]
 """What a number of an item is. Checks, units and moves of the anchor follow from it. Heights and
 coordinates are numbers of a robot, not of an item in a list."""
 
@@ -125,7 +136,7 @@ class Key:
         """Select the columns of some kinds from an array of a log, shape (n, columns of them)."""
         numbers = rows if rows.ndim > 1 else rows[:, None]
         start = numbers.shape[1] - len(self.columns)
-        return numbers[:, [start + k for k, each in enumerate(self.columns) if each in kinds]]
+        return numbers[:, [start + k for k, column in enumerate(self.columns) if column in kinds]]
 
     def rows(self, items: Sequence[Sequence[float]] = ()) -> NDArray[Any]:
         """Make rows of a log from items after the number of a stance, shape (n, 1 + columns)."""
@@ -158,65 +169,109 @@ class Sensed:
     `Stances`. Robots, docks and sources are numbers; a dock or source that is not known is -1.
     """
 
-    contacts: NDArray[np.int32] = _listed("dock", "robot", "dock", meaning="""
+    contacts: NDArray[np.int32] = _listed(
+        "dock",
+        "robot",
+        "dock",
+        meaning="""
     Rows of [own dock, other robot, other dock]; the other robot is on an earlier line.
-    """)  # fmt: skip
+    """,
+    )
     """Sensed contacts, rows of (stance, own dock, other robot, other dock), shape (C, 4)."""
 
     ground_docks: NDArray[np.int32] = _listed("dock", meaning="Docks on flat ground.")
     """Docks on flat ground, rows of (robot or stance, dock), shape (G, 2)."""
 
     fixes: Reals = _listed(
-        *["normal"] * 3, "value", "sd", "source", version=2, repeats=True, meaning="""
+        *["normal"] * 3,
+        "value",
+        "sd",
+        "source",
+        version=2,
+        repeats=True,
+        meaning="""
     Measured coordinates of the center, rows of [x, y, z, value, sd] or [x, y, z, value, sd,
     source]: along the unit vector (x, y, z) the center is at the value [length unit]. The sd is
     without the error that measurements of the source share. Version 2.
-    """)  # fmt: skip
+    """,
+    )
     """Measured coordinates of centers, rows of (robot or stance, direction (3), value, standard
     deviation, source), shape (F, 7). The source is a row of `source_name`, or -1 for none; the
     standard deviation is without the error that its measurements share."""
 
     ranges: Reals = _listed(
-        "robot", "distance", "sd", "source", version=2, repeats=True, meaning="""
+        "robot",
+        "distance",
+        "sd",
+        "source",
+        version=2,
+        repeats=True,
+        meaning="""
     Measured distances of centers, rows of [other robot, distance, sd] or [other robot, distance,
     sd, source] [length unit]; the other robot is on an earlier line. Version 2.
-    """)  # fmt: skip
+    """,
+    )
     """Measured distances from the center to the final center of an earlier robot, rows of (robot
     or stance, other robot, distance, standard deviation, source), shape (D, 5). Source and standard
     deviation are as in `fixes`."""
 
     directions: Reals = _listed(
-        "dock", "robot", "dock", *["direction"] * 3, version=2, noise="direction_deg", meaning="""
+        "dock",
+        "robot",
+        "dock",
+        *["direction"] * 3,
+        version=2,
+        noise="direction_deg",
+        meaning="""
     Measured directions of contacts, rows of [own dock, other robot, other dock, x, y, z]: the
     unit vector in the own body frame from the center of the own dock to that of the other, whose
     robot is on an earlier line. Version 2.
-    """)  # fmt: skip
+    """,
+    )
     """Measured directions of contacts, rows of (robot or stance, dock, earlier robot, its dock,
     unit vector from dock to dock in the robot's body frame (3)), shape (U, 7)."""
 
     connections: Reals = _listed(
-        "dock", "robot", "dock", *["quaternion"] * 4, version=2, noise="connection_deg", meaning="""
+        "dock",
+        "robot",
+        "dock",
+        *["quaternion"] * 4,
+        version=2,
+        noise="connection_deg",
+        meaning="""
     Measured orientations of robots in contact, rows of [own dock, other robot, other dock, w, x,
     y, z]: a unit quaternion from the body of the other robot, which is on an earlier line, to the
     own body. Version 2.
-    """)  # fmt: skip
+    """,
+    )
     """Measured relative orientations, rows of (robot or stance, dock, earlier robot, its dock, unit
     quaternion from the earlier robot's body to the robot's (4)), shape (Q, 8)."""
 
     touches: NDArray[np.int32] = _listed(
-        "dock or null", "robot", "dock or null", version=2, meaning="""
+        "dock or null",
+        "robot",
+        "dock or null",
+        version=2,
+        meaning="""
     Contacts of unknown docks, rows of [own dock or null, other robot, other dock or null], at
     least one of them null; the other robot is on an earlier line. Version 2.
-    """)  # fmt: skip
+    """,
+    )
     """Contacts of unknown docks, rows of (robot or stance, dock or -1, earlier robot, its dock or
     -1), shape (H, 4)."""
 
     displacements: Reals = _listed(
-        "robot", *["vector"] * 3, "sd", version=2, repeats=True, meaning="""
+        "robot",
+        *["vector"] * 3,
+        "sd",
+        version=2,
+        repeats=True,
+        meaning="""
     Measured vectors between centers, rows of [other robot, x, y, z, sd] [length unit]: from the
     own center to that of the other robot, which is on an earlier line, in the own body frame. The
     sd holds along each axis, beside the noise of the own orientation. Version 2.
-    """)  # fmt: skip
+    """,
+    )
     """Measured vectors from the center to the final center of an earlier robot, rows of (robot or
     stance, other robot, vector in the robot's body frame (3), standard deviation along each axis),
     shape (V, 6). The standard deviation is without the noise of the robot's orientation."""
@@ -345,7 +400,8 @@ class SensingLog(Sensed):
 
         Its robot has fixes no less precise than `KNOWN_SD`, of no source, in all directions.
         """
-        robot, normal = self.fixes[:, 0].astype(np.int64), self.fixes[:, 1:4]
+        robot = self.fixes[:, 0].astype(np.int64)
+        normal = self.fixes[:, 1:4]
         is_precise = self.fixes[:, 5] <= KNOWN_SD * self.dock_radius * (1.0 + _ROUNDING)
         is_precise &= self.fixes[:, 6] < 0.0
         span = np.zeros((self.robot_count, 3, 3))
@@ -359,8 +415,8 @@ class SensingLog(Sensed):
         position = np.full((self.robot_count, 3), np.nan)
         fixes = self.fixes[self.is_of_anchor]
         for robot in np.unique(fixes[:, 0]).astype(np.int64).tolist():
-            mine = fixes[fixes[:, 0] == robot]
-            position[robot] = np.linalg.lstsq(mine[:, 1:4], mine[:, 4])[0]
+            fixes_of_robot = fixes[fixes[:, 0] == robot]
+            position[robot] = np.linalg.lstsq(fixes_of_robot[:, 1:4], fixes_of_robot[:, 4])[0]
         return position
 
     @property
@@ -377,8 +433,10 @@ class SensingLog(Sensed):
 
     def line_of(self, robot: int) -> int:
         """Return the number of a robot's line in its file, the header being 1."""
-        left = np.count_nonzero(self.left_after <= robot)
-        return 2 + robot + left if self.line is None else int(self.line[robot])
+        if self.line is not None:
+            return int(self.line[robot])
+        departures = np.count_nonzero(self.left_after <= robot)
+        return 2 + robot + departures
 
     @property
     def size(self) -> str:
@@ -398,13 +456,13 @@ class SensingLog(Sensed):
         return math.radians(self.stated("yaw_bias_deg") or 0.0)
 
 
-LISTS: dict[str, Key] = {each.name: each.metadata["key"] for each in fields(Sensed)}
+LISTS: dict[str, Key] = {array.name: array.metadata["key"] for array in fields(Sensed)}
 """Keys of every stance, in the order in which they are written."""
 
 NUMBERS: dict[str, Key] = {
-    each.name: each.metadata["key"]
-    for each in fields(SensingLog)
-    if "key" in each.metadata and each.name not in LISTS
+    array.name: array.metadata["key"]
+    for array in fields(SensingLog)
+    if "key" in array.metadata and array.name not in LISTS
 }
 """Keys of a robot with optional numbers, NaN in the log where a line has none."""
 
@@ -417,19 +475,19 @@ def moved(log: SensingLog, by: Reals) -> SensingLog:
     """Move all positions of a log by a vector, shape (3,)."""
 
     def numbers(part: Sensed, keys: Mapping[str, Key]) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        changed: dict[str, Any] = {}
         for name, key in keys.items():
             rows = getattr(part, name)
             if "value" in key.columns:
                 start = 1 + key.columns.index("normal")
-                found[name] = rows.copy()
+                changed[name] = rows.copy()
                 value = 1 + key.columns.index("value")
-                found[name][:, value] += rows[:, start : start + len(by)] @ by
+                changed[name][:, value] += rows[:, start : start + len(by)] @ by
             elif "height" in key.columns:
-                found[name] = rows + by[2]
+                changed[name] = rows + by[2]
             elif "coordinate" in key.columns:
-                found[name] = rows + by
-        return found
+                changed[name] = rows + by
+        return changed
 
     stances = log.stances
     return replace(

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.measurements.verdicts import describe_misfit
+from tiswarm.records.frames import csv_text
 from tiswarm.records.measures import (
     BUILT_FOR,
     CONSISTENT,
@@ -93,31 +94,14 @@ def _latex(text: object) -> str:
     return str(text).translate(_LATEX)
 
 
-_FORMULA = re.compile(r"[=+\-@\t\r]")
-"""How cells begin that spreadsheets compute."""
-
-
-def _as_text(cell: object) -> object:
-    """Put an apostrophe before a text that spreadsheets would compute; numbers stay."""
-    if not isinstance(cell, str) or not _FORMULA.match(cell):
-        return cell
-    try:
-        float(cell)
-    except ValueError:
-        return f"'{cell}"
-    return cell
-
-
 def paper_text(table: PageTable, form: str) -> str:
     """Write a table for a paper, as "latex" with rules of booktabs, "markdown" or "csv".
 
-    CSV repeats the point of the sweep in each row; the others write it once. Spreadsheets compute
-    cells that begin like a formula: an apostrophe before them makes them text.
+    CSV repeats the point of the sweep in each row; the others write it once.
     """
     frame = table.frame
     if form == "csv":
-        heading = [str(_as_text(name)) for name in frame]
-        return frame.map(_as_text).to_csv(index=False, header=heading, lineterminator="\n")
+        return csv_text(frame)
     if table.is_grouped:
         frame = frame.assign(**{POINT: frame[POINT].mask(frame[POINT].duplicated(), "")})
     if form == "latex":

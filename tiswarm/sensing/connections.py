@@ -19,11 +19,13 @@ def sense_directions(history: History, params: SensingParams) -> Reals:
     if params.direction_noise_deg is None:
         return np.empty((0, 8))
     contacts = history.table("contacts")
-    _, _, own, other, dock = contacts.T
-    body, place = history.robot.dock_offset_body, _place(history, contacts)
-    center = np.concatenate([walk.center for walk in history.walks])[place]
-    way = history.position[other] + _turn(history.orientation_wxyz[other]).apply(body[dock])
-    way = _own_turn(history, place).inv().apply(way - center) - body[own]
+    _, _, dock, neighbor, neighbor_dock = contacts.T
+    body = history.robot.dock_offset_body
+    row = _stance_row(history, contacts)
+    center = np.concatenate([walk.center for walk in history.walks])[row]
+    arm = _turn(history.orientation_wxyz[neighbor]).apply(body[neighbor_dock])
+    way = history.position[neighbor] + arm
+    way = _stance_turn(history, row).inv().apply(way - center) - body[dock]
     way = _error(history, "direction", params.direction_noise_deg).apply(way)
     return np.column_stack([contacts, way / np.linalg.norm(way, axis=1, keepdims=True)])
 
@@ -38,8 +40,8 @@ def sense_connections(history: History, params: SensingParams) -> Reals:
     if params.connection_noise_deg is None:
         return np.empty((0, 9))
     contacts = history.table("contacts")
-    other = _turn(history.orientation_wxyz[contacts[:, 3]])
-    turn = _own_turn(history, _place(history, contacts)).inv() * other
+    neighbor_turn = _turn(history.orientation_wxyz[contacts[:, 3]])
+    turn = _stance_turn(history, _stance_row(history, contacts)).inv() * neighbor_turn
     turn = _error(history, "connection", params.connection_noise_deg) * turn
     return np.column_stack([contacts, turn.as_quat(canonical=True, scalar_first=True)])
 
@@ -48,14 +50,14 @@ def _turn(wxyz: Reals) -> Rotation:
     return Rotation.from_quat(wxyz, scalar_first=True)
 
 
-def _place(history: History, contacts: AnyInts) -> Ints:
+def _stance_row(history: History, contacts: AnyInts) -> Ints:
     """Place of each contact's stance among all stances."""
     length = [walk.stance_count for walk in history.walks]
     return np.asarray(np.cumsum([0, *length])[contacts[:, 0]] + contacts[:, 1])
 
 
-def _own_turn(history: History, place: Ints) -> Rotation:
-    return _turn(np.concatenate([walk.orientation_wxyz for walk in history.walks])[place])
+def _stance_turn(history: History, row: Ints) -> Rotation:
+    return _turn(np.concatenate([walk.orientation_wxyz for walk in history.walks])[row])
 
 
 def _error(history: History, stream: str, sd_deg: float) -> Rotation:

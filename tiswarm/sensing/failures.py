@@ -29,12 +29,15 @@ def sensed_part(history: History, params: SensingParams) -> History:
 
     A mute robot keeps its final stance, where later robots touch it.
     """
-    is_deaf, is_mute = (failing(history, params, name) for name in ("deaf", "mute"))
+    is_deaf = failing(history, params, "deaf")
+    is_mute = failing(history, params, "mute")
     if not (is_deaf | is_mute).any():
         return history
-    each = zip(history.walks, is_deaf, is_mute, strict=True)
-    heard = ((replace(w, contacts=w.contacts[:0]) if d else w, m) for w, d, m in each)
-    walks = [_mute(w) if m else w for w, m in heard]
+    walks = list(history.walks)
+    for robot in np.flatnonzero(is_deaf):
+        walks[robot] = replace(walks[robot], contacts=walks[robot].contacts[:0])
+    for robot in np.flatnonzero(is_mute):
+        walks[robot] = _mute(walks[robot])
     return replace(history, walks=tuple(walks))
 
 

@@ -32,7 +32,8 @@ def sense_fixes(history: History, params: SensingParams) -> Reals:
         Rows of (robot, stance, direction (3), value, standard deviation, source), shape (F, 8). The
         source is a place in `params.sources`, or -1.
     """
-    rows, lookouts = [_seeds(history, params)], find_lookouts(history, params)
+    rows = [_seeds(history, params)]
+    lookouts = find_lookouts(history, params)
     views = [lookouts.toward(np.array(beacon)) for beacon in params.beacons]
     seen = [in_sight(history, view) for view in views]
     if params.beacon_kind == "sweep":
@@ -76,10 +77,12 @@ def _sweep_planes(
     """
     station = np.array(params.beacons[number])
     way = lookouts.center - station
-    rise, level = np.tan(_SLANT) * way[:, 2], np.hypot(way[:, 0], way[:, 1])
+    rise = np.tan(_SLANT) * way[:, 2]
+    level = np.hypot(way[:, 0], way[:, 1])
     is_met = np.abs(rise) < level
     robot, stance, _, _ = lookouts.select(is_met)
-    bearing, slope = np.arctan2(way[:, 1], way[:, 0])[is_met], rise[is_met] / level[is_met]
+    bearing = np.arctan2(way[:, 1], way[:, 0])[is_met]
+    slope = rise[is_met] / level[is_met]
     for plane, sign in enumerate((1.0, -1.0)):
         angle = bearing + np.arccos(-sign * slope)
         part = np.column_stack([np.cos(angle), np.sin(angle), np.full(len(robot), sign)])

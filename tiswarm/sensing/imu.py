@@ -38,7 +38,8 @@ def sensed_turn(
     """
     draw = 3 * stance[:, None] + np.arange(3)
     sd = np.radians([params.tilt_noise_deg, params.tilt_noise_deg, params.yaw_noise_deg])
-    sd[0] *= not is_planar
+    if is_planar:
+        sd[0] = 0.0
     turn = sd * normal(seed, "orientation", robot[:, None], draw)
     bias = np.zeros_like(turn)
     bias[:, 2] = np.radians(params.yaw_bias_deg) * normal(seed, "yaw bias", robot, 0)
@@ -62,12 +63,14 @@ def failed_orientation(
     Returns:
         Orientations, shape (all stances, 4).
     """
-    drifts, is_stuck = (failing(history, params, name) for name in ("drift", "stuck"))
+    drifts = failing(history, params, "drift")
+    is_stuck = failing(history, params, "stuck")
     first = np.cumsum(length) - length
     robot = np.repeat(np.arange(len(length)), length)
     flips = np.arange(len(robot)) - first[robot]
     reported = sensed.copy()
-    if (rows := np.flatnonzero(drifts[robot] & (flips > 0))).size:
+    rows = np.flatnonzero(drifts[robot] & (flips > 0))
+    if rows.size:
         angle = np.radians(params.drift_deg) * flips[rows, None]
         turn = Rotation.from_rotvec(angle * _drift_axis(history)[robot[rows]])
         turned = turn * Rotation.from_quat(sensed[rows], scalar_first=True)

@@ -46,7 +46,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     (3, 1.0)
     """
     params = imu.of_shape(params, is_planar=history.is_planar)
-    is_mute, whole = failures.failing(history, params, "mute"), history
+    is_mute = failures.failing(history, params, "mute")
+    whole = history
     history = failures.sensed_part(history, params)
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
@@ -65,11 +66,12 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         entry.value for name, entry in registered("sensor").items() if name == params.suite
     ]
     by_plugin = ((suite.fills, suite.rows(history, params)) for suite in plugin_suites)
-    for filled, every in chain(added, by_plugin):
-        rows = every[~is_mute[every[:, 0].astype(np.int64)]]
+    for filled, sensor_rows in chain(added, by_plugin):
+        rows = sensor_rows[~is_mute[sensor_rows[:, 0].astype(np.int64)]]
         lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
     for name in ("contacts", "ground_docks"):
-        lists[name] = lists[name] if params.senses(name) else lists[name][:0]
+        if not params.senses(name):
+            lists[name] = lists[name][:0]
     lists |= touch.split_touches(lists["contacts"], params)
     final: dict[str, Any] = {
         name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
@@ -78,10 +80,13 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     orientation = sensed[end - 1]
     if not params.senses("compass"):
         # Orientations of anchors are known, as their positions are.
-        known = history.is_anchor
-        orientation[known], orientation[~known] = history.orientation_wxyz[known], np.nan
-    height, spawn = flips.flip_height(history, sensed, end), flips.spawn_position(history, params)
-    orientation[is_mute] = spawn[is_mute] = np.nan
+        is_known = history.is_anchor
+        orientation[is_known] = history.orientation_wxyz[is_known]
+        orientation[~is_known] = np.nan
+    height = flips.flip_height(history, sensed, end)
+    spawn = flips.spawn_position(history, params)
+    orientation[is_mute] = np.nan
+    spawn[is_mute] = np.nan
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         gone=np.flatnonzero(history.is_gone),

@@ -204,13 +204,13 @@ class SensingParams(SendsPlugins):
     @property
     def added(self) -> tuple[str, ...]:
         """Lists of the log that other senses fill."""
-        has = {
+        is_filled = {
             "fixes": bool(self.beacons) or self.seed_robots > 0,
             "ranges": self.range_reach is not None,
             "directions": self.direction_noise_deg is not None,
             "connections": self.connection_noise_deg is not None,
         }
-        return tuple(name for name, is_filled in has.items() if is_filled)
+        return tuple(name for name in is_filled if is_filled[name])
 
     @property
     def sources(self) -> dict[str, float]:

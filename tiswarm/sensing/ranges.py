@@ -26,17 +26,17 @@ def sense_ranges(history: History, params: SensingParams) -> Reals:
     pairs = from_lookouts.sparse_distance_matrix(
         to_robots, params.range_reach, output_type="ndarray"
     )
-    place, other = pairs["i"], pairs["j"]
-    is_earlier = other < lookouts.robot[place]
-    place, other = place[is_earlier], other[is_earlier]
-    robot, stance, center, joined = (column[place] for column in lookouts)
-    views = Views(center, history.position[other], joined, robot, other)
+    is_earlier = pairs["j"] < lookouts.robot[pairs["i"]]
+    lookout = pairs["i"][is_earlier]
+    target = pairs["j"][is_earlier]
+    robot, stance, center, joined = (column[lookout] for column in lookouts)
+    views = Views(center, history.position[target], joined, robot, target)
     seen = in_sight(history, views)
     length = np.linalg.norm(views.end - center, axis=1)
-    length += params.range_noise * normal(history.seed, "range", robot, (stance << 31) + other)
+    length += params.range_noise * normal(history.seed, "range", robot, (stance << 31) + target)
     length += params.range_bias * normal(history.seed, "ranges", 0, 0)
     source = len(params.sources) - 1 if params.range_bias else -1  # the last one
     sd_and_source = np.tile([params.range_noise, source], (len(robot), 1))
-    every = np.column_stack([robot, stance, other, length, sd_and_source])
-    rows: Reals = every[seen & (length > 0.0)]
+    measured = np.column_stack([robot, stance, target, length, sd_and_source])
+    rows: Reals = measured[seen & (length > 0.0)]
     return rows

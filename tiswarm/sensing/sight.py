@@ -31,7 +31,7 @@ class Views(NamedTuple):
     robot: Ints
     """Robot that looks, and does not block, shape (K,)."""
 
-    other: Ints
+    target: Ints
     """Robot at the end, which does not block either; -1 for none, shape (K,)."""
 
 
@@ -100,14 +100,13 @@ def in_sight(history: History, views: Views) -> Bools:
     )
     reach = (1.0 + _ROUNDING) * radius
     near = _near_part(views, dock.min(axis=0) - reach, dock.max(axis=0) + reach)
-    robots = np.column_stack([views.joined, views.robot, views.other]).astype(np.int32)
+    robots = np.column_stack([views.joined, views.robot, views.target]).astype(np.int32)
     blocked = np.empty(len(robots), np.int32)
     with backend.exclusive():
         backend.processor()
-        find_blocked(
-            limits, dock, *Segments(views.start, views.end, near, robots),
-            *CellList.allocate(1, len(dock)), blocked,
-        )  # fmt: skip
+        segments = Segments(views.start, views.end, near, robots)
+        cells = CellList.allocate(1, len(dock))
+        find_blocked(limits, dock, *segments, *cells, blocked)
     is_free: Bools = (blocked == 0) & ~history.terrain.hides(views.start, views.end)
     return is_free
 
@@ -116,7 +115,8 @@ def _near_part(views: Views, low: Reals, high: Reals) -> Reals:
     """Clip segments to a box; from and to as parts of each segment, shape (K, 2)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         sides = (np.stack([low, high])[:, None] - views.start) / (views.end - views.start)
-    enter, leave = np.fmin(*sides), np.fmax(*sides)  # NaN: within a side, so beyond all docks
+    enter = np.fmin(*sides)  # NaN: within a side, so beyond all docks
+    leave = np.fmax(*sides)
     first = np.fmax.reduce(enter, axis=1, initial=0.0)
     last = np.fmin.reduce(leave, axis=1, initial=1.0)
     return np.column_stack([first, last])

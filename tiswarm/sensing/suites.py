@@ -85,25 +85,29 @@ FIREANT_V3 = Suite(
     senses="contacts with docks, docks on the ground, orientation, flips",
     settings={},
     robot_usd=TOUCH_USD,
-)  # fmt: skip
+)
 
 COACHBOT_V1 = Suite(
     senses="x, y and heading from wall tags that an onboard camera sees",
     settings=_NO_TOUCH | {"beacons": WALL_TAGS, "fix_noise": 0.5},
     robot_usd=20.0,
     needs="printed tags on the walls",
-)  # fmt: skip
+)
 
 COACHBOT_V2 = Suite(
     senses="two sweep planes of each lighthouse in sight",
-    settings=_NO_TOUCH | {
-        "beacons": STATIONS, "beacon_kind": "sweep", "fix_noise": 0.03, "fix_bias": 0.5,
+    settings=_NO_TOUCH
+    | {
+        "beacons": STATIONS,
+        "beacon_kind": "sweep",
+        "fix_noise": 0.03,
+        "fix_bias": 0.5,
         "yaw_noise_deg": 0.4,
     },
     robot_usd=20.0,
     infrastructure_usd=150.0,
     needs="lighthouse stations; Table I does not say how many its $150 are for",
-)  # fmt: skip
+)
 
 ZOOIDS = Suite(
     senses="x and y from the Gray code of a projector in sight",
@@ -111,51 +115,65 @@ ZOOIDS = Suite(
     robot_usd=1.0,
     infrastructure_usd=1000.0,
     needs="a projector on the ceiling; x and y as if its rays were parallel",
-)  # fmt: skip
+)
 
 KILOBOT = Suite(
     senses="distances to robots in sight",
-    settings=_NO_TOUCH | {
-        "range_reach": 8.0, "range_noise": 0.06, "seed_robots": 4, "fix_noise": 0.01,
+    settings=_NO_TOUCH
+    | {
+        "range_reach": 8.0,
+        "range_noise": 0.06,
+        "seed_robots": 4,
+        "fix_noise": 0.01,
     },
     robot_usd=0.0,
     needs="four seed robots at known positions",
-)  # fmt: skip
+)
 
 FREESN = Suite(
     senses="direction of each connection, and orientation",
     settings=_NO_TOUCH | {"contacts": True, "direction_noise_deg": 1.0},
     robot_usd=150.0,
     needs="a central computer",
-)  # fmt: skip
+)
 
 M_BLOCKS = Suite(
     senses="pose of each connected robot, by face tags; no compass",
-    settings=_NO_TOUCH | {
-        "contacts": True, "compass": False,
-        "direction_noise_deg": 0.5, "connection_noise_deg": 0.5,
+    settings=_NO_TOUCH
+    | {
+        "contacts": True,
+        "compass": False,
+        "direction_noise_deg": 0.5,
+        "connection_noise_deg": 0.5,
     },
     robot_usd=50.0,
-)  # fmt: skip
+)
 
 ATRON = Suite(
     senses="pose of each connected robot, by the infrared of its connectors; no compass",
-    settings=_NO_TOUCH | {
-        "contacts": True, "compass": False,
-        "direction_noise_deg": 1.0, "connection_noise_deg": 1.0,
+    settings=_NO_TOUCH
+    | {
+        "contacts": True,
+        "compass": False,
+        "direction_noise_deg": 1.0,
+        "connection_noise_deg": 1.0,
     },
     robot_usd=0.0,
-)  # fmt: skip
+)
 
 SWARMBANG = Suite(
     senses="x, y and heading from a beacon on the ceiling, as a robot moves and joins",
-    settings=_NO_TOUCH | {
-        "beacons": (CEILING,), "fix_noise": 0.58, "sight_at": "stances", "yaw_noise_deg": 1.44,
+    settings=_NO_TOUCH
+    | {
+        "beacons": (CEILING,),
+        "fix_noise": 0.58,
+        "sight_at": "stances",
+        "yaw_noise_deg": 1.44,
     },
     robot_usd=50.0,
     infrastructure_usd=None,
     needs="a navigator robot that projects the beacon and moves it along",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,13 +197,15 @@ class PluginSuite(Suite):
             PluginError: the sensor failed, or returned something else than rows.
         """
         sense: Callable[..., Any] = self.sense
-        rows: Reals = call_plugin(
-            "sensor", params.suite,
+        rows = call_plugin(
+            "sensor",
+            params.suite,
             lambda: np.asarray(sense(history, params)),
             lambda returned: _fault(returned, COLUMNS[self.fills], history),
             repeats=sense,
-        ).astype(np.float64)  # fmt: skip
-        return rows
+        )
+        real_rows: Reals = rows.astype(np.float64)
+        return real_rows
 
 
 def sensor(
@@ -215,9 +235,13 @@ def sensor(
 
     def add(sense: _Sense) -> _Sense:
         suite = PluginSuite(
-            senses=fills, settings=dict(settings), robot_usd=robot_usd, needs="unknown",
-            fills=fills, sense=sense,
-        )  # fmt: skip
+            senses=fills,
+            settings=dict(settings),
+            robot_usd=robot_usd,
+            needs="unknown",
+            fills=fills,
+            sense=sense,
+        )
         register("sensor", name, suite, sense)
         return sense
 
@@ -228,7 +252,8 @@ def _fault(rows: NDArray[Any], columns: int, history: History) -> str:
     """Say what is wrong with the rows of a sensor, and what is wanted; empty if nothing is."""
     if rows.ndim != 2 or rows.shape[1] != columns:  # noqa: PLR2004 - rows and columns
         return f"shape {rows.shape}; return rows of {columns} numbers"
-    if wrong := fault_of_numbers(rows, FARTHEST, f"within {FARTHEST:g}"):
+    wrong = fault_of_numbers(rows, FARTHEST, f"within {FARTHEST:g}")
+    if wrong:
         return f"numbers that are {wrong}; leave out what was not measured"
     stances = np.array([walk.stance_count for walk in history.walks])
     robot = rows[:, 0].astype(np.int64)

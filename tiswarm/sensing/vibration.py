@@ -28,53 +28,56 @@ def named_contacts(
     """
     if not len(contacts):
         return contacts
-    robot, _, _, other, _ = contacts.T.astype(np.int64)
+    robot, _, _, neighbor, _ = contacts.T.astype(np.int64)
     # A number for each contact; other measurements do not change it.
-    docks, robots = len(history.robot.dock_offset_body), history.robot_count
+    docks = len(history.robot.dock_offset_body)
+    robots = history.robot_count
     shape = (int(contacts[:, 1].max(initial=0)) + 1, docks, robots, docks)
     number = np.ravel_multi_index(tuple(contacts[:, 1:].T), shape)
-    slot, left = params.slots, history.left_after
+    slots = params.slots
     is_sensed = uniform(history.seed, "missed vibration", robot, number) >= params.missed
-    is_sensed &= robot % slot != other % slot
-    draw, named = uniform(history.seed, "vibration", robot, number), contacts.copy()
-    near = _neighbors(history)
+    is_sensed &= robot % slots != neighbor % slots
+    draw = uniform(history.seed, "vibration", robot, number)
+    heard_contacts = contacts.copy()
+    neighbors = _neighbors(history)
     _, begins = np.unique(contacts[:, :2], axis=0, return_index=True)
     for rows in np.split(np.arange(len(contacts)), begins[1:]):  # of each stance
-        i, touched = int(robot[rows[0]]), set(other[rows].tolist())
-        hops = _heard(near, touched, params.hearing, i, left)
+        touched = set(neighbor[rows].tolist())
+        listener = int(robot[rows[0]])
+        hops = _heard(neighbors, touched, params.hearing, listener, history.left_after)
         for row in rows[is_sensed[rows]].tolist():
-            rivals = sorted(each for each in hops if each % slot == other[row] % slot)
-            strength = np.cumsum([params.fading ** (hops[each] - 1) for each in rivals])
-            place = np.searchsorted(strength, draw[row] * strength[-1], "right")
-            named[row, 3] = rivals[int(place)]
-    found: NDArray[np.int32] = np.unique(named[is_sensed], axis=0)
-    return found
+            rivals = sorted(rival for rival in hops if rival % slots == neighbor[row] % slots)
+            strength = np.cumsum([params.fading ** (hops[rival] - 1) for rival in rivals])
+            heard = np.searchsorted(strength, draw[row] * strength[-1], "right")
+            heard_contacts[row, 3] = rivals[int(heard)]
+    sensed: NDArray[np.int32] = np.unique(heard_contacts[is_sensed], axis=0)
+    return sensed
 
 
 def _neighbors(history: History) -> list[list[int]]:
     """List the robots that each robot of a structure touched as they joined."""
-    near: list[list[int]] = [[] for _ in range(history.robot_count)]
+    neighbors: list[list[int]] = [[] for _ in range(history.robot_count)]
     for i, j in history.contacts_at_join[:, ::2].tolist():
-        near[i].append(j)
-        near[j].append(i)
-    return near
+        neighbors[i].append(j)
+        neighbors[j].append(i)
+    return neighbors
 
 
 def _heard(
-    near: list[list[int]], touched: set[int], reach: int, robot: int, left: Ints
+    neighbors: list[list[int]], touched: set[int], reach: int, robot: int, left_after: Ints
 ) -> dict[int, int]:
     """Count the contacts from a robot to each earlier robot within reach, breadth first.
 
     Args:
-        near: Robots that each robot touches.
+        neighbors: Robots that each robot touches.
         touched: Robots that the robot touches.
         reach: Most contacts that a vibration passes.
         robot: The robot.
-        left: Robots that had joined when each left, shape (N,).
+        left_after: Robots that had joined when each left, shape (N,).
     """
     hops = dict.fromkeys(touched, 1)
     edge = touched
     for count in range(2, reach + 1):
-        edge = {k for j in edge for k in near[j] if k < robot < left[k]} - hops.keys()
+        edge = {k for j in edge for k in neighbors[j] if k < robot < left_after[k]} - hops.keys()
         hops |= dict.fromkeys(edge, count)
     return hops

@@ -36,8 +36,10 @@ from tiswarm.compute.lang import (
 from tiswarm.compute.math_kernels import rotate, vector_at, vector_in
 from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
 
-FLAT, EDGE = 1, 2
-"""Ground that a dock stands on; 0 for none."""
+FLAT = 1
+"""Flat ground that a dock stands on; 0 for no ground."""
+EDGE = 2
+"""Rounded edge that a dock stands on."""
 MAX_TOUCHING = 12
 """No more unit spheres than this can touch one (the kissing number)."""
 
@@ -167,6 +169,8 @@ _TIE = 1e-6
 """Difference of `_turn_order` below which rounding may decide which angle is less."""
 _MAX_STEPS = 500
 """Most steps along an edge; 10 to 40 are usual."""
+_DOCKS_OF_AN_AXIS = 2
+"""Attached docks with which a robot settles: it turns about the line through both."""
 
 
 @ti.func
@@ -299,15 +303,17 @@ def contact_angles(limits: Ref, first, aim, arm, axis, pivot, near: Ref, mover, 
     middle = pivot + along * axis
     first = ti.min(first, slab_angles(middle, across, onward, limits.left_edge, 1.0, limits))
     first = ti.min(first, slab_angles(middle, across, onward, limits.right_edge, -1.0, limits))
-    sign, least = ti.Vector([1.0, -1.0]), ti.Vector([4.0, 4.0])
+    sign = ti.Vector([1.0, -1.0])
+    least = ti.Vector([4.0, 4.0])
     most = ti.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
     best = _turn_order(aim[0] / most, sign * aim[1] / most)
     k = 0
     while k < near_count and first.max() > 0.0:
-        to_other = vector_in(near, mover, k)
-        level = 0.5 * (arm.norm_sqr() + to_other.norm_sqr() - limits.spacing * limits.spacing)
-        level -= along * to_other.dot(axis)
-        a, b = to_other.dot(across), to_other.dot(onward)
+        to_dock = vector_in(near, mover, k)
+        level = 0.5 * (arm.norm_sqr() + to_dock.norm_sqr() - limits.spacing * limits.spacing)
+        level -= along * to_dock.dot(axis)
+        a = to_dock.dot(across)
+        b = to_dock.dot(onward)
         swing = a * a + b * b
         room = swing - level * level
         # Angles cost much more than what says which is the least: few are computed.
@@ -361,6 +367,20 @@ class Hinge:
     count: I32
     obstacles: I32
     overflow: I32
+
+
+@ti.func
+def _no_flip(center, q):
+    """Stay at a pose, for want of a flip."""
+    return Flip(
+        distance=ti.math.inf,
+        center=center,
+        orientation=q,
+        planned=q,
+        pivot=-1,
+        overflow=0,
+        failed=0,
+    )
 
 
 @ti.func
@@ -418,9 +438,8 @@ def sensed_orientation(limits: Ref, believed: Ref, walks: Ref, mover, stance):
 
 @ti.func
 def misplaced(
-    limits: Ref, structures: Ref, believed: Ref, body: Ref, s, walks: Ref, mover, stance,
-    k, place,
-):  # fmt: skip
+    limits: Ref, structures: Ref, believed: Ref, body: Ref, s, walks: Ref, mover, stance, k, place
+):
     """Find the vector from where a `place` of a robot's body is to where the robot believes it.
 
     A robot takes its place from a dock that it touches: with dock `k`, else with another, else at
@@ -430,18 +449,18 @@ def misplaced(
     by = ti.Vector([0.0, 0.0, 0.0], F64)
     if limits.by_belief:
         docks = walks.touching.shape[2]
-        found = False
+        has_touched = False
         at = stance
-        while at >= 0 and not found:
+        while at >= 0 and not has_touched:
             for step in range(docks):
-                own = (k + step) % docks
-                item = walks.touching[mover, at, own, 0]
-                if item >= 0 and not found:
+                touching_dock = (k + step) % docks
+                item = walks.touching[mover, at, touching_dock, 0]
+                if item >= 0 and not has_touched:
                     by = vector_in(believed.dock, s, item) - vector_in(structures.dock, s, item)
-                    arm = place - vector_at(body, own)
+                    arm = place - vector_at(body, touching_dock)
                     arm = rotate(quaternion_at(walks.orientation, mover, at), arm)
                     by += rotate(quaternion_at(believed.turn, mover, at), arm) - arm
-                    found = True
+                    has_touched = True
             at -= 1
     return by
 
@@ -458,20 +477,21 @@ def first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count
 
 @ti.func
 def hinge_at(
-    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover,
-    stance, k,
-):  # fmt: skip
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k
+):
     """Describe how a robot may turn about its dock `k`, and list the docks that it may meet."""
     s = climbers.structure[mover]
-    body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
+    body = ti.static(climbers.dock_offset_body)
+    near = ti.static(climbers.near)
+    obstacle = ti.static(climbers.obstacle)
     q = quaternion_at(walks.orientation, mover, stance)
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
     pivot = vector_in(walks.center, mover, stance) - to_center
     by = misplaced(limits, structures, believed, body, s, walks, mover, stance, k, body_in)
-    found = gather_near(limits, believed, s, pivot + by, near, mover)
-    count = ti.min(found, near.shape[1])
-    overflow = ti.cast(found > count, ti.i32)
+    near_count = gather_near(limits, believed, s, pivot + by, near, mover)
+    count = ti.min(near_count, near.shape[1])
+    overflow = ti.cast(near_count > count, ti.i32)
     obstacles = 0
     if limits.by_belief:
         obstacles = gather_near(limits, structures, s, pivot, obstacle, mover)
@@ -483,9 +503,15 @@ def hinge_at(
         normal = rotate(q, _across(body_in))
     side = normal.cross(to_center.normalized())
     return Hinge(
-        pivot=pivot, body_in=body_in, by=by, normal=normal, side=side, count=count,
-        obstacles=obstacles, overflow=overflow,
-    )  # fmt: skip
+        pivot=pivot,
+        body_in=body_in,
+        by=by,
+        normal=normal,
+        side=side,
+        count=count,
+        obstacles=obstacles,
+        overflow=overflow,
+    )
 
 
 @ti.func
@@ -503,9 +529,17 @@ def flipped(axis, way, angle, q):
 
 @ti.func
 def nearest_flip(
-    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover,
-    stance, k, within, score: Ref,
-):  # fmt: skip
+    limits: Ref,
+    structures: Ref,
+    believed: Ref,
+    climbers: Ref,
+    walks: Ref,
+    mover,
+    stance,
+    k,
+    within,
+    score: Ref,
+):
     """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
 
     `score` takes the place of the distance, see `goal_distance`. A robot plans by the orientation
@@ -513,17 +547,21 @@ def nearest_flip(
     robot has been at before, fails, and the robot tries its next best. Flips are counted that fail
     and were to score less than the first number of `within`; the second is that of the best one.
     """
-    body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
+    body = ti.static(climbers.dock_offset_body)
+    near = ti.static(climbers.near)
+    obstacle = ti.static(climbers.obstacle)
     q = quaternion_at(walks.orientation, mover, stance)
     goal = vector_at(climbers.goal, mover)
     sensed = sensed_orientation(limits, believed, walks, mover, stance)
     hinge = hinge_at(limits, structures, believed, climbers, walks, mover, stance, k)
-    chosen = Flip(
-        distance=ti.math.inf, center=hinge.pivot, orientation=q, planned=q, pivot=-1,
-        overflow=hinge.overflow, failed=0,
-    )  # fmt: skip
-    pivot, by, body_in = hinge.pivot, hinge.by, hinge.body_in
-    to_goal, reach, ahead = goal - pivot, body_in.norm(), hinge.side.cross(hinge.normal)
+    chosen = _no_flip(hinge.pivot, q)
+    chosen.overflow = hinge.overflow
+    pivot = hinge.pivot
+    by = hinge.by
+    body_in = hinge.body_in
+    to_goal = goal - pivot
+    reach = body_in.norm()
+    ahead = hinge.side.cross(hinge.normal)
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
         onward = axis.cross(ahead)
@@ -571,13 +609,57 @@ def nearest_flip(
 
 
 @ti.func
-def planned_dock(limits: Ref, believed: Ref, body: Ref, s, pivot, planned, k):
-    """Find a believed dock that a turn about dock `k` to `planned` was to end at, or GROUND."""
+def best_flip(
+    limits: Ref,
+    structures: Ref,
+    believed: Ref,
+    climbers: Ref,
+    walks: Ref,
+    mover,
+    stance,
+    score: Ref,
+):
+    """Find the flip that a robot takes from a stance, and how many fail that it tries before."""
+    center = vector_in(walks.center, mover, stance)
+    flip = _no_flip(center, quaternion_at(walks.orientation, mover, stance))
+    failed = 0
+    overflow = 0
+    least = -ti.math.inf
+    # Which flips the robot tries before is known once the one that it takes is.
+    for _ in range(1 + limits.by_belief):
+        for k in range(climbers.dock_offset_body.shape[0]):
+            if is_attached(walks, mover, stance, k):
+                within = ti.Vector([least, flip.distance])
+                candidate = nearest_flip(
+                    limits, structures, believed, climbers, walks, mover, stance, k, within, score
+                )
+                overflow |= candidate.overflow
+                failed += candidate.failed
+                if candidate.distance < flip.distance:
+                    flip = candidate
+        least = flip.distance
+    flip.failed = failed
+    flip.overflow = overflow
+    return flip
+
+
+@ti.func
+def planned_dock(
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, flip
+):
+    """Find a believed dock that a flip from a stance was planned to end at, or GROUND."""
+    s = climbers.structure[mover]
+    body = ti.static(climbers.dock_offset_body)
+    k = flip.pivot
+    to_dock = vector_at(body, k)
+    by = misplaced(limits, structures, believed, body, s, walks, mover, stance, k, to_dock)
+    q = quaternion_at(walks.orientation, mover, stance)
+    pivot = vector_in(walks.center, mover, stance) + rotate(q, to_dock) + by
     met = GROUND
     limit = limits.spacing + limits.contact_gap
     for step in range(1, body.shape[0]):
-        arm = vector_at(body, (k + step) % body.shape[0]) - vector_at(body, k)
-        point = pivot + rotate(planned, arm)
+        arm = vector_at(body, (k + step) % body.shape[0]) - to_dock
+        point = pivot + rotate(flip.planned, arm)
         cube = cube_of(point, limits.inverse_edge)
         for which in range(27):
             item = first_item(believed.cells, s, cube, which)
@@ -638,9 +720,9 @@ def is_attached(walks: Ref, mover, stance, k):
 
 
 @ti.func
-def _move_to(walks: Ref, mover, stance, here, q):
+def _move_to(walks: Ref, mover, stance, center, q):
     for c in ti.static(range(3)):
-        walks.center[mover, stance, c] = here[c]
+        walks.center[mover, stance, c] = center[c]
     for c in ti.static(range(4)):
         walks.orientation[mover, stance, c] = q[c]
 
@@ -652,31 +734,36 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
     It turns the way that takes the smaller angle. The stance it comes to is written behind the
     last of the walk, with the pivot that leads to it.
     """
-    s, best = climbers.structure[m], walks.best[m]
-    body, near = ti.static(climbers.dock_offset_body, climbers.near)
+    s = climbers.structure[m]
+    best = walks.best[m]
+    body = ti.static(climbers.dock_offset_body)
+    near = ti.static(climbers.near)
     docks = body.shape[0]
-    free, attached = -1, 0
+    free = -1
+    attached = 0
     for k in range(docks):
         if is_attached(walks, m, best, k):
             attached += 1
         else:
             free = k
-    if free >= 0 and attached == 2:  # noqa: PLR2004 - an axis
-        one, other = -1, -1
+    if free >= 0 and attached == _DOCKS_OF_AN_AXIS:
+        first_dock = -1
+        second_dock = -1
         for step in range(1, docks):
             k = (free + step) % docks
             if is_attached(walks, m, best, k):
-                one, other = ti.select(one < 0, k, one), k
+                first_dock = ti.select(first_dock < 0, k, first_dock)
+                second_dock = k
         q = quaternion_at(walks.orientation, m, best)
-        body_in = vector_at(body, one)
-        across = rotate(q, vector_at(body, other) - body_in)
+        body_in = vector_at(body, first_dock)
+        across = rotate(q, vector_at(body, second_dock) - body_in)
         pivot = vector_in(walks.center, m, best) + rotate(q, body_in)
         axis = across.normalized()
         count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
         met = ti.Vector([limits.full_turn, limits.full_turn])
         anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
         for k in range(docks):
-            if k != one and k != other:
+            if k != first_dock and k != second_dock:
                 arm = rotate(q, vector_at(body, k) - body_in)
                 met = contact_angles(limits, met, anywhere, arm, axis, pivot, near, m, count)
         angle = ti.min(met[0], met[1])
@@ -686,7 +773,7 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
             end = pivot - rotate(turned, body_in)
             stay = walks.last[m] + 1
             walks.stay[m] = stay
-            walks.pivot_dock[m, stay] = one
+            walks.pivot_dock[m, stay] = first_dock
             _move_to(walks, m, stay, end, turned)
             for k in range(docks):
                 point = end + rotate(turned, vector_at(body, k))
@@ -743,68 +830,58 @@ def climb(
             s = structure[m]
             target = vector_at(goal, m)
             stance = first_stance[m]
-            best_stance = steps = best_step = 0
+            best_stance = 0
+            best_step = 0
+            steps = 0
             best_distance = ti.math.inf
             middle = ti.Vector([0.0, 0.0, 0.0], F64)
             for earlier in range(stance):
                 by = misplaced(
-                    limits, structures, believed, dock_offset_body, s, walks, m, earlier, 0,
-                    middle,
-                )  # fmt: skip
+                    limits, structures, believed, dock_offset_body, s, walks, m, earlier, 0, middle
+                )
                 was = sensed_orientation(limits, believed, walks, m, earlier)
                 distance = score(vector_in(center_out, m, earlier) + by, was, target)
                 if distance < best_distance:
                     best_distance = distance
-                    best_stance, best_step = earlier, steps
+                    best_stance = earlier
+                    best_step = steps
                 steps += 1
                 if limits.by_belief:
                     steps += flips_out[m, earlier, 1]
             state_out[m] = WALKING
             while state_out[m] == WALKING:
-                here = vector_in(center_out, m, stance)
+                center = vector_in(center_out, m, stance)
                 q = quaternion_at(orientation_out, m, stance)
-                flip = Flip(
-                    distance=ti.math.inf, center=here, orientation=q, planned=q, pivot=-1,
-                    overflow=0, failed=0,
-                )  # fmt: skip
-                called = failed = 0
+                flip = _no_flip(center, q)
+                called = 0
                 for k in range(dock_offset_body.shape[0]):
-                    point = here + rotate(q, vector_at(dock_offset_body, k))
+                    point = center + rotate(q, vector_at(dock_offset_body, k))
                     called |= sense_contacts(limits, structures, s, walks, m, stance, k, point)
                 by = misplaced(
-                    limits, structures, believed, dock_offset_body, s, walks, m, stance, 0,
-                    middle,
-                )  # fmt: skip
+                    limits, structures, believed, dock_offset_body, s, walks, m, stance, 0, middle
+                )
                 sensed = sensed_orientation(limits, believed, walks, m, stance)
-                distance = score(here + by, sensed, target)
+                distance = score(center + by, sensed, target)
                 if distance < best_distance:
                     best_distance = distance
-                    best_stance, best_step = stance, steps
-                left = best_step + patience[m] - steps
+                    best_stance = stance
+                    best_step = steps
+                steps_left = best_step + patience[m] - steps
                 if called:
                     state_out[m] = RECRUITED
                     best_stance = stance
-                elif left > 0:
-                    # Which flips the robot tries before is known once the one that it takes is.
-                    least = -ti.math.inf
-                    for _ in range(1 + limits.by_belief):
-                        for k in range(dock_offset_body.shape[0]):
-                            if is_attached(walks, m, stance, k):
-                                other = nearest_flip(
-                                    limits, structures, believed, climbers, walks, m,
-                                    stance, k, ti.Vector([least, flip.distance]), score,
-                                )  # fmt: skip
-                                if other.overflow:
-                                    state_out[m] = SCRATCH_FULL
-                                if other.distance < flip.distance:
-                                    flip = other
-                                failed += other.failed
-                        least = flip.distance
-                    if failed >= left:
-                        failed, flip.pivot = left, -1
-                steps += 1 + failed
+                elif steps_left > 0:
+                    flip = best_flip(
+                        limits, structures, believed, climbers, walks, m, stance, score
+                    )
+                    if flip.overflow:
+                        state_out[m] = SCRATCH_FULL
+                    if flip.failed >= steps_left:
+                        flip.failed = steps_left
+                        flip.pivot = -1
+                steps += 1 + flip.failed
                 if limits.by_belief:
-                    flips_out[m, stance, 1] = failed
+                    flips_out[m, stance, 1] = flip.failed
                 if state_out[m] == WALKING:
                     # One is kept for settling.
                     if flip.pivot < 0 or steps + 1 >= center_out.shape[1]:
@@ -812,15 +889,9 @@ def climb(
                     else:
                         pivot_dock_out[m, stance] = flip.pivot
                         if limits.by_belief:
-                            arm = vector_at(dock_offset_body, flip.pivot)
-                            by = misplaced(
-                                limits, structures, believed, dock_offset_body, s, walks, m,
-                                stance, flip.pivot, arm,
-                            )  # fmt: skip
                             flips_out[m, stance, 0] = planned_dock(
-                                limits, believed, dock_offset_body, s,
-                                here + rotate(q, arm) + by, flip.planned, flip.pivot,
-                            )  # fmt: skip
+                                limits, structures, believed, climbers, walks, m, stance, flip
+                            )
                         stance += 1
                         _move_to(walks, m, stance, flip.center, flip.orientation)
             last_out[m] = stance
@@ -839,10 +910,10 @@ def _first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: R
     """
     disturbed = -1
     for stance in range(ti.max(walks.last[mover], walks.stay[mover]) + 1):
-        here = vector_in(walks.center, mover, stance)
+        center = vector_in(walks.center, mover, stance)
         q = quaternion_at(walks.orientation, mover, stance)
         for k in range(body.shape[0]):
-            point = here + rotate(q, vector_at(body, k))
+            point = center + rotate(q, vector_at(body, k))
             cube = cube_of(point, limits.inverse_edge)
             for which in range(27):
                 item = first_item(structures.cells, s, cube, which)
@@ -900,10 +971,10 @@ def join_undisturbed(
                     passed = _first_disturbed(limits, structures, s, walks, m, body, newest)
                 if wants[m] and passed < 0 and docks * robot_count_out[s] < dock_out.shape[1]:
                     joined_out[m] = robot_count_out[s]
-                    here = vector_in(center, m, stay[m])
+                    stay_center = vector_in(center, m, stay[m])
                     q = quaternion_at(orientation, m, stay[m])
                     for k in range(docks):
-                        point = here + rotate(q, vector_at(body, k))
+                        point = stay_center + rotate(q, vector_at(body, k))
                         item = docks * joined_out[m] + k
                         for c in ti.static(range(3)):
                             dock_out[s, item, c] = point[c]

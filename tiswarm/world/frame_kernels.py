@@ -34,9 +34,10 @@ class Node(Columns):
     """First half-edge of the node."""
     DEGREE = 1
     """Its neighbors that are left, or ELIMINATED."""
-    LEFT = 1
-    RIGHT = 1
-    """Nodes before and after it in the list of those of its degree, or -1."""
+    PREVIOUS = 1
+    """Node before it in the list of those of its degree, or -1."""
+    FOLLOWING = 1
+    """Node after it in that list, or -1."""
     MARKED_BY = 1
     MARK = 1
     """Node that marked it as a neighbor last, or -1, and the half-edge by which that did."""
@@ -60,11 +61,12 @@ class HalfEdge(Columns):
 
     NEXT = 1
     """Next half-edge of its node, or -1."""
-    OTHER = 1
-    """Node at the other end."""
+    TARGET = 1
+    """Node at its far end."""
 
 
 ELIMINATED = -1
+"""Degree of a node that was eliminated."""
 GROUP = 16
 """Most nodes that are eliminated together."""
 
@@ -109,7 +111,7 @@ def clear(work: Ref, s, nodes):
 def edge_between(work: Ref, s, a, b):
     """Find the block of the edge between two nodes, or add it; return -1 without room."""
     half = work.node[s, a, Node.FIRST]
-    while half >= 0 and work.half[s, half, HalfEdge.OTHER] != b:
+    while half >= 0 and work.half[s, half, HalfEdge.TARGET] != b:
         half = work.half[s, half, HalfEdge.NEXT]
     edge = half // 2
     if half < 0:
@@ -120,17 +122,18 @@ def edge_between(work: Ref, s, a, b):
 @ti.func
 def _add_edge(work: Ref, s, a, b):
     """Join two nodes; return the block of the edge, or -1 without room."""
-    edge, half = work.block_count[s], 2 * work.block_count[s]
+    edge = work.block_count[s]
+    half = 2 * edge
     work.block_count[s] += 1
     if edge >= work.block.shape[1]:
         edge = -1
     else:
         work.block[s, edge] = ti.Matrix.zero(F64, 6, 6)
-        for end, other, at in ti.static(((a, b, 0), (b, a, 1))):
-            work.half[s, half + at, HalfEdge.OTHER] = other
-            work.half[s, half + at, HalfEdge.NEXT] = work.node[s, end, Node.FIRST]
-            work.node[s, end, Node.FIRST] = half + at
-            work.node[s, end, Node.DEGREE] += 1
+        for source, target, direction in ti.static(((a, b, 0), (b, a, 1))):
+            work.half[s, half + direction, HalfEdge.TARGET] = target
+            work.half[s, half + direction, HalfEdge.NEXT] = work.node[s, source, Node.FIRST]
+            work.node[s, source, Node.FIRST] = half + direction
+            work.node[s, source, Node.DEGREE] += 1
     return edge
 
 
@@ -140,10 +143,10 @@ def _enter(work: Ref, s, a):
     node = ti.static(work.node)
     degree = node[s, a, Node.DEGREE]
     first = work.order[s, degree, NodeList.LEAST]
-    node[s, a, Node.LEFT] = -1
-    node[s, a, Node.RIGHT] = first
+    node[s, a, Node.PREVIOUS] = -1
+    node[s, a, Node.FOLLOWING] = first
     if first >= 0:
-        node[s, first, Node.LEFT] = a
+        node[s, first, Node.PREVIOUS] = a
     work.order[s, degree, NodeList.LEAST] = a
 
 
@@ -151,13 +154,14 @@ def _enter(work: Ref, s, a):
 def _leave(work: Ref, s, a):
     """Take a node out from those of its degree."""
     node = ti.static(work.node)
-    left, right = node[s, a, Node.LEFT], node[s, a, Node.RIGHT]
-    if left >= 0:
-        node[s, left, Node.RIGHT] = right
+    previous = node[s, a, Node.PREVIOUS]
+    following = node[s, a, Node.FOLLOWING]
+    if previous >= 0:
+        node[s, previous, Node.FOLLOWING] = following
     else:
-        work.order[s, node[s, a, Node.DEGREE], NodeList.LEAST] = right
-    if right >= 0:
-        node[s, right, Node.LEFT] = left
+        work.order[s, node[s, a, Node.DEGREE], NodeList.LEAST] = following
+    if following >= 0:
+        node[s, following, Node.PREVIOUS] = previous
 
 
 @ti.func
@@ -166,10 +170,11 @@ def _mark_neighbors(work: Ref, s, a):
     before = -1
     half = work.node[s, a, Node.FIRST]
     while half >= 0:
-        other, following = work.half[s, half, HalfEdge.OTHER], work.half[s, half, HalfEdge.NEXT]
-        if work.node[s, other, Node.DEGREE] != ELIMINATED:
-            work.node[s, other, Node.MARKED_BY] = a
-            work.node[s, other, Node.MARK] = half
+        neighbor = work.half[s, half, HalfEdge.TARGET]
+        following = work.half[s, half, HalfEdge.NEXT]
+        if work.node[s, neighbor, Node.DEGREE] != ELIMINATED:
+            work.node[s, neighbor, Node.MARKED_BY] = a
+            work.node[s, neighbor, Node.MARK] = half
             before = half
         elif before < 0:
             work.node[s, a, Node.FIRST] = following
@@ -186,7 +191,7 @@ def _join_neighbors(work: Ref, s, k):
     near = 0
     half = work.node[s, k, Node.FIRST]
     while half >= 0:
-        a = work.half[s, half, HalfEdge.OTHER]
+        a = work.half[s, half, HalfEdge.TARGET]
         _leave(work, s, a)
         work.node[s, a, Node.DEGREE] -= 1
         work.node[s, a, Node.PLACE] = near
@@ -204,12 +209,12 @@ def _join_neighbors(work: Ref, s, k):
 
 
 @ti.func
-def _subtract(rest: Ref, one, other):
-    """Subtract Z_one' Z_other from a block, always in the same order."""
+def _subtract(rest: Ref, z_a, z_b):
+    """Subtract Z_a' Z_b from a block, always in the same order."""
     for i in ti.static(range(6)):
         for c in ti.static(range(6)):
             for j in ti.static(range(6)):
-                rest[i, j] -= one[c, i] * other[c, j]
+                rest[i, j] -= z_a[c, i] * z_b[c, j]
 
 
 @ti.func
@@ -218,42 +223,50 @@ def _eliminate(work: Ref, s, k, before, width):
 
     `before` nodes of its group went before it, and the panel has `width` blocks a neighbor.
     """
-    block, panel, motion = ti.static(work.block, work.panel, work.motion)
-    own = width * work.node[s, k, Node.PLACE]
-    near, y = block[s, k], motion[s, k]
+    block = ti.static(work.block)
+    panel = ti.static(work.panel)
+    motion = ti.static(work.motion)
+    pivot_place = width * work.node[s, k, Node.PLACE]
+    factor = block[s, k]
+    y = motion[s, k]
     for g in range(before):
-        _subtract(near, panel[s, own + g], panel[s, own + g])
+        _subtract(factor, panel[s, pivot_place + g], panel[s, pivot_place + g])
     # C C' = K_kk: C_ij = (K_ij - sum_c C_ic C_jc) / C_jj, or the square root of that for i = j
     for i in ti.static(range(6)):
         for j in ti.static(range(i + 1)):
             for c in ti.static(range(j)):
-                near[i, j] -= near[i, c] * near[j, c]
+                factor[i, j] -= factor[i, c] * factor[j, c]
             if ti.static(i > j):
-                near[i, j] /= near[j, j]
+                factor[i, j] /= factor[j, j]
         # NaN also where rounding makes a pivot 0.
-        near[i, i] = ti.sqrt(near[i, i]) if near[i, i] > 0.0 else ti.math.nan
+        factor[i, i] = ti.sqrt(factor[i, i]) if factor[i, i] > 0.0 else ti.math.nan
         # y = C^-1 f_k, row by row
         for c in ti.static(range(i)):
-            y[i] -= near[i, c] * y[c]
-        y[i] /= near[i, i]
-    block[s, k], motion[s, k] = near, y
+            y[i] -= factor[i, c] * y[c]
+        y[i] /= factor[i, i]
+    block[s, k] = factor
+    motion[s, k] = y
     half = work.node[s, k, Node.FIRST]
     while half >= 0:
-        a, edge = work.half[s, half, HalfEdge.OTHER], half // 2
+        a = work.half[s, half, HalfEdge.TARGET]
+        edge = half // 2
         place = width * work.node[s, a, Node.PLACE]
-        z, pull = block[s, edge], motion[s, a]
+        z = block[s, edge]
+        pull = motion[s, a]
         if a < k:  # the block is that of the lower number, K_ak = K_ka'
             z = z.transpose()
         for g in range(before):
-            _subtract(z, panel[s, own + g], panel[s, place + g])
+            _subtract(z, panel[s, pivot_place + g], panel[s, place + g])
         # Z_a = C^-1 K_ka, row by row, and f_a -= Z_a' y
         for i in ti.static(range(6)):
             for j in ti.static(range(6)):
                 for c in ti.static(range(i)):
-                    z[i, j] -= near[i, c] * z[c, j]
-                z[i, j] /= near[i, i]
+                    z[i, j] -= factor[i, c] * z[c, j]
+                z[i, j] /= factor[i, i]
                 pull[j] -= z[i, j] * y[i]
-        block[s, edge], panel[s, place + before], motion[s, a] = z, z, pull
+        block[s, edge] = z
+        panel[s, place + before] = z
+        motion[s, a] = pull
         half = work.half[s, half, HalfEdge.NEXT]
 
 
@@ -264,34 +277,37 @@ def _eliminate_group(work: Ref, s, k, step, near):
     All have the same neighbors left, so that what they take from a block is subtracted at once.
     """
     width = ti.min(GROUP, work.panel.shape[1] // ti.max(near, 1))
-    count, left = 0, 0
+    count = 0
+    neighbors = 0
     while k >= 0:
         work.order[s, step + count, NodeList.PIVOT] = k
         work.node[s, k, Node.DEGREE] = ELIMINATED
         _mark_neighbors(work, s, k)
         _eliminate(work, s, k, count, width)
         count += 1
-        left, half, k = 0, work.node[s, k, Node.FIRST], -1
+        neighbors = 0
+        half = work.node[s, k, Node.FIRST]
+        k = -1
         while half >= 0:
-            a = work.half[s, half, HalfEdge.OTHER]
-            work.order[s, left, NodeList.NEAR] = a
-            left += 1
+            a = work.half[s, half, HalfEdge.TARGET]
+            work.order[s, neighbors, NodeList.NEAR] = a
+            neighbors += 1
             if count < width and work.node[s, a, Node.DEGREE] == near - 1:
                 k = a
             half = work.half[s, half, HalfEdge.NEXT]
-    for n in range(left):
+    for n in range(neighbors):
         a = work.order[s, n, NodeList.NEAR]
         _mark_neighbors(work, s, a)
-        one = width * work.node[s, a, Node.PLACE]
+        place_a = width * work.node[s, a, Node.PLACE]
         # K_ab -= sum over the group of Z_a' Z_b
-        for m in range(left):
+        for m in range(neighbors):
             b = work.order[s, m, NodeList.NEAR]
             if a <= b:
                 target = a if a == b else work.node[s, b, Node.MARK] // 2
-                other = width * work.node[s, b, Node.PLACE]
+                place_b = width * work.node[s, b, Node.PLACE]
                 rest = work.block[s, target]
                 for g in range(count):
-                    _subtract(rest, work.panel[s, one + g], work.panel[s, other + g])
+                    _subtract(rest, work.panel[s, place_a + g], work.panel[s, place_b + g])
                 work.block[s, target] = rest
         work.node[s, a, Node.DEGREE] -= count - 1
         _enter(work, s, a)
@@ -305,7 +321,8 @@ def _back(work: Ref, s, k):
     rest = work.motion[s, k]
     half = work.node[s, k, Node.FIRST]
     while half >= 0:
-        a, edge = work.half[s, half, HalfEdge.OTHER], half // 2
+        a = work.half[s, half, HalfEdge.TARGET]
+        edge = half // 2
         moved = work.motion[s, a]
         for i in ti.static(range(6)):
             for j in ti.static(range(6)):
@@ -327,7 +344,8 @@ def solve(work: Ref, s, nodes):
         work.order[s, degree, NodeList.LEAST] = -1
     for a in range(nodes):
         _enter(work, s, a)
-    least, step = 0, 0
+    least = 0
+    step = 0
     while step < nodes:
         while work.order[s, least, NodeList.LEAST] < 0:
             least += 1
@@ -359,7 +377,10 @@ class BeamEnds(Columns):
     """Dock that it joins at its second end, GROUND or NO_DOCK."""
 
 
-GROUND, NO_DOCK = -1, -2
+GROUND = -1
+"""Second end of a beam that stands on the ground, in place of a node or dock."""
+NO_DOCK = -2
+"""End of a link, which joins the parts of one robot, in place of a dock."""
 
 
 class FrameArrays(NamedTuple):
@@ -410,7 +431,8 @@ def _assemble(frame: Ref, work: Ref, s):
     for a in range(frame.node_count[s]):
         work.motion[s, a] = frame.weight[s, a]
     for beam in range(frame.beam_count[s]):
-        a, b = frame.ends[s, beam, BeamEnds.NODE_A], frame.ends[s, beam, BeamEnds.NODE_B]
+        a = frame.ends[s, beam, BeamEnds.NODE_A]
+        b = frame.ends[s, beam, BeamEnds.NODE_B]
         work.block[s, a] += frame.stiffness[s, 4 * beam]
         if b >= 0:
             edge = edge_between(work, s, a, b)
@@ -435,11 +457,13 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
     and bending and tau from shear and torsion. The section is halfway between two docks, and at
     the ground.
     """
-    a, b = frame.ends[s, beam, BeamEnds.NODE_A], frame.ends[s, beam, BeamEnds.NODE_B]
+    a = frame.ends[s, beam, BeamEnds.NODE_A]
+    b = frame.ends[s, beam, BeamEnds.NODE_B]
     both = ti.Vector.zero(F64, 12)
     for end in ti.static(range(2)):
         if end == 0 or b >= 0:
-            moved, place = motion[s, b if end else a], 4 * beam + end
+            moved = motion[s, b if end else a]
+            place = 4 * beam + end
             for i in ti.static(range(12)):
                 for j in ti.static(range(6)):
                     both[i] += moved[j] * frame.stiffness[s, place + 2 * (i // 6)][i % 6, j]
@@ -501,9 +525,11 @@ def find_loads(
         due: Structures to solve, shape (n,).
     """
     frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight))
-    work = ti.static(EliminationArrays(
-        node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
-    ))  # fmt: skip
+    work = ti.static(
+        EliminationArrays(
+            node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
+        )
+    )
     loads = ti.static(LoadArrays(acting_out, support_out, stress_out, sensed_out))
     for n, idle in ti.ndrange(due.shape[0], GRAIN):
         if idle == 0:

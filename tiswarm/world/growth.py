@@ -84,10 +84,13 @@ class _GrowthBatch:
         believe: Believe | None,
         turn: Turn | None,
     ) -> None:
-        self.robots, self.believe, self.departs = robots, believe, params.departures is not None
+        self.robots = robots
+        self.believe = believe
+        self.departs = params.departures is not None
         self.turn = turn
         robot = params.robot(robot)
-        count, docks = len(seeds), robot.dock_count * robots
+        count = len(seeds)
+        docks = robot.dock_count * robots
         self.frames = Frames(
             params.mechanics, docks=robot.dock_count, robots=robots, structures=count
         )
@@ -118,16 +121,17 @@ class _GrowthBatch:
         climbing = np.bincount(self.structure_of[self.moving], minlength=len(self.structures))
         for slot in np.flatnonzero(~self.moving):
             structure = self.structures[self.structure_of[slot]]
-            others = climbing[structure.number]
-            is_complete = len(structure.walks) + others >= self.robots
+            climbing_count = climbing[structure.number]
+            is_complete = len(structure.walks) + climbing_count >= self.robots
             # Founders come one by one, since they found what the others climb.
-            is_crowded = structure.founding and others > 0
+            is_crowded = structure.founding and climbing_count > 0
             if not (is_crowded or structure.ended or is_complete):
                 spawn = structure.spawn(self.arrays.dock[structure.number])
                 if spawn is not None:
                     self.walks.start(slot, spawn)
                     if self.turn:
-                        number, turns = len(structure.walks) + int(others), self.walks.turn[slot]
+                        number = len(structure.walks) + int(climbing_count)
+                        turns = self.walks.turn[slot]
                         turns[:] = self.turn(structure.seed, number, len(turns))
                     self.moving[slot] = True
                     climbing[structure.number] += 1
@@ -135,7 +139,8 @@ class _GrowthBatch:
 
     def round(self) -> int:
         """Let all movers climb, and those that can join; return how many did."""
-        walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
+        walks = self.walks
+        movers = np.flatnonzero(self.moving).astype(np.int32)
         if hasattr(walks.rule, "choose"):
             climb_by_choice(walks, self.arrays, movers, self.sensed, self.present)
         else:
@@ -166,14 +171,16 @@ class _GrowthBatch:
         self.frames.solve(due)
         for number in due:
             self.structures[number].note_loads()
-            call, sensed = self.structures[number].call, self.structures[number].sensed
+            call = self.structures[number].call
+            sensed = self.structures[number].sensed
             self.call[number, : len(call)] = call
             self.sensed[number, : len(sensed)] = sensed
         # Structures share no contacts: one relay serves them all.
         mute = self.mute.ravel() if self.departs else None
         relayed = walks.pass_on(self.call.ravel(), self.frames.joints, mute)
         self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
-        self.moving &= ~np.array([bool(each.ended) for each in self.structures])[self.structure_of]
+        has_ended = np.array([bool(structure.ended) for structure in self.structures])
+        self.moving &= ~has_ended[self.structure_of]
         if self.believe and grown:
             self._update_beliefs(grown, self.believe)
         return int(joined.sum())
@@ -182,7 +189,8 @@ class _GrowthBatch:
         """Let robots of structures that grew leave or die."""
         lost = [structure for structure in grown if structure.lose()]
         for structure in lost:
-            number, present = structure.number, ~self.frames.gone[structure.number]
+            number = structure.number
+            present = ~self.frames.gone[number]
             self.present[number] = present
             self.mute[number] = ~structure.alive
             for slot in np.flatnonzero(self.moving & (self.structure_of == number)):
@@ -214,7 +222,10 @@ class GrowingStructure:
     def __init__(
         self, number: int, seed: int, params: StructureParams, robot: RobotGeometry, frames: Frames
     ) -> None:
-        self.number, self.seed, self.params, self.robot = number, seed, params, robot
+        self.number = number
+        self.seed = seed
+        self.params = params
+        self.robot = robot
         self.frames = frames
         self.terrain = params.terrain
         self.docks = robot.dock_count
@@ -230,7 +241,10 @@ class GrowingStructure:
         self.call: NDArray[np.int32] = np.empty(0, np.int32)
         self.alive = np.ones(frames.gone.shape[1], np.bool_)  # those to come are, too
         self.departures: list[tuple[int, int, int]] = []
-        self.drawn = self.unsolved = self.spawned = self.rejected = 0
+        self.drawn = 0  # joins after which a departure has been drawn
+        self.unsolved = 0  # joins since the mechanics were solved last
+        self.spawned = 0
+        self.rejected = 0  # robots in a row that found no place
         self.crossed = False
         self.ended = ""
         self._forget()
@@ -252,28 +266,43 @@ class GrowingStructure:
             None where every place was taken.
         """
         self._survey(docks)
-        params, climb, joined = self.params, self.params.climb, len(self.walks)
-        put = self.anchors[joined] if joined < len(self.anchors) else None
+        params = self.params
+        climb = params.climb
+        joined = len(self.walks)
         index = self.spawned
         self.spawned += 1
-        side = (len(self.walks) if self.founding else index) % params.sides
-        rim = max(0.0, self.rim[side] + self.robot.dock_radius) if self.walks else 0.0
-        settles = climb.settle > 0.0 and not params.plane
-        settles = settles and bool(uniform(self.seed, "settle", index, 0) < climb.settle)
+        anchor_place = None
+        if joined < len(self.anchors):
+            anchor_place = self.anchors[joined]
+        side = index % params.sides
+        if self.founding:
+            side = joined % params.sides
+        rim = 0.0
+        if self.walks:
+            rim = max(0.0, self.rim[side] + self.robot.dock_radius)
+        patience = 0
+        settles = False
+        if anchor_place is None:
+            patience = climb.patience
+            if climb.settle > 0.0 and not params.plane:
+                settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle)
         for trial in range(_MAX_TRIES):
             draw = self._draw(index, trial)
-            x, y = params.start(side, rim, draw[:2]) if put is None else put
+            if anchor_place is None:
+                x, y = params.start(side, rim, draw[:2])
+            else:
+                x, y = anchor_place
             center, orientation = self._pose(x, y, np.pi * draw[2])
             if self._is_free(center):
                 return Spawn(
                     center=center,
                     orientation_wxyz=orientation,
                     goal=params.goal(side),
-                    patience=climb.patience if put is None else 0,
-                    settles=settles and put is None,
+                    patience=patience,
+                    settles=settles,
                     robot=index,
                 )
-        self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
+        self.ended = f"no free place to spawn robot {joined}; raise structure.spawn_max"
         return None
 
     def _draw(self, robot: int, trial: int) -> Reals:
@@ -283,11 +312,14 @@ class GrowingStructure:
             self.first_draws = uniform(self.seed, "spawn", robots, np.arange(3))
         # Numbered by robot and trial: no draw depends on how many others were made.
         draw: Reals = self.first_draws[robot % _DRAWN]
-        return uniform(self.seed, "spawn", robot, 3 * trial + np.arange(3)) if trial else draw
+        if trial:
+            draw = uniform(self.seed, "spawn", robot, 3 * trial + np.arange(3))
+        return draw
 
     def _pose(self, x: float, y: float, half: float) -> tuple[Reals, Reals]:
         """Turn a robot by twice `half` [rad]: centered at x and y, or upright on one dock there."""
-        place, body = np.array([x, y, self.level]), self.robot.dock_offset_body
+        place = np.array([x, y, self.level])
+        body = self.robot.dock_offset_body
         if not self.params.plane:
             place[2] -= body[:, 2].min()
             return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
@@ -303,12 +335,16 @@ class GrowingStructure:
         new = docks[self.surveyed : self.docks * len(self.walks)][is_new]
         if not len(new):
             return
-        anchors = self.docks * self.params.anchor_count - self.surveyed
-        skipped = max(0, anchors) if self.params.spawn_behind == "placed" else 0
+        skipped = 0
+        if self.params.spawn_behind == "placed":
+            skipped = max(0, self.docks * self.params.anchor_count - self.surveyed)
         self.surveyed += len(is_new)
         for side, rim in enumerate(self.rim):
             behind = [rim, *self.params.behind(side, new[skipped:]).tolist()]
-            self.rim[side] = min(behind) if self.leads else max(behind)
+            if self.leads:
+                self.rim[side] = min(behind)
+            else:
+                self.rim[side] = max(behind)
         # Robots spawn on the ground: docks higher than they are stand in nobody's way.
         is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
         for dock in new[is_low]:
@@ -318,7 +354,8 @@ class GrowingStructure:
     def _forget(self) -> None:
         """Forget where robots stand, to survey those that are left."""
         self.surveyed = 0
-        self.rim = [np.inf if self.leads else -self.robot.dock_radius] * self.params.sides
+        first_rim = np.inf if self.leads else -self.robot.dock_radius
+        self.rim = [first_rim for _ in range(self.params.sides)]
         self.low_docks: dict[tuple[int, int], list[Reals]] = {}
 
     def _is_free(self, center: Reals) -> bool:
@@ -339,18 +376,24 @@ class GrowingStructure:
         self.rejected += 1
         if self.rejected >= self.params.climb.max_spawns:
             rule = self.params.rule
-            is_ours = isinstance(rule, ReactiveBuild)
-            fix = "move the goal" if is_ours else f"correct the rule {rule.name}"
-            what = f"{self.rejected} robots in a row reached no other robot"
-            self.ended = f"{what}; raise structure.climb.max_spawns or {fix}"
+            fix = f"correct the rule {rule.name}"
+            if isinstance(rule, ReactiveBuild):
+                fix = "move the goal"
+            problem = f"{self.rejected} robots in a row reached no other robot"
+            self.ended = f"{problem}; raise structure.climb.max_spawns or {fix}"
 
     def join(self, walk: Walk, docks: Reals) -> None:
         """Make a robot part of the structure; `docks` are the structure's [R], shape (n, 3)."""
         j = len(self.walks)
         self.rejected = 0
         self.walks.append(walk)
-        own, other, dock = walk.at_rest(walk.contacts).T
-        contacts = np.column_stack([self.docks * other + dock, self.docks * j + own])
+        joining_dock, touched_robot, touched_dock = walk.at_rest(walk.contacts).T
+        contacts = np.column_stack(
+            [
+                self.docks * touched_robot + touched_dock,
+                self.docks * j + joining_dock,
+            ]
+        )
         feet = np.concatenate([walk.ground_docks, walk.edge_docks])
         standing = self.docks * j + walk.at_rest(feet)[:, 0]
         self.frames.join(
@@ -364,7 +407,7 @@ class GrowingStructure:
         self.unsolved += 1
         self.loads.append(LoadSummary())
         if self.params.sides > 1:
-            touched = {self.sides[i] for i in other}
+            touched = {self.sides[i] for i in touched_robot}
             touched |= {int(x > 0.5 * self.terrain.right_edge) for x in docks[standing, 0]}
             # A robot counts for the left side if it touches both; the gap is bridged then.
             self.sides.append(min(touched))
@@ -374,17 +417,21 @@ class GrowingStructure:
 
     def lose(self) -> bool:
         """Let robots leave or die, by a draw for each new joiner; return whether any did."""
-        params, joined, before = self.params.departures, len(self.walks), len(self.departures)
-        drawn, self.drawn = self.drawn, joined
+        params = self.params.departures
+        joined = len(self.walks)
+        departures_before = len(self.departures)
+        drawn = self.drawn
+        self.drawn = joined
         if params is None or self.ended:
             return False
+        event = LEFT if params.kind == "leave" else DIED
         for joiner in range(drawn, joined):
             able = np.flatnonzero(self.alive[:joined])
             robot = params.drawn(self.seed, joiner, able[able >= self.params.founder_count])
             if robot is not None:
                 self.alive[robot] = False
-                self.departures.append((robot, joined, LEFT if params.kind == "leave" else DIED))
-        if len(self.departures) == before:
+                self.departures.append((robot, joined, event))
+        if len(self.departures) == departures_before:
             return False
         if params.kind == "leave":
             fallen = np.flatnonzero(self.alive[:joined] & ~self.history().is_held)

@@ -137,8 +137,8 @@ class History:
     @property
     def is_anchor(self) -> Bools:
         """Whether the position of each robot is known to all, shape (N,)."""
-        known: Bools = np.arange(self.robot_count) < self.anchors
-        return known
+        is_anchor: Bools = np.arange(self.robot_count) < self.anchors
+        return is_anchor
 
     @property
     def join_round(self) -> Ints:

@@ -58,8 +58,9 @@ def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> H
             history = from_arrays(dict(tables), params, robot)
     except (InputError, *DAMAGED):
         return None
-    is_damaged = find_fault(history, contact_gap=params.climb.contact_gap)
-    return None if is_damaged else history
+    if find_fault(history, contact_gap=params.climb.contact_gap):
+        return None
+    return history
 
 
 def to_arrays(history: History) -> dict[str, NDArray[Any]]:
@@ -73,7 +74,8 @@ def to_arrays(history: History) -> dict[str, NDArray[Any]]:
         arrays[name] = np.array([getattr(walk, name) for walk in history.walks])
     for name in _TABLES:
         rows = [getattr(walk, name) for walk in history.walks]
-        arrays |= {name: np.concatenate(rows), f"{name}_end": np.cumsum([len(r) for r in rows])}
+        arrays[name] = np.concatenate(rows)
+        arrays[f"{name}_end"] = np.cumsum([len(of_walk) for of_walk in rows])
     if len(history.departures):
         arrays["departures"] = history.departures
     return arrays
@@ -159,8 +161,9 @@ def _column(arrays: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
 
 def _array(array: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
     """Return an array of numbers of some kind in rows of some width, as growth would have it."""
-    shape = array.shape[1:] if array.ndim else None
-    _require(array.dtype.kind == kind and shape == ((width,) if width else ()), "types and shapes")
+    row_shape = (width,) if width else ()
+    is_rows = array.ndim > 0 and array.shape[1:] == row_shape
+    _require(array.dtype.kind == kind and is_rows, "types and shapes")
     if kind != "i":
         return array.astype({"b": np.bool_, "f": np.float64}[kind])
     _require((np.abs(array.astype(np.float64)) < 2.0**31).all(), "whole numbers of 32 bits")
@@ -227,7 +230,8 @@ def find_fault(history: History, *, contact_gap: float) -> str:
 
 
 def _faults(history: History, contact_gap: float) -> Iterator[str]:
-    robot, contacts = history.robot, history.contacts
+    robot = history.robot
+    contacts = history.contacts
     stays = ~history.is_gone
     turned = dock_offsets(history.orientation_wxyz, robot.dock_offset_body)
     docks = history.position[:, None, :] + turned

@@ -118,13 +118,18 @@ class Frames:
     ) -> None:
         """Reserve memory for so many structures of so many robots of so many docks."""
         self.params = params
-        self.rigid, self.shape = params.model == "rigid", (params.beam_radius, params.poisson)
+        self.rigid = params.model == "rigid"
+        self.shape = (params.beam_radius, params.poisson)
         self.robots = np.zeros(structures, np.int32)
         self.gone = np.zeros((structures, robots), np.bool_)
         self.dock = np.zeros((structures, robots, docks, 3))
         self.waiting: list[tuple[Any, ...]] = []  # those that `join` has added since the last solve
-        nodes = robots if self.rigid else (docks + 1) * robots
-        beams = 3 * robots if self.rigid else (docks + 3) * robots
+        if self.rigid:
+            nodes = robots
+            beams = 3 * robots
+        else:
+            nodes = (docks + 1) * robots
+            beams = (docks + 3) * robots
         self.frame = frame_kernels.FrameArrays(
             node_count=np.zeros(structures, np.int32),
             beam_count=np.zeros(structures, np.int32),
@@ -143,7 +148,7 @@ class Frames:
             panel=np.empty((structures, nodes, _SIDE, _SIDE)),
             motion=np.empty((structures, nodes, _SIDE)),
         )
-        self.found = frame_kernels.LoadArrays(
+        self.load_arrays = frame_kernels.LoadArrays(
             acting=np.empty((structures, docks * robots, _SIDE)),
             support=np.empty((structures, beams, 3)),
             stress=np.empty((structures, beams)),
@@ -175,14 +180,17 @@ class Frames:
         """Take robots that have joined out of a structure, with all their beams."""
         self._admit()
         self.gone[structure, robots] = True
-        gone, frame, beams = self.gone[structure], self.frame, self.frame.beam_count[structure]
+        gone = self.gone[structure]
+        frame = self.frame
+        beams = frame.beam_count[structure]
         nodes = frame.weight.shape[1] // len(gone)
-        one, other = frame.ends[structure, :beams, : frame_kernels.BeamEnds.DOCK_A].T // nodes
-        stays = ~(gone[one] | (gone[other] & (other >= 0)))
-        frame.beam_count[structure] = left = np.count_nonzero(stays)
-        for of_beams, each in ((frame.ends, 1), (frame.stiffness, 4), (frame.span, 1)):
-            rows = of_beams[structure, : each * beams][np.repeat(stays, each)]
-            of_beams[structure, : each * left] = rows
+        robot_a, robot_b = frame.ends[structure, :beams, : frame_kernels.BeamEnds.DOCK_A].T // nodes
+        stays = ~(gone[robot_a] | (gone[robot_b] & (robot_b >= 0)))
+        remaining = np.count_nonzero(stays)
+        frame.beam_count[structure] = remaining
+        for table, rows_a_beam in ((frame.ends, 1), (frame.stiffness, 4), (frame.span, 1)):
+            rows = table[structure, : rows_a_beam * beams][np.repeat(stays, rows_a_beam)]
+            table[structure, : rows_a_beam * remaining] = rows
         # Nothing joins their nodes now: what is found for these means nothing.
         frame.weight[structure].reshape(len(gone), -1)[gone] = 0.0
 
@@ -214,8 +222,10 @@ class Frames:
             self._add_bodies(of, robot, arm)
         else:
             self._add_links(of, robot, arm)
-        touching, placed = np.repeat(of, [*map(len, contacts)]), np.repeat(of, [*map(len, foot)])
-        joints, feet = np.concatenate(contacts), np.concatenate(standing)
+        touching = np.repeat(of, [*map(len, contacts)])
+        placed = np.repeat(of, [*map(len, foot)])
+        joints = np.concatenate(contacts)
+        feet = np.concatenate(standing)
         dock = self.dock.reshape(len(self.dock), -1, 3)
         self._add_contacts(
             np.r_[touching, placed],
@@ -233,13 +243,15 @@ class Frames:
 
     def _add_links(self, of: AnyInts, robot: AnyInts, arm: Reals) -> None:
         """Add robots that bend: a node for the center, one for each dock, and the links between."""
-        count, docks = len(robot), arm.shape[1]
+        docks = arm.shape[1]
         self.frame.node_count[:] = (docks + 1) * self.robots
-        of, center = np.repeat(of, docks), np.repeat((docks + 1) * robot, docks)
-        dock = center + np.tile(np.arange(1, docks + 1), count)
+        of = np.repeat(of, docks)
+        center = np.repeat((docks + 1) * robot, docks)
+        dock = center + np.tile(np.arange(1, docks + 1), len(robot))
         self.frame.weight[of, dock, 2] = -1.0
         unused = np.full(len(of), frame_kernels.NO_DOCK)
-        ends, span = np.column_stack([center, dock, unused, unused]), arm.reshape(-1, 3)
+        ends = np.column_stack([center, dock, unused, unused])
+        span = arm.reshape(-1, 3)
         self._add_beams(of, ends, span, stiffness(span, self.params.link_axial, *self.shape))
 
     def _add_contacts(self, of: AnyInts, a: AnyInts, b: AnyInts, target: Reals) -> None:
@@ -252,8 +264,8 @@ class Frames:
             follow[:, :3, 3:6] = -_cross_matrix(self.frame.arm[of, a])
             follow[:, 6:9, 9:] = -_cross_matrix(self.frame.arm[of, b])
             stiff = follow.swapaxes(1, 2) @ stiff @ follow
-        other = np.where(b < 0, frame_kernels.GROUND, self._node(b))
-        ends = np.column_stack([self._node(a), other, a, b])
+        node_b = np.where(b < 0, frame_kernels.GROUND, self._node(b))
+        ends = np.column_stack([self._node(a), node_b, a, b])
         self._add_beams(of, ends, span, stiff)
 
     def _node(self, dock: AnyInts) -> AnyInts:
@@ -270,7 +282,7 @@ class Frames:
         place = count[of] + np.arange(len(of)) - np.searchsorted(of, of)
         while place.max(initial=-1) >= self.frame.ends.shape[1]:
             self.frame = _doubled(self.frame, "ends", "stiffness", "span")
-            self.found = _doubled(self.found, "support", "stress")
+            self.load_arrays = _doubled(self.load_arrays, "support", "stress")
         frame = self.frame
         frame.ends[of, place] = ends[order]
         frame.span[of, place] = span[order]
@@ -287,7 +299,12 @@ class Frames:
         due = np.array(structures, np.int32)
         while len(due):
             frame_kernels.find_loads(
-                self.params.beam_radius, self.robots, due, *self.frame, *self.work, *self.found
+                self.params.beam_radius,
+                self.robots,
+                due,
+                *self.frame,
+                *self.work,
+                *self.load_arrays,
             )
             # The kernel counted the blocks that fill-in needs: what had too little room is due.
             due = due[self.work.block_count[due] > self.work.block.shape[1]]
@@ -300,11 +317,12 @@ class Frames:
         Raises:
             StructureFailure: nothing supports the structure or a part of it.
         """
-        found, beams = self.found, slice(self.frame.beam_count[structure])
+        beams = slice(self.frame.beam_count[structure])
         robots = int(self.robots[structure])
-        other = self.frame.ends[structure, beams, frame_kernels.BeamEnds.DOCK_B]
-        standing, stress = other == frame_kernels.GROUND, found.stress[structure, beams]
-        ground_force = found.support[structure, beams][standing]
+        dock_b = self.frame.ends[structure, beams, frame_kernels.BeamEnds.DOCK_B]
+        standing = dock_b == frame_kernels.GROUND
+        stress = self.load_arrays.stress[structure, beams]
+        ground_force = self.load_arrays.support[structure, beams][standing]
         gone = self.gone[structure, :robots]
         weight = np.count_nonzero(~gone) * self.dock.shape[2]
         surplus = ground_force.sum(axis=0) - [0.0, 0.0, weight]
@@ -313,8 +331,8 @@ class Frames:
         if not imbalance <= MAX_UNBORNE:
             raise StructureFailure("a part of the structure is held by nothing")
         return Loads(
-            sensed=np.where(gone, np.nan, found.sensed[structure, :robots]),
-            contact_stress=stress[other >= 0],
+            sensed=np.where(gone, np.nan, self.load_arrays.sensed[structure, :robots]),
+            contact_stress=stress[dock_b >= 0],
             ground_stress=stress[standing],
             ground_force=ground_force,
             imbalance=imbalance,
@@ -323,8 +341,11 @@ class Frames:
 
 def _doubled(arrays: Any, *names: str) -> Any:  # noqa: ANN401 - a bundle
     """Double the room of some arrays of a bundle along their second axis."""
-    found = {name: getattr(arrays, name) for name in names}
-    return arrays._replace(**{name: np.concatenate([a, a], axis=1) for name, a in found.items()})
+    doubled = {}
+    for name in names:
+        array = getattr(arrays, name)
+        doubled[name] = np.concatenate([array, array], axis=1)
+    return arrays._replace(**doubled)
 
 
 def _cross_matrix(vector: Reals) -> Reals:

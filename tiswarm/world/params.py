@@ -43,8 +43,8 @@ def _one_mistake(anchors: object, check: ValidatorFunctionWrapHandler) -> object
 
 # A wrapped value passes through Python, where strict checks accept no list for a tuple.
 _Coordinate = Annotated[float, Strict(), Field(ge=-1e4, le=1e4)]
-_Place = Annotated[tuple[_Coordinate, _Coordinate], Strict(False)]  # noqa: FBT003
-_Places = Annotated[tuple[_Place, ...], Strict(False)]  # noqa: FBT003
+_Place = Annotated[tuple[_Coordinate, _Coordinate], Strict(strict=False)]
+_Places = Annotated[tuple[_Place, ...], Strict(strict=False)]
 _Anchors = Annotated[
     Annotated[int, Strict(), Field(ge=1, le=_MOST_ANCHORS)]
     | Annotated[_Places, Field(min_length=1, max_length=_MOST_ANCHORS)]
@@ -136,8 +136,9 @@ class DepartureParams:
             able: Robots that may be drawn, shape (n,).
         """
         chance, which = uniform(seed, "departure", joiner, np.arange(2))
-        is_drawn = chance < self.rate and len(able) > 0
-        return int(able[int(which * len(able))]) if is_drawn else None
+        if chance >= self.rate or not len(able):
+            return None
+        return int(able[int(which * len(able))])
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -345,10 +346,11 @@ class EdgeParams(GrowthParams):
 
     def spread(self, count: int, behind: float) -> Reals:
         """In a row behind the edge [R], shape (count, 2)."""
-        row, none = ANCHORS_APART * np.arange(count), np.zeros(count)
-        centered = row - 0.5 * ANCHORS_APART * (count - 1)
-        back, along = (row, none) if self.plane else (none, centered)
-        return np.column_stack([-behind - back, along])
+        row = ANCHORS_APART * np.arange(count)
+        if self.plane:
+            return np.column_stack([-behind - row, np.zeros(count)])
+        along = row - 0.5 * ANCHORS_APART * (count - 1)
+        return np.column_stack([np.full(count, -behind), along])
 
     def behind(self, _side: int, docks: Reals) -> Reals:
         """Distance of docks, shape (n, 3), behind the edge [R], shape (n,)."""
@@ -360,9 +362,12 @@ class EdgeParams(GrowthParams):
         places = np.array(self.anchors or [[0.0, 0.0]])
         if isinstance(self.anchors, int):
             places = self.spread(self.anchors, 0.0)
-        low, high = min(0.0, *places[:, 1].tolist()), max(0.0, *places[:, 1].tolist())
-        along = (self.spawn_width + 0.5 * (high - low)) * (2.0 * draw[0] - 1.0)
-        y = 0.0 if self.plane else along + 0.5 * (low + high)
+        low = min(0.0, *places[:, 1].tolist())
+        high = max(0.0, *places[:, 1].tolist())
+        y = 0.0
+        if not self.plane:
+            along = (self.spawn_width + 0.5 * (high - low)) * (2.0 * draw[0] - 1.0)
+            y = along + 0.5 * (low + high)
         back = rim + (self.spawn_min + draw[1] * (self.spawn_max - self.spawn_min))
         return np.array([-back, y])
 
@@ -391,7 +396,9 @@ class TowerParams(GrowthParams):
         if self.plane:
             row = ANCHORS_APART * (np.arange(count) - 0.5 * (count - 1))
             return np.column_stack([row, np.zeros(count)])
-        radius = 0.5 * ANCHORS_APART / np.sin(np.pi / count) if count > 1 else 0.0
+        radius = 0.0
+        if count > 1:
+            radius = 0.5 * ANCHORS_APART / np.sin(np.pi / count)
         angle = 2.0 * np.pi * np.arange(count) / count
         return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
@@ -502,16 +509,21 @@ def anchor_places(params: StructureParams, shape: RobotGeometry) -> Reals:
         return spread
     if params.anchors is not None:
         return np.array(params.anchors)
-    return np.array([] if params.anchor is None else [[0.0 - params.anchor, 0.0]]).reshape(-1, 2)
+    if params.anchor is None:
+        return np.empty((0, 2))
+    return np.array([[0.0 - params.anchor, 0.0]])  # for no distance 0, not -0
 
 
 def anchor_fault(params: StructureParams, robots: int, shape: RobotGeometry) -> str:
     """Find why so many robots of a shape cannot have these anchors; empty if they can."""
-    return "" if params.anchors is None else next(_faults(params, robots, shape), "")
+    if params.anchors is None:
+        return ""
+    return next(_faults(params, robots, shape), "")
 
 
 def _faults(params: StructureParams, robots: int, shape: RobotGeometry) -> Iterator[str]:
-    places, terrain = anchor_places(params, shape), params.terrain
+    places = anchor_places(params, shape)
+    terrain = params.terrain
     if len(places) > robots:
         yield f"{len(places)} anchors are more than {robots} robots; give fewer"
     clearance = _clearance(params, shape)
@@ -521,10 +533,11 @@ def _faults(params: StructureParams, robots: int, shape: RobotGeometry) -> Itera
             yield f"{where} is off the ground; keep it {clearance:.4g} R behind the edge"
         if params.plane and y != 0.0:
             yield f"{where} is not in the plane; set its y to 0"
-    apart, least = squareform(pdist(places)), 2.0 * clearance + shape.spacing
-    for i, j in np.argwhere(np.triu(apart < least, 1)):
-        near = f"anchors {i} and {j} are {apart[i, j]:.4g} R apart and may overlap"
-        yield f"{near}; place them {least:.4g} R apart or more"
+    distance = squareform(pdist(places))
+    least = 2.0 * clearance + shape.spacing
+    for i, j in np.argwhere(np.triu(distance < least, 1)):
+        problem = f"anchors {i} and {j} are {distance[i, j]:.4g} R apart and may overlap"
+        yield f"{problem}; place them {least:.4g} R apart or more"
     is_right = places[:, 0] > 0.0
     if params.sides > 1 and (is_right.all() or not is_right.any()):
         yield "both sides need an anchor; add one"
@@ -533,4 +546,6 @@ def _faults(params: StructureParams, robots: int, shape: RobotGeometry) -> Itera
 def _clearance(params: StructureParams, shape: RobotGeometry) -> float:
     """Bound how far a robot's docks are from where it is put [R]."""
     # An upright robot is put down by its lowest dock: others are up to twice as far from that.
-    return shape.extent * (2.0 if params.plane else 1.0)
+    if params.plane:
+        return 2.0 * shape.extent
+    return shape.extent

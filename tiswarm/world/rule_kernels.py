@@ -100,11 +100,11 @@ def list_flips(
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
-            here = vector_in(center, m, last[m])
+            stance_center = vector_in(center, m, last[m])
             q = quaternion_at(orientation, m, last[m])
             called = 0
             for k in range(dock_offset_body.shape[0]):
-                point = here + rotate(q, vector_at(dock_offset_body, k))
+                point = stance_center + rotate(q, vector_at(dock_offset_body, k))
                 called |= sense_contacts(
                     limits, structures, structure[m], walks, m, last[m], k, point
                 )
@@ -124,7 +124,8 @@ def _flips_about(
     limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, m, k, flips: Ref
 ):
     """List the flips of a mover about its dock `k`; return SCRATCH_FULL or 0."""
-    body, near = ti.static(climbers.dock_offset_body, climbers.near)
+    body = ti.static(climbers.dock_offset_body)
+    near = ti.static(climbers.near)
     stance = walks.last[m]
     q = quaternion_at(walks.orientation, m, stance)
     hinge = hinge_at(limits, structures, believed, climbers, walks, m, stance, k)
@@ -177,10 +178,10 @@ def sense_ends(
                     q = quaternion_at(turned, m, column)
                     for k in range(dock_offset_body.shape[0]):
                         arm = rotate(q, vector_at(dock_offset_body, k))
+                        point = vector_in(end, m, column) + arm
                         called_out[m, column] |= sense_contacts(
-                            limits, structures, structure[m], contacts, m, column, k,
-                            vector_in(end, m, column) + arm,
-                        )  # fmt: skip
+                            limits, structures, structure[m], contacts, m, column, k, point
+                        )
 
 
 @ti.kernel

@@ -84,11 +84,20 @@ class ClimbStep:
     """
 
     def __init__(
-        self, walks: Walks, structures: StructureArrays, flips: FlipArrays, called: _Slots,
-        slots: _Slots, sensed: Reals, present: AnyInts,
-    ) -> None:  # fmt: skip
+        self,
+        walks: Walks,
+        structures: StructureArrays,
+        flips: FlipArrays,
+        called: _Slots,
+        slots: _Slots,
+        sensed: Reals,
+        present: AnyInts,
+    ) -> None:
         """Take the arrays of all slots, and the slots of those who choose, shape (M,)."""
-        self._walks, self._structures, self._flips, self._slots = walks, structures, flips, slots
+        self._walks = walks
+        self._structures = structures
+        self._flips = flips
+        self._slots = slots
         self.structure: AnyInts = walks.climbers.structure[slots]
         """Structure that each climbs, shape (M,)."""
         self.robot: AnyInts = walks.robot[slots]
@@ -113,8 +122,10 @@ class ClimbStep:
         """Angle of each flip [rad], negative if backward, 0 if there is none, shape (M, K)."""
         self.possible: Bools = self.angle != 0.0
         """Which flips there are: about an attached dock, and something stops them, (M, K)."""
-        self.dock, self.relay = _read_only(structures.dock), _read_only(structures.relay)
-        """Dock centers of all structures [R], (S, n N, 3), and what each passes on, (S, n N)."""
+        self.dock = _read_only(structures.dock)
+        """Dock centers of all structures [R], shape (S, n N, 3)."""
+        self.relay = _read_only(structures.relay)
+        """Call that each dock passes on, shape (S, n N)."""
         self.robot_count = _read_only(structures.robot_count)
         """Robots that have joined; rows of others are meaningless, shape (S,)."""
         self.sensed = _read_only(sensed)
@@ -154,9 +165,11 @@ class ClimbStep:
 
     @cached_property
     def _ends(self) -> tuple[AnyInts, AnyInts, AnyInts]:
-        walks, flips = self._walks, self._flips
+        walks = self._walks
+        flips = self._flips
         shape = (*flips.angle.shape, walks.docks)
-        touching, ground = np.full((*shape, MAX_TOUCHING), -1, np.int32), np.zeros(shape, np.int32)
+        touching = np.full((*shape, MAX_TOUCHING), -1, np.int32)
+        ground = np.zeros(shape, np.int32)
         called = np.zeros(flips.angle.shape, np.int32)
         cells, *docks = self._structures
         sense_ends(
@@ -207,16 +220,18 @@ def climb_by_choice(
         sensed: Load that each robot sensed at the last solve, shape (S, N).
         present: Whether each robot has not left, shape (S, N).
     """
-    stances, patience = walks.stances, walks.climbers.patience
+    stances = walks.stances
+    patience = walks.climbers.patience
     cells, *docks = structures
-    room, count = len(patience), 2 * walks.limits.twists * walks.docks
+    slot_count = len(patience)
+    flip_count = 2 * walks.limits.twists * walks.docks
     flips = FlipArrays(
-        angle=np.zeros((room, count)),
-        center=np.zeros((room, count, 3)),
-        orientation=np.zeros((room, count, 4)),
-        visited=np.zeros((room, count), np.int32),
+        angle=np.zeros((slot_count, flip_count)),
+        center=np.zeros((slot_count, flip_count, 3)),
+        orientation=np.zeros((slot_count, flip_count, 4)),
+        visited=np.zeros((slot_count, flip_count), np.int32),
     )
-    called = np.zeros(room, np.int32)
+    called = np.zeros(slot_count, np.int32)
     stances.last[movers] = walks.climbers.first_stance[movers]
     walks.state[movers] = WALKING
     walking: AnyInts = movers
@@ -231,14 +246,18 @@ def climb_by_choice(
             slots = walking[asks]
             step = ClimbStep(walks, structures, flips, called, slots, sensed, present)
             choice[asks] = walks.rule.choose(step)
-        last, goes = stances.last[walking], choice >= 0
+        last = stances.last[walking]
+        goes = choice >= 0
         stay = np.where(choice < STAY, -2 - choice, last)[~goes]
         stayed = walking[~goes]
-        stances.best[stayed] = stances.stay[stayed] = stay
+        stances.best[stayed] = stay
+        stances.stay[stayed] = stay
         recruited = (called[stayed] != 0) & (stay == last[~goes])
         walks.state[stayed] |= np.where(recruited, RECRUITED, ENDED)
-        walking, last, flip = walking[goes], last[goes], choice[goes]
-        stances.pivot_dock[walking, last] = flip // (count // walks.docks)
+        walking = walking[goes]
+        last = last[goes]
+        flip = choice[goes]
+        stances.pivot_dock[walking, last] = flip // (flip_count // walks.docks)
         stances.center[walking, last + 1] = flips.center[walking, flip]
         stances.orientation[walking, last + 1] = flips.orientation[walking, flip]
         stances.last[walking] = last + 1
@@ -259,10 +278,11 @@ def rule(name: str) -> Callable[[_Class], _Class]:
 
     And it may have these, in place of what ReactiveBuild does:
 
-    - `call(sensed, params)`: the own call of each robot of a structure, integers from 0 up, by the
-      loads that they sense [weight of a dock], both of shape (N,).
-    - `spread(call, contacts)`: the call that each dock passes on, shape (n N,), by the own calls of
-      N robots of n docks. Docks n i + a and n j + b touch if `contacts`, (C, 2), has such a row.
+    - `call(sensed, params)`: the call that each robot of a structure makes, integers from 0 up, by
+      the loads that they sense [weight of a dock], both of shape (N,).
+    - `spread(call, contacts)`: the call that each dock passes on, shape (n N,), by the calls that
+      N robots of n docks make. Docks n i + a and n j + b touch if `contacts`, (C, 2), has such a
+      row.
 
     Args:
         name: Name of the rule: words of letters and digits, with "-".
@@ -308,9 +328,14 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
         ]
         if method == "score":
             return call_plugin(
-                "rule", name, lambda: unguarded(*shown), _fault_of_score,
-                method=method, repeats=unguarded, owner=arguments[0],
-            )  # fmt: skip
+                "rule",
+                name,
+                partial(unguarded, *shown),
+                _fault_of_score,
+                method=method,
+                repeats=unguarded,
+                owner=arguments[0],
+            )
 
         def integers() -> NDArray[Any]:
             returned = np.asarray(unguarded(*shown))
@@ -324,10 +349,16 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
                 return wrong_type
             return fault_of(returned, *arguments[1:])
 
-        return call_plugin(
-            "rule", name, integers, fault,
-            method=method, repeats=unguarded, owner=arguments[0],
-        ).astype(np.int32)  # fmt: skip
+        choices = call_plugin(
+            "rule",
+            name,
+            integers,
+            fault,
+            method=method,
+            repeats=unguarded,
+            owner=arguments[0],
+        )
+        return choices.astype(np.int32)
 
     _unguarded[call] = unguarded
     return call
@@ -357,9 +388,11 @@ def _fault_of_score(returned: object) -> str:
 
 
 def _fault_of_integers(returned: NDArray[Any]) -> str:
+    if returned.dtype.kind in "iu":
+        return ""
     is_none = returned.dtype == np.object_ and returned.size > 0 and returned.flat[0] is None
     kind = "None" if is_none else returned.dtype
-    return "" if returned.dtype.kind in "iu" else f"{kind}; return integers"
+    return f"{kind}; return integers"
 
 
 def _fault_of_choice(choice: AnyInts, step: Any) -> str:  # noqa: ANN401 - of a part
@@ -455,12 +488,22 @@ def _checked(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
     @wraps(unchecked)
     def call(self: GrowthParams, *arguments: Any) -> Any:  # noqa: ANN401 - as the method
         shape = _SHAPES[method](*arguments)
+
+        def lengths() -> NDArray[Any]:
+            return np.asarray(unchecked(self, *arguments))
+
+        def fault(returned: NDArray[Any]) -> str:
+            return _fault_of_lengths(returned, shape)
+
         numbers = call_plugin(
-            "structure", name,
-            lambda: np.asarray(unchecked(self, *arguments)),
-            lambda returned: _fault_of_lengths(returned, shape),
-            method=method, repeats=unchecked, owner=self,
-        )  # fmt: skip
+            "structure",
+            name,
+            lengths,
+            fault,
+            method=method,
+            repeats=unchecked,
+            owner=self,
+        )
         return numbers.astype(np.float64)
 
     return call
@@ -476,11 +519,15 @@ def _fault_of_lengths(returned: NDArray[Any], shape: tuple[int, ...]) -> str:
 
 def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
     """Return the terrain of a plug-in's structure."""
-    unchecked = getattr(settings.terrain, "fget", lambda _: settings.terrain)
+
+    def plain_value(_: GrowthParams) -> object:
+        return settings.terrain
+
+    unchecked = getattr(settings.terrain, "fget", plain_value)
     terrain: Terrain = call_plugin(
         "structure",
         name,
-        lambda: unchecked(of),
+        partial(unchecked, of),
         _fault_of_terrain,
         method="terrain",
         repeats=unchecked,

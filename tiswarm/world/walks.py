@@ -144,9 +144,19 @@ class Walks:
             self.score = _score_of(self.rule)
         self.seed = np.array(seeds, np.uint64)[structure_of]
         self.robot = np.zeros(len(structure_of), np.int32)
-        slots, stances, docks = len(structure_of), params.climb.max_flips + 2, robot.dock_count
+        slots = len(structure_of)
+        stances = params.climb.max_flips + 2
+        docks = robot.dock_count
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.
-        near = math.ceil((limits.reach + robot.dock_radius) ** 3)
+        near_most = math.ceil((limits.reach + robot.dock_radius) ** 3)
+        if limits.by_belief:
+            believed_near_most = _BELIEVED_NEARER * near_most
+            true_near_most = near_most
+            believed_stances = stances
+        else:
+            believed_near_most = near_most
+            true_near_most = 1
+            believed_stances = 0
         self.limits = limits
         self.docks = docks
         self.climbers = Climbers(
@@ -156,8 +166,8 @@ class Walks:
             patience=np.zeros(slots, np.int32),
             settles=np.zeros(slots, np.int32),
             dock_offset_body=robot.dock_offset_body,
-            near=np.empty((slots, near * (_BELIEVED_NEARER if limits.by_belief else 1), 3)),
-            obstacle=np.empty((slots, near if limits.by_belief else 1, 3)),
+            near=np.empty((slots, believed_near_most, 3)),
+            obstacle=np.empty((slots, true_near_most, 3)),
         )
         last, best, stay = np.zeros((3, slots), np.int32)
         self.stances = WalkArrays(
@@ -171,9 +181,8 @@ class Walks:
             stay=stay,
         )
         self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
-        kept = stances if limits.by_belief else 0
-        self.flips = np.zeros((slots, kept, 2), np.int32)
-        self.turn = np.tile([1.0, 0.0, 0.0, 0.0], (slots, kept, 1))
+        self.flips = np.zeros((slots, believed_stances, 2), np.int32)
+        self.turn = np.tile([1.0, 0.0, 0.0, 0.0], (slots, believed_stances, 1))
 
     def start(self, slot: int, spawn: Spawn) -> None:
         """Put a new robot in a slot."""
@@ -203,7 +212,9 @@ class Walks:
                 self.score,
             )  # fmt: skip
         except Exception as error:
-            mistake = mistake_of_user(error) if is_of_library(error) else None
+            mistake = None
+            if is_of_library(error):
+                mistake = mistake_of_user(error)
             if mistake is None:
                 raise
             raise mistake from error
@@ -237,7 +248,9 @@ class Walks:
         if not hasattr(self.rule, "spread"):
             return relay(call, contacts, docks=self.docks, mute=mute)
         spread: NDArray[np.int32] = self.rule.spread(call, contacts)
-        return spread if mute is None else np.where(np.repeat(mute, self.docks), 0, spread)
+        if mute is not None:
+            spread = np.where(np.repeat(mute, self.docks), 0, spread)
+        return spread
 
     def touched(self, slot: int) -> AnyInts:
         """List the robots that a walk that is to go on has touched so far, with repeats."""
@@ -248,7 +261,8 @@ class Walks:
     def walk(self, slot: int, number: int) -> Walk:
         """Copy one walk of a round out, with the way back to where the robot stays at its end."""
         stances = self.stances
-        last, best = int(stances.last[slot]), int(stances.best[slot])
+        last = int(stances.last[slot])
+        best = int(stances.best[slot])
         order = np.concatenate([np.arange(last + 1), np.arange(last - 1, best - 1, -1)])
         # Out and back between two stances go about the same dock.
         pivot = stances.pivot_dock[slot, np.minimum(order[:-1], order[1:])]
@@ -258,14 +272,14 @@ class Walks:
             pivot = np.append(pivot, stances.pivot_dock[slot, last + 1])
         # Docks are found cell by cell: sorted, contacts do not depend on the cells.
         touching = np.sort(stances.touching[slot, order], axis=2)
-        stance, own, place = np.nonzero(touching >= 0)
-        others = np.divmod(touching[stance, own, place], self.docks)
+        stance, dock, place = np.nonzero(touching >= 0)
+        touched_robot, touched_dock = np.divmod(touching[stance, dock, place], self.docks)
         on_ground = stances.on_ground[slot, order]
         return Walk(
             center=stances.center[slot, order],
             orientation_wxyz=stances.orientation[slot, order],
             pivot_dock=pivot,
-            contacts=np.array([stance, own, *others], np.int32).T,
+            contacts=np.array([stance, dock, touched_robot, touched_dock], np.int32).T,
             ground_docks=np.array((on_ground == FLAT).nonzero(), np.int32).T,
             edge_docks=np.array((on_ground == EDGE).nonzero(), np.int32).T,
             planned_robot=planned // self.docks,  # and GROUND, -1, stays what it is
@@ -278,16 +292,25 @@ class Walks:
 def note_belief(walks: list[Walk], contacts: AnyInts, error: Reals, sent: Reals) -> None:
     """Note in the walks of the newest how wrong all are [R], (N, 3), and what they sent, (N,)."""
     i, _, j, _ = contacts.T
-    own, between = np.linalg.norm(error, axis=1), np.linalg.norm(error[i] - error[j], axis=1)
-    rms = [np.sqrt((each**2).mean()) if len(each) else 0.0 for each in (own, between)]
-    cost = sent.mean(), sent.max()
-    for new, walk in enumerate(walks):
+    center_error = np.linalg.norm(error, axis=1)
+    contact_error = np.linalg.norm(error[i] - error[j], axis=1)
+    center_rmse = _root_mean_square(center_error)
+    contact_rmse = _root_mean_square(contact_error)
+    for robot, walk in enumerate(walks):
         if not len(walk.belief):
-            walks[new] = replace(walk, belief=np.array([rms[0], own[new], rms[1], *cost]))
+            columns = [center_rmse, center_error[robot], contact_rmse, sent.mean(), sent.max()]
+            walks[robot] = replace(walk, belief=np.array(columns))
+
+
+def _root_mean_square(errors: Reals) -> float:
+    """Compute the root mean square, 0 of no errors."""
+    if not len(errors):
+        return 0.0
+    return float(np.sqrt((errors**2).mean()))
 
 
 def recruit(sensed: Reals, params: RecruitParams) -> NDArray[np.int32]:
-    """Compute each robot's own call from its sensed load, shape (N,)."""
+    """Compute the call that each robot makes by its sensed load, shape (N,)."""
     ratio = sensed / params.force_threshold
     # Cap the power where the call exceeds J, to avoid overflow.
     most = np.log(params.recruit_limit + 2.0) / np.log(params.recruit_base)
@@ -301,7 +324,7 @@ def relay(
     """Spread all calls from zero, and return what each dock passes on.
 
     Args:
-        call: Each robot's own call, shape (N,).
+        call: Call that each robot makes by its sensed load, shape (N,).
         contacts: Docks that touch, rows of (dock, dock) as docks i + k, shape (C, 2).
         docks: Docks of a robot.
         mute: Robots that pass nothing on, shape (N,).
@@ -309,18 +332,19 @@ def relay(
     Returns:
         Shape (docks N,).
     """
-    out = own = np.repeat(call, docks)
+    call_of_dock = np.repeat(call, docks)
+    passed_on = call_of_dock
     if not call.any():
-        return out
-    one, other = np.concatenate([contacts, contacts[:, ::-1]]).T
+        return passed_on
+    receiver, sender = np.concatenate([contacts, contacts[:, ::-1]]).T
     while True:
-        incoming = np.zeros_like(out)
-        np.maximum.at(incoming, one, out[other])
+        incoming = np.zeros_like(passed_on)
+        np.maximum.at(incoming, receiver, passed_on[sender])
         # The greatest of all zones may stand for the others': in its own zone the -1 prevails.
         greatest = np.repeat(incoming.reshape(-1, docks).max(axis=1), docks)
-        spread = np.maximum(own, np.maximum(incoming - 1, greatest - 2))
+        spread = np.maximum(call_of_dock, np.maximum(incoming - 1, greatest - 2))
         if mute is not None:
             spread[np.repeat(mute, docks)] = 0
-        if np.array_equal(spread, out):
-            return out
-        out = spread
+        if np.array_equal(spread, passed_on):
+            return passed_on
+        passed_on = spread

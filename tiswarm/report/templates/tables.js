@@ -9,6 +9,12 @@ function keyOf({ className, textContent: text }) {
 // The rows of a part of a table, without the point of the sweep that heads them.
 const rowsOf = ({ rows }) => [...rows].filter(({ className }) => className !== "point");
 
+// Text that spreadsheets would compute gets an apostrophe, as `csv_text` writes it.
+const notComputed = (text) => (/^[=+\-@\t\r]/.test(text) && Number.isNaN(Number(text)) ? `'${text}` : text);
+
+// The text of a cell in a CSV; numbers with their spread stay as they are.
+const writtenOf = ({ className, tagName, textContent: text }) => (className === "text" || tagName === "TH" ? notComputed(text) : text);
+
 function compare(a, b) {
   if (typeof a === "number" && typeof b === "number") return a - b;
   if (typeof a === typeof b) return a.localeCompare(b, "en", { numeric: true });
@@ -31,8 +37,12 @@ for (const table of document.querySelectorAll("table")) {
   link.href = "#";
   link.addEventListener("click", () => {
     const quoted = (text) => `"${text.replaceAll("\u00a0", " ").replaceAll('"', '""')}"`;
-    const pointOf = (row) => row.parentElement.querySelector(".point")?.textContent ?? (table.querySelector(".point") ? "point" : null);
-    const rows = [table.tHead, ...bodies].flatMap(rowsOf).map((row) => [pointOf(row), ...[...row.cells].map(({ textContent }) => textContent)].filter((text) => text !== null).map(quoted).join(","));
+    const pointOf = (row) => {
+      const heading = row.parentElement.querySelector(".point");
+      if (heading) return notComputed(heading.textContent);
+      return table.querySelector(".point") ? "point" : null;
+    };
+    const rows = [table.tHead, ...bodies].flatMap(rowsOf).map((row) => [pointOf(row), ...[...row.cells].map(writtenOf)].filter((text) => text !== null).map(quoted).join(","));
     link.href = `data:text/csv;charset=utf-8,${encodeURIComponent(rows.join("\n") + "\n")}`;
   });
   table.parentElement.after(link);

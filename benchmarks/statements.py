@@ -1,0 +1,920 @@
+"""What pages state of results: a text for each mark, composed from `docs/results.csv`.
+
+Numbers that no row of the file has, such as p of a paired test, stand outside marks.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from benchmarks.result_texts import (
+    Result,
+    Results,
+    count,
+    count_of,
+    fixed,
+    interval,
+    kilobytes,
+    kilobytes_interval,
+    p_between,
+    percent,
+    small_p,
+    span,
+    table,
+    tens,
+    three_digits,
+)
+from tiswarm.base.errors import InputError
+from tiswarm.base.robot import FIREANT_RHO
+from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER
+
+EPYC = "AMD EPYC family 26 model 2"
+"""Kind of processor of most results, which docs/accuracy.md names."""
+
+OLDER_EPYC = "AMD EPYC family 25 model 17"
+"""Kind of processor of lossy channels, and of own messages over 20 R."""
+
+PLAIN_EPYC = f"{EPYC}, libraries without AVX2 and FMA"
+"""The same processor with other numerical libraries."""
+
+BOTH = ("tower", "cantilever")
+"""Kinds of structures, in the order of the tables."""
+
+Statement = Callable[[Results], str]
+"""A function that composes the text of a mark."""
+
+STATEMENTS: dict[str, Statement] = {}
+"""Functions that compose a text from results, by the name of its mark."""
+
+
+def statement(name: str) -> Callable[[Statement], Statement]:
+    """Register a function as what pages state at marks of a name."""
+
+    def register(compose: Statement) -> Statement:
+        STATEMENTS[name] = compose
+        return compose
+
+    return register
+
+
+def texts_of(results: pd.DataFrame) -> dict[str, str]:
+    """Compose the text of each mark from the rows of `read_results`.
+
+    Raises:
+        InputError: a result is missing.
+    """
+    indexed = Results(results)
+    return {name: compose(indexed) for name, compose in STATEMENTS.items()}
+
+
+# --- README.md and docs/accuracy.md -----------------------------------------------------------
+
+ACCURACY = {
+    "final contacts, ground, height | none": ("algorithm-1", "height"),
+    "final contacts, ground | none": ("algorithm-1-no-height", "no-height"),
+    "final contacts, ground, height | 1, 2 deg": ("algorithm-1-noisy", "noisy-height"),
+    "walk contacts too (the default) | 1, 2 deg": ("", "noisy-walks"),
+    "walk contacts and spawn positions too | 1, 2 deg": ("", "noisy-odometry"),
+}
+"""Conditions of Algorithm 1 and of `joint` in the scenario joint, by measurements and noise."""
+
+
+def joint(
+    results: Results, condition: str, structure: str, measure: str = "rmse_R", kind: str = EPYC
+) -> Result:
+    """Return a result of the scenario joint."""
+    return results.of("joint", condition, f"structure.kind={structure}", measure, kind)
+
+
+def on_every_kind(results: Results, condition: str, structure: str) -> str:
+    """Write an RMSE of the scenario joint as all kinds of processors round it, to 0.1 R.
+
+    Raises:
+        InputError: fewer than two kinds have computed it, or these round otherwise.
+    """
+    kinds = results.kinds("joint", condition, f"structure.kind={structure}", "rmse_R")
+    rounded = {fixed(joint(results, condition, structure, kind=k).mean, 1) for k in kinds}
+    if len(kinds) < 2 or len(rounded) != 1:  # noqa: PLR2004
+        problem = f"{condition}, {structure}: {len(kinds)} kinds of processors have {rounded}"
+        raise InputError(f"{problem}; run it on two kinds, and state what both round to")
+    return rounded.pop()
+
+
+@statement("methods")
+def _methods(results: Results) -> str:
+    rows = [
+        ("`virtual-force`", "contacts, heights, docks on the ground", "none", "algorithm-1"),
+        ("`virtual-force`, all at once", "the same", "none", "algorithm-1-all-at-once"),
+        ("`joint`", "the same", "none", "height"),
+        (
+            "`joint`",
+            "the same, and contacts on the way",
+            "1 deg of tilt, 2 deg of yaw",
+            "noisy-walks",
+        ),
+    ]
+    return table(
+        ["method", "measurements", "noise", *BOTH],
+        [[*row, *(on_every_kind(results, condition, s) for s in BOTH)] for *row, condition in rows],
+    )
+
+
+@statement("structure-sizes")
+def _structure_sizes(results: Results) -> str:
+    rows = {
+        "contacts with earlier robots, per robot": "contacts_per_robot",
+        "rms radius [R]": "rms_radius_R",
+    }
+    return table(
+        ["", *BOTH],
+        [
+            [label, *(fixed(joint(results, "height", s, measure).mean, 1) for s in BOTH)]
+            for label, measure in rows.items()
+        ],
+    )
+
+
+@statement("accuracy")
+def _accuracy(results: Results) -> str:
+    columns = ("Algorithm 1", "`joint`", "floppy")
+    header = ["measurements beside non-overlap", "noise"]
+    header += [f"{s}: {columns[0]}" if c == columns[0] else c for s in BOTH for c in columns]
+    rows = []
+    for label, (algorithm_1, condition) in ACCURACY.items():
+        row = label.split(" | ")
+        for structure in BOTH:
+            row.append(_with_disparity(results, algorithm_1, structure, 3) if algorithm_1 else "-")
+            row.append(_with_disparity(results, condition, structure, 4))
+            floppy = joint(results, condition, structure, "floppy_modes").mean
+            row.append(fixed(floppy, 1 if 0.0 < floppy < 1.0 else 0))
+        rows.append(row)
+    return table(header, rows)
+
+
+def _with_disparity(results: Results, condition: str, structure: str, decimals: int) -> str:
+    rmse = joint(results, condition, structure).mean
+    disparity = joint(results, condition, structure, "procrustes_disparity").mean
+    return f"{fixed(rmse, 2)} ({fixed(disparity, decimals)})"
+
+
+@statement("accuracy-plain-libraries")
+def _accuracy_plain_libraries(results: Results) -> str:
+    pairs = []
+    for structure in BOTH:
+        rmse = [
+            fixed(joint(results, condition, structure, kind=PLAIN_EPYC).mean, 2)
+            for condition in ("algorithm-1", "height")
+        ]
+        pairs.append(" and ".join(rmse))
+    return ", ".join(pairs)
+
+
+def _half_widths(results: Results, condition: str) -> str:
+    halves = [f"± {fixed(joint(results, condition, s).half_width, 2)} R" for s in BOTH]
+    return f"{halves[0]} (tower) and {halves[1]} (cantilever)"
+
+
+statement("accuracy-half-widths-algorithm-1")(lambda results: _half_widths(results, "algorithm-1"))
+statement("accuracy-half-widths-joint")(lambda results: _half_widths(results, "height"))
+
+
+def _accuracy_verdicts(results: Results, verdict: str) -> str:
+    shares = [joint(results, c, s, verdict) for _, c in ACCURACY.values() for s in BOTH]
+    total = sum(share.structures for share in shares)
+    return f"{sum(count_of(share) for share in shares)} of {total}"
+
+
+statement("accuracy-converged")(lambda results: _accuracy_verdicts(results, "converged"))
+statement("accuracy-consistent")(lambda results: _accuracy_verdicts(results, "consistent"))
+
+
+def _rmse_of_both(results: Results, condition: str) -> str:
+    tower, cantilever = (joint(results, condition, s).mean for s in BOTH)
+    return f"{fixed(tower, 2)} R in towers and {fixed(cantilever, 2)} R in cantilevers"
+
+
+statement("all-at-once")(lambda results: _rmse_of_both(results, "algorithm-1-all-at-once"))
+statement("in-join-order")(lambda results: _rmse_of_both(results, "algorithm-1"))
+
+
+@statement("all-at-once-not-converged")
+def _all_at_once_not_converged(results: Results) -> str:
+    shares = [joint(results, "algorithm-1-all-at-once", s, "converged") for s in BOTH]
+    tower, cantilever = (share.structures - count_of(share) for share in shares)
+    return f"{tower} of the towers and {cantilever} of the cantilevers"
+
+
+# --- docs/paper.md and docs/notes/anchor-gap.md -----------------------------------------------
+
+CUES = {
+    "all cues": "all-cues",
+    "no Z": "no-z",
+    "no Z, no undocked repulsion": "no-z-no-undock",
+}
+"""Conditions of the scenarios paper and paper-sets, in the order of the paper's table."""
+
+PAPER_SET = (
+    "paper",
+    "{kind: tower, recruit_base: 1.5}",
+    "{kind: cantilever, recruit_base: 1.5, anchor: 6.5, founders: 2}",
+)
+"""Scenario, towers and cantilevers of the table of the paper."""
+
+OTHER_SETS = {
+    "J = 1, 5 R": (
+        "paper-sets",
+        "{kind: tower, recruit_limit: 1}",
+        "{kind: cantilever, recruit_limit: 1, anchor: 5.0, founders: 2}",
+    ),
+    "F = 17, 5 R": (
+        "paper-sets",
+        "{kind: tower, force_threshold: 17.0}",
+        "{kind: cantilever, force_threshold: 17.0, anchor: 5.0, founders: 2}",
+    ),
+    "F = 10, 6.5 R: tiswarm's defaults": (
+        "paper-sets",
+        "{kind: tower}",
+        "{kind: cantilever, anchor: 6.5, founders: 2}",
+    ),
+    "F = 3.5, 5 R, `placed`": (
+        "paper-sets",
+        "{kind: tower, force_threshold: 3.5}",
+        "{kind: cantilever, force_threshold: 3.5, anchor: 5.0, founders: 2, spawn_behind: placed}",
+    ),
+}
+"""As `PAPER_SET`, of structures by other rules."""
+
+
+@dataclass(frozen=True)
+class PaperSet:
+    """Results of one set of structures, each list in the order of `CUES`."""
+
+    rmse: dict[str, list[Result]]
+    """RMSE [R] by kind of structure."""
+
+    disparity: dict[str, list[Result]]
+    """Procrustes disparity [1] by kind of structure."""
+
+    height: float
+    """Mean height of towers [R]."""
+
+    reach: float
+    """Mean reach of cantilevers [R]."""
+
+    beyond_edge: float
+    """Mean share of a cantilever's robots beyond the edge [1]."""
+
+    @classmethod
+    def of(cls, results: Results, scenario: str, tower: str, cantilever: str) -> "PaperSet":
+        """Collect the results of a scenario for the settings of both kinds of structures."""
+
+        def of(settings: str, condition: str, measure: str) -> Result:
+            return results.of(scenario, condition, f"structure={settings}", measure, EPYC)
+
+        settings = {"tower": tower, "cantilever": cantilever}
+
+        def by_kind(measure: str) -> dict[str, list[Result]]:
+            return {
+                kind: [of(text, condition, measure) for condition in CUES.values()]
+                for kind, text in settings.items()
+            }
+
+        return cls(
+            rmse=by_kind("rmse_R"),
+            disparity=by_kind("procrustes_disparity"),
+            height=of(tower, "all-cues", "height_R").mean,
+            reach=of(cantilever, "all-cues", "reach_R").mean,
+            beyond_edge=of(cantilever, "all-cues", "beyond_edge").mean,
+        )
+
+    def rmse_ratios(self, kind: str) -> list[float]:
+        """Divide each RMSE in rho by that of the paper in its robot radii."""
+        published = [cell.rmse_radii for key, cell in PAPER.items() if key[0] == kind]
+        pairs = zip(self.rmse[kind], published, strict=True)
+        return [result.mean / FIREANT_RHO / radii for result, radii in pairs]
+
+    def disparity_ratios(self, kind: str) -> list[float]:
+        """Divide each disparity by that of the paper."""
+        published = [cell.disparity for key, cell in PAPER.items() if key[0] == kind]
+        pairs = zip(self.disparity[kind], published, strict=True)
+        return [result.mean / disparity for result, disparity in pairs]
+
+    def mean_factor(self) -> float:
+        """Return exp(mean |ln ratio|) of the twelve ratios."""
+        ratios = [r for kind in BOTH for r in self.rmse_ratios(kind) + self.disparity_ratios(kind)]
+        return math.exp(sum(abs(math.log(ratio)) for ratio in ratios) / len(ratios))
+
+
+@statement("paper")
+def _paper(results: Results) -> str:
+    ours = PaperSet.of(results, *PAPER_SET)
+    published = list(PAPER.values())
+    rows: list[list[str]] = []
+    for kind in BOTH:
+        for n, cues in enumerate(CUES):
+            rmse, disparity = ours.rmse[kind][n], ours.disparity[kind][n]
+            cell = published[len(rows)]
+            rows.append(
+                [
+                    f"{kind}, {cues}",
+                    f"{cell.rmse_radii:.2f}, {cell.disparity:.3f}",
+                    interval(rmse, 2),
+                    fixed(rmse.mean / FIREANT_RHO, 2),
+                    fixed(ours.rmse_ratios(kind)[n], 2),
+                    fixed(rmse.mean * MM_PER_RADIUS, 0),
+                    interval(disparity, 3),
+                    fixed(ours.disparity_ratios(kind)[n], 2),
+                ]
+            )
+    header = ["", "paper: RMSE, d", "RMSE [R]", "[rho]", "to the paper", "[mm]"]
+    return table([*header, "disparity d", "to the paper"], rows)
+
+
+@statement("paper-sets")
+def _paper_sets(results: Results) -> str:
+    sets = {"B = 1.5, 6.5 R: the table of the paper": PAPER_SET} | OTHER_SETS
+    rows = []
+    for label, settings in sets.items():
+        ours = PaperSet.of(results, *settings)
+        row = [label, f"{fixed(ours.reach, 0)}, {fixed(ours.height, 0)}"]
+        row += [_ratios_of_both(ours.rmse_ratios), _ratios_of_both(ours.disparity_ratios)]
+        rows.append([*row, fixed(ours.mean_factor(), 2)])
+    header = ["set", "reach, height [R]", "RMSE to the paper: towers, cantilevers"]
+    return table([*header, "d to the paper: towers, cantilevers", "mean factor off"], rows)
+
+
+def _ratios_of_both(ratios: Callable[[str], list[float]]) -> str:
+    return ", ".join(" ".join(fixed(ratio, 2) for ratio in ratios(kind)) for kind in BOTH)
+
+
+def _of_paper(compose: Callable[[PaperSet], str]) -> Statement:
+    """Compose a text from the set of the table of the paper."""
+    return lambda results: compose(PaperSet.of(results, *PAPER_SET))
+
+
+def _without_cues(ours: PaperSet, kind: str) -> str:
+    """Write by how much RMSE grows without Z, and without undocked repulsion, too."""
+    first, *without = (result.mean for result in ours.rmse[kind])
+    growth = [f"{100.0 * (rmse / first - 1.0):+.0f}" for rmse in without]
+    return f"{' and '.join(growth)} %"
+
+
+def _farthest_off(ratios: Sequence[float]) -> str:
+    """Write how far ratios are from 1 at most."""
+    return percent(max(abs(ratio - 1.0) for ratio in ratios))
+
+
+statement("paper-height")(_of_paper(lambda ours: fixed(ours.height, 1)))
+statement("paper-reach")(_of_paper(lambda ours: fixed(ours.reach, 1)))
+statement("paper-beyond-edge")(_of_paper(lambda ours: percent(ours.beyond_edge)))
+statement("paper-tower-cues")(_of_paper(lambda ours: _without_cues(ours, "tower")))
+statement("paper-cantilever-cues")(_of_paper(lambda ours: _without_cues(ours, "cantilever")))
+statement("paper-tower-rmse-off")(_of_paper(lambda ours: _farthest_off(ours.rmse_ratios("tower"))))
+statement("paper-cantilever-rmse-ratios")(
+    _of_paper(lambda ours: span(ours.rmse_ratios("cantilever"), 2))
+)
+statement("paper-tower-disparity-off")(
+    _of_paper(lambda ours: _farthest_off(ours.disparity_ratios("tower")))
+)
+statement("paper-cantilever-disparity-off")(
+    _of_paper(lambda ours: _farthest_off(ours.disparity_ratios("cantilever")))
+)
+statement("paper-mean-factor")(_of_paper(lambda ours: fixed(ours.mean_factor(), 2)))
+statement("paper-tower-rmse")(_of_paper(lambda ours: f"{fixed(ours.rmse['tower'][0].mean, 2)} R"))
+
+
+@statement("paper-other-mean-factors")
+def _paper_other_mean_factors(results: Results) -> str:
+    sets = (PaperSet.of(results, *OTHER_SETS[name]) for name in ("J = 1, 5 R", "F = 17, 5 R"))
+    return " and ".join(fixed(ours.mean_factor(), 2) for ours in sets)
+
+
+GAP_SETS = {
+    "force-3.5": "force_threshold: 3.5, recruit_base: 1.5, anchor: 6.5",
+    "force-5": "force_threshold: 5.0, recruit_base: 1.5, anchor: 6.5",
+    "force-10": "recruit_base: 1.5, anchor: 6.5",
+    "force-17": "force_threshold: 17.0, recruit_base: 1.5, anchor: 6.5",
+    "force-25": "force_threshold: 25.0, recruit_base: 1.5, anchor: 6.5",
+    "anchor-2": "recruit_base: 1.5, anchor: 2.0",
+    "anchor-3.5": "recruit_base: 1.5, anchor: 3.5",
+    "anchor-5": "recruit_base: 1.5, anchor: 5.0",
+}
+"""Settings of the scenario anchor-gap, by the ends of the names of their texts."""
+
+
+def _gap_rmse(settings: str) -> Statement:
+    point = f"structure={{kind: cantilever, {settings}, founders: 2}}"
+    return lambda results: three_digits(
+        results.of("anchor-gap", "all-cues", point, "rmse_R", EPYC).mean
+    )
+
+
+for _name, _settings in GAP_SETS.items():
+    statement(f"anchor-gap-{_name}")(_gap_rmse(_settings))
+
+
+# --- docs/guides/closed-loop.md and docs/notes/measurements.md --------------------------------
+
+NAVIGATION = {
+    "the truth": ("truth", "online"),
+    "`online`": ("estimate", "online"),
+    "own messages": ("estimate", "messages"),
+    "Algorithm 1": ("estimate", "algorithm-1"),
+}
+"""`navigate_by` and condition of the scenario closed-loop, by what its robots go by."""
+
+ESTIMATES = tuple(NAVIGATION)[1:]
+"""What robots of the scenario closed-loop go by if not by the truth."""
+
+BUILT = {
+    "towers": "{kind: tower}",
+    "cantilevers": "{kind: cantilever}",
+    "bridges over 20 R": "{kind: bridge, gap: 20.0}",
+    "bridges over 30 R": "{kind: bridge, gap: 30.0}",
+}
+"""Structures of the scenario closed-loop."""
+
+
+def built(results: Results, structures: str, by: str, measure: str, kind: str = EPYC) -> Result:
+    """Return a result of the scenario closed-loop."""
+    return results.of(*_built_columns(structures, by, measure), kind)
+
+
+def _built_columns(structures: str, by: str, measure: str) -> tuple[str, str, str, str]:
+    """Return scenario, condition, point and measure of a result of the scenario closed-loop."""
+    navigate_by, condition = NAVIGATION[by]
+    point = f"structure={BUILT[structures]}, structure.navigate_by={navigate_by}"
+    return "closed-loop", condition, point, measure
+
+
+@statement("closed-loop")
+def _closed_loop(results: Results) -> str:
+    rows = []
+    for by in NAVIGATION:
+        row = [
+            by,
+            interval(built(results, "towers", by, "height_R"), 1),
+            interval(built(results, "cantilevers", by, "reach_R"), 1),
+        ]
+        for bridges in ("bridges over 20 R", "bridges over 30 R"):
+            share = built(results, bridges, by, "crossed")
+            p = p_between(share, built(results, bridges, "the truth", "crossed"))
+            row.append(count(share) if by == "the truth" else f"{count(share)} (p = {small_p(p)})")
+        rows.append(row)
+    header = ["robots go by", "height of towers [R]", "reach of cantilevers [R]"]
+    return table([*header, "bridges over 20 R closed", "over 30 R closed"], rows)
+
+
+@statement("closed-loop-flips")
+def _closed_loop_flips(results: Results) -> str:
+    rows = []
+    for structures in BUILT:
+        for by in NAVIGATION:
+            tries = fixed(built(results, structures, by, "tries_per_robot").mean, 1)
+            row = [f"{structures}, {by}", tries, "", ""]
+            if by in ESTIMATES:
+                row[2] = fixed(built(results, structures, by, "failed_flips").mean, 2)
+                row[3] = percent(built(results, structures, by, "flips_as_planned").mean)
+            rows.append(row)
+    header = ["structures, by what robots go by", "tries of a robot"]
+    return table([*header, "failed flips for each one taken", "as planned"], rows)
+
+
+@statement("closed-loop-beliefs")
+def _closed_loop_beliefs(results: Results) -> str:
+    errors = ("building", "newest", "final", "per_contact")
+    rows = []
+    for structures in BUILT:
+        for by in ESTIMATES:
+            row = [f"{structures}, {by}"]
+            row += [
+                fixed(built(results, structures, by, f"belief_{error}_R").mean, 2)
+                for error in errors
+            ]
+            row.append(_final_answer(results, structures, by))
+            for sent in ("belief_sent_B", "belief_worst_sent_B"):
+                has_messages = by != "`online`"
+                row.append(kilobytes(built(results, structures, by, sent)) if has_messages else "")
+            rows.append(row)
+    header = ["structures, by what robots go by", "while building", "newest robot"]
+    header += ["after the last join", "between neighbors", "final answer"]
+    return table([*header, "sent by a robot", "by the worst robot"], rows)
+
+
+def _final_answer(results: Results, structures: str, by: str) -> str:
+    """Write RMSE of the final answer; of own messages over 20 R another processor has it."""
+    kinds = results.kinds(*_built_columns(structures, by, "rmse_R"))
+    if not kinds:
+        return ""
+    kind = EPYC if EPYC in kinds else OLDER_EPYC
+    return three_digits(built(results, structures, by, "rmse_R", kind).mean)
+
+
+@statement("closed-loop-losses")
+def _closed_loop_losses(results: Results) -> str:
+    lost = []
+    for structures, measure in (("towers", "height_R"), ("cantilevers", "reach_R")):
+        truth = built(results, structures, "the truth", measure).mean
+        lost += [
+            100.0 * (1.0 - built(results, structures, by, measure).mean / truth)
+            for by in ("`online`", "own messages")
+        ]
+    return f"{span(lost, 0)} %"
+
+
+@statement("closed-loop-sent")
+def _closed_loop_sent(results: Results) -> str:
+    sent = [built(results, s, "own messages", "belief_sent_B").mean / 1e3 for s in BUILT]
+    return f"{span(sent, 2)} kB"
+
+
+@statement("closed-loop-worst-sent")
+def _closed_loop_worst_sent(results: Results) -> str:
+    sent = [built(results, s, "own messages", "belief_worst_sent_B").mean / 1e3 for s in BUILT]
+    return f"{fixed(max(sent), 1)} kB"
+
+
+@statement("closed-loop-newest")
+def _closed_loop_newest(results: Results) -> str:
+    ratios = [
+        built(results, structures, by, "belief_newest_R").mean
+        / built(results, structures, by, "belief_final_R").mean
+        for structures in BUILT
+        for by in ("`online`", "own messages")
+    ]
+    return f"{span(ratios, 1)} times"
+
+
+@statement("closed-loop-online-final")
+def _closed_loop_online_final(results: Results) -> str:
+    return f"{interval(built(results, 'bridges over 20 R', '`online`', 'rmse_R'), 2)} R"
+
+
+BELIEF_ERRORS = {
+    ("independent", 0.5): "R",
+    ("independent", 1.0): "R",
+    ("independent", 1.5): "R",
+    ("independent", 2.0): "R",
+    ("shift", 1.0): "R",
+    ("shift", 3.0): "R",
+    ("turn", 0.1): "rad",
+    ("turn", 0.2): "rad",
+    ("turn", 0.4): "rad",
+    ("adding-up", 0.2): "R",
+    ("adding-up", 0.5): "R",
+    ("adding-up", 1.0): "R",
+}
+"""Units of the sizes of the scenario belief-errors, by kind and size."""
+
+
+def belief_error(results: Results, measure: str, kind: str = "", size: float = 0.0) -> Result:
+    """Return a result of the scenario belief-errors; that of the truth without a kind."""
+    error = f", navigate_by: error, belief_error: {{kind: {kind}, size: {size}}}" if kind else ""
+    point = f"structure={{kind: bridge, gap: 30.0{error}}}"
+    return results.of("belief-errors", "baseline", point, measure, EPYC)
+
+
+@statement("belief-errors")
+def _belief_errors(results: Results) -> str:
+    rows = []
+    for (kind, size), unit in BELIEF_ERRORS.items():
+        closed = belief_error(results, "crossed", kind, size)
+        rows.append(
+            [
+                kind,
+                f"{size:g} {unit}",
+                fixed(belief_error(results, "belief_final_R", kind, size).mean, 2),
+                fixed(belief_error(results, "belief_per_contact_R", kind, size).mean, 2),
+                count(closed),
+                small_p(p_between(closed, belief_error(results, "crossed"))),
+                fixed(belief_error(results, "tries_per_robot", kind, size).mean, 2),
+            ]
+        )
+    header = ["error of a robot", "size", "RMSE [R]", "between neighbors [R]"]
+    return table([*header, "closed", "p", "tries"], rows)
+
+
+NEIGHBOR_ERRORS = {
+    "0.7": (("independent", 0.5), ("turn", 0.2), ("adding-up", 0.5)),
+    "1.4": (("independent", 1.0), ("turn", 0.4), ("adding-up", 1.0)),
+    "2.1": (("independent", 1.5),),
+}
+"""Kinds and sizes of `BELIEF_ERRORS`, by the greatest error between neighbors [R]."""
+
+
+def _closed_at(errors: Sequence[tuple[str, float]]) -> Statement:
+    """Write how many bridges closed with the least and the greatest number: `11 to 20`."""
+
+    def compose(results: Results) -> str:
+        numbers = [count_of(belief_error(results, "crossed", kind, size)) for kind, size in errors]
+        return span(numbers, 0)
+
+    return compose
+
+
+for _size, _errors in NEIGHBOR_ERRORS.items():
+    statement(f"belief-errors-at-{_size}")(_closed_at(_errors))
+
+statement("belief-errors-truth")(lambda results: count(belief_error(results, "crossed")))
+statement("belief-errors-truth-tries")(
+    lambda results: f"{fixed(belief_error(results, 'tries_per_robot').mean, 2)} tries"
+)
+statement("belief-errors-independent-2")(
+    lambda results: count(belief_error(results, "crossed", "independent", 2.0))
+)
+
+
+# --- docs/guides/distributed.md ---------------------------------------------------------------
+
+MESSAGES = {
+    "`joint`, whole log": "joint",
+    "default, by touch": "touch",
+    "`base`, by touch": "base",
+    "Algorithm 1 by radio, poses at each join": "algorithm-1",
+    "Algorithm 1 by touch, no undocked repulsion": "algorithm-1-local",
+}
+"""Conditions of the scenario between."""
+
+LOSSES = {
+    "0 %": "touch",
+    "10 %": "touch-loss-10",
+    "20 %": "touch-loss-20",
+    "30 %": "touch-loss-30",
+    "30 % in bursts": "touch-bursts",
+}
+"""Conditions of the scenario between, by the share that is lost."""
+
+CHANNELS = {
+    "touch": "touch",
+    "touch, 30 % lost": "touch-loss-30",
+    "touch, 30 % lost in bursts of 8 rounds": "touch-bursts",
+    "touch, delay of 5 rounds": "touch-delay",
+    "radio, all in reach": "radio",
+    "radio, 8 R": "radio-8-R",
+    "radio, 8 R, 30 % lost": "radio-8-R-loss-30",
+    "radio, 8 R, 30 % lost in bursts of 8 rounds": "radio-8-R-bursts",
+    "radio, 8 R, 16 slots": "radio-8-R-slots",
+}
+"""Conditions of `joiner` in the scenario channels."""
+
+POSE_CHANNELS = {
+    "radio, all in reach, poses of all at each join": "algorithm-1",
+    "the same, 30 % lost": "algorithm-1-loss-30",
+    "the same, 30 % lost in bursts of 8 rounds": "algorithm-1-bursts",
+    "the same, 16 slots": "algorithm-1-slots",
+    "radio, 8 R, poses if asked": "algorithm-1-asked",
+    "that, 30 % lost": "algorithm-1-asked-loss-30",
+    "that, 30 % lost in bursts of 8 rounds": "algorithm-1-asked-bursts",
+    "that, 16 slots": "algorithm-1-asked-slots",
+    "touch, no undocked repulsion": "algorithm-1-touch",
+}
+"""Conditions of `algorithm-1` in the scenario channels."""
+
+ROBOTS_SEND = ["a robot sends [kB]", "worst robot [kB]"]
+
+
+def between(
+    results: Results, condition: str, structure: str, measure: str, kind: str = EPYC
+) -> Result:
+    """Return a result of the scenario between."""
+    return results.of("between", condition, f"structure.kind={structure}", measure, kind)
+
+
+def of_channel(results: Results, condition: str, measure: str) -> Result:
+    """Return a result of the scenario channels."""
+    return results.of("channels", condition, "", measure, OLDER_EPYC)
+
+
+@statement("between")
+def _between(results: Results) -> str:
+    rows = []
+    for label, condition in MESSAGES.items():
+        row = [
+            label,
+            _of_both(results, condition, "rmse_R", _two_decimals_interval),
+            _of_both(results, condition, "rmse_per_contact_R", _two_decimals),
+        ]
+        if condition == "joint":  # nobody sends anything
+            rows.append([*row, "", "", "", ""])
+            continue
+        is_joiner = not condition.startswith("algorithm-1")
+        write_sent = kilobytes_interval if is_joiner else kilobytes  # poses have one size
+        row.append(_of_both(results, condition, "sent_B", write_sent))
+        row.append(_of_both(results, condition, "worst_sent_B", write_sent))
+        row.append(_of_both(results, condition, "worst_memory_B", kilobytes))
+        row.append(_of_both(results, condition, "rounds", tens) if is_joiner else "")
+        rows.append(row)
+    header = ["", "RMSE [R], tower, cantilever", "at one hop [R]", *ROBOTS_SEND]
+    return table([*header, "stored by the fullest [kB]", "rounds"], rows)
+
+
+def _of_both(results: Results, condition: str, measure: str, write: Callable[[Result], str]) -> str:
+    """Write a measure of towers and of cantilevers."""
+    return ", ".join(write(between(results, condition, s, measure)) for s in BOTH)
+
+
+def _two_decimals(result: Result) -> str:
+    return fixed(result.mean, 2)
+
+
+def _two_decimals_interval(result: Result) -> str:
+    return interval(result, 2)
+
+
+def _radio(measure: str, write: Callable[[Result], str]) -> Statement:
+    return lambda results: _of_both(results, "radio", measure, write)
+
+
+statement("radio-rmse")(_radio("rmse_R", _two_decimals_interval))
+statement("radio-rmse-one-hop")(_radio("rmse_per_contact_R", _two_decimals))
+statement("radio-sent")(_radio("sent_B", kilobytes_interval))
+statement("radio-worst-sent")(_radio("worst_sent_B", kilobytes_interval))
+
+
+@statement("losses")
+def _losses(results: Results) -> str:
+    rows = []
+    for structure in BOTH:
+        for lost, condition in LOSSES.items():
+            columns = (results, condition, structure)
+            rows.append(
+                [
+                    f"{lost}, {structure}s",
+                    interval(between(*columns, "rmse_R", OLDER_EPYC), 2),
+                    fixed(between(*columns, "rmse_per_contact_R", OLDER_EPYC).mean, 2),
+                    kilobytes_interval(between(*columns, "sent_B", OLDER_EPYC)),
+                    kilobytes_interval(between(*columns, "worst_sent_B", OLDER_EPYC)),
+                    tens(between(*columns, "rounds", OLDER_EPYC)),
+                ]
+            )
+    return table(["lost", "RMSE [R]", "at one hop [R]", *ROBOTS_SEND, "rounds"], rows)
+
+
+@statement("channels")
+def _channels(results: Results) -> str:
+    rows = [_channel_row(results, *item, decimals=2) for item in CHANNELS.items()]
+    return table(["channel", "RMSE [R]", *ROBOTS_SEND, "rounds"], rows)
+
+
+@statement("pose-channels")
+def _pose_channels(results: Results) -> str:
+    rows = [_channel_row(results, *item, decimals=1) for item in POSE_CHANNELS.items()]
+    return table(["Algorithm 1 by", "RMSE [R]", *ROBOTS_SEND, "rounds"], rows)
+
+
+def _channel_row(results: Results, label: str, condition: str, *, decimals: int) -> list[str]:
+    """Write a row; poses that nobody repeats take no rounds worth a number."""
+    repeats = not condition.startswith("algorithm-1") or condition.endswith(
+        ("-loss-30", "-bursts", "-slots")
+    )
+    return [
+        label,
+        interval(of_channel(results, condition, "rmse_R"), decimals),
+        kilobytes(of_channel(results, condition, "sent_B")),
+        kilobytes(of_channel(results, condition, "worst_sent_B")),
+        tens(of_channel(results, condition, "rounds")) if repeats else "",
+    ]
+
+
+def _times(numerator: Result, denominator: Result) -> float:
+    return numerator.mean / denominator.mean
+
+
+def _ratios_between(condition: str, reference: str, measure: str, decimals: int) -> Statement:
+    """Write how many times the reference a measure is: `1.7 and 1.4` of towers, cantilevers."""
+
+    def compose(results: Results) -> str:
+        ratios = [
+            _times(between(results, condition, s, measure), between(results, reference, s, measure))
+            for s in BOTH
+        ]
+        return " and ".join(fixed(ratio, decimals) for ratio in ratios)
+
+    return compose
+
+
+def _sends(condition: str) -> Statement:
+    """Write the bytes that robots of both structures send, to 0.01 kB: `0.86 kB`."""
+
+    def compose(results: Results) -> str:
+        sent = [between(results, condition, s, "sent_B").mean / 1e3 for s in BOTH]
+        return f"{span(sent, 2)} kB"
+
+    return compose
+
+
+statement("algorithm-1-sends")(_sends("algorithm-1"))
+statement("algorithm-1-local-sends")(_sends("algorithm-1-local"))
+statement("touch-to-joint")(_ratios_between("touch", "joint", "rmse_R", 1))
+statement("base-to-joint")(_ratios_between("base", "joint", "rmse_R", 1))
+statement("algorithm-1-to-touch")(_ratios_between("algorithm-1", "touch", "rmse_R", 0))
+
+
+def _losses_to_none(measure: str, conditions: Sequence[str]) -> Statement:
+    """Write how many times the value without losses a measure is, by condition."""
+
+    def compose(results: Results) -> str:
+        spans = []
+        for condition in conditions:
+            ratios = [
+                _times(
+                    between(results, condition, s, measure, OLDER_EPYC),
+                    between(results, "touch", s, measure, OLDER_EPYC),
+                )
+                for s in BOTH
+            ]
+            spans.append(span(ratios, 1))
+        *first, last = spans
+        return f"{', '.join(first)} and {last}" if first else last
+
+    return compose
+
+
+_SINGLE_LOSSES = ("touch-loss-10", "touch-loss-20", "touch-loss-30")
+statement("loss-bytes")(_losses_to_none("sent_B", _SINGLE_LOSSES))
+statement("loss-rounds")(_losses_to_none("rounds", _SINGLE_LOSSES))
+statement("burst-bytes")(_losses_to_none("sent_B", ["touch-bursts"]))
+statement("burst-rounds")(_losses_to_none("rounds", ["touch-bursts"]))
+
+
+def _channel_losses(measure: str, loss: str) -> Statement:
+    """Write how many times the value without losses a measure is, by touch and by radio."""
+
+    def compose(results: Results) -> str:
+        ratios = [
+            _times(
+                of_channel(results, f"{channel}-{loss}", measure),
+                of_channel(results, channel, measure),
+            )
+            for channel in ("touch", "radio-8-R")
+        ]
+        return " and ".join(fixed(ratio, 1) for ratio in ratios)
+
+    return compose
+
+
+@statement("poses-if-asked-sends")
+def _poses_if_asked_sends(results: Results) -> str:
+    return f"{fixed(of_channel(results, 'algorithm-1-asked', 'sent_B').mean / 1e3, 2)} kB"
+
+
+statement("channel-burst-bytes")(_channel_losses("sent_B", "bursts"))
+statement("channel-loss-rounds")(_channel_losses("rounds", "loss-30"))
+statement("channel-burst-rounds")(_channel_losses("rounds", "bursts"))
+
+
+# --- docs/notes/orientations.md ---------------------------------------------------------------
+
+
+@statement("flip-axes")
+def _flip_axes(results: Results) -> str:
+    rows = []
+    for yaw in (2, 5, 10):
+        row = [str(yaw)]
+        for structure in BOTH:
+            pair = [
+                (condition, f"structure.kind={structure}")
+                for condition in (f"yaw-{yaw}", f"yaw-{yaw}-flips")
+            ]
+            row += [interval(results.of("flips", *at, "rmse_R", EPYC), 3) for at in pair]
+            shares = (100.0 * results.of("flips", *at, "consistent", EPYC).mean for at in pair)
+            row.append(f"{', '.join(fixed(share, 0) for share in shares)} %")
+        rows.append(row)
+    header = ["yaw noise [deg]"]
+    for structure in BOTH:
+        header += [f"{structure}s: sensed", "fitted", "consistent"]
+    return table(header, rows)
+
+
+@statement("flip-axes-gain")
+def _flip_axes_gain(results: Results) -> str:
+    gains = []
+    for yaw in (2, 5, 10):
+        for structure in BOTH:
+            point = f"structure.kind={structure}"
+            sensed = results.of("flips", f"yaw-{yaw}", point, "rmse_R", EPYC).mean
+            fitted = results.of("flips", f"yaw-{yaw}-flips", point, "rmse_R", EPYC).mean
+            gains.append(100.0 * (1.0 - fitted / sensed))
+    return f"{span(gains, 0)} %"
+
+
+VIBRATION = {
+    "names-known": "known",
+    "names-64": "slots-64",
+    "names-32": "slots-32",
+    "names-16": "slots-16",
+    "names-8": "slots-8",
+}
+"""Conditions of the scenario vibration, by the beginnings of the names of their texts."""
+
+
+def _of_names(condition: str, structure: str) -> Statement:
+    point = f"structure.kind={structure}"
+    return lambda results: interval(results.of("vibration", condition, point, "rmse_R", EPYC), 2)
+
+
+for _name, _condition in VIBRATION.items():
+    for _structure in BOTH:
+        statement(f"{_name}-{_structure}")(_of_names(_condition, _structure))
