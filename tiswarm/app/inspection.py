@@ -157,6 +157,8 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
     found = list(found)
     if found and (lost := np.flatnonzero(found[-1].disconnected)).size:
         yield f"disconnected from the anchor (positions are guesses): {named(log, lost)}"
+    if log.ground_form is not None:
+        yield f"the ground is {log.ground_form}: docks on it have no known height, and do not count"
     if log.gone.size:
         yield f"gone (their positions are where they last stood): {named(log, log.gone)}"
     if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:

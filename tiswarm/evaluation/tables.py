@@ -197,7 +197,7 @@ def by_join(history: History) -> pd.DataFrame:
             "anchored": _anchored(history),
             "least_support": [s.least_support for s in loads],
             "overhang_R": np.nan
-            if terrain.is_plane
+            if not terrain.has_edge
             else _standing(x, history, np.mean) - terrain.left_edge,
             **_losses(history),
             **({"sent_B": sent} if np.isfinite(sent).any() else {}),
@@ -248,7 +248,7 @@ def totals(history: History) -> dict[str, float | int]:
         "spawns": history.spawns,
         **({name: grown[name].iloc[-1] for name in LOSSES if name in grown}),
         "crossed": int(history.crossed),
-        "beyond_edge": np.nan if terrain.is_plane else float(is_beyond.mean()),
+        "beyond_edge": float(is_beyond.mean()) if terrain.has_edge else np.nan,
         **_flips(history),
         **_beliefs(history),
         "first_on_anchor": first,

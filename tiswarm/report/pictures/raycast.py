@@ -390,17 +390,20 @@ def _cast_chunk(
     if ground is not None:
         first, last = scene.camera.frame(ground.corners)
         near = ((pixels >= first) & (pixels <= last)).all(axis=1)
-        low = np.flatnonzero(near & (direction[:, 2] < 0.0) & (bool(ground.slabs) | (seen < 0)))
+        low = np.flatnonzero(near & (direction[:, 2] < 0.0) & (ground.is_solid | (seen < 0)))
         ground_depth, normal = ground.cast(eye, direction[low])
         nearer = ground_depth < depth[low]
         low, ground_depth, normal = low[nearer], ground_depth[nearer], normal[nearer]
         light = relative_light(scene, normal)
         gray, opacity = ground.paint(eye + ground_depth[:, None] * direction[low], light)
-        veil, floor = _floor(gray, solid=bool(ground.slabs))
+        veil, floor = _floor(gray, solid=ground.is_solid)
         color[:, low] += opacity * (floor - veil * color[:, low])
         there = np.flatnonzero(opacity > _FAINT)
         depth[low[there]] = ground_depth[there]
-        seen[low[there]] = _FACES[np.abs(normal[there]).argmax(axis=1)]
+        face = np.abs(normal[there]).argmax(axis=1)
+        if ground.surface is not None:
+            face[:] = 2  # what slopes has no faces that an outline would separate
+        seen[low[there]] = _FACES[face]
     for ghost, ghost_trace in ghosts:
         ghost_depth, capsule = ghost_trace(pixels, direction)
         hit = np.flatnonzero(ghost_depth < depth - _GHOST_GAP)

@@ -181,7 +181,7 @@ class SphereParams(BodyParams):
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class _FileParams(BodyParams):
+class FileParams(BodyParams):
     """What bodies from a file have in common."""
 
     file: Annotated[
@@ -225,6 +225,11 @@ class _FileParams(BodyParams):
             raise ValueError(f"{path} has changed: it is {content} now; leave out digest")
         return content
 
+    @property
+    def is_here(self) -> bool:
+        """Whether the file can be found."""
+        return _path(self.file).is_file()
+
     def grid(self) -> DistanceGrid:
         """Return the distances to its surface, in its frame."""
         return _grid_of(self)
@@ -248,7 +253,7 @@ class _FileParams(BodyParams):
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class HeightsParams(_FileParams):
+class HeightsParams(FileParams):
     """A field of heights about `position`, bilinear between them.
 
     Beyond its border it goes on as it is there. The first row of the file has the greatest y.
@@ -310,7 +315,7 @@ class HeightsParams(_FileParams):
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class MeshParams(_FileParams):
+class MeshParams(FileParams):
     """A closed mesh of triangles, as STL, OBJ or PLY; its origin is at `position`."""
 
     kind: Literal["mesh"] = "mesh"
@@ -381,7 +386,7 @@ def zones_of(no_entry: tuple[BodyParams, ...]) -> Zones:
 
 
 @lru_cache(maxsize=8)
-def _grid_of(params: "_FileParams") -> DistanceGrid:
+def _grid_of(params: "FileParams") -> DistanceGrid:
     return params.build_grid()
 
 

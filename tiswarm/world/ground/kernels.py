@@ -198,40 +198,40 @@ def normal_at(point, ground: Ref):
 
 
 @ti.func
-def on_arc(middle, across, onward, sign, angle):
-    """Return where a dock is that has turned by an angle, forward for a `sign` of 1."""
-    return middle + ti.cos(angle) * across + sign * ti.sin(angle) * onward
+def on_arc(middle, across, onward, angle):
+    """Return where a dock is that has turned by an angle."""
+    return middle + ti.cos(angle) * across + ti.sin(angle) * onward
 
 
 @ti.func
-def arc_angle(middle, across, onward, sign, radius, lipschitz, full_turn, ground: Ref):
-    """Find the angle at which a sphere that turns about an axis meets the ground, or a full turn.
+def arc_angle(middle, across, onward, radius, lipschitz, most, ground: Ref):
+    """Find the angle at which a sphere that turns about an axis meets the ground, `most` at most.
 
     The center of the sphere is at middle + across cos t + onward sin t. A sphere that rests on the
     ground may slide along it and leave it; where it would enter at once, the angle is 0.
     """
     swing = across.norm()
-    met = full_turn
+    met = most
     if swing > TOUCH:
         t = 0.0 * swing
         before = t
-        gap = distance_to(on_arc(middle, across, onward, sign, t), ground) - radius
-        while t < full_turn and met == full_turn:
+        gap = distance_to(on_arc(middle, across, onward, t), ground) - radius
+        while t < most and met == most:
             before = t
             t += ti.max(gap / lipschitz, SLIDE) / swing
-            gap = distance_to(on_arc(middle, across, onward, sign, t), ground) - radius
+            gap = distance_to(on_arc(middle, across, onward, t), ground) - radius
             if gap < -TOUCH:
                 low = before
                 high = t
                 for _ in range(_HALVINGS):
                     half = 0.5 * (low + high)
-                    at = on_arc(middle, across, onward, sign, half)
+                    at = on_arc(middle, across, onward, half)
                     if distance_to(at, ground) - radius < 0.0:
                         high = half
                     else:
                         low = half
                 met = low
-    return ti.min(met, full_turn)
+    return ti.min(met, most)
 
 
 @ti.kernel

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.user_functions import is_of_library, mistake_of_user
+from tiswarm.records.terrain import NO_EDGE
 from tiswarm.world.ground import kernels
 from tiswarm.world.ground.grids import DistanceGrid
 
@@ -65,11 +66,25 @@ class SolidGround:
     top: float
     """Height below which all of the ground is [R]."""
 
-    is_plane: bool = False
+    left_edge: float = NO_EDGE
+    """Where the kind of structure has its left edge, from which reaches are measured [R]."""
+
+    right_edge: float = NO_EDGE
+    """Where it has its right edge [R]."""
+
+    is_plane: ClassVar[bool] = False
     """Whether it is a plane: never, for a plane alone is a `Terrain`."""
 
-    ground_z: float = 0.0
+    form: ClassVar[Literal["uneven"]] = "uneven"
+    """Form of the ground, for logs: no dock on it has a known height."""
+
+    ground_z: ClassVar[float] = 0.0
     """Height that heights count from [R]."""
+
+    @property
+    def has_edge(self) -> bool:
+        """Whether the kind of structure has an edge."""
+        return self.left_edge < NO_EDGE
 
     def distance(self, point: Reals) -> Reals:
         """Compute the distance from points, shape (n, 3), to the ground [R], shape (n,)."""
@@ -186,6 +201,17 @@ def pack(bodies: Sequence[Body], zones: Sequence[Body] = ()) -> Reals:
         ]))  # fmt: skip
     header = np.array([len(bodies), len(zones)], np.float64)
     return np.concatenate([header, *rows, *grids])
+
+
+def with_zones(array: Reals, zones: Zones) -> Reals:
+    """Insert the numbers of zones behind those of the bodies of a ground."""
+    end = kernels.HEADER + int(array[0]) * kernels.Bodies.TOTAL
+    added = zones.array[kernels.HEADER :]
+    rows = array[kernels.HEADER : end].reshape(-1, kernels.Bodies.TOTAL).copy()
+    is_grid = rows[:, kernels.Bodies.FIRST] > 0.0
+    rows[is_grid, kernels.Bodies.FIRST] += len(added)
+    header = [array[0], zones.array[1]]
+    return np.concatenate([header, rows.ravel(), added, array[end:]])
 
 
 def solid_ground(bodies: Sequence[Body]) -> SolidGround:
