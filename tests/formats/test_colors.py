@@ -210,7 +210,7 @@ def test_colors_lie_between_those_of_the_scale(values, scale):
 def test_pictures_have_the_color_of_each_robot(estimate, table):
     """A label has one color; robots without one are gray, and the legend names all."""
     own = estimate.log.colorings([f"{table}:role", f"{table}:charge"])
-    pictures = build_pictures(view_log(estimate.log, estimate, own=own))
+    pictures = build_pictures(view_log(estimate.log, estimate, user_colorings=own))
 
     picture = pictures["color-role"]
     docks = picture.scene.color[-12 * 3 :].reshape(12, 3, 3)  # after hubs and arms
@@ -227,7 +227,7 @@ def test_a_run_is_colored_where_its_structure_is_the_same(small_run, table):
     """Conditions of the seed have the same robots; those of another seed do not."""
     run = colored(load_run(small_run), f"{table}:charge", "1-no-z")
 
-    owned = {case.name for case in run.cases if read_case_view(case).own}
+    owned = {case.name for case in run.cases if read_case_view(case).user_colorings}
     assert owned == {case.name for case in run.cases if case.name.startswith("1-")}
     first = build_view(run).data["cases"][0]
     assert first["name"].endswith("seed 1")

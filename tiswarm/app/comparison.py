@@ -162,7 +162,7 @@ def draw_rows(table: pd.DataFrame) -> "Figure":
     labels = [", ".join(filter(None, row)) for row in named]
     height = 0.9 + 0.17 * len(seen)
     panels = Panels(height, len(MAIN), len(MAIN), share="y")
-    for axes, measure in panels.each(MAIN):
+    for axes, measure in panels.paired_with(MAIN):
         for index, run in enumerate(seen["run"].unique()):
             rows = (seen["run"] == run).to_numpy()
             axes.errorbar(

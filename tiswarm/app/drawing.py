@@ -165,7 +165,7 @@ def draw_log(
         from tiswarm.evaluation.tables import Scores  # noqa: PLC0415 - slow to import
 
         scores = Scores(true, estimate.position, log.is_gone, log.length_unit)
-    view = view_log(log, estimate, true, own=own)
+    view = view_log(log, estimate, true, user_colorings=own)
     page = gather_log_page(
         view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice,
         figures=figures,

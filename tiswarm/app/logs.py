@@ -252,7 +252,7 @@ class Localized(Estimate):
         from tiswarm.report.swarm_view import view_log  # noqa: PLC0415 - slow to import
 
         own = self.log.colorings(color)
-        return view_log(self.log, self, self.log.positions(truth), own=own)
+        return view_log(self.log, self, self.log.positions(truth), user_colorings=own)
 
 
 def method_params(

@@ -174,7 +174,7 @@ def colored(run: RunData, sources: Any, name: str | None) -> RunData:  # noqa: A
     pose = _poses(case)
     of_this_size = [stored for stored in run.cases if stored.done and stored.robots == case.robots]
     names = [stored.name for stored in of_this_size if np.array_equal(_poses(stored), pose)]
-    return replace(run, own=dict.fromkeys(names, colorings))
+    return replace(run, user_colorings=dict.fromkeys(names, colorings))
 
 
 def _poses(case: StoredCase) -> Reals:

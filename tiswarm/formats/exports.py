@@ -103,7 +103,7 @@ def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
             tables["estimate"][f"{name}_{unit}"] = values * radius
     for name in view.poses:
         tables[name] = tables[name].assign(
-            **{coloring.title: _cells(coloring) for coloring in view.own}
+            **{coloring.title: _cells(coloring) for coloring in view.user_colorings}
         )
     return tables
 
@@ -191,7 +191,9 @@ def _append_frames(file: Any, view: SwarmView, pose: Reals) -> None:  # noqa: AN
         for name, values in [("error", view.error), ("sd", view.sd)]
         if np.isfinite(values).any()
     }
-    logged |= {re.sub(r"\W+", "_", coloring.label): coloring.value for coloring in view.own}
+    logged |= {
+        re.sub(r"\W+", "_", coloring.label): coloring.value for coloring in view.user_colorings
+    }
     shape = {
         "type": "SphereUnion",
         "centers": (unit * view.dock_offset_body).tolist(),

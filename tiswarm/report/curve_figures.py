@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 _FEWEST_ROBOTS = 5  # robots below which a point of a profile is open
 _MOST_POINTS = 4  # most points of a sweep that have a figure or panel each
 _SMALL = "hops_from_anchor"  # what small panels show
-_SMALL_COLUMNS, _MOST_SMALL = 4, 32  # panels in a row and in all, of many series
+_SMALL_COLUMNS = 4  # panels in a row, of many series
+_MOST_SMALL = 32  # panels in all, of many series
 
 _SERIES = ["point", "condition"]
 
@@ -77,38 +78,57 @@ _AXES: Mapping[str, tuple[str, str, Mapping[str, str]]] = {
     "threads": ("CPU threads", "T", _TIMES),
     "workers": ("Processes", "P", _TIMES),
     "movers": (
-        "Robots that climb at once", "M",
+        "Robots that climb at once",
+        "M",
         {
-            **_GROWN, "growth_rounds": "Time to build [rounds]", "flips": "All flips",
+            **_GROWN,
+            "growth_rounds": "Time to build [rounds]",
+            "flips": "All flips",
             "grow_cpu_s": SCALING_PANELS["grow_cpu_s"],
         },
     ),
-}  # fmt: skip
+}
 """By column of `scaling.csv`, its label, its symbol and the panels against it."""
 
 _MOST_SERIES = 8
 
 
 CAPTIONS = {
-    "back-propagation": "RMSE against the steps that a robot takes, in the mean over all robots: a "
-    "dot for each interval between two rounds, stated in joins, and a line for rounds that move "
-    "equally many robots. Horizontal lines are conditions without rounds. Bars and bands are 95 % "
-    "CI.",
-    "building": "What robots build that navigate by the truth, or by what each condition estimates "
-    "as they join. A flip is as planned if the robot then touches the one that it meant to reach. "
-    "Bytes are those that robots send for their estimates, if they do. Bars are 95 % CI.",
-    "grades": "RMSE by grade: conditions that differ in one number share a panel, and each point "
-    "of the sweep has a line. The dashed line is the first condition without a grade. Bars are "
-    "95 % CI.",
-    "profiles": "RMSE of robots that are alike: by join index (order of joining), true height, "
-    "hops (contacts on the shortest way to an anchor) and number of contacts. Bands of "
-    "the best and the worst series cover the errors of 80 % of these robots. Numbers above count "
-    "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
-    "between two robots. Of many series, each has a small panel with RMSE by hops alone.",
-    "scaling": "Accuracy, size, time to build and cost against the number of robots N (or of "
-    "threads, processes or climbing robots), on logarithmic axes, unless they begin at 0. Numbers "
-    "above state the power of N that fits all sizes, and the last two. Bands of the best and the "
-    "worst series cover all structures. A round of growth takes as long as its longest walk.",
+    "back-propagation": figure_style.Caption(
+        "RMSE against the steps that a robot takes, in the mean over all robots: a "
+        "dot for each interval between two rounds, stated in joins, and a line for "
+        "rounds that move equally many robots. Horizontal lines are conditions "
+        "without rounds.",
+        intervals="Bars and bands are 95 % CI.",
+    ),
+    "building": figure_style.Caption(
+        "What robots build that navigate by the truth, or by what each condition "
+        "estimates as they join. A flip is as planned if the robot then touches the "
+        "one that it meant to reach. Bytes are those that robots send for their "
+        "estimates, if they do.",
+        intervals="Bars are 95 % CI.",
+    ),
+    "grades": figure_style.Caption(
+        "RMSE by grade: conditions that differ in one number share a panel, and each "
+        "point of the sweep has a line. The dashed line is the first condition "
+        "without a grade.",
+        intervals="Bars are 95 % CI.",
+    ),
+    "profiles": figure_style.Caption(
+        "RMSE of robots that are alike: by join index (order of joining), true "
+        "height, hops (contacts on the shortest way to an anchor) and number of "
+        "contacts. Bands of the best and the worst series cover the errors of 80 % of "
+        "these robots. Numbers above count the robots of a point; hollow dots stand "
+        "for few. Relative RMSE is the error of the vector between two robots. Of "
+        "many series, each has a small panel with RMSE by hops alone.",
+    ),
+    "scaling": figure_style.Caption(
+        "Accuracy, size, time to build and cost against the number of robots N (or of "
+        "threads, processes or climbing robots), on logarithmic axes, unless they "
+        "begin at 0. Numbers above state the power of N that fits all sizes, and the "
+        "last two. Bands of the best and the worst series cover all structures. A "
+        "round of growth takes as long as its longest walk.",
+    ),
 }
 """What the figures show, by file name."""
 
@@ -150,17 +170,17 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     one_length = len(set(table["round_sweeps"].dropna())) == 1
     height = 0.6 + 3.2 * -(-len(shown) // 2)
     panels = figure_style.Panels(height, len(shown), 2, share="x", most=most)
-    for axes, (point, part) in panels.each(shown):
+    for axes, (point, part) in panels.paired_with(shown):
         has_rounds = part["round_every"].notna()
         levels = part.loc[~has_rounds, ["condition", RMSE.mean, RMSE.ci95]]
-        for place, level in enumerate(levels.itertuples(index=False)):
-            _draw_level(axes, *level, at_right=place % 2 == 0)
+        for index, level in enumerate(levels.itertuples(index=False)):
+            _draw_level(axes, *level, at_right=index % 2 == 0)
         rounds = part[has_rounds].fillna({"round_recent": np.inf})
         families = rounds.groupby(["round_sweeps", "round_recent"], sort=False)
-        for place, ((sweeps, recent), family) in enumerate(families):
+        for index, ((sweeps, recent), family) in enumerate(families):
             name = f"last {recent:g}" if np.isfinite(recent) else "all"
             name += "" if one_length else f", {sweeps:g} steps"
-            _draw_family(axes, family, {"label": name, **figure_style.marker_style(place)})
+            _draw_family(axes, family, {"label": name, **figure_style.marker_style(index)})
         figure_style.set_title(axes, point)
         axes.set_xlabel(STEPS.axis)
         axes.set_ylim(bottom=0.0)
@@ -170,23 +190,33 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     panels.first.set_xlim(0.7 * steps.min(), 1.4 * steps.max())
     words = f"robots moved in a round; {figure_style.mean_words(table['cases'])}"
     panels.legend(words, structures=int(table["cases"].max()))
-    more = figure_style.left_out(len(points) - len(shown), "table.csv")
+    more = figure_style.omission_note(len(points) - len(shown), "table.csv")
     return panels.finish("numbers: joins between two rounds", more, run.note)
 
 
 def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) -> None:
     """Draw a line through rounds at several intervals, with the joins between two."""
     line = family.sort_values(STEPS.mean)
-    steps, rmse = line[STEPS.mean], line[RMSE.mean]
+    steps = line[STEPS.mean]
+    rmse = line[RMSE.mean]
     for x, y, joins in zip(steps, rmse, line["round_every"], strict=True):
         axes.annotate(
-            f"{joins:g}", (x, y), (2.0, 2.0), textcoords="offset points", fontsize=5.5,
+            f"{joins:g}",
+            (x, y),
+            (2.0, 2.0),
+            textcoords="offset points",
+            fontsize=5.5,
             color=look["color"],
-        )  # fmt: skip
+        )
     axes.errorbar(
-        steps, rmse, yerr=line[RMSE.ci95].fillna(0.0), markersize=3.0, linewidth=1.0,
-        elinewidth=0.4, **look,
-    )  # fmt: skip
+        steps,
+        rmse,
+        yerr=line[RMSE.ci95].fillna(0.0),
+        markersize=3.0,
+        linewidth=1.0,
+        elinewidth=0.4,
+        **look,
+    )
 
 
 def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: bool) -> None:
@@ -195,11 +225,16 @@ def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: 
     if half > 0.0:  # not NaN
         axes.axhspan(mean - half, mean + half, color="0.35", alpha=0.15, linewidth=0.0)
     axes.annotate(
-        f"{name}, {three_digits(mean)} R", (float(at_right), mean), (0.0, 1.5), fontsize=6.0,
-        xycoords=("axes fraction", "data"), textcoords="offset points", color="0.35",
+        f"{name}, {three_digits(mean)} R",
+        (float(at_right), mean),
+        (0.0, 1.5),
+        fontsize=6.0,
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+        color="0.35",
         ha="right" if at_right else "left",
         bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 0.5},
-    )  # fmt: skip
+    )
 
 
 def _profile_painters(run: RunData) -> dict[str, figure_style.Painter]:
@@ -236,23 +271,29 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
     panels = figure_style.Panels(3.6, len(PROFILED), 3, most=most)
     means = table.groupby(_SERIES)[RMSE.column].mean()
     bands: set[Any] = {means.idxmin(), means.idxmax()}
-    for axes, (name, label) in panels.each(PROFILED.items()):
+    for axes, (name, label) in panels.paired_with(PROFILED.items()):
         part = table[table["by"] == name]
-        for place, (series, rows) in enumerate(part.groupby(_SERIES, sort=False)):
-            look = figure_style.line_style(place)
-            joined, few = rows[rows["many"]], rows[~rows["many"]]
+        for index, (series, rows) in enumerate(part.groupby(_SERIES, sort=False)):
+            look = figure_style.line_style(index)
+            joined = rows[rows["many"]]
+            few = rows[~rows["many"]]
             axes.plot(
-                joined["at"], joined[RMSE.column], marker="o", markersize=2.5,
-                label=", ".join(filter(None, map(str, series))), **look,
-            )  # fmt: skip
+                joined["at"],
+                joined[RMSE.column],
+                marker="o",
+                markersize=2.5,
+                label=", ".join(filter(None, map(str, series))),
+                **look,
+            )
             if series in bands and joined["p90_R"].notna().any():
-                low, high = joined["p10_R"].to_numpy(float), joined["p90_R"].to_numpy(float)
+                low = joined["p10_R"].to_numpy(float)
+                high = joined["p90_R"].to_numpy(float)
                 axes.fill_between(
                     joined["at"], low, high, color=look["color"], alpha=0.15, linewidth=0.0
                 )
             look |= {"linestyle": "", "markerfacecolor": "white", "markeredgewidth": 0.6}
             axes.plot(few["at"], few[RMSE.column], marker="o", markersize=2.5, **look)
-            if place == 0:
+            if index == 0:
                 _count(axes, rows["at"], rows["count"])
         axes.set(xlabel=label, ylabel=RMSE.axis)
         rmse = part[RMSE.column].to_numpy(float)
@@ -280,7 +321,7 @@ def _draw_small_profiles(run: RunData, table: pd.DataFrame, most: float) -> "Fig
     part = table[table["by"] == _SMALL]
     if len({*part["point"]}) == 1 or part["condition"].nunique() > len(figure_style.PALETTE):
         names = part[_SERIES].to_numpy().tolist()
-        points = [", ".join(filter(None, each)) for each in names]
+        points = [", ".join(filter(None, words)) for words in names]
         part = part.assign(point=points, condition="RMSE")
     part = part[part["many"] | ~part.groupby("point")["many"].transform("any")]
     panels_of = dict(list(part.groupby("point", sort=False)))
@@ -288,29 +329,35 @@ def _draw_small_profiles(run: RunData, table: pd.DataFrame, most: float) -> "Fig
     height = 0.6 + 1.15 * -(-len(shown) // _SMALL_COLUMNS)
     panels = figure_style.Panels(height, len(shown), _SMALL_COLUMNS, share="xy", most=most)
     first = next(iter(shown.values()))
-    for axes, (point, rows) in panels.each(shown.items()):
+    for axes, (point, rows) in panels.paired_with(shown.items()):
         for _, line in first.groupby("condition", sort=False):
             axes.plot(line["at"], line[RMSE.column], color="0.8", linewidth=1.0)
-        for place, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
-            look: dict[str, Any] = {"color": figure_style.PALETTE[place], "markersize": 2.0}
+        for index, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
+            look: dict[str, Any] = {"color": figure_style.PALETTE[index], "markersize": 2.0}
             axes.plot(line["at"], line[RMSE.column], "o-", linewidth=1.0, label=condition, **look)
         figure_style.set_title(axes, str(point), 6.5)
     figure_style.fit_axis(panels.first, "y", part[RMSE.column].to_numpy(float))
     panels.label_once(PROFILED[_SMALL], RMSE.axis)
     if len(figure_style.entries_of(panels.first)) > 1:
         panels.legend()
-    more = figure_style.left_out(len(panels_of) - len(shown), "profiles.csv")
+    more = figure_style.omission_note(len(panels_of) - len(shown), "profiles.csv")
     return panels.finish("gray: first panel", more, run.note)
 
 
-def _count(axes: "Axes", places: "pd.Series[float]", counts: "pd.Series[float]") -> None:
+def _count(axes: "Axes", positions: "pd.Series[float]", counts: "pd.Series[float]") -> None:
     """Write the number of robots or pairs of each point above a panel."""
-    for place, count in zip(places, counts, strict=True):
+    for x, count in zip(positions, counts, strict=True):
         text = f"{count:g}" if count < 1e4 else f"{count / 1e3:.0f}k"  # noqa: PLR2004 - k
         axes.annotate(
-            text, (place, 1.0), (0.0, 2.0), xycoords=("data", "axes fraction"),
-            textcoords="offset points", fontsize=4.5, color="0.35", ha="center",
-        )  # fmt: skip
+            text,
+            (x, 1.0),
+            (0.0, 2.0),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            fontsize=4.5,
+            color="0.35",
+            ha="center",
+        )
 
 
 _MOST_POWERS = 4  # that a panel states
@@ -328,15 +375,15 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     label, symbol, panels_of = _AXES[column]
     numbers = sorted(set(table[column]))
     ticks = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in numbers]  # noqa: PLR2004 - k
-    every = list(dict.fromkeys(table["series"]))
-    names, left_out = every[:_MOST_SERIES], len(every[_MOST_SERIES:])
+    series = list(dict.fromkeys(table["series"]))
+    names = series[:_MOST_SERIES]
     table = table[table["series"].isin(names) & (table["mean"] > 0.0)]
     shown = _built_for(
         run, {m: text for m, text in panels_of.items() if m in set(table["measure"])}
     )
     panels = figure_style.Panels(2.2 * -(-len(shown) // 3), len(shown), 3, most=most)
     legend: dict[str, Any] = {}
-    for axes, (measure, text) in panels.each(shown.items()):
+    for axes, (measure, text) in panels.paired_with(shown.items()):
         rows = table[table["measure"] == measure]
         _draw_powers(axes, rows, names, legend, (column, symbol))
         figure_style.set_log(axes, "x")
@@ -351,10 +398,12 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     entries = {name: legend[name] for name in (*names, "all series") if name in legend}
     panels.legend(entries=entries, loc="outside upper right")
     powers = f"powers of {symbol} are fitted to all points, then to the two largest"
-    powers += f"; where more than {_MOST_POWERS}, in scaling.csv" * (len(names) > _MOST_POWERS)
-    fitted = table["exponent"].notna().any()
-    more = figure_style.left_out(left_out, "scaling.csv")
-    return panels.finish(powers if fitted else "", more, run.note)
+    if len(names) > _MOST_POWERS:
+        powers += f"; where more than {_MOST_POWERS}, in scaling.csv"
+    if not table["exponent"].notna().any():
+        powers = ""
+    more = figure_style.omission_note(len(series) - len(names), "scaling.csv")
+    return panels.finish(powers, more, run.note)
 
 
 def _built_for(run: RunData, panels: Mapping[str, str]) -> dict[str, str]:
@@ -374,50 +423,67 @@ def _draw_powers(
 ) -> None:
     """Draw the series of a measure with their powers, and add their lines to a legend."""
     column, symbol = against
-    parts = {name: rows[rows["series"] == name] for name in names}
-    means = {tuple(part["mean"]) for part in parts.values()}
-    one_for_all = len(means) == 1 < len(parts)
-    drawn = {"all series": parts[names[0]]} if one_for_all else parts
+    rows_by_series = {name: rows[rows["series"] == name] for name in names}
+    means = {tuple(series_rows["mean"]) for series_rows in rows_by_series.values()}
+    one_for_all = len(means) == 1 < len(rows_by_series)
+    drawn = {"all series": rows_by_series[names[0]]} if one_for_all else rows_by_series
     ranked = sorted(
         (n for n, p in drawn.items() if len(p)), key=lambda n: drawn[n]["mean"].iloc[-1]
     )
     powers: dict[str, Any] = {}
-    for place, (name, part) in enumerate(drawn.items()):
-        if part.empty:  # a method that states no steps, for example
+    for index, (name, series_rows) in enumerate(drawn.items()):
+        if series_rows.empty:  # a method that states no steps, for example
             continue
         look = {
-            **figure_style.marker_style(place),
-            "linewidth": figure_style.line_style(place)["linewidth"],
+            **figure_style.marker_style(index),
+            "linewidth": figure_style.line_style(index)["linewidth"],
         }
         if one_for_all:
             look["color"] = "0.4"
-        (legend[name],) = axes.plot(part[column], part["mean"], markersize=3.0, **look)
-        if name in {*ranked[:1], *ranked[-1:]} and "least" in part:
+        (legend[name],) = axes.plot(
+            series_rows[column], series_rows["mean"], markersize=3.0, **look
+        )
+        if name in {*ranked[:1], *ranked[-1:]} and "least" in series_rows:
             axes.fill_between(
-                part[column], part["least"], part["most"], color=look["color"], alpha=0.15, lw=0.0
+                series_rows[column],
+                series_rows["least"],
+                series_rows["most"],
+                color=look["color"],
+                alpha=0.15,
+                lw=0.0,
             )
-        powers[_powers(part, symbol)] = look["color"]  # equal series are drawn over each other
+        powers[_powers(series_rows, symbol)] = look[
+            "color"
+        ]  # equal series are drawn over each other
     powers.pop("", None)
-    for place, (text, color) in enumerate(powers.items() if len(powers) <= _MOST_POWERS else ()):
+    for index, (text, color) in enumerate(powers.items() if len(powers) <= _MOST_POWERS else ()):
         axes.annotate(
-            text, (0.0, 1.0), (3.0, 3.0 + 8.0 * place), color=color,
-            xycoords="axes fraction", textcoords="offset points", fontsize=6.0,
-        )  # fmt: skip
+            text,
+            (0.0, 1.0),
+            (3.0, 3.0 + 8.0 * index),
+            color=color,
+            xycoords="axes fraction",
+            textcoords="offset points",
+            fontsize=6.0,
+        )
 
 
 def _powers(part: "pd.DataFrame", symbol: str) -> str:
     """Write the powers of a number that fit a series."""
     if part.empty or pd.isna(part["exponent"].iloc[0]):
         return ""
-    every, largest = part["exponent"].iloc[0], part["slope"].iloc[-1]
-    return f"{symbol}^{every:.2f}, last {symbol}^{largest:.2f}"
+    exponent = part["exponent"].iloc[0]
+    last_slope = part["slope"].iloc[-1]
+    return f"{symbol}^{exponent:.2f}, last {symbol}^{last_slope:.2f}"
 
 
 _FEWEST_GRADES = 3
 _UNITS = {
-    "_deg": "deg", "_noise": "R", "loss": "share of messages",
+    "_deg": "deg",
+    "_noise": "R",
+    "loss": "share of messages",
     **dict.fromkeys(["mute", "deaf", "drift", "stuck"], "share of robots"),
-}  # fmt: skip
+}
 """Units by the ends of keys."""
 
 
@@ -450,17 +516,18 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     columns = figure_style.columns_of(len(families))
     height = 0.6 + 2.1 * -(-len(families) // columns)
     panels = figure_style.Panels(height, len(families), columns, share="y", most=most)
-    for axes, family in panels.each(families):
-        low, high = min(family.names), max(family.names)
+    for axes, family in panels.paired_with(families):
+        low = min(family.names)
+        high = max(family.names)
         if low > 0.0:
             figure_style.set_log(axes, "x")
             margin = (high / low) ** 0.05
             axes.set_xlim(low / margin, high * margin)  # dashed lines would widen it to 1
-        for place, point in enumerate(shown):
+        for index, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition")
             look = {
                 "label": point or "mean",
-                **figure_style.marker_style(place),
+                **figure_style.marker_style(index),
             }
             _draw_line(axes, rows, family.names, look)
             if plain in rows.index:
@@ -475,7 +542,9 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     level = f"; dashed: {plain}" if plain else ""
     number = counted(int(table["cases"].max()), "structure")
     panels.legend(f"{figure_style.mean_words(table['cases'])}, {number}{level}")
-    return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
+    return panels.finish(
+        figure_style.omission_note(len(points) - len(shown), "table.csv"), run.note
+    )
 
 
 class _Family(NamedTuple):
@@ -488,15 +557,20 @@ class _Family(NamedTuple):
 
 def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
     """Gather conditions that set the same keys, and among these one number that differs."""
-    each = stated_conditions(run.folder).items()
-    stated = {str(entries.get(LABEL, name)): entries for name, entries in each}
-    alike: dict[tuple[str, ...], dict[str, dict[str, Any]]] = {}
+    stated = {
+        str(entries.get(LABEL, name)): entries
+        for name, entries in stated_conditions(run.folder).items()
+    }
+    conditions_by_keys: dict[tuple[str, ...], dict[str, dict[str, Any]]] = {}
     for name in dict.fromkeys(table["condition"]):
-        if entries := stated.get(name):
-            alike.setdefault(tuple(sorted({*entries} - {LABEL})), {})[name] = entries
+        entries = stated.get(name)
+        if entries:
+            conditions_by_keys.setdefault(tuple(sorted({*entries} - {LABEL})), {})[name] = entries
     families = []
-    for keys, members in alike.items():
-        varied = [key for key in keys if len({repr(each[key]) for each in members.values()}) > 1]
+    for keys, members in conditions_by_keys.items():
+        varied = [
+            key for key in keys if len({repr(entries[key]) for entries in members.values()}) > 1
+        ]
         grades: dict[float, str] = {}
         for name, entries in members.items():
             values = [entries[key] for key in varied]
@@ -554,7 +628,8 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
     rows = done.assign(structure=_structures(done), by=_navigation(done))
     rows[BELIEF_SENT.column] = rows.get(BELIEF_SENT.column, np.nan) / 1e3
     rows = rows.drop_duplicates(["by", "structure", "seed"])  # conditions may share structures
-    names, kinds = list(dict.fromkeys(rows["by"])), list(dict.fromkeys(rows["structure"]))
+    names = list(dict.fromkeys(rows["by"]))
+    kinds = list(dict.fromkeys(rows["structure"]))
     shown = {
         measure.column: panel
         for measure, panel in _PANELS.items()
@@ -563,7 +638,7 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
     columns = min(len(shown), 3)
     height = (0.9 + len(names) * (0.16 + 0.07 * len(kinds))) * -(-len(shown) // columns)
     panels = figure_style.Panels(height, len(shown), columns, share="y", most=most)
-    for axes, (column, (kind, label)) in panels.each(shown.items()):
+    for axes, (column, (kind, label)) in panels.paired_with(shown.items()):
         _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
         axes.set_xlabel(label)
         top = axes.get_xlim()[1]
@@ -603,13 +678,16 @@ def _draw_panel(
     axes: "Axes", rows: pd.DataFrame, column: str, names: list[str], kinds: list[str]
 ) -> None:
     """Draw the mean of a column for each name, a marker for each kind of structure."""
-    here = [kind for kind in kinds if kind in {*rows["structure"]}]
-    for lane, kind in enumerate(here):
-        mine, index = rows[rows["structure"] == kind], kinds.index(kind)
-        found = mine.groupby("by")[column].agg(["mean", figure_style.half_width]).reindex(names)
-        place = np.arange(len(names)) + 0.16 * (lane - 0.5 * (len(here) - 1))
-        if found["mean"].notna().any():
-            half = found["half_width"]
+    shown_kinds = [kind for kind in kinds if kind in {*rows["structure"]}]
+    for lane, kind in enumerate(shown_kinds):
+        kind_rows = rows[rows["structure"] == kind]
+        kind_index = kinds.index(kind)
+        statistics = (
+            kind_rows.groupby("by")[column].agg(["mean", figure_style.half_width]).reindex(names)
+        )
+        y = np.arange(len(names)) + 0.16 * (lane - 0.5 * (len(shown_kinds) - 1))
+        if statistics["mean"].notna().any():
+            half = statistics["half_width"]
             axes.errorbar(
-                found["mean"], place, xerr=half, label=kind, **figure_style.dot_style(index)
+                statistics["mean"], y, xerr=half, label=kind, **figure_style.dot_style(kind_index)
             )

@@ -37,15 +37,24 @@ _GROWS = {
 
 
 CAPTIONS = {
-    "convergence": "RMSE against iteration: mean over the structures, a panel for each method and "
-    "point of the sweep. Best and worst have a band of one standard deviation; of many conditions, "
-    "the first, best and worst have a color. A flat end shows that more iterations would not help.",
-    "error-against-height": "Error of each robot against its true height, a panel for each "
-    "condition. A dot is a robot; its color is its join index, the order in which robots joined. "
-    "Dots on the lower edge of a logarithmic axis have this error or less.",
-    "error-along-growth": "Error of each robot against its place along the structure, a panel for "
-    "each kind of structure or condition. A dot is a robot; its color is its join index, the order "
-    "in which robots joined. Dots on the lower edge of a logarithmic axis have this error or less.",
+    "convergence": figure_style.Caption(
+        "RMSE against iteration: mean over the structures, a panel for each method "
+        "and point of the sweep. Best and worst have a band of one standard "
+        "deviation; of many conditions, the first, best and worst have a color. A "
+        "flat end shows that more iterations would not help.",
+    ),
+    "error-against-height": figure_style.Caption(
+        "Error of each robot against its true height, a panel for each condition. A "
+        "dot is a robot; its color is its join index, the order in which robots "
+        "joined. Dots on the lower edge of a logarithmic axis have this error or "
+        "less.",
+    ),
+    "error-along-growth": figure_style.Caption(
+        "Error of each robot against its place along the structure, a panel for each "
+        "kind of structure or condition. A dot is a robot; its color is its join "
+        "index, the order in which robots joined. Dots on the lower edge of a "
+        "logarithmic axis have this error or less.",
+    ),
 }
 """What the figures show, by file name."""
 
@@ -75,8 +84,10 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
         0.8 + 1.9 * rows, len(shown), columns, width=width, share="y", most=most
     )
     legend: dict[str, Artist] = {}
-    names, top, hidden = _legible(shown), 0.0, 0
-    for axes, ((point, method), of_point) in panels.each(shown.items()):
+    names = _legible(shown)
+    top = 0.0
+    hidden = 0
+    for axes, ((point, method), of_point) in panels.paired_with(shown.items()):
         drawn = _most_telling(of_point, names)
         hidden += len(of_point) - len(drawn)
         top = max(top, _plot_convergence(axes, drawn, names))
@@ -89,9 +100,12 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
     figure_style.fit_axis(panels.first, "y", ends, others=np.concatenate([np.empty(0), *lines]))
     panels.label_once(y=RMSE.axis)
     panels.legend("mean; best and worst ± 1 sd" if seeds > 1 else "", legend, structures=seeds)
-    left = len(points) - len(shown)
-    notes = [f"{counted(left, 'more panel')} not drawn"] * (left > 0)
-    notes += [f"{counted(hidden, 'more line')} not drawn"] * (hidden > 0)
+    omitted = len(points) - len(shown)
+    notes = []
+    if omitted:
+        notes.append(f"{counted(omitted, 'more panel')} not drawn")
+    if hidden:
+        notes.append(f"{counted(hidden, 'more line')} not drawn")
     return panels.finish(*notes, run.note)
 
 
@@ -113,8 +127,10 @@ def _legible(points: _Panels) -> list[str]:
     chosen = {names[0]}
     for method in dict.fromkeys(method for _, method in points):
         ends: dict[str, list[float]] = {}
-        for (_, other), of_point in points.items():
-            for name, (_, rmse) in of_point.items() if other == method else ():
+        for (_, panel_method), of_point in points.items():
+            if panel_method != method:
+                continue
+            for name, (_, rmse) in of_point.items():
                 ends.setdefault(name, []).extend(rmse[:, -1])
         order = sorted(ends, key=lambda name: float(np.mean(ends[name])))
         chosen |= {*order[:1], *order[-1:]}
@@ -138,7 +154,8 @@ def _by_point(series: Series) -> _Panels:
     alone = len({cases[0].point for cases in series.values()}) == len(series)
     points: _Panels = {}
     for name, cases in series.items():
-        point, method = cases[0].point * (not alone), cases[0].method * (len(methods) > 1)
+        point = "" if alone else cases[0].point
+        method = cases[0].method if len(methods) > 1 else ""
         trace = _traces(cases)
         if trace[0].size:
             condition = name if alone else cases[0].condition or name
@@ -157,19 +174,24 @@ def _plot_convergence(axes: "Axes", traces: dict[str, _Trace], names: list[str])
     Of those named, the best and the worst have bands. Others are thin and gray, and have one entry
     in a legend.
     """
-    top, named = 0.0, [name for name in traces if name in names]
+    top = 0.0
+    named = [name for name in traces if name in names]
     order = sorted(named, key=lambda name: float(traces[name][1][:, -1].mean()))
     banded = {*order[:1], *order[-1:]}
     for name, (iteration, rmse) in sorted(traces.items(), key=lambda item: item[0] in names):
         is_named = name in names
         look = figure_style.line_style(names.index(name)) if is_named else dict(_OTHERS)
-        mean, sd = rmse.mean(axis=0), rmse.std(axis=0) * (name in banded)
+        mean = rmse.mean(axis=0)
         axes.plot(iteration, mean, label=name if is_named else "others", **look)
-        if sd.any():
-            axes.fill_between(
-                iteration, mean - sd, mean + sd, color=look["color"], alpha=0.2, linewidth=0.0
-            )
-        top = max(top, float((mean + sd).max()))
+        upper = mean
+        if name in banded:
+            sd = rmse.std(axis=0)
+            upper = mean + sd
+            if sd.any():
+                axes.fill_between(
+                    iteration, mean - sd, upper, color=look["color"], alpha=0.2, linewidth=0.0
+                )
+        top = max(top, float(upper.max()))
     axes.set_xlabel("Iteration")
     axes.margins(x=0.0)
     ends = [float(np.max(line.get_xdata())) for line in axes.lines]
@@ -205,19 +227,19 @@ def draw_errors(run: RunData, most: float = np.inf) -> "Figure":
     lines = max(name.count(", ") for name, _ in shown)
     height = 0.5 + (2.0 + _TITLE_LINE * lines) * rows
     ways = [_way(cases) for _, cases in shown]
-    alike = len(set(ways)) == 1
-    share = "xy" if alike else "y"
+    same_way = len(set(ways)) == 1
+    share = "xy" if same_way else "y"
     panels = figure_style.Panels(height, len(shown), columns, width=width, share=share, most=most)
     tables = [_errors_at(cases, way[0]) for (_, cases), way in zip(shown, ways, strict=True)]
     _scatter(panels, tables)
     notes = [run.note]
-    for axes, ((name, _), table) in panels.each(zip(shown, tables, strict=True)):
+    for axes, ((name, _), table) in panels.paired_with(zip(shown, tables, strict=True)):
         if len(table) > _MAX_POINTS:
             notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
         figure_style.set_title(axes, name.replace(", ", ",\n"), 7.0)
-    panels.label_once(ways[0][1] if alike else "", "Error [R]")
-    for axes, (_, label) in panels.each(ways):
-        axes.set_xlabel("" if alike else label)
+    panels.label_once(ways[0][1] if same_way else "", "Error [R]")
+    for axes, (_, label) in panels.paired_with(ways):
+        axes.set_xlabel("" if same_way else label)
     if len(shown) < len(run.series):
         notes.append(f"{len(run.series) - len(shown)} more series not shown")
     return panels.finish(*notes)
@@ -231,7 +253,7 @@ def _draw_error_along_growth(run: RunData, most: float = np.inf) -> "Figure":
     kinds = _first_by_kind(run.series)
     panels = figure_style.Panels(2.6, len(kinds), len(kinds), share="y", most=most)
     _scatter(panels, [_errors_at(cases, _way(cases)[0]) for cases in kinds.values()])
-    for axes, (kind, cases) in panels.each(kinds.items()):
+    for axes, (kind, cases) in panels.paired_with(kinds.items()):
         axes.set_xlabel(_way(cases)[1])
         many = counted(len(cases), "structure")
         figure_style.set_title(axes, f"{kind}, {cases[0].condition}, {many}")
@@ -274,21 +296,30 @@ def _scatter(panels: figure_style.Panels, tables: list[Reals]) -> None:
     last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
     colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
     errors = [table[:, 1] for table in tables if len(table)]
-    typical = np.concatenate([[0.0], *(np.quantile(each, _LOW_AND_MIDDLE) for each in errors)])
+    typical = np.concatenate([[0.0], *(np.quantile(error, _LOW_AND_MIDDLE) for error in errors)])
     figure_style.fit_axis(panels.first, "y", typical)
     low = panels.first.get_ylim()[0]
     many = sum(min(len(table), _MAX_POINTS) for table in tables) > _MOST_VECTORS
     top = 0.0
-    for axes, table in panels.each(tables):
+    for axes, table in panels.paired_with(tables):
         x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
         area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
         dots = axes.scatter(
-            x, np.maximum(y, low), c=join, s=area, cmap=colors, vmin=0.0, vmax=last,
-            linewidths=0.0, clip_on=False, rasterized=many,
-        )  # fmt: skip
+            x,
+            np.maximum(y, low),
+            c=join,
+            s=area,
+            cmap=colors,
+            vmin=0.0,
+            vmax=last,
+            linewidths=0.0,
+            clip_on=False,
+            rasterized=many,
+        )
         top = max(top, float(y.max(initial=0.0)))
     panels.first.set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)
-    figure, count = panels.figure, len(panels.axes)
+    figure = panels.figure
+    count = len(panels.axes)
     look: dict[str, Any] = {"aspect": 25 * -(-count // 3)}
     if figure_style.is_narrow(figure) and count > 1:
         look = {"aspect": 40, "location": "top"}

@@ -110,11 +110,11 @@ def explain(log: SensingLog, estimate: Estimate, robot: int) -> Explanation:
         InputError: there is no such robot, it is the anchor, or it touches none that joined
             earlier.
     """
-    found = np.flatnonzero(log.robot_id == robot)
-    if not len(found):
+    rows = np.flatnonzero(log.robot_id == robot)
+    if not len(rows):
         problem = f"there is no robot {robot}; choose one of the {log.robot_count} of the log"
         raise InputError(problem, argument="explain")
-    index = int(found[0])
+    index = int(rows[0])
     position = estimate.position / log.dock_radius
     log = with_orientations(log)
     arms = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
@@ -146,9 +146,9 @@ def show(log: SensingLog, estimate: Estimate, robots: Sequence[int] = ()) -> lis
     more = " or more" if least == _ENOUGH else ""
     which = f"Of the robots that touch {counted(least, 'dock')}{more} of earlier robots"
     sd = np.full(log.robot_count, np.nan) if estimate.sd is None else estimate.sd
-    known = np.isfinite(sd) & ~estimate.disconnected & (touched >= least)
-    if known.any():
-        index = int(np.argmax(np.where(known, sd, -1.0)))
+    candidate = np.isfinite(sd) & ~estimate.disconnected & (touched >= least)
+    if candidate.any():
+        index = int(np.argmax(np.where(candidate, sd, -1.0)))
         why = f"{which}, this one has the largest standard deviation, "
         why += f"{three_digits(sd[index])} {log.length_unit}."
     else:
@@ -253,9 +253,9 @@ def _add_scale(axes: "Axes", limits: Reals, placement: Placement) -> None:
     text = f"{length:g} R"
     if placement.unit != "R":
         text += f" = {three_digits(length * placement.radius)} {placement.unit}"
-    left, low = limits[list(_VIEWS.values())[-1], 0] + 0.04 * size
-    axes.plot([left, left + length], [low, low], color="black", linewidth=1.5, gid="scale")
-    axes.text(left, low + 0.03 * size, text, fontsize=6.0, parse_math=False)
+    start, low = limits[list(_VIEWS.values())[-1], 0] + 0.04 * size
+    axes.plot([start, start + length], [low, low], color="black", linewidth=1.5, gid="scale")
+    axes.text(start, low + 0.03 * size, text, fontsize=6.0, parse_math=False)
 
 
 def _draw(axes: "Axes", places: Reals, center: Reals, docks: Reals) -> None:
@@ -264,13 +264,20 @@ def _draw(axes: "Axes", places: Reals, center: Reals, docks: Reals) -> None:
 
     size = np.full(len(docks), 2.0)
     circles = EllipseCollection(
-        size, size, np.zeros(len(docks)), units="xy", offsets=docks,
-        offset_transform=axes.transData, facecolor=(0.5, 0.5, 0.5, 0.15),
-        edgecolor=(0.5, 0.5, 0.5, 0.5), linewidth=0.3, rasterized=True,
-    )  # fmt: skip
+        size,
+        size,
+        np.zeros(len(docks)),
+        units="xy",
+        offsets=docks,
+        offset_transform=axes.transData,
+        facecolor=(0.5, 0.5, 0.5, 0.15),
+        edgecolor=(0.5, 0.5, 0.5, 0.5),
+        linewidth=0.3,
+        rasterized=True,
+    )
     axes.add_collection(circles)
-    some = np.random.default_rng(0).permutation(places)[:_MOST_POINTS]
-    area = float(np.clip(2000.0 / max(len(some), 1), 0.5, 6.0))
-    x, y = some.T
+    drawn = np.random.default_rng(0).permutation(places)[:_MOST_POINTS]
+    area = float(np.clip(2000.0 / max(len(drawn), 1), 0.5, 6.0))
+    x, y = drawn.T
     axes.scatter(x, y, s=area, color=TRUE_BLUE, linewidths=0.0, rasterized=True)
     axes.plot(*center, "+", color=ESTIMATE_ORANGE, markersize=6.0)

@@ -4,7 +4,7 @@ import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,24 @@ if TYPE_CHECKING:
 _Item = TypeVar("_Item")
 
 
+class Caption(NamedTuple):
+    """What a figure shows, in sentences."""
+
+    text: str
+    """What is drawn."""
+
+    intervals: str = ""
+    """What shows the confidence intervals, which few structures do not have."""
+
+    reading: str = ""
+    """How to read it, after these."""
+
+    def words(self, *, few: bool) -> str:
+        """Join the sentences; those of few structures without that on intervals."""
+        intervals = "" if few else self.intervals
+        return " ".join(filter(None, [self.text, intervals, self.reading]))
+
+
 class Painter(Protocol):
     """What draws a figure of a run."""
 
@@ -39,9 +57,17 @@ class Painter(Protocol):
 TRUE_BLUE = "#0072B2"
 ESTIMATE_ORANGE = "#E69F00"
 JOIN_COLORS = (
-    "#482475", "#414487", "#355F8D", "#2A788E", "#21918D", "#22A884", "#44BF70", "#7AD151",
-    "#BDDF26", "#FDE725",
-)  # fmt: skip
+    "#482475",
+    "#414487",
+    "#355F8D",
+    "#2A788E",
+    "#21918D",
+    "#22A884",
+    "#44BF70",
+    "#7AD151",
+    "#BDDF26",
+    "#FDE725",
+)
 """The viridis scale without its darkest end, from the first robot to the last."""
 
 FORCE_COLORS = ("#A6B8CC", "#E8CC9E", "#F29454", "#D64233", "#870826")
@@ -59,15 +85,21 @@ UNKNOWN_GRAY = "#9AA3AD"
 """Color of robots without a value."""
 
 SCALES: Mapping[str, tuple[str, ...]] = {
-    "errors": ERROR_COLORS, "forces": FORCE_COLORS, "joins": JOIN_COLORS, "labels": LABEL_COLORS,
-}  # fmt: skip
+    "errors": ERROR_COLORS,
+    "forces": FORCE_COLORS,
+    "joins": JOIN_COLORS,
+    "labels": LABEL_COLORS,
+}
 """Scales of colors, by the names that pages give them."""
 
 PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
 """Colors that color-blind readers can distinguish (Okabe and Ito)."""
 
-COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.0
-"""Widths of a column and of a page of a paper [inch]."""
+COLUMN_WIDTH = 3.5
+"""Width of a column of a paper [inch]."""
+
+PAGE_WIDTH = 7.0
+"""Width of a page of a paper [inch]."""
 
 NARROW = "-narrow"
 """End of the name of an SVG that is drawn as wide as a column."""
@@ -78,10 +110,12 @@ MOST_SERIES = 8
 _PLACES = 6  # digits to which axes have the same place in every process [share of the figure]
 _LONG_LABEL = 20  # letters of a row's label beyond which a narrow figure wraps it
 _LEGEND_LINE = 0.14  # height of a line of text in a legend [inch]
-_LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.055  # widths of marker and letter in a legend [inch]
+_LEGEND_MARK = 0.5  # width of a marker in a legend [inch]
+_LEGEND_LETTER = 0.055  # width of a letter in a legend [inch]
 _NOTE_LINE = 0.115  # height of a line of a note [inch]
 _LETTER = 0.58  # width of a letter, as a share of its size
-_TITLE_SIZE, _NOTE_SIZE = 7.0, 6.5  # letters of a legend's title and of a note [pt]
+_TITLE_SIZE = 7.0  # letters of a legend's title [pt]
+_NOTE_SIZE = 6.5  # letters of a note [pt]
 _MANY_PANELS = 4  # panels with common axes beyond which two fit into a row of a column
 _EXACT = (1e-3, 1e4)  # numbers of an axis that have no power of ten
 _MOST_LINEAR = 12.0  # greatest ratio of values that a linear axis shows well
@@ -149,10 +183,12 @@ class Panels:
             fitting = 2 if share and count > _MANY_PANELS else 1
             columns = max(fitting, int(columns * most / width))
             height *= -(-count // columns) / rows
-            rows, width = -(-count // columns), most
+            rows = -(-count // columns)
+            width = most
         self.figure = new_figure(width, height)
-        x, y = "x" in share, "y" in share
-        grid = self.figure.subplots(rows, columns, sharex=x, sharey=y, squeeze=False).ravel()
+        grid = self.figure.subplots(
+            rows, columns, sharex="x" in share, sharey="y" in share, squeeze=False
+        ).ravel()
         for unused in grid[count:]:
             unused.set_axis_off()
         for lowest in grid[max(0, count - columns) : count]:
@@ -164,7 +200,7 @@ class Panels:
         """The first panel, whose limits others may share."""
         return self.axes[0]
 
-    def each(self, items: Iterable[_Item]) -> "Iterator[tuple[Axes, _Item]]":
+    def paired_with(self, items: Iterable[_Item]) -> "Iterator[tuple[Axes, _Item]]":
         """Pair each panel with what it shows."""
         return zip(self.axes, items, strict=True)
 
@@ -204,15 +240,19 @@ class Panels:
         entries = entries_of(self.first) if entries is None else entries
         width, height = map(float, self.figure.get_size_inches())
         columns = legend_columns([*entries], width)
-        many = f"{title}, {counted(structures, 'structure')}".removeprefix(", ")
-        title = many if structures else title
+        if structures:
+            title = f"{title}, {counted(structures, 'structure')}".removeprefix(", ")
         title = _filled(title, width, _TITLE_SIZE)
         lines = -(-len(entries) // columns) + title.count("\n")
         self.figure.set_size_inches(width, height + _LEGEND_LINE * max(0, lines - 1))
         self.figure.legend(
-            entries.values(), entries.keys(), loc=loc, ncols=columns,
-            title=title or None, title_fontsize=_TITLE_SIZE,
-        )  # fmt: skip
+            entries.values(),
+            entries.keys(),
+            loc=loc,
+            ncols=columns,
+            title=title or None,
+            title_fontsize=_TITLE_SIZE,
+        )
 
     def finish(self, *notes: str) -> "Figure":
         """Write small lines below the figure, at the right, unless all are empty; return it."""
@@ -262,28 +302,28 @@ def _filled(text: str, width: float, size: float) -> str:
     return "\n".join(fill(line, letters) for line in text.split("\n"))
 
 
-def line_style(place: int) -> dict[str, Any]:
+def line_style(index: int) -> dict[str, Any]:
     """Choose color, dashes and width of the line at a place among others.
 
     Lines become thinner, so that one remains visible beneath the next.
     """
-    dashes = ("-", "--", ":")[place // len(PALETTE) % 3]
-    width = max(0.8, 2.2 - 0.25 * place)
-    return {"color": PALETTE[place % len(PALETTE)], "linestyle": dashes, "linewidth": width}
+    dashes = ("-", "--", ":")[index // len(PALETTE) % 3]
+    width = max(0.8, 2.2 - 0.25 * index)
+    return {"color": PALETTE[index % len(PALETTE)], "linestyle": dashes, "linewidth": width}
 
 
-def marker_style(place: int) -> dict[str, Any]:
+def marker_style(index: int) -> dict[str, Any]:
     """Choose color and marker of the points at a place among others.
 
     A color that repeats has another marker.
     """
-    turn, color = divmod(place, len(PALETTE))
+    turn, color = divmod(index, len(PALETTE))
     return {"color": PALETTE[color], "marker": "osD^vPX"[(color + turn) % 7]}
 
 
-def dot_style(place: int, size: float = 3.5) -> dict[str, Any]:
+def dot_style(index: int, size: float = 3.5) -> dict[str, Any]:
     """Choose the look of points without a line, of a size [pt]."""
-    return {**marker_style(place), "linestyle": "", "markersize": size}
+    return {**marker_style(index), "linestyle": "", "markersize": size}
 
 
 def half_width(values: "pd.Series[float]") -> float:
@@ -324,8 +364,9 @@ def fit_axis(
         bounds(0.0, None)
         return
     set_log(axes, which, span, nonpositive=nonpositive)
-    every = positive if others is None else np.concatenate([positive, others[others > 0.0]])
-    bounds(0.6 * every.min(), None)
+    if others is not None:
+        positive = np.concatenate([positive, others[others > 0.0]])
+    bounds(0.6 * positive.min(), None)
 
 
 def set_log(axes: "Axes", which: str, span: float = np.inf, *, nonpositive: str = "mask") -> None:
@@ -377,7 +418,7 @@ def entries_of(axes: "Axes") -> "dict[str, Artist]":
     return dict(zip(labels, handles, strict=True))
 
 
-def left_out(points: int, file: str) -> str:
+def omission_note(points: int, file: str) -> str:
     """Write a note on the sweep points that a figure lacks; empty if it has all."""
     return f"{counted(points, 'more sweep point')} in {file}" if points else ""
 
@@ -434,9 +475,10 @@ def _encoded(
 ) -> bytes:
     """Encode a figure that is laid out once; `savefig` would draw it once more before."""
     lay_out(figure)
-    stream, before = io.BytesIO(), figure.canvas
+    stream = io.BytesIO()
+    canvas_before = figure.canvas
     getattr(canvas(figure), f"print_{form}")(stream, metadata=metadata)
-    figure.set_canvas(before)
+    figure.set_canvas(canvas_before)
     return stream.getvalue()
 
 
@@ -450,5 +492,5 @@ def lay_out(figure: "Figure") -> None:
     engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:
-        left, bottom, width, height = np.round(axes.get_position(original=True).bounds, _PLACES)
-        axes.set_position((left, bottom, width, height))
+        x, y, width, height = np.round(axes.get_position(original=True).bounds, _PLACES)
+        axes.set_position((x, y, width, height))

@@ -1,7 +1,6 @@
 """Draws the figures of a run; their kinds have modules of their own, with captions of pictures."""
 
 import math
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -29,9 +28,9 @@ class PluginFigure(NamedTuple):
     draw: Callable[[RunData], "Figure"]
 
     @property
-    def CAPTIONS(self) -> dict[str, str]:  # noqa: N802 - as a module has it
+    def CAPTIONS(self) -> dict[str, figure_style.Caption]:  # noqa: N802 - as a module has it
         """What the figure shows, by its name."""
-        return {self.name: self.caption}
+        return {self.name: figure_style.Caption(self.caption)}
 
     def painters(self, run: RunData) -> dict[str, figure_style.Painter]:  # noqa: ARG002 - any run has it
         """Return what draws the figure, by its name."""
@@ -113,8 +112,8 @@ def draw_figure(run: RunData, name: str) -> "Figure":
 
     painters = painters_of(run) if run.series else {}
     if name not in painters:
-        some = f"; choose one of {', '.join(painters)}" if painters else ""
-        problem = f"there is no figure {name!r}{some}{did_you_mean(name, [*painters])}"
+        choice = f"; choose one of {', '.join(painters)}" if painters else ""
+        problem = f"there is no figure {name!r}{choice}{did_you_mean(name, [*painters])}"
         raise InputError(problem, argument="name")
     with style.context(["default", figure_style.STYLE]):
         return painters[name](run)
@@ -134,16 +133,22 @@ def _modules() -> Iterator[Any]:
 
 
 def caption_of(name: str, case: str = "", *, few: bool = False) -> str:
-    """Describe a picture by the longest known part of its name.
+    """Describe a picture by the longest part of its name that has a caption.
 
     The rest of the name is a sweep point or a case; without a rest, the picture shows `case`. Few
     structures have no intervals, so that the caption names none.
     """
-    captions: dict[str, str] = {}
+    captions: dict[str, figure_style.Caption] = {}
     for module in _modules():
         captions |= module.CAPTIONS
-    known = max((key for key in captions if f"{name}-".startswith(f"{key}-")), key=len, default="")
-    rest = name.removeprefix(known).strip("-")
-    shown = f"Case {case}." if case and not rest else f"Shown: {rest}." if known and rest else rest
-    text = re.sub(r" B[a-z ]+ are 95 % CI\." if few else "$^", "", captions.get(known, ""))
+    keys = [key for key in captions if f"{name}-".startswith(f"{key}-")]
+    figure_name = max(keys, key=len, default="")
+    rest = name.removeprefix(figure_name).strip("-")
+    if case and not rest:
+        shown = f"Case {case}."
+    elif figure_name and rest:
+        shown = f"Shown: {rest}."
+    else:
+        shown = rest
+    text = captions[figure_name].words(few=few) if figure_name else ""
     return " ".join(filter(None, [text, shown]))

@@ -67,34 +67,44 @@ def gather_log_page(
 def _result(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -> str:
     """State in a sentence what was found."""
     unit = view.log.length_unit
+    sd = _tied_sd(view, estimate)
     accuracy = []
-    if len(sd := _tied_sd(view, estimate)):
+    if len(sd):
         accuracy.append(f"a standard deviation of {np.median(sd):.2g} {unit} in the median")
     if scores:
         accuracy.append(f"an RMSE of {scores['RMSE']:.3g} {unit}")
-    left, known = len(view.log.gone), f" with {' and '.join(accuracy)}" if accuracy else ""
-    located = f"{counted(len(view.robot) - left, 'robot')} located{known}."
-    return f"{located} {left} left." if left else located
+    departed = len(view.log.gone)
+    result = f"{counted(len(view.robot) - departed, 'robot')} located"
+    if accuracy:
+        result += f" with {' and '.join(accuracy)}"
+    return f"{result}. {departed} left." if departed else f"{result}."
 
 
 def _in_words(log: SensingLog, estimate: Estimate) -> str:
     """State in a line whether to trust the estimate, and what limits it."""
-    text = (
-        f"{verdict(estimate)}: see Warnings" if distrust(log, estimate) else headline(log, estimate)
-    )
-    found = [text[:1].upper() + text[1:]] if text else []
-    words = estimate.known
-    if floppy := words.count("floppy"):
-        found.append(f"Floppy modes move {counted(floppy, 'robot')}")
-    if lost := words.count("disconnected"):
-        found.append(f"No measurement ties {counted(lost, 'robot')} to the anchor")
-    outliers = (estimate.outlier_contacts, estimate.outlier_places)
-    judged = [counted(many, "measurement")] if (many := sum(map(_count, outliers))) else []
-    if turned := _count(estimate.outlier_robots):
-        judged.append(counted(turned, "orientation"))
-    if judged:
-        found.append(f"The estimate judges {' and '.join(judged)} wrong")
-    return " ".join(f"{sentence}." for sentence in found)
+    if distrust(log, estimate):
+        text = f"{verdict(estimate)}: see Warnings"
+    else:
+        text = headline(log, estimate)
+    sentences = []
+    if text:
+        sentences.append(text[:1].upper() + text[1:])
+    floppy = estimate.known.count("floppy")
+    if floppy:
+        sentences.append(f"Floppy modes move {counted(floppy, 'robot')}")
+    disconnected = estimate.known.count("disconnected")
+    if disconnected:
+        sentences.append(f"No measurement ties {counted(disconnected, 'robot')} to the anchor")
+    measurements = _count(estimate.outlier_contacts) + _count(estimate.outlier_places)
+    orientations = _count(estimate.outlier_robots)
+    outliers = []
+    if measurements:
+        outliers.append(counted(measurements, "measurement"))
+    if orientations:
+        outliers.append(counted(orientations, "orientation"))
+    if outliers:
+        sentences.append(f"The estimate judges {' and '.join(outliers)} wrong")
+    return " ".join(f"{sentence}." for sentence in sentences)
 
 
 def _count(rows: Ints | None) -> int:
@@ -104,16 +114,18 @@ def _count(rows: Ints | None) -> int:
 def _tied_sd(view: SwarmView, estimate: Estimate) -> Reals:
     """Return the known sd of robots that are tied to the anchor, without it [log unit]."""
     sd: Reals = view.sd[1:][~estimate.disconnected[1:]] * view.log.dock_radius
-    known: Reals = sd[np.isfinite(sd)]
-    return known
+    finite_sd: Reals = sd[np.isfinite(sd)]
+    return finite_sd
 
 
 def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -> PageTable:
     """Tabulate sizes, uncertainty and, where the truth is known, accuracy."""
     unit = view.log.length_unit
     rows = {"robots": str(len(view.robot)), "contacts": str(len(view.log.contacts))}
-    rows |= {"robots that left, not scored": str(len(left))} if len(left := view.log.gone) else {}
-    if len(sd := _tied_sd(view, estimate)):
+    if len(view.log.gone):
+        rows["robots that left, not scored"] = str(len(view.log.gone))
+    sd = _tied_sd(view, estimate)
+    if len(sd):
         rows |= {
             f"median sd [{unit}]": f"{np.median(sd):.3g}",
             f"largest sd [{unit}]": f"{sd.max():.3g}",
@@ -129,22 +141,26 @@ def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -
 
 def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[PageTable]:
     """Tabulate the solutions that the method found, if there are several."""
-    log, found = view.log, estimate.solutions
-    if len(found) < 2:  # noqa: PLR2004
+    log = view.log
+    solutions = estimate.solutions
+    if len(solutions) <= 1:
         return
     unit = log.length_unit
-    place = [each.position[~log.is_gone] for each in found]
-    away = [np.linalg.norm(each - place[0], axis=1) for each in place]
-    more = [each.chi_square - found[0].chi_square for each in found]
+    positions = [solution.position[~log.is_gone] for solution in solutions]
+    distances = [np.linalg.norm(position - positions[0], axis=1) for position in positions]
+    farther = [int((distance > log.spacing).sum()) for distance in distances]
+    excess = [solution.chi_square - solutions[0].chi_square for solution in solutions]
     frame = pd.DataFrame(
         {
-            "solution": [str(number) for number in range(1, len(found) + 1)],
-            "weight [%]": [percent(each.weight) for each in found],
-            "chi-square": ["" if math.isnan(v) else f"{v:+.3g}" if v else "0" for v in more],
-            "chains": [str(each.chains) for each in found],
-            f"residual [{unit}]": [f"{each.residual:.3g}" for each in found],
-            f"largest distance from solution 1 [{unit}]": [f"{each.max():.3g}" for each in away],
-            "robots farther than D from there": [str(int((a > log.spacing).sum())) for a in away],
+            "solution": [str(number) for number in range(1, len(solutions) + 1)],
+            "weight [%]": [percent(solution.weight) for solution in solutions],
+            "chi-square": [_signed(value) for value in excess],
+            "chains": [str(solution.chains) for solution in solutions],
+            f"residual [{unit}]": [f"{solution.residual:.3g}" for solution in solutions],
+            f"largest distance from solution 1 [{unit}]": [
+                f"{distance.max():.3g}" for distance in distances
+            ],
+            "robots farther than D from there": [str(count) for count in farther],
         }
     )
     note = (
@@ -154,6 +170,13 @@ def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[PageTable]:
     )
     frame = frame.loc[:, (frame != "").any()]
     yield PageTable(frame=frame, words=[], title="Solutions", note=note)
+
+
+def _signed(value: float) -> str:
+    """Write a difference with its sign; nothing if it is unknown."""
+    if math.isnan(value):
+        return ""
+    return f"{value:+.3g}" if value else "0"
 
 
 def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[PageTable]:
@@ -173,28 +196,33 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[PageTable]:
 
 def _space(view: SwarmView, estimate: Estimate) -> View:
     """Show the estimate, then each solution."""
-    radius, unit = view.log.dock_radius, view.log.length_unit
+    radius = view.log.dock_radius
+    unit = view.log.length_unit
     tied = replace(view, name="estimate", sd=np.where(estimate.disconnected, np.nan, view.sd))
     shown = [view_data(tied, tied.colorings)]
     solutions = estimate.solutions if len(estimate.solutions) > 1 else ()
-    room = MOST_ROBOTS // len(view.robot) - len(shown)
-    for number, each in enumerate(solutions[: max(room, 0)], start=1):
-        pose = np.column_stack([each.position / radius, view.estimated_pose[:, 3:]])
+    room = max(MOST_ROBOTS // len(view.robot) - len(shown), 0)
+    for number, solution in enumerate(solutions[:room], start=1):
+        pose = np.column_stack([solution.position / radius, view.estimated_pose[:, 3:]])
         moved = replace(
             view, estimated_pose=pose, name=f"solution {number}", read_trace=lambda: None
         )
-        away = np.linalg.norm(each.position - estimate.position, axis=1)
-        sd = np.full(len(away), np.nan) if each.sd is None else each.sd
-        values = [("distance from the estimate", away), (SD, sd)]
-        ours = [Coloring(label, unit, value) for label, value in values]
-        shown.append(view_data(moved, [*view.own, *ours]))
+        distance = np.linalg.norm(solution.position - estimate.position, axis=1)
+        sd = np.full(len(distance), np.nan) if solution.sd is None else solution.sd
+        colorings = [
+            *view.user_colorings,
+            Coloring("distance from the estimate", unit, distance),
+            Coloring(SD, unit, sd),
+        ]
+        shown.append(view_data(moved, colorings))
     notes = []
     if estimate.sd is not None and estimate.disconnected.any():
         notes.append("Where sd is the color, robots disconnected from the anchor are gray.")
     if len(view.robot) > MOST_ROBOTS:
         notes.append(f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots.")
-    if (left := len(solutions) - max(room, 0)) > 0:
-        notes.append(f"It lacks {counted(left, 'solution')}, so that the page stays small.")
+    omitted = len(solutions) - room
+    if omitted > 0:
+        notes.append(f"It lacks {counted(omitted, 'solution')}, so that the page stays small.")
     return View(
         data=space_data(view.dock_offset_body, shown, radius=radius, unit=unit),
         title="Estimated positions",
@@ -205,7 +233,9 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
 
 def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
     """Tabulate each robot in join order."""
-    log, unit, size = view.log, view.log.length_unit, view.log.dock_radius
+    log = view.log
+    unit = log.length_unit
+    size = log.dock_radius
     digits = max(0, math.ceil(2.0 - math.log10(size)))
     columns: dict[str, Sequence[str]] = {"robot": [str(name) for name in log.robot_id]}
     for axis, values in zip("xyz", estimate.position.T.tolist(), strict=True):
@@ -218,18 +248,16 @@ def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
         columns["gone"] = ["yes" if gone else "" for gone in estimate.gone.tolist()]
     if estimate.observability is not None:
         columns["known"] = estimate.known
-    left_out = len(view.robot) - MOST_ROWS
-    mirrored = (
-        "mirrored if configurations that fit put the robot farther apart than its sd; "
-        if "mirrored" in estimate.known
-        else ""
+    note = "Known: yes if the measurements determine the position; "
+    if "mirrored" in estimate.known:
+        note += "mirrored if configurations that fit put the robot farther apart than its sd; "
+    note += (
+        "floppy if a motion that changes no measurement moves the robot; disconnected if at most a "
+        "height ties it to the anchor."
     )
-    note = (
-        f"Known: yes if the measurements determine the position; {mirrored}floppy if a motion that "
-        "changes no measurement moves the robot; disconnected if at most a height ties it to the "
-        "anchor."
-    )
-    note += f" {counted(left_out, 'more robot')} in the estimate's file." if left_out > 0 else ""
+    omitted = len(view.robot) - MOST_ROWS
+    if omitted > 0:
+        note += f" {counted(omitted, 'more robot')} in the estimate's file."
     return PageTable(
         frame=pd.DataFrame(columns).head(MOST_ROWS),
         words=["gone", "known"],

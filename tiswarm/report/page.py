@@ -49,8 +49,18 @@ _PIXELS = 96.0 / 72.0  # of a point of an SVG
 
 _TAGS = {"svg", "g", "defs", "path", "use", "clipPath", "rect", "image", "text", "tspan"}
 _ATTRIBUTES = {
-    "viewBox", "id", "d", "style", "clip-path", "transform", "href", "x", "y", "width", "height",
-}  # fmt: skip
+    "viewBox",
+    "id",
+    "d",
+    "style",
+    "clip-path",
+    "transform",
+    "href",
+    "x",
+    "y",
+    "width",
+    "height",
+}
 _HREF = re.compile(r"#\w+|data:image/png;base64,[A-Za-z0-9+/=\s]+")
 _STYLE = re.compile(r"[\w\s:;,.%#'-]*")
 _CLIP = re.compile(r"url\(#\w+\)")
@@ -96,16 +106,19 @@ def show_pictures(
     `case` is what pictures show whose names do not say it. Figures of few structures have no bars.
     """
     pictures = []
-    paths = sorted([path for path in folder.glob("*") if path.suffix in _SUFFIXES], key=_place)
+    paths = sorted([path for path in folder.glob("*") if path.suffix in _SUFFIXES], key=_order)
     with warnings.catch_warnings(), ThreadPoolExecutor() as pool:
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         shown = list(pool.map(_shown, paths))
-    for path, picture in zip(paths, shown, strict=True):
-        file, caption = f"{folder.name}/{path.name}", caption_of(path.stem, case, few=few)
+    for path, embedded in zip(paths, shown, strict=True):
+        picture = embedded
+        file = f"{folder.name}/{path.name}"
+        caption = caption_of(path.stem, case, few=few)
         room -= picture.size
-        caption += f" Separate file {file}: page size limit." * (room <= 0)
-        linked = picture._replace(source=file, drawing="", narrow="")
-        pictures.append((picture if room > 0 else linked)._replace(file=file, caption=caption))
+        if room <= 0:
+            picture = picture._replace(source=file, drawing="", narrow="")
+            caption += f" Separate file {file}: page size limit."
+        pictures.append(picture._replace(file=file, caption=caption))
     return pictures
 
 
@@ -119,10 +132,10 @@ def show_drawing(file: str, caption: str, drawing: bytes, narrow: bytes) -> Show
     return Shown("", file, caption, 0, 0, wide=round(width), drawing=wide, narrow=column)
 
 
-def _place(path: Path) -> tuple[int, str]:
-    """Return the place of a picture among others: first the ones that show most."""
-    first = (place for place, name in enumerate(_FIRST) if path.stem.startswith(name))
-    return next(first, len(_FIRST)), path.name
+def _order(path: Path) -> tuple[int, str]:
+    """Return the rank of a picture among others: first the ones that show most; then its name."""
+    ranks = (rank for rank, name in enumerate(_FIRST) if path.stem.startswith(name))
+    return next(ranks, len(_FIRST)), path.name
 
 
 def _shown(path: Path) -> Shown:
@@ -179,14 +192,15 @@ def _written(element: ET.Element) -> Iterator[str]:
     tag = element.tag.rpartition("}")[2]
     if tag not in _TAGS:
         return
-    given = {name.rpartition("}")[2]: value for name, value in element.attrib.items()}
-    kept = {name: value for name, value in given.items() if _is_kept(tag, name, value)}
-    if style := re.sub(r"font-family:[^;]*;? ?", "", kept.pop("style", "")):
+    attributes = {name.rpartition("}")[2]: value for name, value in element.attrib.items()}
+    kept = {name: value for name, value in attributes.items() if _is_kept(tag, name, value)}
+    style = re.sub(r"font-family:[^;]*;? ?", "", kept.pop("style", ""))
+    if style:
         kept["style"] = re.sub(r"#[0-9a-f]{6}\b", lambda hit: _COLORS.get(hit[0], hit[0]), style)
-    if given.get("id", "").startswith("PathCollection"):
+    if attributes.get("id", "").startswith("PathCollection"):
         kept["class"] = "dots"
-    attributes = [f' {name}="{escape(value)}"' for name, value in kept.items()]
-    yield f"<{tag}{''.join(attributes)}>"
+    words = [f' {name}="{escape(value)}"' for name, value in kept.items()]
+    yield f"<{tag}{''.join(words)}>"
     yield escape((element.text or "").strip())
     for child in element:
         yield from _written(child)
@@ -252,7 +266,9 @@ class Page:
     @property
     def more_figures(self) -> list[Shown]:
         """Figures of single robots, of a page with a sweep."""
-        return [each for each in self.figures if self.is_sweep and _OF_ROBOTS.match(each.file)]
+        if not self.is_sweep:
+            return []
+        return [figure for figure in self.figures if _OF_ROBOTS.match(figure.file)]
 
     @property
     def is_sweep(self) -> bool:
@@ -284,9 +300,12 @@ def _templates() -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
 
     environment = Environment(
-        loader=PackageLoader("tiswarm.report"), undefined=StrictUndefined,
-        autoescape=True, trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=PackageLoader("tiswarm.report"),
+        undefined=StrictUndefined,
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "sort_keys": True}
     return environment
 
@@ -327,8 +346,8 @@ def _gather(run: RunData) -> Page:
         warnings=page_tables.warnings_of(run.summary),
         notes=page_tables.notes_of(run.summary, manifest),
         headline=headline,
-        tables=[each for each in tables if each.is_first],
-        more=[each for each in tables if not each.is_first],
+        tables=[page_table for page_table in tables if page_table.is_first],
+        more=[page_table for page_table in tables if not page_table.is_first],
         view=build_view(run),
         rows=page_tables.case_table(run.summary, in_words=bool(run.summary["point"].notna().any())),
         rows_example=f"{table['condition'].iloc[0]} done",
@@ -346,10 +365,13 @@ def _in_words(run: RunData, manifest: Manifest) -> str:
     counts = [counted(len(run.summary), "case")]
     counts += [counted(run.summary[noun].nunique(), noun) for noun in ("seed", "condition")]
     if "robots" in run.summary:
-        least, most = run.summary["robots"].min(), run.summary["robots"].max()
-        equal = counted(int(least), "robot") if least == most else ""
-        counts += [equal or f"{least:,.0f} to {most:,.0f} robots"]
+        least = run.summary["robots"].min()
+        most = run.summary["robots"].max()
+        if least == most:
+            counts.append(counted(int(least), "robot"))
+        else:
+            counts.append(f"{least:,.0f} to {most:,.0f} robots")
     spent = sum(stage.wall_s for stage in manifest.stages.values())
     time = f", computed in {spent:.1f} s" if spent else ""
-    each = " each" if len(run.summary) > 1 else ""
-    return f"{', '.join(counts)}{each}{time}."
+    distribution = " each" if len(run.summary) > 1 else ""
+    return f"{', '.join(counts)}{distribution}{time}."

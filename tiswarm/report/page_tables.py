@@ -81,11 +81,16 @@ class PageTable:
 
 _LATEX = str.maketrans(
     {
-        "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-        "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "±": r"$\pm$",
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
+        "±": r"$\pm$",
         **{letter: f"\\{letter}" for letter in "&%$#_{}"},
     }
-)  # fmt: skip
+)
 """Letters that LaTeX reads as commands, or prints as others in its default encoding OT1."""
 
 
@@ -156,7 +161,8 @@ def headline_table(
     columns |= _means(rows, "accuracy") | _asked(rows, question) | _tied(rows)
     if with_verdicts:
         columns |= _verdicts(rows)
-    least, most = rows["cases"].min(), rows["cases"].max()
+    least = rows["cases"].min()
+    most = rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
     over = counted(most, "structure") if least == most else "structures"
@@ -179,10 +185,10 @@ def headline_table(
 def _best_first(table: pd.DataFrame) -> pd.DataFrame:
     """Sort the rows of each point of the sweep by their mean RMSE; points stay in their order."""
     point = with_points(table).groupby("point", sort=False).ngroup()
-    order = ["place"]
+    order = ["point_rank"]
     if RMSE.mean in table:
         order.append(RMSE.mean)
-    return table.assign(place=point).sort_values(order, kind="stable")
+    return table.assign(point_rank=point).sort_values(order, kind="stable")
 
 
 FURTHER = "also uses"
@@ -247,11 +253,15 @@ def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
 
 def _measurements(rows: pd.DataFrame) -> tuple[str, list[str]]:
     """Write what all conditions measure, and what each measures beyond it."""
-    texts = rows["measurements"].fillna("") if "measurements" in rows else [""] * len(rows)
-    used = [text.split(", ") if text else [] for text in texts]
-    known = [each for each in used if each]  # of conditions with finished cases
-    shared = [name for name in known[0] if all(name in each for each in known)] if known else []
-    further = [measured_words(", ".join(each), without=shared) for each in used]
+    if "measurements" not in rows:
+        return "", [""] * len(rows)
+    texts = rows["measurements"].fillna("")
+    cues = [text.split(", ") if text else [] for text in texts]
+    finished = [names for names in cues if names]  # of conditions with finished cases
+    shared = []
+    if finished:
+        shared = [name for name in finished[0] if all(name in names for names in finished)]
+    further = [measured_words(", ".join(names), without=shared) for names in cues]
     return measured_words(", ".join(shared)), further
 
 
@@ -284,7 +294,8 @@ def result_tables(
             if measure.mean in table
         )
         tables.append(_labeled(words, of_plugins, "Measures of plug-ins", " ".join(texts)))
-    if calibration := _means(table, "calibration") | _consistent(table):
+    calibration = _means(table, "calibration") | _consistent(table)
+    if calibration:
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "
             "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
@@ -309,7 +320,8 @@ def result_tables(
         shown = _labeled(words, calibration, "Calibration", note)
         reported = (shown.frame[[*calibration]] != "").any(axis=1)
         tables.append(replace(shown, frame=shown.frame[reported]))
-    if anchor := _means(table, "anchor"):
+    anchor = _means(table, "anchor")
+    if anchor:
         note = (
             "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
             "Means are over structures in which so many robots touch it."
@@ -328,9 +340,11 @@ def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
     spare = _numbers(table.get(SPARE.mean, tested * math.nan))
     of = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
     texts = np.where(tested > 0.0, _numbers(share) + of, "not testable (" + spare + " spare)")
-    known = table[CONSISTENT.mean].notna()
-    found = pd.Series(texts, table.index, dtype=str).where(known, "")
-    return {PAGE["calibration"][CONSISTENT]: found} if known.any() else {}
+    has_verdict = table[CONSISTENT.mean].notna()
+    if not has_verdict.any():
+        return {}
+    column = pd.Series(texts, table.index, dtype=str).where(has_verdict, "")
+    return {PAGE["calibration"][CONSISTENT]: column}
 
 
 def _measured_suites(suites: pd.DataFrame) -> PageTable:
@@ -376,7 +390,7 @@ def _beside_the_paper(table: pd.DataFrame) -> PageTable:
 def _differences(paired: pd.DataFrame) -> PageTable:
     """Format differences between conditions on the same structures."""
     first = paired["against"] == paired["against"].iloc[0]
-    headings = {each.column: heading for each, heading in PAGE["accuracy"].items()}
+    headings = {measure.column: heading for measure, heading in PAGE["accuracy"].items()}
     rows = paired[first & paired["measure"].isin([*headings])]
     words = _names(rows, "measure").assign(measure=rows["measure"].map(headings))
     columns = {
@@ -408,9 +422,10 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
     numbers = {label: _numbers(shown[name]) for name, label in headings.items() if name in shown}
     reasons = shown["reason"].fillna("").astype(str)
     reason = {"reason": reasons} if reasons.any() else {}
-    left_out = len(summary) - len(shown)
-    note = f"{counted(left_out, 'more case')} in summary.csv." if left_out else ""
-    note = f"{note} The column `case` of summary.csv names their folders." if in_words else note
+    omitted = len(summary) - len(shown)
+    note = f"{counted(omitted, 'more case')} in summary.csv." if omitted else ""
+    if in_words:
+        note += " The column `case` of summary.csv names their folders."
     return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, *reason])
 
 
@@ -424,12 +439,11 @@ def machine_table(manifest: Manifest) -> PageTable:
         "peak_memory_MB": manifest.peak_memory_MB,
         "python": manifest.python,
         **manifest.libraries,
-        **{
-            f"numbers by {name}": " and ".join(dict.fromkeys(each[name] for each in every))
-            for every in [manifest.numerics]
-            for name in (every[0] if every else ())
-        },
     }
+    if manifest.numerics:
+        for name in manifest.numerics[0]:
+            values = dict.fromkeys(process[name] for process in manifest.numerics)
+            facts[f"numbers by {name}"] = " and ".join(values)
     for name, spent in manifest.stages.items():
         facts[f"{name} [s wall, s CPU]"] = f"{spent.wall_s}, {spent.cpu_s}"
     rows = [
@@ -457,9 +471,9 @@ def _labeled(
     return PageTable(frame=frame, words=words.columns.astype(str), title=title, note=note)
 
 
-def _means(table: pd.DataFrame, place: str) -> dict[str, pd.Series]:
+def _means(table: pd.DataFrame, section: str) -> dict[str, pd.Series]:
     """Format the means that a table of the page shows, by heading, if `table` has them."""
-    return _means_of(table, PAGE[place])
+    return _means_of(table, PAGE[section])
 
 
 def _means_of(table: pd.DataFrame, headings: Mapping[Measure, str]) -> dict[str, pd.Series]:
@@ -512,89 +526,107 @@ def warnings_of(summary: pd.DataFrame) -> list[str]:
     """List what makes results of a run wrong or incomplete."""
     done = summary[summary["status"] == "done"]
     failed = summary[summary["status"] != "done"]
-    found = []
+    warnings = []
     if len(failed):
-        why = _some(failed["reason"].dropna().unique(), "; ")
-        found.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
-    found += _untrusted(done)
-    if DISCONNECTED.column in done and (lost := done[DISCONNECTED.column].fillna(0)).any():
-        robots, cases = counted(int(lost.sum()), "robot"), counted(int((lost > 0).sum()), "case")
-        text = f"No measurement that was used ties {robots} in {cases} to the anchor"
-        found.append(f"{text}; their positions are guesses.")
-    return found
+        why = _first_of(failed["reason"].dropna().unique(), "; ")
+        warnings.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
+    warnings += _untrusted(done)
+    if DISCONNECTED.column in done:
+        disconnected = done[DISCONNECTED.column].fillna(0)
+        if disconnected.any():
+            robots = counted(int(disconnected.sum()), "robot")
+            cases = counted(int((disconnected > 0).sum()), "case")
+            warnings.append(
+                f"No measurement that was used ties {robots} in {cases} to the anchor; "
+                "their positions are guesses."
+            )
+    return warnings
 
 
 def notes_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
     """List what a reader of the results should know."""
     done = summary[summary["status"] == "done"]
-    found = []
+    notes = []
     ended = done["reason"].dropna()
     if len(ended):
-        why = _some(ended.unique(), "; ")
-        found.append(
+        why = _first_of(ended.unique(), "; ")
+        notes.append(
             f"Growth ended before all robots joined in {counted(len(ended), 'case')}: {why}."
         )
-    if FLOPPY_MODES.column in done and ((modes := done[FLOPPY_MODES.column]) > 0).any():
-        count = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (modes.min(), modes.max())))
-        found.append(
-            f"The measurements that the method uses leave {count} floppy modes a case: motions "
-            "that change no measurement. No method can remove errors along them."
-        )
+    if FLOPPY_MODES.column in done:
+        modes = done[FLOPPY_MODES.column]
+        if (modes > 0).any():
+            count = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (modes.min(), modes.max())))
+            notes.append(
+                f"The measurements that the method uses leave {count} floppy modes a case: motions "
+                "that change no measurement. No method can remove errors along them."
+            )
     reasons = sorted({origin.reason for origin in manifest.renders.values() if origin.reason})
-    return found + [f"A simpler renderer drew the pictures: {reason}." for reason in reasons]
+    notes += [f"A simpler renderer drew the pictures: {reason}." for reason in reasons]
+    return notes
 
 
-def _some(items: Iterable[object], separator: str) -> str:
+def _first_of(items: Iterable[object], separator: str) -> str:
     """Join the first of some texts."""
-    first = [*map(str, items)]
-    more = ["..."] if len(first) > _MOST_REASONS else []
-    return separator.join(first[:_MOST_REASONS] + more)
+    texts = [str(item) for item in items]
+    shown = texts[:_MOST_REASONS]
+    if len(texts) > _MOST_REASONS:
+        shown.append("...")
+    return separator.join(shown)
 
 
 def _merged(texts: Iterable[str]) -> list[str]:
     """Merge texts that differ in numbers only, into one with the range of each number."""
-    alike: dict[str, list[list[str]]] = {}
+    numbers_by_words: dict[tuple[str, ...], list[list[str]]] = {}
     for text in texts:
-        alike.setdefault(_NUMBER.sub("0", text), []).append(_NUMBER.findall(text))
+        words = tuple(_NUMBER.split(text))  # what stands before, between and after the numbers
+        numbers_by_words.setdefault(words, []).append(_NUMBER.findall(text))
     merged = []
-    for form, found in alike.items():
-        ranges = map(_range, zip(*found, strict=True))
-        merged.append(_NUMBER.sub(lambda _, some=ranges: next(some), form))  # type: ignore[misc]
+    for words, numbers in numbers_by_words.items():
+        ranges = [_range(column) for column in zip(*numbers, strict=True)]
+        pairs = zip(ranges, words[1:], strict=True)
+        merged.append(words[0] + "".join(f"{span}{word}" for span, word in pairs))
     return merged
 
 
 def _range(numbers: Iterable[str]) -> str:
     """Write the least and the greatest of some numbers, as they are written."""
-    least, *_, most = sorted({*numbers}, key=float) * 2
-    return least if least == most else f"{least} to {most}"
+    ascending = sorted(dict.fromkeys(numbers), key=float)
+    if len(ascending) == 1:
+        return ascending[0]
+    return f"{ascending[0]} to {ascending[-1]}"
 
 
 def _untrusted(done: pd.DataFrame) -> Iterator[str]:
     """Name the cases whose estimate did not converge, or is not consistent, and why."""
-    found = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
-    lost = found[CONVERGED.column].eq(False)  # noqa: FBT003 - other methods leave it empty
-    if lost.any():
-        text = f"{_share(found, lost, 'did not converge')}. The search settled on no one best fit."
-        yield f"{text} All tables include their errors. Try more steps or chains."
-    at_odds = found[CONSISTENT.column].eq(False) & ~lost  # noqa: FBT003
-    if at_odds.any():
-        misfit, factor = (
-            found[MISFIT.column][at_odds].dropna(),
-            found[SD_FACTOR.column][at_odds].max(),
+    cases = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
+    trapped = cases[CONVERGED.column].eq(False)  # noqa: FBT003 - other methods leave it empty
+    if trapped.any():
+        text = (
+            f"{_share(cases, trapped, 'did not converge')}. The search settled on no one best fit."
         )
+        yield f"{text} All tables include their errors. Try more steps or chains."
+    at_odds = cases[CONSISTENT.column].eq(False) & ~trapped  # noqa: FBT003
+    if at_odds.any():
+        misfit = cases[MISFIT.column][at_odds].dropna()
+        factor = cases[SD_FACTOR.column][at_odds].max()
         sizes = [describe_misfit(max(misfit, key=abs, default=0.0))]
-        sizes += [f"sd is multiplied by {factor:.2g}"] if factor > 1.0 else []
+        if factor > 1.0:
+            sizes.append(f"sd is multiplied by {factor:.2g}")
         most = " and ".join(filter(None, sizes))
-        text = _share(found, at_odds, "are not consistent with the noise that their logs state")
-        yield f"{text}.{f' At most, {most}.' if most else ''}"
+        text = _share(cases, at_odds, "are not consistent with the noise that their logs state")
+        yield f"{text}. At most, {most}." if most else f"{text}."
 
 
-def _share(every: pd.DataFrame, some: pd.Series, what: str) -> str:
+def _share(cases: pd.DataFrame, is_affected: pd.Series, what: str) -> str:
     """Count and name cases, or a series that is among them as a whole, and state the reasons."""
-    series, reasons = every["series"], every["distrust"][some].dropna().unique()
-    whole = some.groupby(series).transform("all") & (series.groupby(series).transform("size") > 1)
+    series = cases["series"]
+    reasons = cases["distrust"][is_affected].dropna().unique()
+    is_repeated = series.groupby(series).transform("size") > 1
+    whole = is_affected.groupby(series).transform("all") & is_repeated
     names = [f"all of {name}" for name in series[whole].unique()]
-    single = every.loc[some & ~whole, ["case", "series"]].itertuples(index=False)
+    single = cases.loc[is_affected & ~whole, ["case", "series"]].itertuples(index=False)
     names += [f"seed {case.partition('-')[0]} of {name}" for case, name in single]
-    why = f": {_some(_merged(reasons), '; ')}" if len(reasons) else ""
-    return f"{some.sum()} of {counted(len(every), 'case')} {what} ({_some(names, ', ')}){why}"
+    count = f"{is_affected.sum()} of {counted(len(cases), 'case')}"
+    text = f"{count} {what} ({_first_of(names, ', ')})"
+    return f"{text}: {_first_of(_merged(reasons), '; ')}" if len(reasons) else text

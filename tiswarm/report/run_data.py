@@ -40,7 +40,7 @@ class StoredCase:
     robots: int  # robots of its structure; 0 where unknown
     left_edge: float  # end of the ground at the left [R], as in `Terrain`
     right_edge: float  # beginning of the ground at the right [R]
-    own: Sequence[Any] = ()  # values of the user that color its robots, each a `Coloring`
+    user_colorings: Sequence[Any] = ()  # values of the user that color its robots, `Coloring`s
 
     def columns(
         self, file: str, names: Sequence[str], *, gaps: Sequence[str] = (), empty: bool = False
@@ -49,8 +49,8 @@ class StoredCase:
 
         Numbers in the columns `gaps` may be unknown, NaN; the file may have no rows if `empty`.
         """
-        known = [name for name in names if name not in gaps]
-        table = read_frame(self.folder / file, numbers=known, gaps=gaps, empty=empty)
+        required = [name for name in names if name not in gaps]
+        table = read_frame(self.folder / file, numbers=required, gaps=gaps, empty=empty)
         return table[list(names)].to_numpy(float)
 
 
@@ -71,8 +71,9 @@ class Labels:
     def cell(self, key: str, cell: Any) -> str:  # noqa: ANN401 - text or a number
         """Return the label of a swept value; empty if all points share it, or there is none."""
         text = "" if pd.isna(cell) else str(cell)
-        if text in (known := self.rows.get(key, {})) or not text:
-            return known.get(text, "")
+        labels = self.rows.get(key, {})
+        if text in labels or not text:
+            return labels.get(text, "")
         words = re.sub(r"[{}]|kind: ", "", text).replace(": ", " ").replace("_", " ")
         return words_of(key, plain_scalar(words))
 
@@ -122,7 +123,7 @@ class RunData:
     folder: Path
     summary: pd.DataFrame  # all cases, `summary.csv`, with labels
     labels: Labels = Labels()
-    own: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # `StoredCase.own` by case
+    user_colorings: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # by case
 
     @cached_property
     def cases(self) -> list[StoredCase]:
@@ -139,7 +140,7 @@ class RunData:
                 left_edge=row["left_edge_R"],
                 right_edge=row["right_edge_R"],
                 method=row["method"],
-                own=self.own.get(row["case"], ()),
+                user_colorings=self.user_colorings.get(row["case"], ()),
                 **{word: row[word] for word in ("condition", "series", "point", "kind")},
             )
             for row in table.to_dict("records")
@@ -167,11 +168,16 @@ class RunData:
     @property
     def note(self) -> str:
         """How many cases failed or have disconnected robots; empty if none did and none has."""
-        failed, count = sum(not case.done for case in self.cases), len(self.cases)
-        lost = int((self.summary.get(DISCONNECTED.column, pd.Series(dtype=float)) > 0).sum())
-        notes = [f"{failed} of {count} cases failed and are left out"] * (failed > 0)
-        have = "has" if lost == 1 else "have"
-        notes += [f"{lost} of {count} cases {have} disconnected robots"] * (lost > 0)
+        count = len(self.cases)
+        failed = sum(not case.done for case in self.cases)
+        disconnected = self.summary.get(DISCONNECTED.column, pd.Series(dtype=float))
+        lost = int((disconnected > 0).sum())
+        notes = []
+        if failed:
+            notes.append(f"{failed} of {count} cases failed and are left out")
+        if lost:
+            have = "has" if lost == 1 else "have"
+            notes.append(f"{lost} of {count} cases {have} disconnected robots")
         return "; ".join(notes)
 
     def choose(self, name: str | None) -> StoredCase:
@@ -181,14 +187,16 @@ class RunData:
             InputError: there is no such case.
         """
         done = [case for case in self.cases if case.done]
-        found = done if name is None else [case for case in done if case.name == name]
-        if found:
-            return max(found, key=lambda case: case.robots)
+        candidates = done
+        if name is not None:
+            candidates = [case for case in done if case.name == name]
+        if candidates:
+            return max(candidates, key=lambda case: case.robots)
         if not done:
             problem = "no case of this run is done; there is nothing to draw"
             raise InputError(problem, path=self.folder)
-        some = ", ".join(case.name for case in done[:9])
-        problem = f"no case {name!r} is done; choose one of {some}"
+        choices = ", ".join(case.name for case in done[:9])
+        problem = f"no case {name!r} is done; choose one of {choices}"
         raise InputError(problem, path=self.folder, argument="case")
 
     def table(
@@ -219,13 +227,13 @@ class RunData:
         Raises:
             EnvironmentTroubleError: the run's folder is not writable.
         """
-        place = self.folder / name
+        folder = self.folder / name
         try:
-            place.mkdir(exist_ok=True)
+            folder.mkdir(exist_ok=True)
         except OSError as error:
-            problem = f"{place}: cannot be made: {error.strerror}; check the rights of its folder"
+            problem = f"{folder}: cannot be made: {error.strerror}; check the rights of its folder"
             raise EnvironmentTroubleError(problem) from error
-        return place
+        return folder
 
 
 def load_run(folder: Path) -> RunData:
@@ -246,8 +254,11 @@ def load_run(folder: Path) -> RunData:
 
 def read_labels(folder: Path) -> Labels:
     """Read the labels of a run; values of a run without a scenario have labels made of them."""
-    each = stated_conditions(folder).items()
-    conditions = {name: str(entries[LABEL]) for name, entries in each if LABEL in entries}
+    conditions = {
+        name: str(entries[LABEL])
+        for name, entries in stated_conditions(folder).items()
+        if LABEL in entries
+    }
     stated = _stated(folder)
     sweep = stated.get("sweep") if isinstance(stated, dict) else None
     try:
@@ -273,8 +284,9 @@ def stated_conditions(folder: Path) -> dict[str, dict[str, Any]]:
     """Read what each condition of a run sets, by its name; empty where a run has no scenario."""
     stated = _stated(folder)
     conditions = stated.get("conditions") if isinstance(stated, dict) else None
-    each = conditions.items() if isinstance(conditions, dict) else ()
-    return {name: entries for name, entries in each if isinstance(entries, dict)}
+    if not isinstance(conditions, dict):
+        return {}
+    return {name: entries for name, entries in conditions.items() if isinstance(entries, dict)}
 
 
 def swept_columns(table: pd.DataFrame, *, before: str = "cases") -> list[str]:
@@ -316,7 +328,7 @@ def measured_words(names: str, *, without: Collection[str] = ()) -> str:
 
 def _in_words(names: Collection[str]) -> list[str]:
     """Return the words of cues in the order of sentences; an unknown one is its own word."""
-    known = {cue.name: cue for cue in CUES}
-    found = [known.get(name, Cue(name=name)) for name in names]
-    found.sort(key=lambda cue: cue.said)
-    return [cue.words or cue.name.replace("_", " ") for cue in found]
+    cue_by_name = {cue.name: cue for cue in CUES}
+    cues = [cue_by_name.get(name, Cue(name=name)) for name in names]
+    cues.sort(key=lambda cue: cue.said)
+    return [cue.words or cue.name.replace("_", " ") for cue in cues]

@@ -14,18 +14,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PRICE, _ERROR, _HALF = "usd_100", RMSE.mean, RMSE.ci95
+_PRICE = "usd_100"
+_ERROR = RMSE.mean
+_HALF = RMSE.ci95
 _CHEAPEST = 200.0  # price up to which the axis is linear: some sensors cost nothing [USD]
 _MOST_PANELS = 4
-_LINE, _LETTER = 0.025, 0.0145  # height and width of a letter of a label [share of the panel]
+_LINE = 0.025  # height of a letter of a label [share of the panel]
+_LETTER = 0.0145  # width of a letter of a label [share of the panel]
 _MARKER = 0.014  # half the width of a marker [share of the panel]
 
 
 CAPTIONS = {
-    "price-and-error": "Mean RMSE of all robots against the price of the sensors of 100 robots and "
-    "of what they need around them, if the paper's Table I states it; below 200 USD the axis is "
-    "linear. Each marker is a suite, its color and shape the way in which robots localize. Bars "
-    "are 95 % CI. Farther left and lower is better.",
+    "price-and-error": figure_style.Caption(
+        "Mean RMSE of all robots against the price of the sensors of 100 robots and "
+        "of what they need around them, if the paper's Table I states it; below 200 "
+        "USD the axis is linear. Each marker is a suite, its color and shape the way "
+        "in which robots localize.",
+        intervals="Bars are 95 % CI.",
+        reading="Farther left and lower is better.",
+    ),
 }
 """What the figures show, by file name."""
 
@@ -56,24 +63,31 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     figure_style.label_plainly(panels.first.xaxis)
     panels.first.set_xlim(-0.3 * _CHEAPEST, 4.0 * table[_PRICE].max())
     panels.first.set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
-    for axes, (point, rows) in panels.each(shown):
+    for axes, (point, rows) in panels.paired_with(shown):
         _draw_panel(axes, rows, ways)
         figure_style.set_title(axes, point)
         axes.set_xlabel("Price of 100 robots [USD]")
     panels.label_left("RMSE of all robots [R]")
     panels.legend(figure_style.mean_words(table["cases"]), structures=int(table["cases"].max()))
-    return panels.finish(figure_style.left_out(len(points) - len(shown), "suites.csv"), run.note)
+    return panels.finish(
+        figure_style.omission_note(len(points) - len(shown), "suites.csv"), run.note
+    )
 
 
 def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
     """Draw a marker for each suite and way, and the name of the suite beside it."""
-    price, error = rows[_PRICE].to_numpy(float), rows[_ERROR].to_numpy(float)
-    for place, way in enumerate(ways):
-        mine = (rows["way"] == way).to_numpy()
+    price = rows[_PRICE].to_numpy(float)
+    error = rows[_ERROR].to_numpy(float)
+    for index, way in enumerate(ways):
+        is_way = (rows["way"] == way).to_numpy()
         axes.errorbar(
-            price[mine], error[mine], yerr=rows.loc[mine, _HALF], label=way,
-            elinewidth=0.6, **figure_style.dot_style(place, 4.0),
-        )  # fmt: skip
+            price[is_way],
+            error[is_way],
+            yerr=rows.loc[is_way, _HALF],
+            label=way,
+            elinewidth=0.6,
+            **figure_style.dot_style(index, 4.0),
+        )
     anchors = (axes.transScale + axes.transLimits).transform(np.column_stack([price, error]))
     names = rows["suite"].tolist()
     colors = [figure_style.marker_style(ways.index(way))["color"] for way in rows["way"]]
@@ -81,10 +95,16 @@ def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
         names, colors, anchors, _heights(names, anchors), strict=True
     ):
         axes.annotate(
-            name, anchor, (anchor[0] + _MARKER, y), xycoords="axes fraction",
-            textcoords="axes fraction", fontsize=5.5, va="center", color=color,
+            name,
+            anchor,
+            (anchor[0] + _MARKER, y),
+            xycoords="axes fraction",
+            textcoords="axes fraction",
+            fontsize=5.5,
+            va="center",
+            color=color,
             arrowprops={"arrowstyle": "-", "linewidth": 0.3, "color": color, "shrinkA": 0.0},
-        )  # fmt: skip
+        )
 
 
 def _heights(names: list[str], anchors: Reals) -> list[float]:
@@ -94,19 +114,20 @@ def _heights(names: list[str], anchors: Reals) -> list[float]:
     """
     taken = [(x - _MARKER, x + _MARKER, y) for x, y in anchors.tolist()]
     heights = dict.fromkeys(range(len(names)), 0.0)
-    for place in np.argsort(anchors[:, 1], kind="stable").tolist():
-        x, y = anchors[place].tolist()
-        left, right = x + _MARKER, x + _MARKER + _LETTER * len(names[place])
+    for index in np.argsort(anchors[:, 1], kind="stable").tolist():
+        x, y = anchors[index].tolist()
+        start = x + _MARKER
+        end = start + _LETTER * len(names[index])
         steps = sorted(range(-len(taken), len(taken) + 1), key=abs)
         free = (
             height
             for height in (y + _LINE * step for step in steps)
             if height > 0.5 * _LINE
             and not any(
-                left < other_right and other_left < right and abs(height - other) < _LINE
-                for other_left, other_right, other in taken
+                start < taken_end and taken_start < end and abs(height - taken_height) < _LINE
+                for taken_start, taken_end, taken_height in taken
             )
         )
-        heights[place] = next(free, y)
-        taken.append((left, right, heights[place]))
+        heights[index] = next(free, y)
+        taken.append((start, end, heights[index]))
     return [*heights.values()]

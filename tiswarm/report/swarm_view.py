@@ -96,7 +96,7 @@ class SwarmView:
     read_log: Callable[[], SensingLog]  # slow for many robots
     read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
     progress: Progress = field(default_factory=Progress)  # what exports the view reports to it
-    own: Sequence[Coloring] = ()  # values of the user
+    user_colorings: Sequence[Coloring] = ()  # values of the user
 
     @cached_property
     def log(self) -> SensingLog:
@@ -142,12 +142,15 @@ class SwarmView:
 
         The first one is what exports show beside the join index.
         """
-        size, unit = self.log.dock_radius, self.log.length_unit
-        ours = [
-            Coloring(name, unit, size * v) for name, v in (("error", self.error), (SD, self.sd))
+        size = self.log.dock_radius
+        unit = self.log.length_unit
+        colorings = [
+            *self.user_colorings,
+            Coloring("error", unit, size * self.error),
+            Coloring(SD, unit, size * self.sd),
+            Coloring("sensed force", "dock weights", self.force, "forces"),
         ]
-        force = Coloring("sensed force", "dock weights", self.force, "forces")
-        return [each for each in (*self.own, *ours, force) if np.isfinite(each.value).any()]
+        return [coloring for coloring in colorings if np.isfinite(coloring.value).any()]
 
     @property
     def color_by_join(self) -> Reals:
@@ -159,10 +162,10 @@ class SwarmView:
 
         `color` is red, green, blue of each robot, shape (N, 3), or of all, shape (3,).
         """
-        known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-        center = pose[known, :3]
-        dock = center[:, None] + dock_offsets(pose[known, 3:], self.dock_offset_body)
-        color = np.broadcast_to(color, (len(pose), 3))[known]
+        placed = np.flatnonzero(np.isfinite(pose).all(axis=1))
+        center = pose[placed, :3]
+        dock = center[:, None] + dock_offsets(pose[placed, 3:], self.dock_offset_body)
+        color = np.broadcast_to(color, (len(pose), 3))[placed]
         return DrawnRobots(center=center, dock=dock, color=color, look=look)
 
 
@@ -205,7 +208,7 @@ def read_case_view(case: StoredCase) -> SwarmView:
         terrain=_case_ground(case, header),
         read_log=read_log,
         read_trace=lambda: read_trace(case.folder / "trace.csv", len(robot)),
-        own=case.own,
+        user_colorings=case.user_colorings,
     )
 
 
@@ -243,7 +246,7 @@ def view_log(
     true: Reals | None = None,
     *,
     name: str = "",
-    own: Sequence[Coloring] = (),
+    user_colorings: Sequence[Coloring] = (),
 ) -> SwarmView:
     """Show a log and its estimate.
 
@@ -253,22 +256,24 @@ def view_log(
         true: True centers [log unit], shape (N, 3), or None where unknown; robots are drawn there
             with the orientation that they sensed, or that connections imply.
         name: Name of the estimate.
-        own: Values of the user that color robots.
+        user_colorings: Values of the user that color robots.
     """
     gone = np.where(log.is_gone, np.nan, 0.0)[:, None]  # robots that left are not shown
-    unknown, unit = np.full((log.robot_count, 3), np.nan), log.dock_radius
+    unknown = np.full((log.robot_count, 3), np.nan)
+    unit = log.dock_radius
     turned = with_orientations(log).orientation_wxyz
     stood = np.column_stack([(estimate.position if true is None else true) / unit, turned])
     turned = turned + gone
-    place, center = estimate.position / unit + gone, unknown if true is None else true / unit + gone
+    estimated = estimate.position / unit + gone
+    center = unknown if true is None else true / unit + gone
     trace = thinned(estimate)
     trace = trace and trace._replace(center=trace.center / unit)
     return SwarmView(
         name=name,
         robot=log.robot_id,
         pose=np.column_stack([center, turned]),
-        estimated_pose=np.column_stack([place, turned]),
-        error=np.linalg.norm(place - center, axis=1),
+        estimated_pose=np.column_stack([estimated, turned]),
+        error=np.linalg.norm(estimated - center, axis=1),
         force=unknown[:, 0],
         sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit + gone[:, 0],
         stood=stood,
@@ -276,7 +281,7 @@ def view_log(
         terrain=None if log.ground_z is None else Terrain(ground_z=log.ground_z / unit),
         read_log=lambda: log,
         read_trace=lambda: trace,
-        own=own,
+        user_colorings=user_colorings,
     )
 
 
@@ -317,7 +322,8 @@ def shown_slabs(terrain: Ground, dock: Reals) -> list[Slab]:
     if isinstance(terrain, GroundSurface) or terrain.is_plane:
         return []
     standing = standing_docks(terrain, dock)[:, 0]
-    low_y, high_y = dock[:, 1].min() - _AROUND, dock[:, 1].max() + _AROUND
+    low_y = dock[:, 1].min() - _AROUND
+    high_y = dock[:, 1].max() + _AROUND
     slabs = []
     for edge, outward in ((terrain.left_edge, 1.0), (terrain.right_edge, -1.0)):
         if edge < NO_EDGE:
@@ -342,9 +348,11 @@ def ground_pieces(terrain: Ground, dock: Reals) -> list[Reals]:
     standing = standing_docks(terrain, dock)[:, :2]
     if not len(standing):
         return []
-    (left, front), (right, back) = standing.min(axis=0) - _AROUND, standing.max(axis=0) + _AROUND
+    x_low, y_low = standing.min(axis=0) - _AROUND
+    x_high, y_high = standing.max(axis=0) + _AROUND
     z = terrain.ground_z
-    return [np.array([[[left, front, z], [right, front, z], [right, back, z], [left, back, z]]])]
+    corners = [[x_low, y_low, z], [x_high, y_low, z], [x_high, y_high, z], [x_low, y_high, z]]
+    return [np.array([corners])]
 
 
 def _faces(slab: Slab) -> Reals:
@@ -406,23 +414,24 @@ def build_view(run: RunData) -> View | None:
     is_grid = len({cases[0].point for cases in run.series.values()}) < len(run.series)
     is_grid = is_grid and all(cases[0].condition for cases in run.series.values())
     series = [*first, *(name for name in run.series if name not in first)]
-    cases = [max(run.series[name], key=lambda case: bool(case.own)) for name in series]
-    for case in sorted(cases, key=lambda case: not case.own)[:_MOST_CASES]:
+    cases = [max(run.series[name], key=lambda case: bool(case.user_colorings)) for name in series]
+    for case in sorted(cases, key=lambda case: not case.user_colorings)[:_MOST_CASES]:
         seed = case.name.partition("-")[0]
         condition = case.condition if is_grid else case.series or case.name
         view = replace(read_case_view(case), name=f"{condition}, seed {seed}")
         data = view_data(view, view.colorings)
-        data |= {"point": case.point * is_grid, "condition": condition}
-        if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
+        data |= {"point": case.point if is_grid else "", "condition": condition}
+        if sum(len(case_data["robot"]) for case_data in [*shown, data]) > MOST_ROBOTS:
             break
         if data["robot"]:
-            places = sum(_places(each) for each in [*shown, data])
+            places = sum(_places(case_data) for case_data in [*shown, data])
             shown.append(data if places <= _MOST_PLACES else {**data, "trace": None})
         if len(view.robot) > MOST_ROBOTS:
             notes = [f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots."]
     if not shown:
         return None
-    if len(shown) < (done := sum(case.done for case in run.cases)):
+    done = sum(case.done for case in run.cases)
+    if len(shown) < done:
         notes.insert(0, f"The view contains {len(shown)} of {done} cases.")
     return View(
         data=space_data(view.dock_offset_body, shown) | {"compared": True},
@@ -441,12 +450,17 @@ def first_series(run: RunData) -> list[str]:
     if RMSE.column not in run.summary:
         return []
     error = run.summary.groupby("series", sort=False)[RMSE.column].mean()
-    known = {name: cases[0] for name, cases in run.series.items() if math.isfinite(error[name])}
-    rivals = [name for name, case in known.items() if case.method in ALGORITHM_1]
-    start = known[next(iter([*rivals, *known]))].point if known else ""
-    alike = sorted((name for name in known if known[name].point == start), key=lambda n: error[n])
-    others = [name for name in rivals if name in alike[1:]] or alike[1:]
-    return [*alike[:1], *others[:1]]
+    first_cases = {
+        name: cases[0] for name, cases in run.series.items() if math.isfinite(error[name])
+    }
+    rivals = [name for name, case in first_cases.items() if case.method in ALGORITHM_1]
+    if not first_cases:
+        return []
+    point = first_cases[next(iter([*rivals, *first_cases]))].point
+    of_point = [name for name, case in first_cases.items() if case.point == point]
+    ranked = sorted(of_point, key=lambda name: error[name])
+    compared = [name for name in rivals if name in ranked[1:]] or ranked[1:]
+    return [*ranked[:1], *compared[:1]]
 
 
 def _places(data: dict[str, Any]) -> int:
@@ -482,25 +496,26 @@ def view_data(view: SwarmView, colorings: Sequence[Coloring] = ()) -> dict[str, 
     estimate is shown in its place.
     """
     shown = view.estimated_pose if view.has_estimate else view.best_pose
-    known = np.flatnonzero(np.isfinite(shown).all(axis=1))[:MOST_ROBOTS]
-    estimated, true = shown[known], view.pose[known]
+    located = np.flatnonzero(np.isfinite(shown).all(axis=1))[:MOST_ROBOTS]
+    estimated = shown[located]
+    true = view.pose[located]
     if not (view.has_estimate and np.isfinite(true).all()):
         true = true[:0]
     return {
         "name": view.name,
-        "robot": view.robot[known].tolist(),
+        "robot": view.robot[located].tolist(),
         "true": _rounded(true[:, :3]),
         "turn": _rounded(true[:, 3:]),
         "estimate": _rounded(estimated[:, :3]),
         "sensed": _rounded(estimated[:, 3:]),
         "colors": [
-            each._asdict() | {"value": [_value(v) for v in each.value[known].tolist()]}
-            for each in colorings
-            if np.isfinite(each.value[known]).any()
+            coloring._asdict() | {"value": [_value(v) for v in coloring.value[located].tolist()]}
+            for coloring in colorings
+            if np.isfinite(coloring.value[located]).any()
         ],
-        "contacts": _contacts(view, known),
+        "contacts": _contacts(view, located),
         "ground": _ground(view, true if len(true) else estimated),
-        "trace": _trace(view, known),
+        "trace": _trace(view, located),
     }
 
 
@@ -513,22 +528,22 @@ def _value(value: float) -> float | None:
     return None if math.isnan(value) else float(f"{value:.4g}")
 
 
-def _contacts(view: SwarmView, known: Ints) -> list[list[int]]:
+def _contacts(view: SwarmView, robots: Ints) -> list[list[int]]:
     """List contacts of known robots: their places in the list, and a dock of each."""
-    place = np.full(len(view.robot), -1)
-    place[known] = np.arange(len(known))
+    index = np.full(len(view.robot), -1)
+    index[robots] = np.arange(len(robots))
     contacts = view.log.contacts.copy()
-    contacts[:, [0, 2]] = place[contacts[:, [0, 2]]]
-    found: list[list[int]] = contacts[(contacts >= 0).all(axis=1)].tolist()
-    return found
+    contacts[:, [0, 2]] = index[contacts[:, [0, 2]]]
+    listed: list[list[int]] = contacts[(contacts >= 0).all(axis=1)].tolist()
+    return listed
 
 
-def _trace(view: SwarmView, known: Ints) -> dict[str, list[Any]] | None:
+def _trace(view: SwarmView, robots: Ints) -> dict[str, list[Any]] | None:
     """List the centers of known robots at some iterations; None where none are stored."""
     trace = view.read_trace()
     if trace is None:
         return None
-    center = trace.center[:, known].round(_TRACE_DIGITS).tolist()
+    center = trace.center[:, robots].round(_TRACE_DIGITS).tolist()
     return {"iteration": trace.iteration.tolist(), "center": center}
 
 

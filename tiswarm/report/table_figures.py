@@ -32,12 +32,21 @@ _MANY = 24  # markers beyond which they have less
 _OF_SHAPES = (RMSE, FLOPPY_MODES, CONTACTS, HEIGHT)
 
 CAPTIONS = {
-    "accuracy": "Errors of each condition, and point of the sweep: mean RMSE and mean Procrustes "
-    "disparity over the structures. Bars are 95 % CI. "
-    "Hollow markers, where there are any, are published numbers. Farther left is better.",
-    "shape": "Accuracy and structure by the robots: mean RMSE, floppy modes (motions that change "
-    "no measurement in use), contacts with earlier robots, and height of the structure. Bars are "
-    "95 % CI. Gray stands for all conditions.",
+    "accuracy": figure_style.Caption(
+        "Errors of each condition, and point of the sweep: mean RMSE and mean "
+        "Procrustes disparity over the structures.",
+        intervals="Bars are 95 % CI.",
+        reading=(
+            "Hollow markers, where there are any, are published numbers. Farther left is better."
+        ),
+    ),
+    "shape": figure_style.Caption(
+        "Accuracy and structure by the robots: mean RMSE, floppy modes (motions that "
+        "change no measurement in use), contacts with earlier robots, and height of "
+        "the structure.",
+        intervals="Bars are 95 % CI.",
+        reading="Gray stands for all conditions.",
+    ),
 }
 """What the figures show, by file name."""
 
@@ -61,41 +70,49 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     table = run.table("table.csv", ["condition"], ["cases", *published, *DRAWN], after="cases")
     table = with_points(table)
     keys = _rows_and_series(table)
-    row, of = (_joined(table, each) for each in keys)
-    table = table.assign(row=row, of=of)
-    series, names = list(dict.fromkeys(of)), list(dict.fromkeys(row))
+    row_names, series_names = (_joined(table, columns) for columns in keys)
+    table = table.assign(row=row_names, of=series_names)
+    series = list(dict.fromkeys(series_names))
+    names = list(dict.fromkeys(row_names))
     shown = names[: max(1, MOST_ROWS // len(series))]
     few = table["cases"].max() < FEWEST
     room = _ROOM if len(shown) * len(series) < _MANY else 0.7 * _ROOM
     height = 0.9 + room * len(shown) * (1 + len(series))
     panels = figure_style.Panels(height, len(MAIN), len(MAIN), share="y", most=most)
-    for axes, measure in panels.each(MAIN):
+    for axes, measure in panels.paired_with(MAIN):
         for index, name in enumerate(series):
             rows = table[table["of"] == name].set_index("row").reindex(shown)
-            place = np.arange(len(shown)) + (index - 0.5 * (len(series) - 1)) / (1 + len(series))
+            y = np.arange(len(shown)) + (index - 0.5 * (len(series) - 1)) / (1 + len(series))
             look = figure_style.dot_style(index)
             error = None if few else rows[measure.ci95].fillna(0.0)
-            axes.errorbar(rows[measure.mean], place, xerr=error, label=name or "mean", **look)
-            axes.plot(rows[measure.published], place, markerfacecolor="white", **look)
+            axes.errorbar(rows[measure.mean], y, xerr=error, label=name or "mean", **look)
+            axes.plot(rows[measure.published], y, markerfacecolor="white", **look)
             if few:
-                each = _each_structure(run, measure.column, keys, name)
-                each = each[each.index.isin(shown)]
-                at = place[[shown.index(where) for where in each.index]]
-                axes.plot(each, at, **{**look, "markersize": 1.8, "alpha": 0.6})
+                values = _structure_values(run, measure.column, keys, name)
+                values = values[values.index.isin(shown)]
+                value_y = y[[shown.index(row) for row in values.index]]
+                axes.plot(values, value_y, **{**look, "markersize": 1.8, "alpha": 0.6})
     finish_rows(panels, shown, MAIN)
     if table[published].notna().any(axis=None):
         panels.first.plot(
-            [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
+            [],
+            [],
+            "o",
+            color="0.35",
+            markerfacecolor="white",
+            markersize=3.5,
             label=_PUBLISHED,
-        )  # fmt: skip
+        )
     entries = figure_style.entries_of(panels.first)
     if _PUBLISHED in entries:  # matplotlib lists lines before error bars
         entries[_PUBLISHED] = entries.pop(_PUBLISHED)
     number = counted(int(table["cases"].max()), "structure")
     title = f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}"
     panels.legend(title, entries, loc="outside upper right")
-    left = counted(len(names) - len(shown), "more row") + " in table.csv"
-    return panels.finish(left if len(shown) < len(names) else "", run.note)
+    more = ""
+    if len(shown) < len(names):
+        more = counted(len(names) - len(shown), "more row") + " in table.csv"
+    return panels.finish(more, run.note)
 
 
 def _rows_and_series(table: pd.DataFrame) -> tuple[list[str], list[str]]:
@@ -115,16 +132,16 @@ def _joined(table: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     return [", ".join(filter(None, row)) for row in table[[*keys]].to_numpy().tolist()]
 
 
-def _each_structure(
+def _structure_values(
     run: RunData, measure: str, keys: Sequence[Sequence[str]], name: str
 ) -> "pd.Series[float]":
     """Take a measure of each case of a series that is done, by row."""
     cases = run.summary.reindex(columns=["condition", "point", "status", measure])
     cases = cases[cases["status"] == "done"].fillna({"point": "", "condition": ""})
-    row, of = (_joined(cases, each) for each in keys)
-    cases.index = pd.Index(row)
-    found: pd.Series[float] = cases.loc[np.array(of, dtype=object) == name, measure]
-    return found
+    row_names, series_names = (_joined(cases, columns) for columns in keys)
+    cases.index = pd.Index(row_names)
+    values: pd.Series[float] = cases.loc[np.array(series_names, dtype=object) == name, measure]
+    return values
 
 
 def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
@@ -132,25 +149,29 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
 
     Conditions differ in color and marker; where all are equal, gray stands for all.
     """
-    numbers = [column for each in _OF_SHAPES for column in (each.mean, each.ci95)]
+    numbers = [column for measure in _OF_SHAPES for column in (measure.mean, measure.ci95)]
     table = run.table("table.csv", ["condition"], ["cases", *numbers], after="cases")
     table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
     shown = points[:MOST_ROWS]
     series = dict(list(table.groupby("condition", sort=False))[: figure_style.MOST_SERIES])
     panels = figure_style.Panels(0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most)
-    for axes, measure in panels.each(_OF_SHAPES):
-        alike = table.groupby("point")[measure.mean].nunique().max() <= 1
+    for axes, measure in panels.paired_with(_OF_SHAPES):
+        is_shared = table.groupby("point")[measure.mean].nunique().max() <= 1
         for index, (condition, rows) in enumerate(series.items()):
             look = {**figure_style.dot_style(index, 3.0), "linewidth": 0.8}
-            look |= {"color": "0.4", "marker": "o"} if alike else {}
+            if is_shared:
+                look |= {"color": "0.4", "marker": "o"}
             part = rows.set_index("point").reindex(shown)
             axes.errorbar(
-                part[measure.mean], np.arange(len(shown)), label=condition,
-                xerr=part[measure.ci95].fillna(0.0), **look,
-            )  # fmt: skip
+                part[measure.mean],
+                np.arange(len(shown)),
+                label=condition,
+                xerr=part[measure.ci95].fillna(0.0),
+                **look,
+            )
     finish_rows(panels, shown, _OF_SHAPES)
-    for axes, measure in [*panels.each(_OF_SHAPES)][1:]:
+    for axes, measure in [*panels.paired_with(_OF_SHAPES)][1:]:
         end = (table[measure.mean] + table[measure.ci95].fillna(0.0)).max()
         top = float(np.nan_to_num(end)) or 1.0
         axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
@@ -158,14 +179,16 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
         axes.tick_params(axis="x", labelsize=6.0)
     words = figure_style.mean_words(table["cases"])
     panels.legend(words, structures=int(table["cases"].max()), loc="outside upper right")
-    return panels.finish(figure_style.left_out(len(points) - len(shown), "table.csv"), run.note)
+    return panels.finish(
+        figure_style.omission_note(len(points) - len(shown), "table.csv"), run.note
+    )
 
 
 def finish_rows(
     panels: figure_style.Panels, names: Sequence[str], measures: Sequence[Measure]
 ) -> None:
     """Label rows, from the top, and axes."""
-    for axes, measure in panels.each(measures):
+    for axes, measure in panels.paired_with(measures):
         axes.set_xlabel(measure.axis)
         means = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
         axes.locator_params(axis="x", nbins=6)

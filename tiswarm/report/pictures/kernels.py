@@ -69,7 +69,8 @@ def trace_capsules(
         item = tile_start[tile]
         while item < tile_start[tile + 1] and nearest[tile_item[item]] < best:
             k = tile_item[item]
-            first, last = vector_at(start, k), vector_at(end, k)
+            first = vector_at(start, k)
+            last = vector_at(end, k)
             span = last - first
             hit = sphere_depth(direction, last, radius[k])
             if span.dot(span) > 0.0:

@@ -54,7 +54,9 @@ _NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
 _SEEN_ERROR = 0.3  # error from which a true robot is seen beside its estimate [R]
 _MOST_GHOSTS = 0.5  # share of robots above which translucent ones would hide each other
 
-_LETTERS, _LEGEND_HEIGHT, _BAR_LENGTH = 19, 44, 144  # of a legend, with its bar of colors [pixels]
+_LETTERS = 19  # height of letters of legends and labels [pixels]
+_LEGEND_HEIGHT = 44  # height of a line of a legend [pixels]
+_BAR_LENGTH = 144  # length of the bar of colors of a legend [pixels]
 INK = (118, 118, 118)
 """Color of letters, as far from white as from black."""
 
@@ -92,9 +94,10 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
     pictures = {name: Picture(scene, by_join)}
     if view.has_truth and view.has_estimate:
         pictures["truth-and-estimate"] = _truth_and_estimate(view, around)
-    for each in view.colorings:
-        prefix = "color-" if any(each is own for own in view.own) else ""
-        pictures[prefix + re.sub(r"\W+", "-", each.label)] = _colored(view, scene, each)
+    for coloring in view.colorings:
+        is_of_user = any(coloring is of_user for of_user in view.user_colorings)
+        name = re.sub(r"\W+", "-", coloring.label)
+        pictures[f"color-{name}" if is_of_user else name] = _colored(view, scene, coloring)
     pictures["contact-graph"] = _contact_graph(view, around)
     return pictures
 
@@ -107,7 +110,8 @@ def _truth_and_estimate(view: SwarmView, around: Reals) -> Picture:
     """
     keys = ((_GHOST_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
     estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), TRUE_SIZE)
-    is_true, is_placed = (_known(pose) for pose in (view.pose, view.estimated_pose))
+    is_true = _has_pose(view.pose)
+    is_placed = _has_pose(view.estimated_pose)
     seen = is_true & ((view.error > _SEEN_ERROR) | ~is_placed)
     if seen.sum() > _MOST_GHOSTS * is_true.sum():
         ends = np.stack([view.pose[:, :3], view.estimated_pose[:, :3]], axis=1)
@@ -123,15 +127,18 @@ def _truth_and_estimate(view: SwarmView, around: Reals) -> Picture:
     return Picture(build_scene(estimate, view.terrain, ghosts=ghosts, around=around), keys)
 
 
-def _known(pose: Reals) -> Bools:
-    """Find the robots whose pose (N, 7) is known, which that of robots that left is not."""
+def _has_pose(pose: Reals) -> Bools:
+    """Mark the robots whose pose (N, 7) is known, which that of robots that left is not."""
     return np.asarray(np.isfinite(pose).all(axis=1))
 
 
 def _colored(view: SwarmView, scene: Scene, by: Coloring) -> Picture:
     """Color the structure by a value of each robot."""
-    (color, most), colors = paint(by), SCALES[by.scale]
-    gray = ((UNKNOWN_GRAY, "unknown"),) * bool(np.isnan(by.value[_known(view.best_pose)]).any())
+    color, most = paint(by)
+    colors = SCALES[by.scale]
+    gray: Keys = ()
+    if np.isnan(by.value[_has_pose(view.best_pose)]).any():
+        gray = ((UNKNOWN_GRAY, "unknown"),)
     legend: Keys | Scale = (("", by.title), *zip(colors, by.words, strict=False), *gray)
     if not by.words:
         legend = Scale(colors, f"{by.title}  {by.least:.3g}", three_digits(most), gray)
@@ -140,14 +147,15 @@ def _colored(view: SwarmView, scene: Scene, by: Coloring) -> Picture:
 
 def _contact_graph(view: SwarmView, around: Reals) -> Picture:
     """Draw robots as balls, colored by hops from the anchor, and contacts as rods."""
-    away, is_known = hops_from_anchors(view.log), _known(view.best_pose)
-    farthest = max(np.max(away, initial=1.0, where=np.isfinite(away) & is_known), 1.0)
-    color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
+    hops = hops_from_anchors(view.log)
+    has_pose = _has_pose(view.best_pose)
+    farthest = max(np.max(hops, initial=1.0, where=np.isfinite(hops) & has_pose), 1.0)
+    color = colors_along(np.minimum(hops / farthest, 1.0), JOIN_COLORS)
     center = view.best_pose[:, :3]
-    shown = center[is_known]
-    nodes = DrawnRobots(center=shown, dock=shown[:, None], color=color[is_known], look=_NODE)
+    shown = center[has_pose]
+    nodes = DrawnRobots(center=shown, dock=shown[:, None], color=color[has_pose], look=_NODE)
     pairs = view.log.contacts[:, [0, 2]]
-    rods = center[pairs[is_known[pairs].all(axis=1)]]
+    rods = center[pairs[has_pose[pairs].all(axis=1)]]
     scene = build_scene(nodes, view.terrain, rods=rods, around=around)
     return Picture(scene, Scale(JOIN_COLORS, "hops from an anchor  0", f"{farthest:.0f}"))
 
@@ -157,36 +165,55 @@ def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) ->
 
     The band of a picture with opacity is transparent, others are white.
     """
-    font, long = ImageFont.load_default(size * _LETTERS), round(size * _BAR_LENGTH)
-    start = left = size * 13.0
-    places: list[tuple[float, float]] = []
-    line = size * _LEGEND_HEIGHT / 2.0
+    font = ImageFont.load_default(size * _LETTERS)
+    bar_length = round(size * _BAR_LENGTH)
+    start = size * 13.0
+    first_line = size * _LEGEND_HEIGHT / 2.0
     keys = legend.keys if isinstance(legend, Scale) else legend
+    x = start
+    y = first_line
     if isinstance(legend, Scale):
-        left += font.getlength(f"{legend.low}   {legend.high}   ") + long
+        x += font.getlength(f"{legend.low}   {legend.high}   ") + bar_length
+    positions: list[tuple[float, float]] = []
     for _, text in keys:
-        wide = size * 50 + font.getlength(text)
-        if places and left + wide > picture.width:
-            left, line = start, line + size * _LEGEND_HEIGHT
-        places.append((left, line))
-        left += wide
-    high = round(line + size * _LEGEND_HEIGHT / 2.0)
-    back = NOTHING if picture.mode == "RGBA" else "white"
-    whole = Image.new(picture.mode, (picture.width, picture.height + high), back)
-    whole.paste(picture, (0, high))
-    pen, line = ImageDraw.Draw(whole), size * _LEGEND_HEIGHT / 2.0
+        width = size * 50 + font.getlength(text)
+        if positions and x + width > picture.width:
+            x = start
+            y += size * _LEGEND_HEIGHT
+        positions.append((x, y))
+        x += width
+    height = round(y + size * _LEGEND_HEIGHT / 2.0)
+    background = NOTHING if picture.mode == "RGBA" else "white"
+    whole = Image.new(picture.mode, (picture.width, picture.height + height), background)
+    whole.paste(picture, (0, height))
+    pen = ImageDraw.Draw(whole)
     if isinstance(legend, Scale):
-        pen.text((start, line), legend.low, INK, font, anchor="lm")
-        left = start + pen.textlength(f"{legend.low}  ", font)
-        bar = colors_along(np.linspace(0.0, 1.0, long), legend.colors)
-        for x, color in enumerate((255.0 * bar).round().astype(int).tolist()):
-            pen.line((left + x, line - size * 7, left + x, line + size * 7), tuple(color))
-        pen.text((left + long, line), f" {legend.high}", INK, font, anchor="lm")
-    for (key, text), (left, line) in zip(keys, places, strict=True):
+        pen.text((start, first_line), legend.low, INK, font, anchor="lm")
+        bar_start = start + pen.textlength(f"{legend.low}  ", font)
+        _draw_bar(pen, legend.colors, bar_start, bar_length, first_line, size * 7)
+        pen.text((bar_start + bar_length, first_line), f" {legend.high}", INK, font, anchor="lm")
+    for (key, text), (x, y) in zip(keys, positions, strict=True):
         if key:
-            pen.ellipse((left, line - size * 9, left + size * 18, line + size * 9), fill=key)
-        pen.text((left + size * 25 * bool(key), line), text, INK, font, anchor="lm")
+            pen.ellipse((x, y - size * 9, x + size * 18, y + size * 9), fill=key)
+            pen.text((x + size * 25, y), text, INK, font, anchor="lm")
+        else:
+            pen.text((x, y), text, INK, font, anchor="lm")
     return whole
+
+
+def _draw_bar(
+    pen: ImageDraw.ImageDraw,
+    colors: Sequence[str],
+    start: float,
+    length: int,
+    middle: float,
+    half_height: float,
+) -> None:
+    """Draw a bar of colors from a column on, around a row [pixels]."""
+    shades = 255.0 * colors_along(np.linspace(0.0, 1.0, length), colors)
+    for step, shade in enumerate(shades.round().astype(int).tolist()):
+        x = start + step
+        pen.line((x, middle - half_height, x, middle + half_height), tuple(shade))
 
 
 class Rendered(NamedTuple):
@@ -299,10 +326,11 @@ def render_run(
 
 
 _MOST_SIZES = 8
-_WIDTH, _HEIGHT = 1870, 1000  # of the picture at most, approximately [pixels]
+_WIDTH = 1870  # of the picture at most, approximately [pixels]
+_HEIGHT = 1000  # of the picture at most, approximately [pixels]
 _AROUND = 10.0  # room around a structure, where its ground fades [R]
 _LEAST_WIDTH = 187  # for a label [pixels]
-_LETTERS, _LABEL_HEIGHT = 19, 65  # of labels [pixels]
+_LABEL_HEIGHT = 65  # room of a label [pixels]
 
 
 class Tile(NamedTuple):
@@ -394,10 +422,11 @@ def _lay_out(
         whole.alpha_composite(tile)
     content = whole.getchannel("A").getbbox() or (0, 0, *size)
     whole = whole.crop((0, content[1], size[0], content[3] + _LABEL_HEIGHT))
-    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(_LETTERS)
+    pen = ImageDraw.Draw(whole)
+    font = ImageFont.load_default(_LETTERS)
     for middle, label in zip(middles, labels, strict=True):
-        place = (middle, whole.height - _LABEL_HEIGHT // 2)
-        pen.multiline_text(place, label, INK, font, anchor="mm", align="center")
+        position = (middle, whole.height - _LABEL_HEIGHT // 2)
+        pen.multiline_text(position, label, INK, font, anchor="mm", align="center")
     return whole
 
 
@@ -463,9 +492,10 @@ def animate_view(
     """
     robots = len(view.pose)
     joined = np.linspace(1, robots, min(robots, _MOST_FRAMES)).round().astype(int).tolist()
-    index, left_after = np.flatnonzero(_known(view.stood)), np.full(robots, robots + 1)
-    left_after[view.log.gone] = view.log.left_after
-    standing = [np.flatnonzero((index < n) & (left_after[index] > n)) for n in joined]
+    index = np.flatnonzero(_has_pose(view.stood))
+    departure = np.full(robots, robots + 1)  # robots that have joined when each one leaves
+    departure[view.log.gone] = view.log.left_after
+    standing = [np.flatnonzero((index < n) & (departure[index] > n)) for n in joined]
     whole = view.robots(view.stood, view.color_by_join, TRUE_SIZE)
     with progress.task("animate", len(joined)) as advance:
         pictures, used, reason = draw_states(
@@ -474,7 +504,7 @@ def animate_view(
     _name_renderer(progress, used, reason)
     ground = on_white if form != "webp" else np.asarray  # only WebP has half transparent pixels
     frames = [
-        _with_legend(Image.fromarray(ground(picture)), n, robots, np.count_nonzero(left_after <= n))
+        _with_legend(Image.fromarray(ground(picture)), n, robots, np.count_nonzero(departure <= n))
         for picture, n in zip(pictures, joined, strict=True)
     ]
     return _ENCODERS[form](frames), used, reason
@@ -505,19 +535,22 @@ def draw_states(
     """
     docks = robots.dock.reshape(-1, 3) if around is None else around
     camera = build_scene(robots, terrain, around=docks).within(*size).camera
-    scenes, changed = [], []
+    scenes = []
+    changed = []
     for before, now in zip([shown[0][:0], *shown], shown, strict=False):
-        part = replace(
+        standing = replace(
             robots, center=robots.center[now], dock=robots.dock[now], color=robots.color[now]
         )
-        scenes.append(build_scene(part, terrain, around=docks).seen_by(camera))
+        scenes.append(build_scene(standing, terrain, around=docks).seen_by(camera))
         changed.append(robots.center[np.setxor1d(before, now)])
     return draw_growth(scenes, changed, renderer, advance)
 
 
-def _with_legend(picture: Image.Image, count: int, robots: int, left: int) -> Image.Image:
+def _with_legend(picture: Image.Image, count: int, robots: int, departed: int) -> Image.Image:
     """Add a legend to a frame, and make its size even, as MP4 requires."""
-    state = f"{count} of {robots} robots" + f", {left} left" * (left > 0)
+    state = f"{count} of {robots} robots"
+    if departed:
+        state += f", {departed} left"
     legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}    {state}")
     whole = add_legend(picture, legend, picture.width / _LEGEND_WIDTH)
     return whole.crop((0, 0, whole.width // 2 * 2, whole.height // 2 * 2))
@@ -525,7 +558,12 @@ def _with_legend(picture: Image.Image, count: int, robots: int, left: int) -> Im
 
 def _webp(frames: Sequence[Image.Image]) -> bytes:
     """Encode frames as an animated WebP."""
-    return encode_webp(frames, [FRAME_MS] * (len(frames) - 1) + [LAST_MS], _QUALITY)
+    return encode_webp(frames, _durations(len(frames)), _QUALITY)
+
+
+def _durations(frames: int) -> list[int]:
+    """List the duration of each frame [ms]."""
+    return [FRAME_MS] * (frames - 1) + [LAST_MS]
 
 
 def encode_webp(frames: Sequence[Image.Image], durations: Sequence[int], quality: int) -> bytes:
@@ -533,9 +571,16 @@ def encode_webp(frames: Sequence[Image.Image], durations: Sequence[int], quality
     stream = io.BytesIO()
     first, *rest = frames
     first.save(
-        stream, "WEBP", save_all=True, append_images=rest, duration=[*durations], loop=0,
-        quality=quality, method=2, alpha_quality=_ALPHA_QUALITY,
-    )  # fmt: skip
+        stream,
+        "WEBP",
+        save_all=True,
+        append_images=rest,
+        duration=[*durations],
+        loop=0,
+        quality=quality,
+        method=2,
+        alpha_quality=_ALPHA_QUALITY,
+    )
     return stream.getvalue()
 
 
@@ -551,7 +596,7 @@ def _gif(frames: Sequence[Image.Image]) -> bytes:
     palette = Image.new("P", (1, 1))
     palette.putpalette([*colors[: 3 * count], *_GRAYS.repeat(3).tolist()])
     first, *rest = [_indexed(frame, palette, len(colors[: 3 * count]) // 3) for frame in frames]
-    durations = [FRAME_MS] * len(rest) + [LAST_MS]
+    durations = _durations(len(frames))
     stream = io.BytesIO()
     first.save(stream, "GIF", save_all=True, append_images=rest, duration=durations, loop=0)
     return stream.getvalue()
@@ -583,12 +628,17 @@ def _mp4(frames: Sequence[Image.Image]) -> bytes:
     pictures = [np.asarray(frame) for frame in frames]
     pictures += pictures[-1:] * (LAST_MS // FRAME_MS)
     try:
-        with tempfile.TemporaryDirectory(prefix="tiswarm-movie-") as place:
-            path = Path(place, "growth.mp4")
+        with tempfile.TemporaryDirectory(prefix="tiswarm-movie-") as folder:
+            path = Path(folder, "growth.mp4")
             iio.imwrite(
-                path, pictures, plugin="FFMPEG", fps=1000 / FRAME_MS, macro_block_size=2,
-                quality=None, output_params=["-preset", "veryfast", "-crf", "20"],
-            )  # fmt: skip
+                path,
+                pictures,
+                plugin="FFMPEG",
+                fps=1000 / FRAME_MS,
+                macro_block_size=2,
+                quality=None,
+                output_params=["-preset", "veryfast", "-crf", "20"],
+            )
             iio.immeta(path, plugin="FFMPEG")  # ffmpeg does not report a full disk
             return path.read_bytes()
     except (OSError, RuntimeError, ValueError, IndexError) as error:
@@ -597,8 +647,10 @@ def _mp4(frames: Sequence[Image.Image]) -> bytes:
 
 
 _ENCODERS: dict[AnyMovie, Callable[[Sequence[Image.Image]], bytes]] = {
-    "mp4": _mp4, "webp": _webp, "gif": _gif,
-}  # fmt: skip
+    "mp4": _mp4,
+    "webp": _webp,
+    "gif": _gif,
+}
 
 
 def _growth(form: AnyMovie, view: SwarmView) -> dict[str, bytes]:

@@ -76,8 +76,8 @@ def load_open3d() -> Any:  # noqa: ANN401 - open3d has no types
     Its module of web servers imports dash, plotly and IPython, which take most of the time: here it
     waits for the first call.
     """
-    if (loaded := sys.modules.get("open3d")) is not None:
-        return loaded
+    if sys.modules.get("open3d") is not None:
+        return sys.modules["open3d"]
     with contextlib.suppress(ImportError, OSError):
         import libusb_package  # noqa: PLC0415 - optional
 
@@ -96,9 +96,11 @@ def _on_call(name: str) -> Callable[..., Any]:
     """Return a function that imports the module of web servers, and calls its function."""
 
     def call(*args: Any, **named: Any) -> Any:  # noqa: ANN401 - of open3d
-        web, package = importlib.import_module(_WEB), sys.modules[_WEB.rpartition(".")[0]]
-        for each in [each for each in vars(package) if each in vars(web)]:
-            setattr(package, each, getattr(web, each))  # of one name with the module, too
+        web = importlib.import_module(_WEB)
+        package = sys.modules[_WEB.rpartition(".")[0]]
+        for shared_name in vars(package).keys() & vars(web).keys():
+            # One function has the name of the module, too.
+            setattr(package, shared_name, getattr(web, shared_name))
         return getattr(web, name)(*args, **named)
 
     return call
@@ -151,7 +153,8 @@ _FACES = np.array([-2, -3, -4])  # of the ground, by direction of the normal; -1
 _FAINT = 0.5  # opacity below which ground hides nothing
 _OTHERS = 5  # more than the objects that are no capsules
 _GHOST_GAP = 0.3  # ghosts less far before robots than this coincide with them [R]
-_GHOST_OPACITY, _GHOST_VEIL = 0.5, 0.25  # of ghosts before the background, and before robots
+_GHOST_OPACITY = 0.5  # of ghosts before the background
+_GHOST_VEIL = 0.25  # opacity of ghosts before robots
 _SURROUNDINGS = 5.0  # around the center of a new robot, what is drawn again [R]
 _LEAST_CHANGE = 0.002  # of the brightness of ground that is drawn again, 0 to 1
 _CHUNK = 400_000  # rays cast at a time, to bound memory
@@ -179,9 +182,10 @@ def draw_scenes(
 
     def draw(tracer: Callable[[Scene], Trace], advance: Advance) -> list[Pixels]:
         pictures: dict[int, Pixels] = {}
-        for alike in _alike(scenes):
-            pictures |= zip(alike, _draw([scenes[number] for number in alike], tracer), strict=True)
-            advance(len(alike))
+        for group in _groups_of_one_shape(scenes):
+            drawn = _draw([scenes[number] for number in group], tracer)
+            pictures |= zip(group, drawn, strict=True)
+            advance(len(group))
         return [pictures[number] for number in range(len(scenes))]
 
     return _drawn_by_first(renderer, draw, advance)
@@ -278,7 +282,7 @@ def check_renderer(renderer: str | None) -> None:
         raise InputError(problem, argument="renderer")
 
 
-def _alike(scenes: list[Scene]) -> list[list[int]]:
+def _groups_of_one_shape(scenes: list[Scene]) -> list[list[int]]:
     """Group the numbers of scenes that differ by colors alone."""
     groups: list[list[int]] = []
     for number, scene in enumerate(scenes):
@@ -292,20 +296,21 @@ def _alike(scenes: list[Scene]) -> list[list[int]]:
 
 def _ground_cells(scene: Scene) -> Ints:
     """Find the cell of flat ground in each pixel, shape (height * width,); the last if none is."""
-    camera, ground = scene.camera, scene.ground
-    none = np.full(camera.height * camera.width, -1)
+    camera = scene.camera
+    ground = scene.ground
+    cells = np.full(camera.height * camera.width, -1)
     if ground is None:
-        return none
+        return cells
     row, column = np.indices((camera.height, camera.width), dtype=np.float32).reshape(2, -1)
     direction = camera.directions(np.column_stack([column, row]))
     depth, _ = ground.cast(camera.eye.astype(np.float32), direction)
     met = np.flatnonzero(np.isfinite(depth))
     points = camera.eye[:2] + depth[met, None] * direction[met, :2]
-    place = np.round((points - ground.corner[:2]) / ground.cell).astype(np.int64)
+    column_and_row = np.round((points - ground.corner[:2]) / ground.cell).astype(np.int64)
     count = len(ground.look)
-    inside = ((place >= 0) & (place < count)).all(axis=1)
-    none[met[inside]] = place[inside, 1] * count + place[inside, 0]
-    return none
+    inside = ((column_and_row >= 0) & (column_and_row < count)).all(axis=1)
+    cells[met[inside]] = column_and_row[inside, 1] * count + column_and_row[inside, 0]
+    return cells
 
 
 def _changed_ground(before: Scene, after: Scene) -> Bools:
@@ -323,7 +328,8 @@ def _surroundings(scene: Scene, centers: Reals) -> Bools:
     near = np.zeros(len(row), dtype=bool)
     for right, up, forward in camera.project(centers):
         scale = camera.pixels_per_slope / forward
-        x, y = camera.width / 2.0 + scale * right, camera.height / 2.0 - scale * up
+        x = camera.width / 2.0 + scale * right
+        y = camera.height / 2.0 - scale * up
         near |= (column - x) ** 2 + (row - y) ** 2 < (scale * _SURROUNDINGS) ** 2
     return near
 
@@ -335,9 +341,11 @@ def _draw(
 
     Of a part of the pixels, colors have the shape (n, 4).
     """
-    scene, colors = scenes[0], np.array([scene.color for scene in scenes])
-    layers = [(each, tracer(each)) for each in (scene, scene.ghost) if each]
-    width, height = scene.camera.width, scene.camera.height
+    scene = scenes[0]
+    colors = np.array([scene.color for scene in scenes])
+    layers = [(layer, tracer(layer)) for layer in (scene, scene.ghost) if layer]
+    width = scene.camera.width
+    height = scene.camera.height
     row, column = np.indices((height, width), dtype=np.float32).reshape(2, -1)
     corner = np.column_stack([column, row])
     drawn = np.arange(len(corner)) if part is None else part
@@ -349,13 +357,16 @@ def _draw(
     finer = [_cast(layers, colors, corner[drawn[edge]] + place)[0] for place in places]
     color[:, edge] = np.mean(finer, axis=0)
     color[..., :3] /= np.maximum(color[..., 3:], np.float32(1e-6))
-    pixels = [np.round(255.0 * np.minimum(one, 1.0)).astype(np.uint8) for one in color]
-    return [one.reshape(height, width, 4) if part is None else one for one in pixels]
+    pictures = [np.round(255.0 * np.minimum(shades, 1.0)).astype(np.uint8) for shades in color]
+    if part is None:
+        return [picture.reshape(height, width, 4) for picture in pictures]
+    return pictures
 
 
 def on_white(picture: Pixels) -> Pixels:
     """Lay a picture on white: its opacity, the last of four numbers, goes."""
-    color, opacity = picture[..., :3].astype(np.float32), picture[..., 3:] / np.float32(255.0)
+    color = picture[..., :3].astype(np.float32)
+    opacity = picture[..., 3:] / np.float32(255.0)
     laid: Pixels = np.round(255.0 + opacity * (color - 255.0)).astype(np.uint8)
     return laid
 
@@ -368,11 +379,11 @@ def _cast(
     Colors are red, green and blue times opacity, and opacity. Different numbers are different
     objects.
     """
-    parts = [
+    chunks = [
         _cast_chunk(layers, colors, pixels[first : first + _CHUNK])
         for first in range(0, max(len(pixels), 1), _CHUNK)
     ]
-    color, seen = zip(*parts, strict=True)
+    color, seen = zip(*chunks, strict=True)
     return np.concatenate(color, axis=1), np.concatenate(seen)
 
 
@@ -380,7 +391,8 @@ def _cast_chunk(
     layers: list[tuple[Scene, Trace]], colors: Array32, pixels: Array32
 ) -> tuple[Array32, Ints]:
     (scene, trace), *ghosts = layers
-    eye, direction = scene.camera.eye.astype(np.float32), scene.camera.directions(pixels)
+    eye = scene.camera.eye.astype(np.float32)
+    direction = scene.camera.directions(pixels)
     depth, seen = trace(pixels, direction)
     color = np.zeros((len(colors), len(pixels), 4), np.float32)
     hit = np.flatnonzero(seen >= 0)
@@ -390,20 +402,24 @@ def _cast_chunk(
     if ground is not None:
         first, last = scene.camera.frame(ground.corners)
         near = ((pixels >= first) & (pixels <= last)).all(axis=1)
-        low = np.flatnonzero(near & (direction[:, 2] < 0.0) & (ground.is_solid | (seen < 0)))
+        # Only uneven ground may be seen from below the horizontal.
+        near &= (direction[:, 2] < 0.0) | (ground.surface is not None)
+        low = np.flatnonzero(near & (ground.is_solid | (seen < 0)))
         ground_depth, normal = ground.cast(eye, direction[low])
         nearer = ground_depth < depth[low]
-        low, ground_depth, normal = low[nearer], ground_depth[nearer], normal[nearer]
+        low = low[nearer]
+        ground_depth = ground_depth[nearer]
+        normal = normal[nearer]
         light = relative_light(scene, normal)
         gray, opacity = ground.paint(eye + ground_depth[:, None] * direction[low], light)
         veil, floor = _floor(gray, solid=ground.is_solid)
         color[:, low] += opacity * (floor - veil * color[:, low])
-        there = np.flatnonzero(opacity > _FAINT)
-        depth[low[there]] = ground_depth[there]
-        face = np.abs(normal[there]).argmax(axis=1)
+        hiding = np.flatnonzero(opacity > _FAINT)
+        depth[low[hiding]] = ground_depth[hiding]
+        face = np.abs(normal[hiding]).argmax(axis=1)
         if ground.surface is not None:
             face[:] = 2  # what slopes has no faces that an outline would separate
-        seen[low[there]] = _FACES[face]
+        seen[low[hiding]] = _FACES[face]
     for ghost, ghost_trace in ghosts:
         ghost_depth, capsule = ghost_trace(pixels, direction)
         hit = np.flatnonzero(ghost_depth < depth - _GHOST_GAP)
@@ -435,7 +451,8 @@ def _floor(gray: Array32, *, solid: bool) -> tuple[Array32, Array32]:
 def _edges(seen: Ints) -> Bools:
     """Mark pairs of neighboring pixels that show different objects."""
     edge = np.zeros(seen.shape, dtype=bool)
-    beside, below = seen[:, 1:] != seen[:, :-1], seen[1:] != seen[:-1]
+    beside = seen[:, 1:] != seen[:, :-1]
+    below = seen[1:] != seen[:-1]
     edge[:, 1:] |= beside
     edge[:, :-1] |= beside
     edge[1:] |= below
@@ -475,7 +492,8 @@ def taichi_tracer(scene: Scene) -> Trace:
     from tiswarm.report.pictures.kernels import FAR, trace_capsules  # noqa: PLC0415 - slow to import
 
     camera = scene.camera
-    start, end = (camera.project(ends.astype(np.float64)) for ends in (scene.start, scene.end))
+    start = camera.project(scene.start.astype(np.float64))
+    end = camera.project(scene.end.astype(np.float64))
     nearest: Reals = np.minimum(start[:, 2], end[:, 2]) - scene.radius
     tile_start, tile_item = _sort_into_tiles(scene, start, end, nearest)
     middle = (camera.width / 2.0, camera.height / 2.0)
@@ -484,7 +502,8 @@ def taichi_tracer(scene: Scene) -> Trace:
     capsules = [part.astype(np.float32) for part in (start, end, scene.radius, nearest)]
 
     def trace(pixels: Array32, _direction: Array32) -> tuple[Array32, Ints]:
-        depth, seen = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.int32)
+        depth = np.empty(len(pixels), np.float32)
+        seen = np.empty(len(pixels), np.int32)
         with backend.exclusive():
             backend.processor()
             trace_capsules(
@@ -500,11 +519,12 @@ def _sort_into_tiles(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """List the first item of each tile, and the capsules that may reach it, nearest first."""
     camera = scene.camera
-    columns, rows = -(-camera.width // _TILE), -(-camera.height // _TILE)
+    columns = -(-camera.width // _TILE)
+    rows = -(-camera.height // _TILE)
     order = np.argsort(nearest, kind="stable")
-    reach = scene.radius[:, None].astype(np.float64)
+    radius = scene.radius[:, None].astype(np.float64)
     slopes = [
-        (point[:, :2] + side * reach) / (point[:, 2:] + away * reach)
+        (point[:, :2] + side * radius) / (point[:, 2:] + away * radius)
         for point in (start, end)
         for side in (-1.0, 1.0)
         for away in (-1.0, 1.0)

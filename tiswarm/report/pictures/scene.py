@@ -36,13 +36,16 @@ def blocked_light(points: Reals, blockers: Reals) -> Array32:
     center and radius of the spheres [R].
     """
     center = blockers[:, :3]
-    reach = _SHADE_RANGE if len(center) <= _CROWD else _SHADE_RANGE / 2.0
-    pairs = cKDTree(points).sparse_distance_matrix(cKDTree(center), reach, output_type="ndarray")
-    i, j = pairs["i"], pairs["j"]
+    shade_range = _SHADE_RANGE if len(center) <= _CROWD else _SHADE_RANGE / 2.0
+    pairs = cKDTree(points).sparse_distance_matrix(
+        cKDTree(center), shade_range, output_type="ndarray"
+    )
+    i = pairs["i"]
+    j = pairs["j"]
     away = center[j] - points[i]
     distance = np.maximum(pairs["v"], 1e-9)
-    blocked = np.minimum((blockers[j, 3] / distance) ** 2, 0.5) * (1.0 - distance / reach)
-    blocked *= _SHADE_RANGE / reach  # makes up for the shorter range in a crowd
+    blocked = np.minimum((blockers[j, 3] / distance) ** 2, 0.5) * (1.0 - distance / shade_range)
+    blocked *= _SHADE_RANGE / shade_range  # makes up for the shorter range in a crowd
     blocked[pairs["v"] < _SAME_PLACE] = 0.0
     terms = np.column_stack([blocked / 4.0, away * (blocked / distance / 2.0)[:, None]])
     sums = [np.bincount(i, weights=term, minlength=len(points)) for term in terms.T]
@@ -133,7 +136,8 @@ def lay_ground(terrain: swarm_view.Ground, dock: Reals, blockers: Reals) -> Grou
         ends = [x for s in slabs for x in (s.rear, s.edge + s.outward * EDGE_RADIUS)]
         low, high = np.array([[min(ends), slabs[0].low_y], [max(ends), slabs[0].high_y]])
     elif len(standing):
-        low, high = standing.min(axis=0) - _FADE[1], standing.max(axis=0) + _FADE[1]
+        low = standing.min(axis=0) - _FADE[1]
+        high = standing.max(axis=0) + _FADE[1]
     else:
         return None
     cell = float(np.max(high - low)) / (_CELLS - 3)
@@ -228,14 +232,15 @@ def _cast_slab(
 ) -> None:
     """Write depth and normal of rays (n, 3) that meet a slab before their depth."""
     dx, dy, dz = np.where(direction == 0.0, np.float32(1e-9), direction).T
-    left, right = sorted([slab.rear, slab.edge])
-    x_in, x_out = _between(dx, left - eye[0], right - eye[0])
+    x_low, x_high = sorted([slab.rear, slab.edge])
+    x_in, x_out = _between(dx, x_low - eye[0], x_high - eye[0])
     y_in, y_out = _between(dy, slab.low_y - eye[1], slab.high_y - eye[1])
     z_in, z_out = _between(dz, slab.top - 2.0 * EDGE_RADIUS - eye[2], slab.top - eye[2])
     flat_in = np.maximum(np.maximum(x_in, y_in), z_in)
     flat = flat_in < np.minimum(np.minimum(x_out, y_out), z_out)
 
-    axis_x, axis_z = slab.edge - eye[0], slab.top - EDGE_RADIUS - eye[2]  # of the rounded edge
+    axis_x = slab.edge - eye[0]  # of the rounded edge
+    axis_z = slab.top - EDGE_RADIUS - eye[2]
     length2 = dx * dx + dz * dz
     middle = (dx * axis_x + dz * axis_z) / length2
     off2 = (axis_x - middle * dx) ** 2 + (axis_z - middle * dz) ** 2
@@ -261,8 +266,9 @@ def _cast_slab(
 
 def _between(across: NDArray[Any], low: float, high: float) -> tuple[NDArray[Any], NDArray[Any]]:
     """Find the depths at which rays pass between two planes at these distances from the eye."""
-    first, second = low / across, high / across
-    return np.minimum(first, second), np.maximum(first, second)
+    low_depth = low / across
+    high_depth = high / across
+    return np.minimum(low_depth, high_depth), np.maximum(low_depth, high_depth)
 
 
 _ROD_RADIUS = 0.16  # [R]
@@ -342,18 +348,21 @@ class Scene:
     def within(self, width: int, height: int) -> "Scene":
         """Return the same scene before a camera that fills so many columns or rows [pixels]."""
         share = min(width / self.camera.width, height / self.camera.height)
-        columns, rows = round(share * self.camera.width), round(share * self.camera.height)
+        columns = round(share * self.camera.width)
+        rows = round(share * self.camera.height)
         return self.seen_by(replace(self.camera, width=columns, height=rows))
 
     def painted(self, robots: swarm_view.DrawnRobots) -> "Scene":
         """Return a scene of robots alone in their present colors."""
-        parts = _capsules(robots)
-        return replace(self, color=np.concatenate([part[3] for part in parts]).astype(np.float32))
+        capsules = _capsules(robots)
+        return replace(
+            self, color=np.concatenate([group[3] for group in capsules]).astype(np.float32)
+        )
 
-    def looks_like(self, other: "Scene") -> bool:
-        """Whether both have the very same parts, up to colors."""
+    def looks_like(self, scene: "Scene") -> bool:
+        """Whether both have the very same arrays, up to colors."""
         names = {field.name for field in fields(self)} - {"color"}
-        return all(getattr(self, name) is getattr(other, name) for name in names)
+        return all(getattr(self, name) is getattr(scene, name) for name in names)
 
     def seen_by(self, camera: Camera) -> "Scene":
         """Return the same scene before another camera."""
@@ -388,22 +397,25 @@ def build_scene(
     seen = [around] + [group.dock.reshape(-1, 3) for group in (robots, ghosts) if group]
     slabs = [] if terrain is None else swarm_view.shown_slabs(terrain, around)
     for slab in slabs:
-        x, z = [0.5 * (slab.rear + slab.edge), slab.edge], slab.top - EDGE_RADIUS
-        seen.append(np.array([[end, y, z] for end in x for y in (slab.low_y, slab.high_y)]))
+        z = slab.top - EDGE_RADIUS
+        ends = [0.5 * (slab.rear + slab.edge), slab.edge]
+        seen.append(np.array([[x, y, z] for x in ends for y in (slab.low_y, slab.high_y)]))
     dock = max(group.look.dock for group in (robots, ghosts) if group)
     camera = fit_camera(np.concatenate(seen), dock, along_x=bool(slabs))
     ground = None if terrain is None else lay_ground(terrain, around, _blockers(robots))
     ghost = _light(_capsules(ghosts), ghosts, camera) if ghosts else None
-    parts = _capsules(robots)
+    capsules = _capsules(robots)
     if rods is not None:
         look = (np.full(len(rods), _ROD_RADIUS), np.tile(_ROD_GRAY, (len(rods), 1)))
-        parts.append((rods[:, 0], rods[:, 1], *look))
-    return replace(_light(parts, robots, camera), ground=ground, ghost=ghost)
+        capsules.append((rods[:, 0], rods[:, 1], *look))
+    return replace(_light(capsules, robots, camera), ground=ground, ghost=ghost)
 
 
-def _light(parts: list[tuple[Reals, ...]], robots: swarm_view.DrawnRobots, camera: Camera) -> Scene:
+def _light(
+    capsules: list[tuple[Reals, ...]], robots: swarm_view.DrawnRobots, camera: Camera
+) -> Scene:
     """Put capsules, shaded by robots, in front of a camera."""
-    start, end, radius, color = (np.concatenate(column) for column in zip(*parts, strict=True))
+    start, end, radius, color = (np.concatenate(column) for column in zip(*capsules, strict=True))
     return Scene(
         start=start.astype(np.float32),
         end=end.astype(np.float32),
@@ -423,8 +435,10 @@ def _blockers(robots: swarm_view.DrawnRobots) -> Reals:
 
 def _capsules(robots: swarm_view.DrawnRobots) -> list[tuple[Reals, ...]]:
     """Make start, end, radius and color of hubs, arms and docks."""
-    docks, look = robots.dock.shape[1], robots.look
-    hub, dock = robots.center, robots.dock.reshape(-1, 3)
+    docks = robots.dock.shape[1]
+    look = robots.look
+    hub = robots.center
+    dock = robots.dock.reshape(-1, 3)
     color = robots.color.repeat(docks, axis=0)
     return [
         (hub, hub, np.full(len(hub), look.hub), 0.7 * robots.color),
@@ -438,7 +452,10 @@ def fit_camera(points: Reals, radius: float, *, along_x: bool = False) -> Camera
 
     It looks onto the long side of the points, or onto the x axis.
     """
-    back = _view_direction(points[:, :2] * [1.0, not along_x])
+    from_above = points[:, :2].astype(float)
+    if along_x:
+        from_above[:, 1] = 0.0
+    back = _view_direction(from_above)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
     axes = np.array([right, np.cross(back, right), -back])
@@ -450,8 +467,8 @@ def fit_camera(points: Reals, radius: float, *, along_x: bool = False) -> Camera
     half_height = _LENS / max(aspect, 1.0)
     right_at, right_distance = _stand_back(seen[:, 0], seen[:, 2], radius, aspect * half_height)
     up_at, up_distance = _stand_back(seen[:, 1], seen[:, 2], radius, half_height)
-    place = np.array([right_at, up_at, -max(right_distance, up_distance)])
-    return Camera(eye=place @ axes, axes=axes, half_height=half_height, width=width, height=height)
+    eye = np.array([right_at, up_at, -max(right_distance, up_distance)]) @ axes
+    return Camera(eye=eye, axes=axes, half_height=half_height, width=width, height=height)
 
 
 def _view_direction(points: Reals) -> Reals:
@@ -463,22 +480,24 @@ def _view_direction(points: Reals) -> Reals:
     variance, direction = np.linalg.eigh(flat.T @ flat)
     along = direction[:, 1] if variance[1] > 2.0 * variance[0] else np.array([1.0, 0.0])
     azimuth = math.atan2(-abs(along[0]), along[1] * np.sign(along[0] or 1.0)) + _OBLIQUE
-    level, up = math.cos(_ELEVATION), math.sin(_ELEVATION)
+    level = math.cos(_ELEVATION)
+    up = math.sin(_ELEVATION)
     return np.array([level * math.cos(azimuth), level * math.sin(azimuth), up])
 
 
 def _stand_back(across: Reals, depth: Reals, radius: float, slope: float) -> tuple[float, float]:
     """Place the eye, across the view and before depth 0, so that it sees every ball whole."""
     slope /= _MARGIN
-    reach = radius * math.hypot(1.0, slope)
-    above = float(np.max(across - slope * depth)) + reach
-    below = float(np.max(-across - slope * depth)) + reach
+    margin = radius * math.hypot(1.0, slope)
+    above = float(np.max(across - slope * depth)) + margin
+    below = float(np.max(-across - slope * depth)) + margin
     return (above - below) / 2.0, (above + below) / (2.0 * slope)
 
 
 def capsule_normals(scene: Scene, which: Ints, points: Array32) -> Array32:
     """Point away from the axes of given capsules at points on their surfaces [R], shape (n, 3)."""
-    start, span = scene.start[which], scene.end[which] - scene.start[which]
+    start = scene.start[which]
+    span = scene.end[which] - start
     length = np.maximum(dot(span, span), np.float32(1e-12))
     along = np.clip(dot(points - start, span) / length, 0.0, 1.0)
     return unit(points - start - along[:, None] * span)
@@ -528,7 +547,11 @@ class Mesh(NamedTuple):
 def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
     """Mesh the capsules of a scene; an equator has more sides if it looks larger, or `sides`."""
     depth = float(np.median(scene.camera.project(scene.start.astype(np.float64))[:, 2]))
-    points, triangles, order, counts, first = [], [], [], [], 0
+    points = []
+    triangles = []
+    order = []
+    counts = []
+    first = 0
     for radius in np.unique(scene.radius):
         which = np.flatnonzero(scene.radius == radius)
         seen = float(radius) * scene.camera.pixels_per_slope / depth
@@ -540,7 +563,8 @@ def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
         order.append(which)
         counts.append(np.tile([len(point), len(triangle)], (len(which), 1)))
         first += len(which) * len(point)
-    capsule, count = np.concatenate(order), np.concatenate(counts)
+    capsule = np.concatenate(order)
+    count = np.concatenate(counts)
     return Mesh(
         point=np.concatenate(points),
         triangle=np.concatenate(triangles).astype(np.int32),
@@ -552,14 +576,16 @@ def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
 def _unit_sphere(sides: int) -> tuple[Array32, NDArray[np.int32]]:
     """Wrap a grid around the z axis; its rings are odd in number, so none is the equator."""
     rings = sides // 2 | 1
-    polar, around = np.pi * np.arange(rings + 1) / rings, 2.0 * np.pi * np.arange(sides) / sides
+    polar = np.pi * np.arange(rings + 1) / rings
+    around = 2.0 * np.pi * np.arange(sides) / sides
     circle = np.column_stack([np.cos(around), np.sin(around)])
     flat = (np.sin(polar)[:, None, None] * circle).reshape(-1, 2)
     point = np.column_stack([flat, -np.cos(polar).repeat(sides)]).astype(np.float32)
     ring, side = np.indices((rings, sides)).reshape(2, -1)
     a = ring * sides + side
     b = ring * sides + (side + 1) % sides
-    lower, upper = np.column_stack([a, b, b + sides]), np.column_stack([a, b + sides, a + sides])
+    lower = np.column_stack([a, b, b + sides])
+    upper = np.column_stack([a, b + sides, a + sides])
     # the triangles that end in a pole have one point less
     return point, np.concatenate([lower[ring > 0], upper[ring < rings - 1]]).astype(np.int32)
 
@@ -618,19 +644,20 @@ def _shapes(view: swarm_view.SwarmView, *, gamma: float = 1.0) -> dict[str, Any]
     from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
 
     by = next(iter(view.colorings), None)
-    known = view.color_by_join if by is None else paint(by)[0]
-    colors = {"structure": known if view.own else view.color_by_join, "estimate": known}
+    color = view.color_by_join if by is None else paint(by)[0]
+    colors = {"structure": color if view.user_colorings else view.color_by_join, "estimate": color}
     shapes = {
         name: _solid(view.robots(view.from_origin(pose), colors[name], TRUE_SIZE), gamma)
         for name, pose in view.poses.items()
     }
-    center, pairs = view.from_origin(view.best_pose)[:, :3], view.log.contacts[:, [0, 2]]
+    center = view.from_origin(view.best_pose)[:, :3]
+    pairs = view.log.contacts[:, [0, 2]]
     line: Any = entities.Line
     lines = [line(pair) for pair in pairs[np.isfinite(center[pairs]).all(axis=(1, 2))]]
     gray = np.tile(np.array(_EDGE_GRAY, np.uint8), (len(lines), 1))
     if lines:
-        place = np.nan_to_num(center)  # no line ends where the place is unknown
-        shapes["contacts"] = Path3D(lines, place, colors=gray, process=False)
+        ends = np.nan_to_num(center)  # no line ends where the place is unknown
+        shapes["contacts"] = Path3D(lines, ends, colors=gray, process=False)
     for shape in shapes.values():
         shape.apply_scale(view.log.dock_radius)
     return shapes
@@ -665,10 +692,10 @@ def _gltf(shapes: dict[str, Any], log: SensingLog) -> bytes:
     import trimesh  # noqa: PLC0415 - slow to import
 
     scene = trimesh.Scene(metadata={"length_unit": log.length_unit})
-    place = _Y_UP.astype(np.float64)
-    place[:3, 3] = place[:3, :3] @ log.anchor_position
+    transform = _Y_UP.astype(np.float64)
+    transform[:3, 3] = transform[:3, :3] @ log.anchor_position
     for name, shape in shapes.items():
-        scene.add_geometry(shape, node_name=name, geom_name=name, transform=place)
+        scene.add_geometry(shape, node_name=name, geom_name=name, transform=transform)
 
     def add_matte(tree: dict[str, Any]) -> None:
         tree["materials"] = [_MATTE]  # the default of glTF is metal

@@ -20,42 +20,72 @@ if TYPE_CHECKING:
 
 
 _MOST_PANELS = 9
-_SENT, _ERROR = SENT.column, RMSE.column
+_SENT = SENT.column
+_ERROR = RMSE.column
 _TICKS = {"x": (1.0, 3.0), "y": (1.0, 2.0, 5.0)}
 _CLEAR = 4.5
 """Distance of a name from markers at which it is easy to read [pt]."""
-_DIRECTIONS, _RINGS = 12, 8
-"""Places that are tried for a name: in each direction, farther and farther from its marker."""
-_LABEL, _LETTER = 6.0, 3.4
-"""Height of a name, and width of its letters [pt]."""
+_DIRECTIONS = 12
+"""Directions from its marker in which a name is tried."""
+_RINGS = 8
+"""Distances from its marker at which a name is tried in each direction."""
+_LABEL = 6.0
+"""Height of a name [pt]."""
+_LETTER = 3.4
+"""Width of a letter of a name [pt]."""
 _TICK_ROOM = 24.0
 """Room of a number along the horizontal axis [pt]."""
 
 
 CAPTIONS = {
-    "joining": "RMSE of the robots that joined last, as many as a quarter of the smallest "
-    "structure, against the number of robots by then. Lines are conditions; methods that place "
-    "robots as they join have a second, dashed line for the same robots once all have joined.",
-    "traffic": "RMSE against the bytes that a robot sends in the mean, those that it passes on for "
-    "others included, both logarithmic. A gray line joins the conditions that no other beats in "
-    "both. They have names, and so have the first conditions of the scenario; others are gray. "
-    "Horizontal lines are conditions that have the log of all robots in one place. Bars and bands "
-    "are 95 % CI. Farther left and lower is better.",
-    "sd": "True structure, each robot colored by the standard deviation of its position that the "
-    "method reports. It should resemble the errors.",
-    "color": "True structure, each robot colored by a column of a table of yours; gray robots have "
-    "no value.",
-    "contact-graph": "Contacts: each ball is a robot, colored by its hops from an anchor, and "
-    "each rod joins two robots in contact.",
-    "error": "True structure, each robot colored by the error of its estimated position.",
-    "growth": "Growth of the structure, colored by join index, the order in which robots joined.",
-    "sensed-force": "True structure, each robot colored by the force that it senses in its links, "
-    "in weights of a dock.",
-    "sizes": "Structures of every size at one scale, each robot colored by its error.",
-    "structure": "True structure, colored by join index, the order in which robots joined.",
-    "truth-and-estimate": "Estimated robots, orange, and true robots, translucent blue, where they "
-    "are more than 0.3 R apart. If most are, balls stand for robots, and rods join true and "
-    "estimated centers.",
+    "joining": figure_style.Caption(
+        "RMSE of the robots that joined last, as many as a quarter of the smallest "
+        "structure, against the number of robots by then. Lines are conditions; "
+        "methods that place robots as they join have a second, dashed line for the "
+        "same robots once all have joined.",
+    ),
+    "traffic": figure_style.Caption(
+        "RMSE against the bytes that a robot sends in the mean, those that it passes "
+        "on for others included, both logarithmic. A gray line joins the conditions "
+        "that no other beats in both. They have names, and so have the first "
+        "conditions of the scenario; others are gray. Horizontal lines are conditions "
+        "that have the log of all robots in one place.",
+        intervals="Bars and bands are 95 % CI.",
+        reading="Farther left and lower is better.",
+    ),
+    "sd": figure_style.Caption(
+        "True structure, each robot colored by the standard deviation of its position "
+        "that the method reports. It should resemble the errors.",
+    ),
+    "color": figure_style.Caption(
+        "True structure, each robot colored by a column of a table of yours; gray "
+        "robots have no value.",
+    ),
+    "contact-graph": figure_style.Caption(
+        "Contacts: each ball is a robot, colored by its hops from an anchor, and each "
+        "rod joins two robots in contact.",
+    ),
+    "error": figure_style.Caption(
+        "True structure, each robot colored by the error of its estimated position.",
+    ),
+    "growth": figure_style.Caption(
+        "Growth of the structure, colored by join index, the order in which robots joined.",
+    ),
+    "sensed-force": figure_style.Caption(
+        "True structure, each robot colored by the force that it senses in its links, "
+        "in weights of a dock.",
+    ),
+    "sizes": figure_style.Caption(
+        "Structures of every size at one scale, each robot colored by its error.",
+    ),
+    "structure": figure_style.Caption(
+        "True structure, colored by join index, the order in which robots joined.",
+    ),
+    "truth-and-estimate": figure_style.Caption(
+        "Estimated robots, orange, and true robots, translucent blue, where they are "
+        "more than 0.3 R apart. If most are, balls stand for robots, and rods join "
+        "true and estimated centers.",
+    ),
 }
 """What these figures and 3D pictures show, by file name."""
 
@@ -79,15 +109,15 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     """
     done = run.summary[run.summary["status"] == "done"]
     titles = done["point"].where(done["point"].fillna("") != "", done["kind"])
-    every_point = [*done.groupby(titles, sort=False)]
-    groups, left = every_point[:_MOST_PANELS], len(every_point[_MOST_PANELS:])
+    points = [*done.groupby(titles, sort=False)]
+    groups = points[:_MOST_PANELS]
     fronts = [_front(cases) for _, cases in groups]
     names = _named(done, fronts)
     columns = figure_style.columns_of(len(groups))
     rows = -(-len(groups) // columns)
     height = 1.0 + (6.0 / columns if columns > 1 else 3.0) * rows
     panels = figure_style.Panels(height, len(groups), columns, share="xy", most=most)
-    for axes, ((title, cases), front) in panels.each(zip(groups, fronts, strict=True)):
+    for axes, ((title, cases), front) in panels.paired_with(zip(groups, fronts, strict=True)):
         axes.plot(*np.array(list(front.values())).reshape(-1, 2).T, color="0.8", linewidth=0.8)
         means = cases.groupby("condition")[[_SENT, _ERROR]].mean()
         rest = means.loc[[name for name in means.index if name not in names]]
@@ -100,16 +130,18 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
             }
             label = counted(len({*done["condition"]} - {*names}), "other condition")
             axes.plot(rest[_SENT], rest[_ERROR], label=label, **look)
-        for place, name in enumerate(names):
-            _draw_condition(axes, cases[cases["condition"] == name], name, place)
+        for index, name in enumerate(names):
+            _draw_condition(axes, cases[cases["condition"] == name], name, index)
         figure_style.set_title(axes, str(title))
         axes.set_xlabel(SENT.axis)
     panels.label_left(RMSE.axis)
     _set_scale(panels.first)
-    rest_only = {label: each for label, each in panels.entries().items() if label not in names}
-    if rest_only:
-        panels.legend(entries=rest_only)
-    figure = panels.finish(f"{counted(left, 'more panel')} not drawn" * (left > 0), run.note)
+    unnamed = {label: artist for label, artist in panels.entries().items() if label not in names}
+    if unnamed:
+        panels.legend(entries=unnamed)
+    omitted = len(points) - len(groups)
+    note = f"{counted(omitted, 'more panel')} not drawn" if omitted else ""
+    figure = panels.finish(note, run.note)
     # Names keep apart on paper, so panels need their final size.
     figure_style.lay_out(figure)
     for axes in panels.axes:
@@ -120,14 +152,14 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
 
 def _named(done: pd.DataFrame, fronts: Sequence[Mapping[str, object]]) -> list[str]:
     """Choose the conditions that have names, in the order of the scenario."""
-    every = list(dict.fromkeys(done["condition"]))
+    conditions = list(dict.fromkeys(done["condition"]))
     silent = done.groupby("condition", sort=False)[_SENT].count() == 0
     # The first one that sends is the default that others are changes of.
-    first = [name for name in every if not silent[name]][:1]
-    beaten_by_none = [name for name in every if any(name in front for front in fronts)]
-    order = dict.fromkeys([*first, *beaten_by_none, *silent[silent].index, *every])
+    first = [name for name in conditions if not silent[name]][:1]
+    beaten_by_none = [name for name in conditions if any(name in front for front in fronts)]
+    order = dict.fromkeys([*first, *beaten_by_none, *silent[silent].index, *conditions])
     chosen = [*order][: figure_style.MOST_SERIES]
-    return [name for name in every if name in chosen]
+    return [name for name in conditions if name in chosen]
 
 
 def _front(cases: pd.DataFrame) -> dict[str, tuple[float, float]]:
@@ -161,14 +193,16 @@ def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
     ]
     if not drawn:
         return
-    box, points_per_pixel = axes.get_window_extent(), 72.0 / axes.figure.dpi
+    box = axes.get_window_extent()
+    points_per_pixel = 72.0 / axes.figure.dpi
     low, high = np.array([[box.x0, box.y0], [box.x1, box.y1]]) * points_per_pixel
     paper = axes.transData.transform
-    points = np.array([paper(each.get_xydata()[0]) for each, _ in drawn]) * points_per_pixel
-    dots = np.concatenate([
-        paper(each.get_xydata()) for each in axes.lines if each.get_marker() not in ("", "None")
-    ] or [np.empty((0, 2))]) * points_per_pixel  # fmt: skip
-    is_line = np.array([len(each.get_xydata()) > 1 for each, _ in drawn])
+    points = np.array([paper(line.get_xydata()[0]) for line, _ in drawn]) * points_per_pixel
+    markers = [
+        paper(line.get_xydata()) for line in axes.lines if line.get_marker() not in ("", "None")
+    ]
+    dots = np.concatenate([np.empty((0, 2)), *markers]) * points_per_pixel
+    is_line = np.array([len(line.get_xydata()) > 1 for line, _ in drawn])
     # A line is named at its left end.
     points[is_line, 0] = low[0]
     sizes = np.array([[_LETTER * len(label), _LABEL] for _, label in drawn])
@@ -180,11 +214,12 @@ def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
         for lines in handle[2]
         for ends in lines.get_segments()
     ]
-    taken = np.array([
+    boxes = [
         *((at, (0.5 * _CLEAR, 0.5 * _CLEAR)) for at in dots),
         *((at, (high[0] - low[0], 0.5)) for at in middle),
         *((ends.mean(axis=0), np.abs(ends[1] - ends[0]) / 2.0 + 0.5) for ends in bars),
-    ]).reshape(-1, 2, 2)  # fmt: skip
+    ]
+    taken = np.array(boxes).reshape(-1, 2, 2)
     offsets = label_offsets(points, sizes, np.array([low, high]), taken)
     places = axes.transData.inverted().transform(points / points_per_pixel)
     for (marker, label), at, offset in zip(drawn, places, offsets, strict=True):
@@ -226,24 +261,27 @@ def label_offsets(points: Reals, sizes: Reals, panel: Reals, taken: Reals) -> Re
         half = 0.5 * size
         # A label starts at the edge of its marker, in any direction.
         offsets = (around * (half + _CLEAR) + ring * around * _LABEL).reshape(-1, 2)
-        there = point + offsets
-        gap = np.abs(there[:, None] - taken[:, 0]) - (half + taken[:, 1])
+        centers = point + offsets
+        gap = np.abs(centers[:, None] - taken[:, 0]) - (half + taken[:, 1])
         crossed = (gap.prod(axis=2) * (gap < 0.0).all(axis=2)).sum(axis=1)
-        beyond = np.maximum(panel[0] - there + half, 0.0) + np.maximum(there + half - panel[1], 0.0)
+        beyond = np.maximum(panel[0] - centers + half, 0.0) + np.maximum(
+            centers + half - panel[1], 0.0
+        )
         # The nearest place that is clear, or the clearest one.
         best = int((crossed + size.sum() * beyond.sum(axis=1)).argmin())
         chosen[k] = offsets[best]
-        taken = np.concatenate([taken, [[there[best], half]]])
+        taken = np.concatenate([taken, [[centers[best], half]]])
     return chosen
 
 
-def _draw_condition(axes: "Axes", cases: pd.DataFrame, name: str, place: int) -> None:
+def _draw_condition(axes: "Axes", cases: pd.DataFrame, name: str, index: int) -> None:
     """Draw the mean of a condition with its 95 % CI: a marker, or a line if nobody sends."""
     if cases.empty:
         return
-    mean, half = float(cases[_ERROR].mean()), figure_style.half_width(cases[_ERROR])
+    mean = float(cases[_ERROR].mean())
+    half = figure_style.half_width(cases[_ERROR])
     if cases[_SENT].isna().all():
-        look = figure_style.line_style(place)
+        look = figure_style.line_style(index)
         axes.axhline(mean, label=name, **look)
         axes.axhspan(max(mean - half, 0.5 * mean), mean + half, alpha=0.12, color=look["color"])
         return
@@ -252,7 +290,7 @@ def _draw_condition(axes: "Axes", cases: pd.DataFrame, name: str, place: int) ->
         [figure_style.half_width(cases[_SENT])],
     ]
     up = [[min(half, 0.5 * mean)], [half]]
-    look = {**figure_style.dot_style(place, 3.0), "elinewidth": 0.6}
+    look = {**figure_style.dot_style(index, 3.0), "elinewidth": 0.6}
     axes.errorbar(cases[_SENT].mean(), mean, xerr=across, yerr=up, label=name, **look)
 
 
@@ -272,7 +310,8 @@ def _short(value: float) -> str:
     return f"{value / 1000.0:g}k" if value >= 1000.0 else f"{value:g}"  # noqa: PLR2004 - a thousand
 
 
-_SCORE, _COLUMN = RMSE_AT_JOIN.column, "error_at_join_R"
+_SCORE = RMSE_AT_JOIN.column
+_COLUMN = "error_at_join_R"
 _SHARE = 4
 """The robots that joined last are one in so many of the smallest structure."""
 
@@ -293,15 +332,16 @@ def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
     kinds = list(dict.fromkeys(case.kind for case in done))
     names = list(dict.fromkeys(case.condition for case in done))
     sizes = sorted({case.robots for case in done})
-    online, last = _at_join(run), max(sizes[0] // _SHARE, 1)
+    online = _at_join(run)
+    last = max(sizes[0] // _SHARE, 1)
     panels = figure_style.Panels(3.2, len(kinds), len(kinds), share="y", most=most)
     drawn = []
-    for axes, kind in panels.each(kinds):
-        for place, name in enumerate(names):
-            mine = [case for case in done if (case.kind, case.condition) == (kind, name)]
-            joins = any(case.name in online for case in mine)
+    for axes, kind in panels.paired_with(kinds):
+        for index, name in enumerate(names):
+            cases = [case for case in done if (case.kind, case.condition) == (kind, name)]
+            joins = any(case.name in online for case in cases)
             column = _COLUMN if joins else "error_R"
-            line = [_rms(mine, size, size, column, last) for size in sizes]
+            line = [_rms(cases, size, size, column, last) for size in sizes]
             label = f"{name}, as they join" if joins else name
             axes.plot(
                 sizes,
@@ -309,12 +349,12 @@ def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
                 marker="o",
                 markersize=3.0,
                 label=label,
-                **figure_style.line_style(place),
+                **figure_style.line_style(index),
             )
             drawn += line
             if joins:
-                later = [_rms(mine, sizes[-1], size, "error_R", last) for size in sizes]
-                look = figure_style.line_style(place) | {"linestyle": "--"}
+                later = [_rms(cases, sizes[-1], size, "error_R", last) for size in sizes]
+                look = figure_style.line_style(index) | {"linestyle": "--"}
                 axes.plot(sizes, later, marker="o", markersize=3.0, label=f"{name}, later", **look)
                 drawn += later
         axes.set(xlabel="Robots by then", title=kind, xticks=sizes)
