@@ -265,9 +265,14 @@ class HeightsParams(FileParams):
     cell: _Length
     """Distance between neighbors [R]."""
 
-    heights: tuple[_Coordinate, _Coordinate] | None = None
-    """Heights of black and white of a PNG, or of the least and greatest number of a CSV file [R].
-    Null for a CSV file whose numbers are heights [R]."""
+    heights: Annotated[
+        tuple[_Coordinate, _Coordinate] | None,
+        Field(
+            validate_default=True,
+            description="Heights of black and white of a PNG, or of the least and greatest number "
+            "of a CSV file [R]. Null for a CSV file whose numbers are heights [R].",
+        ),
+    ] = None
 
     @field_validator("heights")
     @classmethod
@@ -463,4 +468,6 @@ def _read_mesh(path: Path, scale: float) -> tuple[Reals, Ints]:
         raise ValueError(f"{path} has no triangles; save a mesh")
     if not loaded.is_watertight:
         raise ValueError(f"{path} is not closed: it has holes; close them")
+    if not loaded.is_winding_consistent:
+        raise ValueError(f"{path}: faces have their corners in both senses; orient them outward")
     return vertex, face
