@@ -6,6 +6,7 @@ Each stone is a random polyhedron, flattened and turned. Stones overlap.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -30,7 +31,7 @@ def main() -> None:
         corner *= rng.uniform(*SIZES) / np.linalg.norm(corner, axis=1, keepdims=True)
         corner *= rng.uniform(0.6, 1.0, 3)
         corner -= corner.mean(axis=0)  # inside, so that faces have an outer side
-        corner = Rotation.random(random_state=rng).apply(corner)
+        corner = Rotation.from_quat(rng.normal(size=4)).apply(corner)
         angle, share = rng.uniform(0.0, 2.0 * np.pi), rng.uniform()
         distance = FARTHEST * np.sqrt(share)
         place = [distance * np.cos(angle), distance * np.sin(angle), rng.uniform(-1.0, 1.0)]
@@ -39,7 +40,8 @@ def main() -> None:
         is_inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
         face[is_inward] = face[is_inward][:, ::-1]
         stones.append(trimesh.Trimesh(corner + place, face))
-    trimesh.util.concatenate(stones).export(Path(__file__).with_name("rubble.stl"))
+    rubble: Any = trimesh.util.concatenate(stones)
+    rubble.export(Path(__file__).with_name("rubble.stl"))
 
 
 if __name__ == "__main__":

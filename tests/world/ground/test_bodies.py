@@ -59,7 +59,7 @@ def test_results_state_the_content_of_a_file_and_refuse_another(tmp_path):
     digest = HeightsParams(file=str(file), cell=1.0).digest
     file.write_text("0,0\n0,2\n")
 
-    with pytest.raises(ValueError, match="field.csv has changed"):
+    with pytest.raises(ValueError, match=r"field.csv has changed"):
         HeightsParams(file=str(file), cell=1.0, digest=digest)
 
     assert HeightsParams(file=str(file), cell=1.0).digest != digest
@@ -169,7 +169,7 @@ def test_an_anchor_beside_the_ground_is_refused():
     """It would fall."""
     slab = {"kind": "box", "size": [60.0, 20.0, 2.0], "position": [0.0, 0.0, -1.0]}
 
-    with pytest.raises(InputError, match="anchor 1 at .* is off the ground"):
+    with pytest.raises(InputError, match=r"anchor 1 at .* is off the ground"):
         _structure(slab, anchors=[[0.0, 0.0], [0.0, 40.0]])
 
 
