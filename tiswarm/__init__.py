@@ -55,6 +55,7 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.records.measures import measure as measure
     from tiswarm.report.figures import figure as figure
     from tiswarm.sensing.suites import sensor as sensor
+    from tiswarm.world.ground.user import terrain as terrain
     from tiswarm.world.rules import rule as rule
     from tiswarm.world.rules import structure as structure
     from tiswarm.world.strength import strength as strength

@@ -14,7 +14,8 @@ def test_a_log_holds_only_what_robots_sense():
     """Adding a field to the log needs a deliberate edit here."""
     allowed = {
         "robot_id", "dock_radius", "dock_offset_body", "anchor_position", "orientation_wxyz",
-        "contacts", "ground_z", "ground_docks", "flip_height", "spawn_position", "stances",
+        "contacts", "ground_z", "ground_form", "ground_docks", "flip_height", "spawn_position",
+        "stances",
         "noise", "length_unit", "fixes", "ranges", "directions", "connections", "touches",
         "displacements",
         "orientation_sd",  # follows from connections

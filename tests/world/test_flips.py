@@ -11,7 +11,13 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.lang import F64, Reals2, Reals3, ti
 from tiswarm.compute.math_kernels import vector_at
 from tiswarm.records.terrain import Terrain
-from tiswarm.world.climb_kernels import ClimbLimits, contact_angles, crossing_angles
+from tiswarm.world.climb_kernels import (
+    ClimbLimits,
+    Obstacles,
+    Site,
+    contact_angles,
+    crossing_angles,
+)
 from tiswarm.world.growth import grow
 from tiswarm.world.params import ClimbParams, TowerParams
 from tiswarm.world.walks import climb_limits
@@ -62,11 +68,12 @@ def test_contact_angle_is_where_a_fine_sweep_first_overlaps(arm, axis, obstacle)
 def _contact_angles(
     limits: ClimbLimits, vectors: Reals2, gains: Reals2, least: F64, near: Reals3, angles: Reals2
 ):
+    obstacles = ti.static(Obstacles(near, Site(None, is_flat=True, lipschitz=1.0, has_zones=False)))
     for way in range(1):
         first = ti.Vector([limits.full_turn, limits.full_turn])
         aim = ti.Vector([gains[0, 0], gains[0, 1], least, limits.min_flip])
         arm, axis, pivot = vector_at(vectors, 0), vector_at(vectors, 1), vector_at(vectors, 2)
-        first = contact_angles(limits, first, aim, arm, axis, pivot, near, way, near.shape[1])
+        first = contact_angles(limits, first, aim, arm, axis, pivot, obstacles, way, near.shape[1])
         angles[0, 0], angles[0, 1] = first[0], first[1]
 
 

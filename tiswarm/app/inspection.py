@@ -161,6 +161,8 @@ def unknowns(
     if observabilities and observabilities[-1].disconnected.any():
         disconnected = np.flatnonzero(observabilities[-1].disconnected)
         yield f"disconnected from the anchor (positions are guesses): {named(log, disconnected)}"
+    if log.ground_form is not None:
+        yield f"the ground is {log.ground_form}: docks on it have no known height, and do not count"
     if log.gone.size:
         yield f"gone (their positions are where they last stood): {named(log, log.gone)}"
     single = np.flatnonzero(contact_count(log)[1:] == 1) + 1

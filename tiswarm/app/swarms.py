@@ -48,6 +48,7 @@ from tiswarm.scenario.model import Scenario, dump_scenario, to_plain
 from tiswarm.scenario.yaml_source import parse_yaml
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world import growth
+from tiswarm.world.ground.surface import shown_ground
 from tiswarm.world.history import History, StanceRows
 from tiswarm.world.history_file import DAMAGED, find_fault, from_arrays, to_arrays
 
@@ -219,7 +220,7 @@ class GrownStructure(History):
             sd=unknown[:, 0],
             stood=pose,
             dock_offset_body=self.robot.dock_offset_body / unit,
-            terrain=self.terrain,
+            terrain=shown_ground(self),
             read_log=lambda: observe(self, SensingParams()),
         )
 

@@ -51,6 +51,15 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "bending": "tiswarm.world.strength:bending",
         "von-mises": "tiswarm.world.strength:von_mises",
     },
+    "terrain": {
+        "plane": "tiswarm.world.ground.bodies:PlaneParams",
+        "slab": "tiswarm.world.ground.bodies:SlabParams",
+        "box": "tiswarm.world.ground.bodies:BoxParams",
+        "cylinder": "tiswarm.world.ground.bodies:CylinderParams",
+        "sphere": "tiswarm.world.ground.bodies:SphereParams",
+        "heightfield": "tiswarm.world.ground.bodies:HeightsParams",
+        "mesh": "tiswarm.world.ground.bodies:MeshParams",
+    },
     "measure": {},
     "figure": {
         "error": "tiswarm.report.error_figures",

@@ -36,7 +36,12 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.registry import Plugin, get, names, registered
 
-SELECTORS: Mapping[str, str] = {"method": "method", "structure": "kind", "rule": "name"}
+SELECTORS: Mapping[str, str] = {
+    "method": "method",
+    "structure": "kind",
+    "rule": "name",
+    "terrain": "kind",
+}
 """By kind that has settings, the key of a section that names one of the kind."""
 
 

@@ -281,7 +281,7 @@ def totals(history: History) -> dict[str, float | int]:
         **({name: grown[name].iloc[-1] for name in (*LOSSES, BROKEN.column) if name in grown}),
         **_strength(history),
         "crossed": int(history.crossed),
-        "beyond_edge": np.nan if terrain.is_plane else float(is_beyond.mean()),
+        "beyond_edge": float(is_beyond.mean()) if terrain.has_edge else np.nan,
         **_flips(history),
         **_beliefs(history),
         "first_on_anchor": first,

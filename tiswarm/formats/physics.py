@@ -31,7 +31,8 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.version import __version__
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.messages import exact_text
-from tiswarm.records.terrain import EDGE_RADIUS
+from tiswarm.records.surface import GroundSurface
+from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.report.swarm_view import Slab, SwarmView, shown_slabs
 
 GRAVITY = 9.81
@@ -106,6 +107,8 @@ class World(NamedTuple):
     """Slabs of the ground, relative to the anchor."""
     plane: float | None
     """Height of flat ground [R]; None if there is none."""
+    surface: GroundSurface | None
+    """Heights of uneven ground, relative to the anchor; None if there are none."""
 
     @property
     def about(self) -> dict[str, list[float]]:
@@ -158,7 +161,15 @@ def build_world(view: SwarmView) -> World:
     x, y, z = view.origin.tolist()
     depth: Reals = np.full(len(dock_list), -np.inf)
     slabs: list[Slab] = []
-    if terrain is not None and len(dock_list):
+    surface = None
+    if isinstance(terrain, GroundSurface):
+        surface = terrain.moved(-view.origin)
+        is_foot = np.zeros(dock.shape[:2], np.bool_)
+        for i, d in surface.foot_dock.tolist():
+            if row_of[i] >= 0:
+                is_foot[row_of[i], d] = True
+        depth[is_foot.ravel()] = 0.0
+    elif terrain is not None and len(dock_list):
         depth = terrain.depth(dock_list + view.origin, 1.0)
         slabs = shown_slabs(terrain, dock_list + view.origin)
     joints = [*_contacts(view, row_of, dock, touching_docks), *_feet(view, row_of, dock, depth)]
@@ -177,7 +188,8 @@ def build_world(view: SwarmView) -> World:
         joints=joints,
         touching=sorted(touching),
         slabs=[Slab(s.rear - x, s.edge - x, s.low_y - y, s.high_y - y, s.top - z) for s in slabs],
-        plane=None if terrain is None or slabs else terrain.ground_z - z,
+        plane=terrain.ground_z - z if isinstance(terrain, Terrain) and not slabs else None,
+        surface=surface,
     )
 
 
@@ -208,6 +220,13 @@ def _feet(view: SwarmView, row_of: Ints, dock: Reals, depth: Reals) -> Iterator[
         anchors = np.isfinite(log.known_position).all(axis=1) & (row_of >= 0)
         for i in np.flatnonzero(anchors).tolist():
             yield Joint(int(row_of[i]), _NONE, _NONE, _NONE, center[i], np.array([0.0, 0.0, -1.0]))
+        return
+    if isinstance(terrain, GroundSurface):
+        for (i, d), place in zip(terrain.foot_dock.tolist(), terrain.foot, strict=True):
+            row = int(row_of[i])
+            if row >= 0:
+                foot = place - view.origin
+                yield Joint(row, d, _NONE, _NONE, foot, _unit(foot - dock[row, d]))
         return
     standing = {(int(row_of[i]), d) for i, d in log.ground_docks.tolist() if row_of[i] >= 0}
     if view.has_truth and not terrain.is_plane:  # logs do not have docks on an edge
@@ -256,6 +275,7 @@ def encode_mjcf(view: SwarmView) -> dict[str, bytes]:
     for name, numbers in world.about.items():
         _add(custom, "numeric", name=name, data=exact_text(numbers))
     _add(_add(root, "asset"), "texture", _SKY)
+    _add_heights(root, world)
     bodies = _add(root, "worldbody")
     _add(bodies, "light", _LIGHT)
     _add_ground(bodies, world)
@@ -281,6 +301,27 @@ def _add(
     return ET.SubElement(parent, tag, dict(attributes or {}), **more)
 
 
+_BASE = 1.0
+"""Thickness of uneven ground below its lowest height [R]."""
+
+
+def _add_heights(root: ET.Element, world: World) -> None:
+    """Add the heights of uneven ground, as parts of their range, in rows from the greatest y on."""
+    if world.surface is None:
+        return
+    height, unit = world.surface.height, world.unit
+    low, range_z = float(height.min()), float(np.ptp(height))
+    half = 0.5 * world.surface.cell * (np.array(height.shape) - 1)
+    share = (height - low) / max(range_z, 1e-9)
+    sizes = [unit * size for size in (*half, max(range_z, 1e-9), _BASE)]
+    asset = root.find("asset")
+    _add(
+        asset if asset is not None else _add(root, "asset"), "hfield", name="ground",
+        nrow=str(height.shape[1]), ncol=str(height.shape[0]), size=exact_text(sizes),
+        elevation=" ".join(f"{number:.5g}" for number in share.T[::-1].ravel().tolist()),
+    )  # fmt: skip
+
+
 def _add_ground(parent: ET.Element, world: World) -> None:
     """Add a plane, or for each slab a box and a cylinder along its edge."""
     look = {"class": "ground"}
@@ -290,6 +331,11 @@ def _add_ground(parent: ET.Element, world: World) -> None:
             "size": exact_text([world.unit * half for half in (_PLANE, _PLANE, 1.0)]),
         }
         _add(parent, "geom", look | plane, name="ground", type="plane")
+    if world.surface is not None:
+        surface = world.surface
+        middle = [*(0.5 * (surface.corner + surface.end)), float(surface.height.min())]
+        place = {"pos": exact_text(world.unit * np.array(middle))}
+        _add(parent, "geom", look | place, name="ground", type="hfield", hfield="ground")
     for n, (middle, size, *ends) in enumerate(world.ground_solids()):
         box = {"pos": exact_text(middle), "size": exact_text(0.5 * size)}
         _add(parent, "geom", look | box, name=f"slab_{n}", type="box")
@@ -437,6 +483,15 @@ def _ground(world: World, connectors: list[str]) -> str:
     if world.plane is not None:
         plane = _node("Plane", size=exact_text([2.0 * _PLANE * world.unit] * 2))
         solids.append((np.array([0.0, 0.0, world.unit * world.plane]), plane, None))
+    if world.surface is not None:
+        surface = world.surface
+        cell = repr(world.unit * surface.cell)
+        grid = _node(
+            "ElevationGrid", xDimension=str(surface.height.shape[0]),
+            yDimension=str(surface.height.shape[1]), xSpacing=cell, ySpacing=cell,
+            height=f"[ {exact_text(world.unit * surface.height.T)} ]",
+        )  # fmt: skip
+        solids.append((world.unit * np.array([*surface.corner, 0.0]), grid, None))
     radius = repr(world.unit * EDGE_RADIUS)
     for middle, size, start, end in world.ground_solids():
         solids.append((middle, _node("Box", size=exact_text(size)), None))

@@ -230,6 +230,7 @@ class SensingLogBuilder:
             dock_offset_body=np.array(self.header.dock_offsets, dtype=np.float64),
             anchor_position=np.array(self.header.anchor_position, dtype=np.float64),
             ground_z=self.header.ground_z,
+            ground_form=self.header.ground_form,
             stances=stances if _of_entries(self._has_stances, 1)[entry[standing:]].any() else None,
             noise=self.header.noise,
             length_unit=self.header.length_unit,
@@ -277,15 +278,23 @@ class SensingLogBuilder:
         self._line.append(self._lines)
         return final
 
+    def _require_flat_ground(self, key: str) -> None:
+        """Raise InputError where docks on the ground would say no height."""
+        if self.header.ground_form is not None:
+            problem = f"docks on {self.header.ground_form} ground are not listed; leave it empty"
+            raise InputError(problem, key=key)
+        if self.header.ground_z is None:
+            problem = "there is no ground; give ground_z in the header or leave ground_docks empty"
+            raise InputError(problem, key=key)
+
     def _checked(
         self, entry: RobotLine | StanceEntry, prefix: str, robot: int, number: int
     ) -> SensedStance:
         """Check one stance of the robot of this name and number."""
         if isinstance(entry, StanceEntry):
             self._check_dock(entry.pivot_dock, f"{prefix}pivot_dock")
-        if entry.ground_docks and self.header.ground_z is None:
-            problem = "there is no ground; give ground_z in the header or leave ground_docks empty"
-            raise InputError(problem, key=f"{prefix}ground_docks")
+        if entry.ground_docks:
+            self._require_flat_ground(f"{prefix}ground_docks")
         orientation = self._orientation(entry, f"{prefix}orientation_wxyz", number)
         check: dict[str, Callable[[Any, str], Any]] = {
             "dock": self._check_dock,
@@ -610,6 +619,8 @@ def _header_entries(log: SensingLog) -> dict[str, object]:
         "ground_z": log.ground_z,
         "length_unit": log.length_unit,
     }
+    if log.ground_form is not None:
+        entries["ground_form"] = log.ground_form
     if log.noise is not None:
         stated = asdict(log.noise).items()
         entries["noise"] = {key: value for key, value in stated if value is not None}
@@ -652,7 +663,7 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
 
 def _version(log: SensingLog) -> int:
     """Return the first version that has all keys and events of a log."""
-    if len(log.gone):
+    if len(log.gone) or log.ground_form is not None:
         return sensing_format.EVENT_VERSION
     has_null = bool(np.isnan(log.orientation_wxyz).any())
     versions = [2 if has_null or log.source_name else 1]

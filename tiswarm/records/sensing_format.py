@@ -165,6 +165,9 @@ class HeaderLine(BaseModel):
     ground_z: float | None = None
     """Height of flat ground [length unit]."""
 
+    ground_form: Literal["uneven"] | None = None
+    """Ground that is no plane: docks on it say nothing about heights. Version 3."""
+
     length_unit: _Unit = "unit"
     """Name of the unit of length."""
 
@@ -177,10 +180,18 @@ class HeaderLine(BaseModel):
     @model_validator(mode="after")
     def _refuse_new_keys(self) -> "HeaderLine":
         self.refuse_new("sources", self.sources)
+        self.refuse_new("ground_form", self.ground_form, EVENT_VERSION)
         for key in KEYS.values():
             if self.noise and key.noise:
                 stated = getattr(self.noise, key.noise)
                 self.refuse_new(f"noise.{key.noise}", stated, key.version)
+        return self
+
+    @model_validator(mode="after")
+    def _refuse_two_grounds(self) -> "HeaderLine":
+        if self.ground_form is not None and self.ground_z is not None:
+            problem = f"{self.ground_form} ground has no height; leave out ground_z or ground_form"
+            raise InputError(problem, key="ground_z")
         return self
 
     @model_validator(mode="after")

@@ -333,6 +333,10 @@ class SensingLog(Sensed):
     ground_z: float | None = None
     """Height of the flat ground; None without flat ground."""
 
+    ground_form: Literal["uneven"] | None = None
+    """Form of ground that is no plane, so that no dock on it has a known height; None for flat
+    ground, and without ground."""
+
     flip_height: Reals = field(
         metadata=_of_robot(
             "height", meaning="Height of the center that the flips imply [length unit]."

@@ -6,6 +6,7 @@ is a slab whose edge is out of reach, and it has no underside.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,10 +32,18 @@ class Terrain:
     right_edge: float = NO_EDGE
     """The same of the slab that comes from the right [R]; out of reach if there is none."""
 
+    form: ClassVar[None] = None
+    """Form of ground that is not flat, for logs: none."""
+
     @property
     def is_plane(self) -> bool:
         """Whether there is no edge to be reached."""
         return self.left_edge >= NO_EDGE
+
+    @property
+    def has_edge(self) -> bool:
+        """Whether there is an edge."""
+        return not self.is_plane
 
     def foot(self, point: Reals) -> Reals:
         """Find the nearest place on the ground's surface to each point outside [R], (n, 3)."""

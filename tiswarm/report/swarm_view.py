@@ -22,8 +22,9 @@ from tiswarm.records.frames import EstimateTrace, read_frame, read_trace, thinne
 from tiswarm.records.io import MAX_LOG_BYTES, at_line, digest, numbered_lines, run_file
 from tiswarm.records.measures import RMSE
 from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_format import parse_header
+from tiswarm.records.sensing_format import HeaderLine, parse_header
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.surface import SURFACE_FILE, GroundSurface, read_surface
 from tiswarm.records.terrain import EDGE_RADIUS, NO_EDGE, Terrain
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
 from tiswarm.report.run_data import RunData, StoredCase
@@ -58,6 +59,10 @@ SD = "sd"
 """Label of the coloring by standard deviation, which is also the size of the spheres."""
 
 
+Ground = Terrain | GroundSurface
+"""Ground that can be shown."""
+
+
 class Coloring(NamedTuple):
     """A quantity that colors robots; pages add hops and the join index."""
 
@@ -86,7 +91,7 @@ class SwarmView:
     force: Reals  # force that each robot senses in its links [weight of a dock], shape (N,)
     sd: Reals  # standard deviation of the estimated position [R], shape (N,)
     dock_offset_body: Reals  # vectors from center to dock, body frame [R], shape (docks, 3)
-    terrain: Terrain | None  # the ground; None where there is none
+    terrain: Ground | None  # the ground; None where there is none
     stood: Reals  # pose in which each robot last stood, also if it left, shape (N, 7)
     read_log: Callable[[], SensingLog]  # slow for many robots
     read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
@@ -200,16 +205,24 @@ def read_case_view(case: StoredCase) -> SwarmView:
         sd=sd,
         stood=stood,
         dock_offset_body=np.array(header.dock_offsets) / header.dock_radius,
-        terrain=None
-        if header.ground_z is None
-        else Terrain(
-            ground_z=header.ground_z / header.dock_radius,
-            left_edge=case.left_edge,
-            right_edge=case.right_edge,
-        ),
+        terrain=_case_ground(case, header),
         read_log=read_log,
         read_trace=lambda: read_trace(case.folder / "trace.csv", len(robot)),
         user_colorings=case.user_colorings,
+    )
+
+
+def _case_ground(case: StoredCase, header: HeaderLine) -> Ground | None:
+    """Return the ground of a case, in R."""
+    surface = case.folder / SURFACE_FILE
+    if surface.is_file():
+        return read_surface(surface)
+    if header.ground_z is None:
+        return None
+    return Terrain(
+        ground_z=header.ground_z / header.dock_radius,
+        left_edge=case.left_edge,
+        right_edge=case.right_edge,
     )
 
 
@@ -276,6 +289,7 @@ _STANDING = 0.1  # gap to the ground below which a dock stands on it [R]
 _AROUND = 3.0  # ground shown beside the docks [R]
 _BEHIND = 7.0  # ground shown behind an edge where no dock stands [R]
 _ARC = 8  # faces of a rounded edge
+_SURFACE_CORNERS = 48  # most corners of uneven ground along x or y in the view of a page
 
 
 class Slab(NamedTuple):
@@ -293,17 +307,19 @@ class Slab(NamedTuple):
         return 1.0 if self.edge > self.rear else -1.0
 
 
-def standing_docks(terrain: Terrain, dock: Reals) -> Reals:
-    """Choose the docks, shape (n, 3), that stand on flat ground."""
+def standing_docks(terrain: Ground, dock: Reals) -> Reals:
+    """Choose the docks, shape (n, 3), that stand on flat ground; none on other ground."""
+    if isinstance(terrain, GroundSurface):
+        return dock[:0]
     beyond = (dock[:, 0] > terrain.left_edge) & (dock[:, 0] < terrain.right_edge)
     height = dock[:, 2] - 1.0 - terrain.ground_z
     standing: Reals = dock[(np.abs(height) < _STANDING) & ~beyond]
     return standing
 
 
-def shown_slabs(terrain: Terrain, dock: Reals) -> list[Slab]:
-    """Cut a piece off each slab that reaches around the docks, shape (n, 3); none off a plane."""
-    if terrain.is_plane:
+def shown_slabs(terrain: Ground, dock: Reals) -> list[Slab]:
+    """Cut a piece off each slab that reaches around the docks, shape (n, 3); none off others."""
+    if isinstance(terrain, GroundSurface) or terrain.is_plane:
         return []
     standing = standing_docks(terrain, dock)[:, 0]
     low_y = dock[:, 1].min() - _AROUND
@@ -317,13 +333,15 @@ def shown_slabs(terrain: Terrain, dock: Reals) -> list[Slab]:
     return slabs
 
 
-def ground_pieces(terrain: Terrain, dock: Reals) -> list[Reals]:
+def ground_pieces(terrain: Ground, dock: Reals) -> list[Reals]:
     """Cover each piece of ground around docks, shape (n, 3), with faces of four corners [R].
 
     Returns:
         Corners, counterclockwise as seen from above the ground, each of shape (faces, 4, 3). A
         plane has one face if a dock stands on it, and no piece otherwise.
     """
+    if isinstance(terrain, GroundSurface):
+        return [terrain.thinned(_SURFACE_CORNERS).faces()]
     slabs = shown_slabs(terrain, dock)
     if slabs:
         return [_faces(slab) for slab in slabs]

@@ -31,7 +31,7 @@ from tiswarm.scenario import validation
 from tiswarm.scenario.labels import labels_of, swept_keys, without_label
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
-from tiswarm.world.params import StructureParams, anchor_fault
+from tiswarm.world.params import StructureParams, anchor_fault, ground_fault
 
 Question = Annotated[
     Literal["least-error", "reached", "traffic", "cues"],
@@ -207,6 +207,14 @@ class Scenario:
         fault = anchor_fault(structure, robots, robot)
         if fault:
             raise validation.mistake_at(("anchors",), fault)
+        return structure
+
+    @field_validator("structure")
+    @classmethod
+    def _start_on_ground(cls, structure: StructureParams, info: ValidationInfo) -> object:
+        shape = info.data.get("robot")
+        if shape and (fault := ground_fault(structure, shape)):
+            raise validation.mistake_at(("terrain",), fault)
         return structure
 
     @property

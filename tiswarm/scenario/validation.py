@@ -356,9 +356,23 @@ def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any], data: object) ->
     schema = _schema(adapter)
     section = schema
     for part in path[:-1]:
-        data = data.get(part) if isinstance(data, dict) else None
-        section = _settings(schema, section.get("properties", {}).get(part, {}), data)
+        if isinstance(part, int):
+            if isinstance(data, list):  # else one entry stands for a list of it
+                data = data[part]
+            section = _settings(schema, _entries(section), data)
+        else:
+            data = data.get(part) if isinstance(data, dict) else None
+            section = _settings(schema, section.get("properties", {}).get(part, {}), data)
     return tuple(section.get("properties", ()))
+
+
+def _entries(section: Plain) -> Plain:
+    """Return the schema of the entries of a list, which may be null instead."""
+    for form in (section, *section.get("anyOf", ())):
+        if "items" in form:
+            items: Plain = form["items"]
+            return items
+    return {}
 
 
 def _settings(schema: Plain, section: Plain, data: object) -> Plain:

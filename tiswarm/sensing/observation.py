@@ -87,6 +87,13 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     spawn = flips.spawn_position(history, params)
     orientation[is_mute] = np.nan
     spawn[is_mute] = np.nan
+    ground_z = None
+    ground_form = None
+    if params.senses("ground_docks"):
+        # Docks on flat ground alone are listed: that one stands on other ground says no height.
+        ground_form = history.terrain.form
+        if ground_form is None:
+            ground_z = history.ground_z
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         gone=np.flatnonzero(history.is_gone),
@@ -95,7 +102,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         dock_offset_body=history.robot.dock_offset_body,
         anchor_position=history.walks[0].center[-1],
         orientation_wxyz=orientation,
-        ground_z=history.ground_z if params.senses("ground_docks") else None,
+        ground_z=ground_z,
+        ground_form=ground_form,
         flip_height=height if params.senses("heights") else np.full_like(height, np.nan),
         spawn_position=spawn,
         stances=_stances(history, sensed, length, lists) if params.senses("stances") else None,

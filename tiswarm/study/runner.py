@@ -27,6 +27,7 @@ from tiswarm.sensing.params import SensingParams
 from tiswarm.study.navigation import navigate
 from tiswarm.study.provenance import Costs, Used, case_code, plugged
 from tiswarm.study.store import CaseRecord, RunFolder
+from tiswarm.world.ground.surface import ground_surface
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.history_file import find_fault
@@ -337,6 +338,7 @@ class _CaseRunner:
             estimate=estimate,
             tables=found.tables,
             cost=self.costs[case.name],
+            surface=ground_surface(history),
         )
 
 

@@ -36,6 +36,7 @@ from tiswarm.records.run_folder import (
 )
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.surface import SURFACE_FILE, GroundSurface, write_surface
 from tiswarm.scenario.expansion import Case
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.provenance import Cost, Used, is_current, manifest, structure_code
@@ -53,6 +54,7 @@ _TABLES = ("robots", "convergence", "growth", "relative")
 
 _CASE_FILES = {
     *("sensing.jsonl", "truth.csv", "estimate.csv", "trace.csv", "case.json", _COST, TRACEBACK),
+    SURFACE_FILE,
     *(f"{name}.csv" for name in _TABLES),
 }
 """All files that a case may have."""
@@ -279,6 +281,7 @@ class RunFolder:
         estimate: Estimate,
         tables: Mapping[str, pd.DataFrame],
         cost: Mapping[str, Cost],
+        surface: GroundSurface | None = None,
     ) -> CaseRecord:
         """Write a case, make it appear at once, and return its record with the digests."""
         with self._new_folder(record.case) as folder:
@@ -288,6 +291,8 @@ class RunFolder:
             for name in _TABLES:
                 write_frame(tables[name], folder / f"{name}.csv")
             write_trace(folder / "trace.csv", estimate)
+            if surface is not None:
+                write_surface(folder / SURFACE_FILE, surface)
             files = {path.name: io.digest(path) for path in sorted(folder.iterdir())}
             io.write_json(folder / _COST, cost)
             complete = replace(record, files=files)

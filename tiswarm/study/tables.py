@@ -41,6 +41,8 @@ from tiswarm.sensing import SensingParams
 from tiswarm.study.provenance import Cost
 from tiswarm.study.scaling import scaling
 from tiswarm.study.store import CaseRecord, RunFolder
+from tiswarm.world.ground.solid import SolidGround
+from tiswarm.world.params import structure_ground
 
 _RECRUITMENT = ("force_threshold", "recruit_base", "recruit_limit")
 _ROUNDING_R = 1e-9
@@ -134,7 +136,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "status": record.status,
             "distrust": record.distrust,
             "reason": record.reason,
-            **_edges(setting.structure.terrain),
+            **_edges(structure_ground(setting.structure)),
             **record.scores,
         }
         for record, setting in zip(records, settings, strict=True)
@@ -147,7 +149,7 @@ def _title(method: LocalizationParams) -> str:
     return " ".join([method.title, *filter(None, [getattr(method, "scheme", None)])])
 
 
-def _edges(terrain: Terrain) -> dict[str, float]:
+def _edges(terrain: Terrain | SolidGround) -> dict[str, float]:
     """Place the edges of the ground, if it has any, for pictures."""
     edges = {"left_edge_R": terrain.left_edge, "right_edge_R": terrain.right_edge}
     return {name: x for name, x in edges.items() if x < NO_EDGE}

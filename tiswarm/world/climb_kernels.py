@@ -2,19 +2,20 @@
 
 A flip turns a robot about an axis through one of its attached docks (the pivot), at right
 angles to the line from that dock to the robot's center, until another dock first touches
-something: another dock, flat ground, a rounded edge. It is planned by where the robot believes
+something: another dock, or the ground. It is planned by where the robot believes
 docks are, and ends by where they are; where robots know, both are the same.
 
 A dock that turns about a pivot by the angle t has, along any fixed direction, a coordinate of
 the form a cos t + b sin t + c. Against a dock at w from the pivot the direction is w, against
 flat ground it is straight down; both ask where a cos t + b sin t first rises through a level,
 which has a closed form. At a rounded edge the squared distance to its axis is followed in
-steps that cannot jump over a contact.
+steps that cannot jump over a contact. On ground of any other form the steps follow from the
+distance to it (`ground/kernels.py`).
 
 Robots that climbed at the same time join in turn. Lengths in R, angles in rad, all in float64.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tiswarm.compute.lang import (
     F64,
@@ -24,6 +25,7 @@ from tiswarm.compute.lang import (
     Ints2,
     Ints3,
     Ints4,
+    Reals1,
     Reals2,
     Reals3,
     Ref,
@@ -35,11 +37,12 @@ from tiswarm.compute.lang import (
 )
 from tiswarm.compute.math_kernels import rotate, vector_at, vector_in
 from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
+from tiswarm.world.ground.kernels import Ground, arc_angle, distance_to, zone_distance
 
 FLAT = 1
 """Flat ground that a dock stands on; 0 for no ground."""
 EDGE = 2
-"""Rounded edge that a dock stands on."""
+"""Rounded edge, underside, or ground of any other form, that a dock stands on."""
 MAX_TOUCHING = 12
 """No more unit spheres than this can touch one (the kissing number)."""
 
@@ -78,6 +81,14 @@ class StructureArrays(NamedTuple):
 
     robot_count: Ints1
     """Robots that have joined, shape (S,)."""
+
+
+class ClimbedDocks(NamedTuple):
+    """What climbers touch of `StructureArrays`."""
+
+    cells: CellList
+    dock: Reals3
+    relay: Ints2
 
 
 class BelievedDocks(NamedTuple):
@@ -125,6 +136,51 @@ class Climbers(NamedTuple):
 
     obstacle: Reals3
     """Scratch: the same as they are, for robots that do not know, shape (slots, near, 3)."""
+
+    ground: Reals1
+    """Numbers of the bodies of the ground, and of zones, as `ground.kernels.Ground` has them."""
+
+
+class Laws(NamedTuple):
+    """What kernels are compiled for."""
+
+    score: Any
+    """Function of (center, orientation, goal) that climbers minimize."""
+
+    users: tuple[Any, ...] = ()
+    """Functions of users for the ground."""
+
+    is_flat: bool = True
+    """Whether the ground has a closed form, a plane or slabs, and no bodies."""
+
+    lipschitz: float = 1.0
+    """Largest change of the distance to the ground over that of the point [1]."""
+
+    has_zones: bool = False
+    """Whether there are zones that robots may not enter."""
+
+
+class Site(NamedTuple):
+    """The ground that robots climb on, and zones that they may not enter."""
+
+    ground: Ground
+    is_flat: bool
+    lipschitz: float
+    has_zones: bool
+
+
+def site_of(ground: Reals1, laws: Laws) -> Site:
+    """Bundle what says where the ground is."""
+    return Site(Ground(ground, laws.users), laws.is_flat, laws.lipschitz, laws.has_zones)
+
+
+class Obstacles(NamedTuple):
+    """What turning docks may meet."""
+
+    near: Reals3
+    """Vectors from the pivot to docks in reach, shape (slots, near, 3)."""
+
+    site: Site
 
 
 class WalkArrays(NamedTuple):
@@ -291,7 +347,7 @@ def _turn_order(cosine, sine):
 
 
 @ti.func
-def contact_angles(limits: Ref, first, aim, arm, axis, pivot, near: Ref, mover, near_count):
+def contact_angles(limits: Ref, first, aim, arm, axis, pivot, obstacles: Ref, mover, near_count):
     """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped.
 
     Others are stopped at `first`. After the angle t, cos t aim_0 + sin t aim_1 is what a robot
@@ -301,15 +357,16 @@ def contact_angles(limits: Ref, first, aim, arm, axis, pivot, near: Ref, mover, 
     across = arm - along * axis
     onward = axis.cross(arm)
     middle = pivot + along * axis
-    first = ti.min(first, slab_angles(middle, across, onward, limits.left_edge, 1.0, limits))
-    first = ti.min(first, slab_angles(middle, across, onward, limits.right_edge, -1.0, limits))
+    if ti.static(obstacles.site.is_flat):
+        first = ti.min(first, slab_angles(middle, across, onward, limits.left_edge, 1.0, limits))
+        first = ti.min(first, slab_angles(middle, across, onward, limits.right_edge, -1.0, limits))
     sign = ti.Vector([1.0, -1.0])
     least = ti.Vector([4.0, 4.0])
     most = ti.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
     best = _turn_order(aim[0] / most, sign * aim[1] / most)
     k = 0
     while k < near_count and first.max() > 0.0:
-        to_dock = vector_in(near, mover, k)
+        to_dock = vector_in(obstacles.near, mover, k)
         level = 0.5 * (arm.norm_sqr() + to_dock.norm_sqr() - limits.spacing * limits.spacing)
         level -= along * to_dock.dot(axis)
         a = to_dock.dot(across)
@@ -333,6 +390,14 @@ def contact_angles(limits: Ref, first, aim, arm, axis, pivot, near: Ref, mover, 
             first = ti.min(first, crossing_angles(a, b, level, limits.full_turn))
             first = ti.select(first < aim[3], 0.0, first)
         k += 1
+    if ti.static(not obstacles.site.is_flat):
+        # The search costs much more than that for docks, which often rules a way out.
+        for way in ti.static(range(2)):
+            if first[way] > 0.0:
+                first[way] = arc_angle(
+                    middle, across, (1.0 - 2.0 * way) * onward, 0.5 * limits.spacing,
+                    obstacles.site.lipschitz, first[way], obstacles.site.ground,
+                )  # fmt: skip
     return first
 
 
@@ -418,6 +483,17 @@ def revisits(limits: Ref, walks: Ref, mover, stance, point):
 
 
 @ti.func
+def enters(limits: Ref, site: Ref, body: Ref, center, q):
+    """Whether a dock of a robot reaches into a zone that robots may not enter."""
+    is_inside = False
+    for k in range(body.shape[0]):
+        point = center + rotate(q, vector_at(body, k))
+        gap = zone_distance(point, site.ground) - 0.5 * limits.spacing
+        is_inside = is_inside or gap < 0.0
+    return is_inside
+
+
+@ti.func
 def _across(arm):
     """Find the unit vector across `arm` nearest to the body's z axis, or x for an arm along z."""
     size = arm.norm_sqr()
@@ -466,12 +542,12 @@ def misplaced(
 
 
 @ti.func
-def first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, count, aim):
+def first_met(limits: Ref, body: Ref, q, k, axis, pivot, obstacles: Ref, mover, count, aim):
     """Find the angles at which a turn about dock `k` meets something; see `contact_angles`."""
     first = ti.Vector([limits.full_turn, limits.full_turn])
     for step in range(1, body.shape[0]):
         arm = rotate(q, vector_at(body, (k + step) % body.shape[0]) - vector_at(body, k))
-        first = contact_angles(limits, first, aim, arm, axis, pivot, near, mover, count)
+        first = contact_angles(limits, first, aim, arm, axis, pivot, obstacles, mover, count)
     return first
 
 
@@ -538,18 +614,21 @@ def nearest_flip(
     stance,
     k,
     within,
-    score: Ref,
+    laws: Ref,
 ):
     """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
 
-    `score` takes the place of the distance, see `goal_distance`. A robot plans by the orientation
+    A score takes the place of the distance, see `goal_distance`. A robot plans by the orientation
     that it senses. A flip ends where it truly meets something. One that meets nothing, or what the
-    robot has been at before, fails, and the robot tries its next best. Flips are counted that fail
-    and were to score less than the first number of `within`; the second is that of the best one.
+    robot has been at before, fails, and the robot tries its next best. So does one that ends in a
+    zone. Flips are counted that fail and were to score less than the first number of `within`; the
+    second is that of the best one.
     """
     body = ti.static(climbers.dock_offset_body)
-    near = ti.static(climbers.near)
-    obstacle = ti.static(climbers.obstacle)
+    score = ti.static(laws.score)
+    site = ti.static(site_of(climbers.ground, laws))
+    near = ti.static(Obstacles(climbers.near, site))
+    obstacle = ti.static(Obstacles(climbers.obstacle, site))
     q = quaternion_at(walks.orientation, mover, stance)
     goal = vector_at(climbers.goal, mover)
     sensed = sensed_orientation(limits, believed, walks, mover, stance)
@@ -589,7 +668,12 @@ def nearest_flip(
                     planned = flipped(sensed_axis, way, angle, sensed)
                 end = pivot - rotate(turned, body_in)
                 distance = score(pivot - rotate(planned, body_in) + by, planned, goal)
-                if distance < chosen.distance and not revisits(limits, walks, mover, stance, end):
+                is_allowed = distance < chosen.distance
+                if is_allowed:
+                    is_allowed = not revisits(limits, walks, mover, stance, end)
+                    if ti.static(site.has_zones):
+                        is_allowed = is_allowed and not enters(limits, site, body, end, turned)
+                if is_allowed:
                     fails = False
                     if limits.by_belief:
                         angle = truly[way]
@@ -597,6 +681,8 @@ def nearest_flip(
                         end = pivot - rotate(turned, body_in)
                         fails = angle < limits.min_flip or angle > limits.max_flip
                         fails = fails or revisits(limits, walks, mover, stance, end)
+                        if ti.static(site.has_zones):
+                            fails = fails or enters(limits, site, body, end, turned)
                     if fails:
                         chosen.failed += ti.cast(distance < within[0], ti.i32)
                     else:
@@ -617,7 +703,7 @@ def best_flip(
     walks: Ref,
     mover,
     stance,
-    score: Ref,
+    laws: Ref,
 ):
     """Find the flip that a robot takes from a stance, and how many fail that it tries before."""
     center = vector_in(walks.center, mover, stance)
@@ -631,7 +717,7 @@ def best_flip(
             if is_attached(walks, mover, stance, k):
                 within = ti.Vector([least, flip.distance])
                 candidate = nearest_flip(
-                    limits, structures, believed, climbers, walks, mover, stance, k, within, score
+                    limits, structures, believed, climbers, walks, mover, stance, k, within, laws
                 )
                 overflow |= candidate.overflow
                 failed += candidate.failed
@@ -675,8 +761,20 @@ WALKING, ENDED, RECRUITED, SCRATCH_FULL = range(4)
 
 
 @ti.func
-def _ground_kind(point, limits):
+def _ground_kind(point, limits, site: Ref):
     """Find the ground that a dock at `point` stands on: 0, FLAT or EDGE."""
+    kind = 0
+    if ti.static(site.is_flat):
+        kind = _slab_kind(point, limits)
+    else:
+        gap = distance_to(point, site.ground) - 0.5 * limits.spacing
+        kind = ti.select(gap < limits.contact_gap, EDGE, 0)
+    return kind
+
+
+@ti.func
+def _slab_kind(point, limits):
+    """Find the part of a slab that a dock at `point` stands on: 0, FLAT or EDGE."""
     kind = 0
     depth = 0.5 * limits.spacing
     up = point[2] - (limits.ground_z - depth)
@@ -691,7 +789,7 @@ def _ground_kind(point, limits):
 
 
 @ti.func
-def sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k, point):
+def sense_contacts(limits: Ref, site: Ref, structures: Ref, s, walks: Ref, mover, stance, k, point):
     """Record what dock `k` at `point` touches; return whether any of it recruits."""
     count = 0
     called = 0
@@ -709,7 +807,7 @@ def sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k
                 if structures.relay[s, item] > 0:
                     called = 1
             item = structures.cells.following[s, item]
-    walks.on_ground[mover, stance, k] = _ground_kind(point, limits)
+    walks.on_ground[mover, stance, k] = _ground_kind(point, limits, site)
     return called
 
 
@@ -728,16 +826,18 @@ def _move_to(walks: Ref, mover, stance, center, q):
 
 
 @ti.func
-def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
+def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m, laws: Ref):
     """Let a robot that touches with two docks turn about these until a third touches too.
 
-    It turns the way that takes the smaller angle. The stance it comes to is written behind the
-    last of the walk, with the pivot that leads to it.
+    It turns the way that takes the smaller angle, unless that leads into a zone. The stance it
+    comes to is written behind the last of the walk, with the pivot that leads to it.
     """
     s = climbers.structure[m]
     best = walks.best[m]
     body = ti.static(climbers.dock_offset_body)
     near = ti.static(climbers.near)
+    site = ti.static(site_of(climbers.ground, laws))
+    obstacles = ti.static(Obstacles(near, site))
     docks = body.shape[0]
     free = -1
     attached = 0
@@ -765,35 +865,38 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
         for k in range(docks):
             if k != first_dock and k != second_dock:
                 arm = rotate(q, vector_at(body, k) - body_in)
-                met = contact_angles(limits, met, anywhere, arm, axis, pivot, near, m, count)
+                met = contact_angles(limits, met, anywhere, arm, axis, pivot, obstacles, m, count)
         angle = ti.min(met[0], met[1])
-        if angle <= limits.max_flip:
-            flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
-            turned = quaternion_product(flip, q).normalized()
-            end = pivot - rotate(turned, body_in)
+        flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
+        turned = quaternion_product(flip, q).normalized()
+        end = pivot - rotate(turned, body_in)
+        is_allowed = angle <= limits.max_flip
+        if ti.static(site.has_zones):
+            is_allowed = is_allowed and not enters(limits, site, body, end, turned)
+        if is_allowed:
             stay = walks.last[m] + 1
             walks.stay[m] = stay
             walks.pivot_dock[m, stay] = first_dock
             _move_to(walks, m, stay, end, turned)
             for k in range(docks):
                 point = end + rotate(turned, vector_at(body, k))
-                sense_contacts(limits, structures, s, walks, m, stay, k, point)
+                sense_contacts(limits, site, structures, s, walks, m, stay, k, point)
 
 
 @ti.kernel
 def climb(
     limits: ClimbLimits, movers: Ints1, state_out: Ints1, flips_out: Ints3,
-    # StructureArrays
-    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
+    # ClimbedDocks
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Beliefs
     believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3, turn: Reals3,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
-    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3,
+    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
     # WalkArrays, from the first stance on
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
-    score: Static,
+    laws: Static,
 ):  # fmt: skip
     """Walk each mover up its structure, one flip at a time, toward its goal.
 
@@ -813,17 +916,20 @@ def climb(
             belief.
         turn: From the orientation at each stance to that which the robot senses, where it goes by
             belief, wxyz, shape (slots, stances, 4).
-        score: Function of (center, orientation, goal) in place of the distance to the goal.
+        laws: What climbers minimize, and form of the ground: a `Laws`.
     """
-    structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
+    structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
     climbers = ti.static(Climbers(
         structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
+        ground,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last_out,
         best_out, stay_out,
     ))  # fmt: skip
+    score = ti.static(laws.score)
+    site = ti.static(site_of(ground, laws))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
@@ -856,7 +962,9 @@ def climb(
                 called = 0
                 for k in range(dock_offset_body.shape[0]):
                     point = center + rotate(q, vector_at(dock_offset_body, k))
-                    called |= sense_contacts(limits, structures, s, walks, m, stance, k, point)
+                    called |= sense_contacts(
+                        limits, site, structures, s, walks, m, stance, k, point
+                    )
                 by = misplaced(
                     limits, structures, believed, dock_offset_body, s, walks, m, stance, 0, middle
                 )
@@ -871,9 +979,7 @@ def climb(
                     state_out[m] = RECRUITED
                     best_stance = stance
                 elif steps_left > 0:
-                    flip = best_flip(
-                        limits, structures, believed, climbers, walks, m, stance, score
-                    )
+                    flip = best_flip(limits, structures, believed, climbers, walks, m, stance, laws)
                     if flip.overflow:
                         state_out[m] = SCRATCH_FULL
                     if flip.failed >= steps_left:
@@ -898,7 +1004,7 @@ def climb(
             best_out[m] = best_stance
             stay_out[m] = best_stance
             if settles[m]:
-                settle(limits, structures, climbers, walks, m)
+                settle(limits, structures, climbers, walks, m, laws)
 
 
 @ti.func

@@ -26,9 +26,17 @@ from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_docks
+from tiswarm.world.ground.solid import SolidGround
 from tiswarm.world.history import DIED, FELL, LEFT, History, Walk, parts
 from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
-from tiswarm.world.params import ReactiveBuild, StructureParams, anchor_places
+from tiswarm.world.params import (
+    ReactiveBuild,
+    StructureParams,
+    anchor_places,
+    sides_of_bodies,
+    structure_ground,
+    structure_zones,
+)
 from tiswarm.world.rules import climb_by_choice
 from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_belief, recruit
 
@@ -109,7 +117,8 @@ class _GrowthBatch:
         if believe:
             self.believed = BelievedDocks(CellList.allocate(count, docks), 0.0 * self.arrays.dock)
         self.structure_of = np.repeat(np.arange(count, dtype=np.int32), min(params.movers, robots))
-        limits = climb_limits(params.climb, robot, params.terrain, by_belief=believe is not None)
+        terrain = structure_ground(params)
+        limits = climb_limits(params.climb, robot, terrain, by_belief=believe is not None)
         self.walks = Walks(self.structure_of, limits, params, robot, seeds)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
@@ -240,7 +249,11 @@ class GrowingStructure:
         self.params = params
         self.robot = robot
         self.frames = frames
-        self.terrain = params.terrain
+        self.terrain = structure_ground(params)
+        self.zones = structure_zones(params)
+        self.side_of_body: dict[int, int] = {}
+        if isinstance(self.terrain, SolidGround):
+            self.side_of_body = sides_of_bodies(params, robot)
         self.docks = robot.dock_count
         self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
@@ -309,7 +322,7 @@ class GrowingStructure:
             else:
                 x, y = anchor_place
             center, orientation = self._pose(x, y, np.pi * draw[2])
-            if self._is_free(center):
+            if self._is_free(center, orientation):
                 return Spawn(
                     center=center,
                     orientation_wxyz=orientation,
@@ -333,7 +346,13 @@ class GrowingStructure:
         return draw
 
     def _pose(self, x: float, y: float, half: float) -> tuple[Reals, Reals]:
-        """Turn a robot by twice `half` [rad]: centered at x and y, or upright on one dock there."""
+        """Turn a robot by twice `half` [rad]: centered at x and y, or upright on one dock there.
+
+        On uneven ground it comes straight down until a dock touches; its height is minus infinity
+        where there is no ground.
+        """
+        if isinstance(self.terrain, SolidGround):
+            return self._pose_on(self.terrain, x, y, half)
         place = np.array([x, y, self.level])
         body = self.robot.dock_offset_body
         if not self.params.plane:
@@ -342,6 +361,17 @@ class GrowingStructure:
         orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
         arm = dock_offsets(orientation[None], body)[0]
         return place - arm[arm[:, 2].argmin()], orientation
+
+    def _pose_on(self, ground: SolidGround, x: float, y: float, half: float) -> tuple[Reals, Reals]:
+        """Put a robot on uneven ground."""
+        orientation = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+        if self.params.plane:
+            orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+        arm = dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
+        if self.params.plane:
+            x -= arm[arm[:, 2].argmin(), 0]
+        level = ground.level(x, y, arm, self.robot.dock_radius)
+        return np.array([x, y, level]), orientation
 
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""
@@ -363,6 +393,8 @@ class GrowingStructure:
                 self.rim[side] = max(behind)
         # Robots spawn on the ground: docks higher than they are stand in nobody's way.
         is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
+        if isinstance(self.terrain, SolidGround):
+            is_low[:] = True  # ground of any height may be below them
         for dock in new[is_low]:
             # A grid as wide as the clearance: all that is near lies in one of nine squares.
             self.low_docks.setdefault(self._square(dock), []).append(dock)
@@ -374,8 +406,14 @@ class GrowingStructure:
         self.rim = [first_rim for _ in range(self.params.sides)]
         self.low_docks: dict[tuple[int, int], list[Reals]] = {}
 
-    def _is_free(self, center: Reals) -> bool:
-        """Whether no dock near the ground touches a robot that is put there."""
+    def _is_free(self, center: Reals, orientation: Reals) -> bool:
+        """Whether a robot may be put somewhere: on ground, in no zone, and touching no dock."""
+        if not np.isfinite(center[2]):
+            return False
+        if self.zones is not None:
+            dock = center + dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
+            if self.zones.depth(dock, self.robot.dock_radius).max() > 0.0:
+                return False
         x, y = self._square(center)
         squares = [(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
         near = [dock for square in squares for dock in self.low_docks.get(square, ())]
@@ -424,7 +462,7 @@ class GrowingStructure:
         self.loads.append(LoadSummary())
         if self.params.sides > 1:
             touched = {self.sides[i] for i in touched_robot}
-            of_feet = {int(x > 0.5 * self.terrain.right_edge) for x in docks[standing, 0]}
+            of_feet = self._sides_at(docks[standing])
             self.sides_of_feet.append(of_feet)
             touched |= of_feet
             # A robot counts for the left side if it touches both; the gap is bridged then.
@@ -432,6 +470,13 @@ class GrowingStructure:
             if len(touched) > 1:
                 self.crossed = True
                 self.ended = f"the gap is bridged by {j + 1} robots"
+
+    def _sides_at(self, docks: Reals) -> set[int]:
+        """List the sides whose ground docks stand on, shape (n, 3)."""
+        if isinstance(self.terrain, SolidGround):
+            bodies = self.terrain.body_at(docks).tolist() if len(docks) else []
+            return {self.side_of_body[body] for body in bodies if body in self.side_of_body}
+        return {int(x > 0.5 * self.terrain.right_edge) for x in docks[:, 0]}
 
     def lose(self) -> bool:
         """Let robots leave or die, by a draw for each new joiner; return whether any did."""

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
+from tiswarm.world.ground.solid import SolidGround
 from tiswarm.world.mechanics import LoadSummary
 
 LEFT, FELL, DIED = range(3)
@@ -106,7 +107,7 @@ class History:
 
     seed: int
     robot: RobotGeometry
-    terrain: Terrain
+    terrain: Terrain | SolidGround
     walks: tuple[Walk, ...]
     """One walk for each robot, in join order."""
 
@@ -265,7 +266,7 @@ class History:
 
     @property
     def ground_z(self) -> float:
-        """Height of the flat ground [R]."""
+        """Height of the flat ground, or that heights count from [R]."""
         return self.terrain.ground_z
 
     @property
@@ -288,7 +289,7 @@ class History:
 
     @property
     def edge_docks(self) -> NDArray[np.int32]:
-        """Docks on an edge or underside in the end, rows of (robot, dock), shape (E, 2)."""
+        """Docks on ground that is not flat in the end, rows of (robot, dock), shape (E, 2)."""
         return self._remaining(self._at_rest("edge_docks"))
 
     @property

@@ -17,7 +17,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.records.io import replacing, run_file
 from tiswarm.world.history import DIED, LEFT, History, Walk
 from tiswarm.world.mechanics import MAX_UNBORNE, LoadSummary
-from tiswarm.world.params import StructureParams
+from tiswarm.world.params import StructureParams, structure_ground
 
 _SINGLE = ("recruited", "round")
 """Fields of a walk that are one value each; the others are arrays."""
@@ -133,7 +133,7 @@ def from_arrays(
     return History(
         **_facts(str(arrays["facts"])),
         robot=geometry,
-        terrain=params.terrain,
+        terrain=structure_ground(params),
         anchors=params.anchor_count,
         walks=tuple(walks),
         loads=tuple(replace(load, calling=int(load.calling)) for load in loads),

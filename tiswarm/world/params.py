@@ -1,11 +1,14 @@
 """Kinds of structures, their settings: terrain, spawns, anchors, goals, climbing, recruitment."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
+    BeforeValidator,
     Field,
     Strict,
     ValidationError,
@@ -24,6 +27,8 @@ from tiswarm.base.sections import Section
 from tiswarm.compute.math import uniform
 from tiswarm.records.messages import shown
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
+from tiswarm.world.ground.bodies import ZONE_KINDS, BodyParams, FileParams, ground_of, zones_of
+from tiswarm.world.ground.solid import SolidGround, Zones
 from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.strength import StrengthParams
 
@@ -52,6 +57,34 @@ _Anchors = Annotated[
     | None,
     WrapValidator(_one_mistake),
 ]
+
+
+def _as_list(bodies: object) -> object:
+    """Let one body stand for a list of it."""
+    return [bodies] if isinstance(bodies, Mapping) else bodies
+
+
+def _be_zones(zones: tuple[BodyParams, ...]) -> tuple[BodyParams, ...]:
+    """Refuse bodies whose distance costs too much for zones, or has no end."""
+    for zone in zones:
+        kind = getattr(zone, "kind", "")
+        if kind not in ZONE_KINDS:
+            raise ValueError(f"{kind} is no region; use {', '.join(ZONE_KINDS)}")
+    return zones
+
+
+def _is_elsewhere(body: BodyParams) -> bool:
+    """Whether the file of a body of a stored run is not here; its digest is known."""
+    return isinstance(body, FileParams) and not body.is_here
+
+
+_Bodies = Annotated[
+    # A wrapped value passes through Python, where strict checks accept no list for a tuple.
+    Annotated[tuple[Annotated[BodyParams, Section("terrain")], ...], Strict(False)],  # noqa: FBT003
+    Field(min_length=1, max_length=1000),
+    BeforeValidator(_as_list),
+]
+_Zones = Annotated[_Bodies, AfterValidator(_be_zones)]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -159,9 +192,9 @@ class BeliefErrorParams:
 class GrowthParams(RecruitParams):
     """What all kinds of structures have in common.
 
-    Each kind has a `terrain`. For the robots of each side it says what they climb toward (`goal`),
-    how far docks are `behind` its edge, or from a tower's axis, and where robots `start`. Where
-    anchors are given by their number, it spreads them (`spread`).
+    Each kind has a `default_terrain`. For the robots of each side it says what they climb toward
+    (`goal`), how far docks are `behind` its edge, or from a tower's axis, and where robots `start`.
+    Where anchors are given by their number, it spreads them (`spread`).
 
     Fields that are inherited carry their text as a description, for the JSON Schema does not
     find the docstrings of a base class.
@@ -283,6 +316,25 @@ class GrowthParams(RecruitParams):
         ),
     ] = ReactiveBuild()
 
+    terrain: Annotated[
+        _Bodies | None,
+        UNLESS_SET,
+        Field(
+            description="Bodies whose union is the ground; null for the ground of the kind of "
+            "structure. One body need not be in a list. A body of a function is a `tiswarm.terrain`"
+            " of a plug-in."
+        ),
+    ] = None
+
+    no_entry: Annotated[
+        _Zones | None,
+        UNLESS_SET,
+        Field(
+            description="Regions that no dock of a robot may reach into where a flip ends or a "
+            "robot starts: boxes, cylinders and spheres."
+        ),
+    ] = None
+
     climb: Annotated[ClimbParams, Field(description="How robots walk.")] = ClimbParams()
 
     mechanics: Annotated[
@@ -295,6 +347,13 @@ class GrowthParams(RecruitParams):
         if anchors is not None and info.data.get("anchor") is not None:
             raise ValueError("anchor places the first of them; leave out one of the two keys")
         return anchors
+
+    @field_validator("terrain")
+    @classmethod
+    def _make_ground(cls, terrain: tuple[BodyParams, ...] | None) -> tuple[BodyParams, ...] | None:
+        if terrain is not None and not any(map(_is_elsewhere, terrain)):
+            ground_of(terrain)
+        return terrain
 
     @field_validator("navigate_by")
     @classmethod
@@ -353,7 +412,7 @@ class EdgeParams(GrowthParams):
     ] = 3.0
 
     @property
-    def terrain(self) -> Terrain:
+    def default_terrain(self) -> Terrain:
         """A slab that ends at x = 0."""
         return Terrain(left_edge=0.0)
 
@@ -396,7 +455,7 @@ class TowerParams(GrowthParams):
     """Height of the goal above the ground [R]."""
 
     @property
-    def terrain(self) -> Terrain:
+    def default_terrain(self) -> Terrain:
         """A plane."""
         return Terrain()
 
@@ -466,7 +525,7 @@ class BridgeParams(EdgeParams):
     """Distance of each side's goal past the far edge [R]."""
 
     @property
-    def terrain(self) -> Terrain:
+    def default_terrain(self) -> Terrain:
         """Two slabs."""
         return Terrain(left_edge=0.0, right_edge=self.gap)
 
@@ -515,6 +574,61 @@ StructureParams = Annotated[GrowthParams, Section("structure")]
 """Any kind of structure, those of plug-ins included."""
 
 
+def structure_ground(params: StructureParams) -> Terrain | SolidGround:
+    """Return the ground on which a structure grows."""
+    default: Terrain = params.default_terrain
+    if params.terrain is None:
+        return default
+    ground = ground_of(params.terrain)
+    if isinstance(ground, SolidGround):
+        # Heights and reaches of a kind are measured from the same places on any ground.
+        return replace(ground, left_edge=default.left_edge, right_edge=default.right_edge)
+    return ground
+
+
+def structure_zones(params: StructureParams) -> Zones | None:
+    """Return the regions that robots may not enter; None without any."""
+    return None if params.no_entry is None else zones_of(params.no_entry)
+
+
+def sides_of_bodies(params: StructureParams, shape: RobotGeometry) -> dict[int, int]:
+    """Return, by body of the ground on which robots of a side start, that side."""
+    sides = {}
+    for side in range(params.sides):
+        for body in _bodies_at(params, shape, params.start(side, 0.0, np.array([0.5, 0.5]))[None]):
+            sides[body] = side
+    return sides
+
+
+def _bodies_at(params: StructureParams, shape: RobotGeometry, places: Reals) -> list[int]:
+    """Find the bodies below places, shape (n, 2); -1 where none is."""
+    ground = structure_ground(params)
+    if not isinstance(ground, SolidGround):
+        return [0] * len(places)
+    point, radius = np.zeros((1, 3)), shape.dock_radius
+    level = np.array([ground.level(x, y, point, radius) for x, y in places.tolist()])
+    bodies = ground.body_at(np.column_stack([places, np.maximum(level, -1e6)]))
+    return [int(body) for body in np.where(np.isfinite(level), bodies, -1)]
+
+
+def ground_fault(params: StructureParams, shape: RobotGeometry) -> str:
+    """Find why robots of a shape cannot start on this ground; empty if they can."""
+    ground = structure_ground(params)
+    if not isinstance(ground, SolidGround):
+        return ""
+    starts = [params.start(side, 0.0, np.array([0.5, 0.5])) for side in range(params.sides)]
+    bodies = _bodies_at(params, shape, np.array(starts))
+    for (x, y), body in zip(starts, bodies, strict=True):
+        if body < 0:
+            return f"there is no ground at [{x:.4g}, {y:.4g}], where robots start; put some there"
+    if len(set(bodies)) < params.sides:
+        return (
+            f"both sides start on body {bodies[0]}, so that nobody can say when the gap is "
+            "bridged; give each bank a body of its own"
+        )
+    return ""
+
+
 def anchor_places(params: StructureParams, shape: RobotGeometry) -> Reals:
     """Place robots of a shape as anchors on the ground [R], shape (k, 2); none for a climber."""
     if isinstance(params.anchors, int):
@@ -536,13 +650,20 @@ def anchor_fault(params: StructureParams, robots: int, shape: RobotGeometry) -> 
 
 def _faults(params: StructureParams, robots: int, shape: RobotGeometry) -> Iterator[str]:
     places = anchor_places(params, shape)
-    terrain = params.terrain
+    terrain = structure_ground(params)
+    is_solid = isinstance(terrain, SolidGround)
+    bodies = _bodies_at(params, shape, places)
+    sides = sides_of_bodies(params, shape)
     if len(places) > robots:
         yield f"{len(places)} anchors are more than {robots} robots; give fewer"
     clearance = _clearance(params, shape)
     for j, (x, y) in enumerate(places.tolist()):
         where = f"anchor {j} at [{x:g}, {y:g}]"
-        if terrain.left_edge - clearance < x < terrain.right_edge + clearance:
+        if is_solid and bodies[j] < 0:
+            yield f"{where} is off the ground; move it"
+        if is_solid and params.sides > 1 and bodies[j] not in sides:
+            yield f"{where} is on neither side; move it to where robots start"
+        if not is_solid and terrain.left_edge - clearance < x < terrain.right_edge + clearance:
             yield f"{where} is off the ground; keep it {clearance:.4g} R behind the edge"
         if params.plane and y != 0.0:
             yield f"{where} is not in the plane; set its y to 0"
@@ -552,6 +673,8 @@ def _faults(params: StructureParams, robots: int, shape: RobotGeometry) -> Itera
         problem = f"anchors {i} and {j} are {distance[i, j]:.4g} R apart and may overlap"
         yield f"{problem}; place them {least:.4g} R apart or more"
     is_right = places[:, 0] > 0.0
+    if is_solid:
+        is_right = np.array([sides.get(body, 0) > 0 for body in bodies])
     if params.sides > 1 and (is_right.all() or not is_right.any()):
         yield "both sides need an anchor; add one"
 

@@ -11,9 +11,11 @@ from tiswarm.compute.lang import (
     Ints2,
     Ints3,
     Ints4,
+    Reals1,
     Reals2,
     Reals3,
     Ref,
+    Static,
     ti,
 )
 from tiswarm.compute.math_kernels import rotate, vector_at, vector_in
@@ -21,10 +23,12 @@ from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.world.climb_kernels import (
     SCRATCH_FULL,
     Beliefs,
+    ClimbedDocks,
     Climbers,
     ClimbLimits,
-    StructureArrays,
+    Obstacles,
     WalkArrays,
+    enters,
     first_met,
     flip_axis,
     flipped,
@@ -34,6 +38,7 @@ from tiswarm.world.climb_kernels import (
     revisits,
     sense_contacts,
     settle,
+    site_of,
 )
 
 
@@ -66,16 +71,17 @@ class EndContacts(NamedTuple):
 @ti.kernel
 def list_flips(
     limits: ClimbLimits, movers: Ints1, called_out: Ints1, state_out: Ints1,
-    # StructureArrays
-    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
+    # ClimbedDocks
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
-    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3,
+    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
     # WalkArrays
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay: Ints1,
     # FlipArrays
     angle_out: Reals2, end_out: Reals3, turned_out: Reals3, visited_out: Ints2,
+    laws: Static,
 ):  # fmt: skip
     """List what movers touch at the last stance of their walks, and the flips from there.
 
@@ -87,16 +93,19 @@ def list_flips(
         movers: Slots of the robots that move, shape (M,).
         called_out: Whether each touches a dock with a call, shape (slots,).
         state_out: SCRATCH_FULL where more docks are near than fit, shape (slots,).
+        laws: Form of the ground: a `Laws`.
     """
-    structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
+    structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(head, following), dock, orientation))
     climbers = ti.static(Climbers(
         structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
+        ground,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center, orientation, pivot_dock, touching_out, on_ground_out, last, best, stay,
     ))  # fmt: skip
     flips = ti.static(FlipArrays(angle_out, end_out, turned_out, visited_out))
+    site = ti.static(site_of(ground, laws))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
@@ -106,7 +115,7 @@ def list_flips(
             for k in range(dock_offset_body.shape[0]):
                 point = stance_center + rotate(q, vector_at(dock_offset_body, k))
                 called |= sense_contacts(
-                    limits, structures, structure[m], walks, m, last[m], k, point
+                    limits, site, structures, structure[m], walks, m, last[m], k, point
                 )
             called_out[m] = called
             for column in range(angle_out.shape[1]):
@@ -115,17 +124,19 @@ def list_flips(
                 # One is kept for settling.
                 if last[m] + 2 < center.shape[1] and is_attached(walks, m, last[m], k):
                     state_out[m] |= _flips_about(
-                        limits, structures, believed, climbers, walks, m, k, flips
+                        limits, structures, believed, climbers, walks, m, k, flips, laws
                     )
 
 
 @ti.func
 def _flips_about(
-    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, m, k, flips: Ref
-):
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, m, k, flips: Ref,
+    laws: Ref,
+):  # fmt: skip
     """List the flips of a mover about its dock `k`; return SCRATCH_FULL or 0."""
     body = ti.static(climbers.dock_offset_body)
-    near = ti.static(climbers.near)
+    site = ti.static(site_of(climbers.ground, laws))
+    near = ti.static(Obstacles(climbers.near, site))
     stance = walks.last[m]
     q = quaternion_at(walks.orientation, m, stance)
     hinge = hinge_at(limits, structures, believed, climbers, walks, m, stance, k)
@@ -139,6 +150,9 @@ def _flips_about(
                 turned = flipped(axis, way, first[way], q)
                 end = hinge.pivot - rotate(turned, hinge.body_in)
                 flips.angle[m, column] = (1.0 - 2.0 * way) * first[way]
+                if ti.static(site.has_zones):
+                    if enters(limits, site, body, end, turned):
+                        flips.angle[m, column] = 0.0
                 flips.visited[m, column] = ti.cast(revisits(limits, walks, m, stance, end), ti.i32)
                 for c in ti.static(range(3)):
                     flips.center[m, column, c] = end[c]
@@ -150,11 +164,11 @@ def _flips_about(
 @ti.kernel
 def sense_ends(
     limits: ClimbLimits, movers: Ints1, structure: Ints1, dock_offset_body: Reals2,
-    # StructureArrays
-    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
+    # ClimbedDocks
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # FlipArrays, all but the last
     angle: Reals2, end: Reals3, turned: Reals3,
-    touching_out: Ints4, on_ground_out: Ints3, called_out: Ints2,
+    touching_out: Ints4, on_ground_out: Ints3, called_out: Ints2, ground: Reals1, laws: Static,
 ):  # fmt: skip
     """Find what movers would touch where the flips from `list_flips` end.
 
@@ -166,9 +180,12 @@ def sense_ends(
         touching_out: As in `WalkArrays`, by flip in place of stance.
         on_ground_out: As in `WalkArrays`, by flip in place of stance.
         called_out: Whether a dock with a call is touched, shape (slots, K).
+        ground: Numbers of the bodies of the ground.
+        laws: Form of the ground: a `Laws`.
     """
-    structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
+    structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     contacts = ti.static(EndContacts(touching_out, on_ground_out))
+    site = ti.static(site_of(ground, laws))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
@@ -180,31 +197,34 @@ def sense_ends(
                         arm = rotate(q, vector_at(dock_offset_body, k))
                         point = vector_in(end, m, column) + arm
                         called_out[m, column] |= sense_contacts(
-                            limits, structures, structure[m], contacts, m, column, k, point
+                            limits, site, structures, structure[m], contacts, m, column, k, point
                         )
 
 
 @ti.kernel
 def settle_walks(
     limits: ClimbLimits, movers: Ints1,
-    # StructureArrays
-    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
+    # ClimbedDocks
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
-    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3,
+    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
     # WalkArrays
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay_out: Ints1,
+    laws: Static,
 ):  # fmt: skip
     """Let movers that settle turn, where they stay, until a third dock touches.
 
     Args:
         limits: Terrain, distances and limits.
         movers: Slots of the robots that move, shape (M,).
+        laws: Form of the ground: a `Laws`.
     """
-    structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
+    structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     climbers = ti.static(Climbers(
         structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
+        ground,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last, best,
@@ -212,4 +232,4 @@ def settle_walks(
     ))  # fmt: skip
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0 and settles[movers[i]]:
-            settle(limits, structures, climbers, walks, movers[i])
+            settle(limits, structures, climbers, walks, movers[i], laws)

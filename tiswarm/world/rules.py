@@ -171,10 +171,11 @@ class ClimbStep:
         touching = np.full((*shape, MAX_TOUCHING), -1, np.int32)
         ground = np.zeros(shape, np.int32)
         called = np.zeros(flips.angle.shape, np.int32)
-        cells, *docks = self._structures
+        structures = self._structures
         sense_ends(
             walks.limits, self._slots, walks.climbers.structure, walks.climbers.dock_offset_body,
-            *cells, *docks, *flips[:3], touching, ground, called,
+            *structures.cells, structures.dock, structures.relay, *flips[:3], touching, ground,
+            called, walks.climbers.ground, walks.laws,
         )  # fmt: skip
         return touching[self._slots], ground[self._slots], called[self._slots]
 
@@ -222,7 +223,7 @@ def climb_by_choice(
     """
     stances = walks.stances
     patience = walks.climbers.patience
-    cells, *docks = structures
+    climbed = (*structures.cells, structures.dock, structures.relay)
     slot_count = len(patience)
     flip_count = 2 * walks.limits.twists * walks.docks
     flips = FlipArrays(
@@ -237,8 +238,8 @@ def climb_by_choice(
     walking: AnyInts = movers
     while len(walking):
         list_flips(
-            walks.limits, walking, called, walks.state, *cells, *docks, *walks.climbers, *stances,
-            *flips,
+            walks.limits, walking, called, walks.state, *climbed, *walks.climbers, *stances, *flips,
+            walks.laws,
         )  # fmt: skip
         choice = np.full(len(walking), STAY, np.int32)
         asks = patience[walking] > 0  # others are put where they stay
@@ -262,7 +263,7 @@ def climb_by_choice(
         stances.orientation[walking, last + 1] = flips.orientation[walking, flip]
         stances.last[walking] = last + 1
     if walks.climbers.settles[movers].any():
-        settle_walks(walks.limits, movers, *cells, *docks, *walks.climbers, *stances)
+        settle_walks(walks.limits, movers, *climbed, *walks.climbers, *stances, walks.laws)
 
 
 def rule(name: str) -> Callable[[_Class], _Class]:
@@ -464,7 +465,10 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
         if not (isinstance(settings, type) and issubclass(settings, GrowthParams)):
             problem = f"{name}: {settings!r} is no kind of structure; derive it from TowerParams"
             raise InputError(problem)
-        lacking = [method for method in ("terrain", *_SHAPES) if not hasattr(settings, method)]
+        _name_default_terrain(settings)
+        lacking = [method for method in _SHAPES if not hasattr(settings, method)]
+        if not hasattr(settings, "default_terrain"):
+            lacking.insert(0, "terrain")
         if lacking:
             problem = f"{name} lacks {', '.join(lacking)}; define it, or derive from TowerParams"
             raise InputError(problem)
@@ -473,12 +477,22 @@ def structure(name: str) -> Callable[[type[_Kind]], type[_Kind]]:
         if "__dataclass_fields__" not in vars(settings):
             settings = plain_dataclass(frozen=True, kw_only=True)(settings)
         guards: dict[str, object] = {method: _checked(name, settings, method) for method in _SHAPES}
-        guards["terrain"] = property(partial(_ground, name, settings))
+        guards["default_terrain"] = property(partial(_ground, name, settings))
         kind: type[_Kind] = settings_class("structure", name, settings, settings, guards)
         register("structure", name, kind, source)
         return kind
 
     return add
+
+
+def _name_default_terrain(settings: type[Any]) -> None:
+    """Let the `terrain` of a plug-in's class be the default of the key of that name."""
+    for base in settings.__mro__:
+        terrain = vars(base).get("terrain")
+        if terrain is not None:
+            setattr(base, "default_terrain", terrain)  # noqa: B010 - of any class
+            delattr(base, "terrain")
+            return
 
 
 def _checked(name: str, settings: type[Any], method: str) -> Callable[..., Any]:
@@ -521,9 +535,9 @@ def _ground(name: str, settings: type[Any], of: GrowthParams) -> Terrain:
     """Return the terrain of a plug-in's structure."""
 
     def plain_value(_: GrowthParams) -> object:
-        return settings.terrain
+        return settings.default_terrain
 
-    unchecked = getattr(settings.terrain, "fget", plain_value)
+    unchecked = getattr(settings.default_terrain, "fget", plain_value)
     terrain: Terrain = call_plugin(
         "structure",
         name,

@@ -29,12 +29,21 @@ from tiswarm.world.climb_kernels import (
     BelievedDocks,
     Climbers,
     ClimbLimits,
+    Laws,
     StructureArrays,
     WalkArrays,
     join_undisturbed,
 )
+from tiswarm.world.ground.kernels import HEADER
+from tiswarm.world.ground.solid import SolidGround, with_zones
 from tiswarm.world.history import History, Walk
-from tiswarm.world.params import ClimbParams, GrowthParams, RecruitParams
+from tiswarm.world.params import (
+    ClimbParams,
+    GrowthParams,
+    RecruitParams,
+    structure_ground,
+    structure_zones,
+)
 
 _Slots = NDArray[np.int32]
 
@@ -62,7 +71,7 @@ _BELIEVED_NEARER = 8
 
 
 def climb_limits(
-    climb: ClimbParams, robot: RobotGeometry, terrain: Terrain, *, by_belief: bool
+    climb: ClimbParams, robot: RobotGeometry, terrain: Terrain | SolidGround, *, by_belief: bool
 ) -> ClimbLimits:
     """Gather the numbers that do not change during a climb."""
     # No flip meets a dock whose center is farther than this from the pivot.
@@ -84,6 +93,21 @@ def climb_limits(
         is_planar=is_planar,
         by_belief=by_belief,
     )
+
+
+def climb_laws(params: GrowthParams) -> tuple[Laws, Reals]:
+    """Return what kernels are compiled for, and the numbers of the ground's bodies and zones."""
+    score = climb_kernels.goal_distance
+    if hasattr(params.rule, "score"):
+        score = _score_of(params.rule)
+    laws = Laws(score, has_zones=params.no_entry is not None)
+    zones = structure_zones(params)
+    array: Reals = np.zeros(HEADER)
+    ground = structure_ground(params)
+    if isinstance(ground, SolidGround):
+        laws = laws._replace(users=ground.users, is_flat=False, lipschitz=ground.lipschitz)
+        array = ground.array
+    return laws, array if zones is None else with_zones(array, zones)
 
 
 class Spawn(NamedTuple):
@@ -139,9 +163,7 @@ class Walks:
             seeds: Seed of each structure.
         """
         self.rule = params.rule
-        self.score = climb_kernels.goal_distance
-        if hasattr(self.rule, "score"):
-            self.score = _score_of(self.rule)
+        self.laws, ground = climb_laws(params)
         self.seed = np.array(seeds, np.uint64)[structure_of]
         self.robot = np.zeros(len(structure_of), np.int32)
         slots = len(structure_of)
@@ -168,6 +190,7 @@ class Walks:
             dock_offset_body=robot.dock_offset_body,
             near=np.empty((slots, believed_near_most, 3)),
             obstacle=np.empty((slots, true_near_most, 3)),
+            ground=ground,
         )
         last, best, stay = np.zeros((3, slots), np.int32)
         self.stances = WalkArrays(
@@ -204,12 +227,11 @@ class Walks:
             believed: Where robots believe the docks of these.
             movers: Slots of the robots, shape (M,).
         """
-        cells, *docks = structures
         try:
             climb_kernels.climb(
-                self.limits, movers, self.state, self.flips, *cells, *docks,
-                *believed.cells, believed.dock, self.turn, *self.climbers, *self.stances,
-                self.score,
+                self.limits, movers, self.state, self.flips, *structures.cells, structures.dock,
+                structures.relay, *believed.cells, believed.dock, self.turn, *self.climbers,
+                *self.stances, self.laws,
             )  # fmt: skip
         except Exception as error:
             mistake = None

@@ -24,6 +24,7 @@ from tiswarm.base.progress import Advance, Progress, ignore
 from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted, three_digits
+from tiswarm.records.surface import GroundSurface
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.figure_style import (
     ERROR_COLORS,
@@ -38,7 +39,14 @@ from tiswarm.report.figure_style import (
 from tiswarm.report.pictures.raycast import Pixels, draw_growth, draw_scenes, on_white
 from tiswarm.report.pictures.scene import TRUE_SIZE, Camera, Scene, build_scene, paint
 from tiswarm.report.run_data import RunData, StoredCase
-from tiswarm.report.swarm_view import Coloring, DrawnRobots, Look, SwarmView, read_case_view
+from tiswarm.report.swarm_view import (
+    Coloring,
+    DrawnRobots,
+    Ground,
+    Look,
+    SwarmView,
+    read_case_view,
+)
 
 _GHOST_BLUE = "#80B8D8"  # TRUE_BLUE, translucent over white
 _NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
@@ -274,7 +282,9 @@ def _near_anchor(view: SwarmView) -> SwarmView:
     """Return a view whose origin is the place of the anchor."""
     pose, estimated, stood = map(view.from_origin, (view.pose, view.estimated_pose, view.stood))
     terrain = view.terrain
-    if terrain is not None:
+    if isinstance(terrain, GroundSurface):
+        terrain = terrain.moved(-view.origin)
+    elif terrain is not None:
         terrain = replace(terrain, ground_z=terrain.ground_z - float(view.origin[2]))
     return replace(view, pose=pose, estimated_pose=estimated, stood=stood, terrain=terrain)
 
@@ -348,7 +358,9 @@ def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
         color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
         scene = build_scene(view.robots(view.pose, color, TRUE_SIZE), view.terrain)
         level = np.nanmean(view.pose[:, :3], axis=0)
-        level[2] = view.terrain.ground_z if view.terrain else np.nanmin(view.pose[:, 2])
+        level[2] = np.nanmin(view.pose[:, 2])
+        if isinstance(view.terrain, Terrain):
+            level[2] = view.terrain.ground_z
         tiles.append(Tile(scene, level, _label(view)))
     return tiles, greatest
 
@@ -500,7 +512,7 @@ def animate_view(
 
 def draw_states(
     robots: DrawnRobots,
-    terrain: Terrain | None,
+    terrain: Ground | None,
     shown: Sequence[Ints],
     size: tuple[int, int],
     renderer: str | None = None,

@@ -402,7 +402,9 @@ def _cast_chunk(
     if ground is not None:
         first, last = scene.camera.frame(ground.corners)
         near = ((pixels >= first) & (pixels <= last)).all(axis=1)
-        low = np.flatnonzero(near & (direction[:, 2] < 0.0) & (bool(ground.slabs) | (seen < 0)))
+        # Only uneven ground may be seen from below the horizontal.
+        near &= (direction[:, 2] < 0.0) | (ground.surface is not None)
+        low = np.flatnonzero(near & (ground.is_solid | (seen < 0)))
         ground_depth, normal = ground.cast(eye, direction[low])
         nearer = ground_depth < depth[low]
         low = low[nearer]
@@ -410,11 +412,14 @@ def _cast_chunk(
         normal = normal[nearer]
         light = relative_light(scene, normal)
         gray, opacity = ground.paint(eye + ground_depth[:, None] * direction[low], light)
-        veil, floor = _floor(gray, solid=bool(ground.slabs))
+        veil, floor = _floor(gray, solid=ground.is_solid)
         color[:, low] += opacity * (floor - veil * color[:, low])
         hiding = np.flatnonzero(opacity > _FAINT)
         depth[low[hiding]] = ground_depth[hiding]
-        seen[low[hiding]] = _FACES[np.abs(normal[hiding]).argmax(axis=1)]
+        face = np.abs(normal[hiding]).argmax(axis=1)
+        if ground.surface is not None:
+            face[:] = 2  # what slopes has no faces that an outline would separate
+        seen[low[hiding]] = _FACES[face]
     for ghost, ghost_trace in ghosts:
         ghost_depth, capsule = ghost_trace(pixels, direction)
         hit = np.flatnonzero(ghost_depth < depth - _GHOST_GAP)

@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.terrain import EDGE_RADIUS, Terrain
+from tiswarm.records.surface import GroundSurface
+from tiswarm.records.terrain import EDGE_RADIUS
 from tiswarm.report import swarm_view
 from tiswarm.report.figure_style import SCALES, UNKNOWN_GRAY, colors_along, rgb
 
@@ -73,18 +74,26 @@ FLOOR_GRAY = 0.92
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Flat ground cut into cells; with slabs, only what lies on them is there."""
+    """Ground cut into cells; with slabs, only what lies on them is there."""
 
     corner: Reals  # center of the cell with the least x and y [R], shape (3,)
     cell: float  # distance between the centers of two neighboring cells [R]
     look: Array32  # brightness, and opacity from 0 to 1, by y and x cell, shape (cells, cells, 2)
     slabs: list[swarm_view.Slab]
+    surface: GroundSurface | None = None  # heights; None for flat ground
+
+    @property
+    def is_solid(self) -> bool:
+        """Whether it hides what is behind; a plane is a film."""
+        return bool(self.slabs) or self.surface is not None
 
     @property
     def corners(self) -> Reals:
         """Corners of a box that has all of it [R], shape (8, 3)."""
         x, y = (self.corner[:2] + self.cell * np.outer([0.0, len(self.look) - 1.0], [1.0, 1.0])).T
         z = self.corner[2] - np.array([0.0, 2.0 * EDGE_RADIUS * bool(self.slabs)])
+        if self.surface is not None:
+            z = np.array([self.surface.height.min(), self.surface.height.max()])
         return np.stack(np.meshgrid(x, y, z), axis=-1).reshape(-1, 3)
 
     def cast(self, eye: Array32, direction: Array32) -> tuple[Array32, Array32]:
@@ -92,6 +101,9 @@ class Ground:
         depth = np.full(len(direction), np.inf, np.float32)
         normal = np.zeros_like(direction)
         normal[:, 2] = 1.0
+        if self.surface is not None:
+            _cast_surface(self.surface, eye, direction, depth, normal)
+            return depth, normal
         if not self.slabs:
             fall = np.minimum(direction[:, 2], np.float32(-1e-9))
             depth = (np.float32(self.corner[2]) - eye[2]) / fall
@@ -114,8 +126,10 @@ class Ground:
         return light[:, None] * look[:, :1], inside * look[:, 1:]
 
 
-def lay_ground(terrain: Terrain, dock: Reals, blockers: Reals) -> Ground | None:
+def lay_ground(terrain: swarm_view.Ground, dock: Reals, blockers: Reals) -> Ground | None:
     """Lay ground around docks (n, 3), darker beneath robots; None if no dock stands on a plane."""
+    if isinstance(terrain, GroundSurface):
+        return _lay_surface(terrain, blockers)
     slabs = swarm_view.shown_slabs(terrain, dock)
     standing = swarm_view.standing_docks(terrain, dock)[:, :2]
     if slabs:
@@ -136,12 +150,81 @@ def lay_ground(terrain: Terrain, dock: Reals, blockers: Reals) -> Ground | None:
     else:
         distance, _ = cKDTree(standing).query(points[:, :2])
         share = (_FADE[1] - distance) / (_FADE[1] - _FADE[0])
+    look = _look(points, share, blockers).reshape(*x.shape, 2)
+    return Ground(corner=corner, cell=cell, look=look, slabs=slabs)
+
+
+def _look(points: Reals, share: Reals, blockers: Reals) -> Array32:
+    """Return brightness and opacity of points of the ground (n, 3), that fade as `share` falls."""
     share = np.clip(share, 0.0, 1.0)
     shade = blocked_light(points, blockers)
     gray = FLOOR_GRAY * np.exp(-1.3 * np.maximum(shade[:, 0] + shade[:, 3], 0.0))
     look = np.column_stack([gray, share * share * (3.0 - 2.0 * share)])
-    look = look.reshape(*x.shape, 2).astype(np.float32)
-    return Ground(corner=corner, cell=cell, look=look, slabs=slabs)
+    return look.astype(np.float32)
+
+
+def _lay_surface(surface: GroundSurface, blockers: Reals) -> Ground:
+    """Lay uneven ground, which fades toward its border."""
+    cell = float((surface.end - surface.corner).max()) / (_CELLS - 3)
+    corner = np.array([*(surface.corner - cell), surface.height.max()])
+    x, y = np.meshgrid(*(corner[:2, None] + cell * np.arange(_CELLS)), indexing="xy")
+    places = np.column_stack([x.ravel(), y.ravel()])
+    height = surface.height_at(np.clip(places, surface.corner, surface.end))
+    inland = np.minimum(places - surface.corner, surface.end - places).min(axis=1)
+    look = _look(np.column_stack([places, height]), inland / _REAR_FADE, blockers)
+    return Ground(
+        corner=corner, cell=cell, look=look.reshape(*x.shape, 2), slabs=[], surface=surface
+    )
+
+
+_STRIDE = 0.7
+"""Steps of rays along uneven ground, of its cells."""
+_HALVINGS = 12
+"""Halvings of the step in which a ray met it."""
+
+
+def _cast_surface(
+    surface: GroundSurface, eye: Array32, direction: Array32, depth: Array32, normal: Array32
+) -> None:
+    """Write depth and normal of rays (n, 3) that meet uneven ground from above."""
+    low = np.array([*surface.corner, surface.height.min() - 1e-3])
+    high = np.array([*surface.end, surface.height.max() + 1e-3])
+    ways = np.where(direction == 0.0, np.float32(1e-9), direction).astype(np.float64)
+    sides = [_between(ways[:, c], low[c] - eye[c], high[c] - eye[c]) for c in range(3)]
+    first = np.maximum.reduce([side[0] for side in sides] + [np.zeros(len(ways))])
+    last = np.minimum.reduce([side[1] for side in sides])
+    step = _STRIDE * surface.cell / np.linalg.norm(ways, axis=1)
+    ray = np.flatnonzero(first < last)
+    at = first[ray]
+
+    def above(which: Ints, depths: Reals) -> Reals:
+        points = eye + depths[:, None] * ways[which]
+        height = surface.height_at(np.clip(points[:, :2], surface.corner, surface.end))
+        return np.asarray(points[:, 2] - height)
+
+    is_above = above(ray, at) >= 0.0
+    ray, at = ray[is_above], at[is_above]  # others come from the side, where it has faded
+    while len(ray):
+        further = np.minimum(at + step[ray], last[ray])
+        met = above(ray, further) < 0.0
+        near, far = at[met], further[met]
+        for _ in range(_HALVINGS):
+            half = 0.5 * (near + far)
+            is_below = above(ray[met], half) < 0.0
+            near, far = np.where(is_below, near, half), np.where(is_below, half, far)
+        depth[ray[met]] = far
+        goes_on = ~met & (further < last[ray])
+        ray, at = ray[goes_on], further[goes_on]
+    hit = np.flatnonzero(np.isfinite(depth))
+    places = eye[:2] + depth[hit, None] * ways[hit, :2]
+    bump = surface.cell * np.eye(2)
+    slopes = [
+        surface.height_at(np.clip(places + b, surface.corner, surface.end))
+        - surface.height_at(np.clip(places - b, surface.corner, surface.end))
+        for b in bump
+    ]
+    slope = np.column_stack([*slopes, np.full(len(hit), -2.0 * surface.cell)])
+    normal[hit] = unit(-slope.astype(np.float32))
 
 
 def _cast_slab(
@@ -181,7 +264,7 @@ def _cast_slab(
     normal[where, 2] = met[bent] * dz[where] - axis_z
 
 
-def _between(across: Array32, low: float, high: float) -> tuple[Array32, Array32]:
+def _between(across: NDArray[Any], low: float, high: float) -> tuple[NDArray[Any], NDArray[Any]]:
     """Find the depths at which rays pass between two planes at these distances from the eye."""
     low_depth = low / across
     high_depth = high / across
@@ -293,7 +376,7 @@ TRUE_SIZE = swarm_view.Look(0.45, 0.3, 1.0)
 
 def build_scene(
     robots: swarm_view.DrawnRobots,
-    terrain: Terrain | None,
+    terrain: swarm_view.Ground | None,
     *,
     ghosts: swarm_view.DrawnRobots | None = None,
     rods: Reals | None = None,
