@@ -53,26 +53,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     end = np.cumsum(length)
     sensed = imu.sensed_orientation(history, length, params)
     sensed = imu.failed_orientation(history, length, sensed, params)
-    lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
-    lists["contacts"] = touch.sensed_contacts(history, params)
-    if params.vibration is not None:
-        lists["contacts"] = named_contacts(whole, lists["contacts"], params.vibration)
-    lists["ground_docks"] = history.table("ground_docks")
-    lists["fixes"] = np.unique(
-        np.concatenate([fixes.planar_fixes(history), fixes.anchor_fixes(history)]), axis=0
-    )
-    added = ((name, ADDED[name](history, params)) for name in params.added)
-    plugin_suites = [
-        entry.value for name, entry in registered("sensor").items() if name == params.suite
-    ]
-    by_plugin = ((suite.fills, suite.rows(history, params)) for suite in plugin_suites)
-    for filled, sensor_rows in chain(added, by_plugin):
-        rows = sensor_rows[~is_mute[sensor_rows[:, 0].astype(np.int64)]]
-        lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
-    for name in ("contacts", "ground_docks"):
-        if not params.senses(name):
-            lists[name] = lists[name][:0]
-    lists |= touch.split_touches(lists["contacts"], params)
+    lists = _sensed_lists(history, whole, params, is_mute)
     final: dict[str, Any] = {
         name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
     }
@@ -112,6 +93,40 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         source_sd=np.array([*params.sources.values()], np.float64),
         **final,
     )
+
+
+def _sensed_lists(
+    history: History, whole: History, params: SensingParams, is_mute: Bools
+) -> _Lists:
+    """Gather the rows that all sensors fill, of all stances: (robot, stance, ...).
+
+    Args:
+        history: What robots that fail leave to be sensed.
+        whole: All of it.
+        params: What robots sense.
+        is_mute: Robots that say nothing, shape (N,).
+    """
+    lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
+    lists["contacts"] = touch.sensed_contacts(history, params)
+    if params.vibration is not None:
+        lists["contacts"] = named_contacts(whole, lists["contacts"], params.vibration)
+    lists["ground_docks"] = history.table("ground_docks")
+    lists["fixes"] = np.unique(
+        np.concatenate([fixes.planar_fixes(history), fixes.anchor_fixes(history)]), axis=0
+    )
+    added = ((name, ADDED[name](history, params)) for name in params.added)
+    plugin_suites = [
+        entry.value for name, entry in registered("sensor").items() if name == params.suite
+    ]
+    by_plugin = ((suite.fills, suite.rows(history, params)) for suite in plugin_suites)
+    for filled, sensor_rows in chain(added, by_plugin):
+        rows = sensor_rows[~is_mute[sensor_rows[:, 0].astype(np.int64)]]
+        lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
+    for name in ("contacts", "ground_docks"):
+        if not params.senses(name):
+            lists[name] = lists[name][:0]
+    lists |= touch.split_touches(lists["contacts"], params)
+    return lists
 
 
 def _stances(history: History, sensed: Reals, length: Ints, lists: _Lists) -> Stances:

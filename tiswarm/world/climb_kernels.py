@@ -604,6 +604,29 @@ def flipped(axis, way, angle, q):
 
 
 @ti.func
+def barred(limits: Ref, walks: Ref, mover, stance, site: Ref, body: Ref, end, turned):
+    """Say whether a flip may not end here: the robot was here before, or a dock is in a zone."""
+    is_barred = revisits(limits, walks, mover, stance, end)
+    if ti.static(site.has_zones):
+        is_barred = is_barred or enters(limits, site, body, end, turned)
+    return is_barred
+
+
+@ti.func
+def aim_at(limits: Ref, to_goal, ahead, onward, reach, bound, is_by_distance: Ref):
+    """Describe the flips worth finding: way to the goal, least cosine of it, and least angle.
+
+    If distances decide, a flip should end within `bound` of the goal.
+    """
+    aim = ti.Vector([to_goal.dot(ahead), to_goal.dot(onward), -ti.math.inf, limits.min_flip])
+    if ti.static(is_by_distance) and not limits.by_belief:
+        # |g - r e|^2 < d^2 for the unit vector e to the center
+        room = to_goal.norm_sqr() + reach**2 - bound**2
+        aim[2] = 0.5 * room / reach - _TIE
+    return aim
+
+
+@ti.func
 def nearest_flip(
     limits: Ref,
     structures: Ref,
@@ -636,24 +659,20 @@ def nearest_flip(
     chosen = _no_flip(hinge.pivot, q)
     chosen.overflow = hinge.overflow
     pivot = hinge.pivot
-    by = hinge.by
     body_in = hinge.body_in
-    to_goal = goal - pivot
+    to_goal = goal - hinge.pivot
     reach = body_in.norm()
     ahead = hinge.side.cross(hinge.normal)
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
         onward = axis.cross(ahead)
-        aim = ti.Vector([to_goal.dot(ahead), to_goal.dot(onward), -ti.math.inf, limits.min_flip])
-        if ti.static(score == goal_distance) and not limits.by_belief:
-            # |g - r e|^2 < d^2 for the unit vector e to the center
-            room = to_goal.norm_sqr() + reach**2 - ti.min(within[1], chosen.distance) ** 2
-            aim[2] = 0.5 * room / reach - _TIE
+        bound = ti.min(within[1], chosen.distance)
+        aim = aim_at(limits, to_goal, ahead, onward, reach, bound, score == goal_distance)
         sensed_axis = axis
         if limits.by_belief:
             sensed_axis = rotate(quaternion_at(believed.turn, mover, stance), axis)
         first = first_met(
-            limits, body, sensed, k, sensed_axis, pivot + by, near, mover, hinge.count, aim
+            limits, body, sensed, k, sensed_axis, pivot + hinge.by, near, mover, hinge.count, aim
         )
         truly = first
         if limits.by_belief:
@@ -667,12 +686,10 @@ def nearest_flip(
                 if limits.by_belief:
                     planned = flipped(sensed_axis, way, angle, sensed)
                 end = pivot - rotate(turned, body_in)
-                distance = score(pivot - rotate(planned, body_in) + by, planned, goal)
+                distance = score(pivot - rotate(planned, body_in) + hinge.by, planned, goal)
                 is_allowed = distance < chosen.distance
                 if is_allowed:
-                    is_allowed = not revisits(limits, walks, mover, stance, end)
-                    if ti.static(site.has_zones):
-                        is_allowed = is_allowed and not enters(limits, site, body, end, turned)
+                    is_allowed = not barred(limits, walks, mover, stance, site, body, end, turned)
                 if is_allowed:
                     fails = False
                     if limits.by_belief:
@@ -680,9 +697,7 @@ def nearest_flip(
                         turned = flipped(axis, way, angle, q)
                         end = pivot - rotate(turned, body_in)
                         fails = angle < limits.min_flip or angle > limits.max_flip
-                        fails = fails or revisits(limits, walks, mover, stance, end)
-                        if ti.static(site.has_zones):
-                            fails = fails or enters(limits, site, body, end, turned)
+                        fails |= barred(limits, walks, mover, stance, site, body, end, turned)
                     if fails:
                         chosen.failed += ti.cast(distance < within[0], ti.i32)
                     else:
