@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tests.engine.test_user_forces import Atom, crystal, langevin, lennard_jones, level
@@ -39,6 +40,8 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.sensing.sight import in_sight
+from tiswarm.world.ground.bodies import PlaneParams, SphereParams
+from tiswarm.world.ground.grids import grid_of_mesh
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
@@ -93,6 +96,15 @@ _swarm = cache(swarm)
 def _growth(kind: str, movers: int) -> Work:
     params = dataclasses.replace(KINDS[kind], movers=movers)
     return lambda *_: grow(params, robots=25, seeds=[1, 3, 4], robot=FIREANT)
+
+
+def _growth_on_ground(*_: object) -> object:
+    """Grow towers on a hill, and make the grid of a boulder."""
+    hill = (PlaneParams(), SphereParams(position=(0.0, 0.0, -40.0), radius=60.0))
+    towers = grow(TowerParams(terrain=hill, movers=3), robots=12, seeds=[1, 3], robot=FIREANT)
+    boulder = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
+    vertex, face = np.array(boulder.vertices), np.array(boulder.faces)
+    return towers, grid_of_mesh(vertex, face, 0.5).value
 
 
 def _sight(*_: object) -> object:
@@ -187,6 +199,7 @@ def _run(*sets: str) -> Work:
 WORKS: dict[str, Work] = {
     **{f"growth of a {kind}": _growth(kind, 1) for kind in ("cantilever", "bridge", "chain")},
     **{f"growth of a {kind} by three": _growth(kind, 3) for kind in ("tower", "cantilever")},
+    "growth on ground of bodies": _growth_on_ground,
     "sight": _sight,
     "joint": _joint,
     "joint on a card": _joint_on_a_card,

@@ -70,13 +70,22 @@ class Ground(NamedTuple):
     """Functions of users, from a point in the body's frame to the distance [R]."""
 
 
-SLIDE = 2e-3
-"""Shortest step of a search along an arc [R]. A dock may pass a corner that lies less than half as
-deep in its way; it never stops inside one."""
+SLIDE = 0.1
+"""Shortest step of a dock that turns or falls [R].
+
+Docks slide along the ground, where the distance allows no step at all. What the center of a dock
+may not enter is rounded by the dock's radius, so that its curvature is at most 1 / R where it is
+convex, and that of a dock's path adds less than half of that. So what lies between two steps is at
+most 1.5 SLIDE^2 / 8 = 2e-3 R deep in the way of a dock that passes it. No dock stops inside.
+"""
+GLIDE = 2e-3
+"""Shortest step of a ray, which nothing rounds [R]."""
 TOUCH = 1e-10
 """Distance to the ground that counts as none [R]: rounding may be behind it."""
-_HALVINGS = 60
-"""Halvings of a step in which the ground was met, so that only rounding is left."""
+_MET = 1e-11
+"""Distance to the ground that ends a search [R], below TOUCH."""
+_HALVINGS = 40
+"""Halvings of a step in which the ground was met: of SLIDE, 1e-13 R are left."""
 
 
 @ti.func
@@ -154,7 +163,13 @@ def nearest_body(point, ground: Ref):
     solids = count - ti.static(len(ground.users))
     for row in range(solids):
         base = HEADER + row * Bodies.TOTAL
-        distance = body_distance(in_body(point, ground, base), ground, base)
+        distance = ti.cast(0.0, F64)
+        if ground.array[base + Bodies.KIND] == PLANE:  # most grounds have one: no need to turn all
+            for c in ti.static(range(3)):
+                offset = point[c] - ground.array[base + Bodies.POSITION + c]
+                distance += ground.array[base + Bodies.TURN + 6 + c] * offset
+        else:
+            distance = body_distance(in_body(point, ground, base), ground, base)
         if distance < nearest[0]:
             nearest = ti.Vector([distance, ti.cast(row, F64)])
     for user in ti.static(range(len(ground.users))):
@@ -212,25 +227,42 @@ def arc_angle(middle, across, onward, radius, lipschitz, most, ground: Ref):
     """
     swing = across.norm()
     met = most
-    if swing > TOUCH:
+    nearest = distance_to(middle, ground) - radius - lipschitz * swing
+    if swing > TOUCH and nearest < TOUCH:
         t = 0.0 * swing
         before = t
         gap = distance_to(on_arc(middle, across, onward, t), ground) - radius
         while t < most and met == most:
             before = t
+            gap_before = gap
             t += ti.max(gap / lipschitz, SLIDE) / swing
             gap = distance_to(on_arc(middle, across, onward, t), ground) - radius
             if gap < -TOUCH:
+                met = before
+                # False position, with the value halved of an end that stays (Illinois): few of the
+                # distances of a bisection are needed.
                 low = before
                 high = t
-                for _ in range(_HALVINGS):
-                    half = 0.5 * (low + high)
-                    at = on_arc(middle, across, onward, half)
-                    if distance_to(at, ground) - radius < 0.0:
-                        high = half
+                gap_high = gap
+                steps = 0
+                if gap_before < _MET:
+                    steps = _HALVINGS
+                while steps < _HALVINGS:
+                    steps += 1
+                    part = (low * gap_high - high * gap_before) / (gap_high - gap_before)
+                    gap_part = distance_to(on_arc(middle, across, onward, part), ground) - radius
+                    if ti.abs(gap_part) <= _MET:
+                        met = part
+                        steps = _HALVINGS
+                    elif gap_part < 0.0:
+                        high = part
+                        gap_high = gap_part
+                        gap_before *= 0.5
                     else:
-                        low = half
-                met = low
+                        low = part
+                        met = part
+                        gap_before = gap_part
+                        gap_high *= 0.5
     return ti.min(met, most)
 
 
@@ -267,20 +299,22 @@ def measure_zones(point: Reals2, array: Reals1, distance_out: Reals1):
 
 
 @ti.kernel
-def find_normals(point: Reals2, array: Reals1, users: Static, normal_out: Reals2):
-    """Find where the distance grows fastest.
+def find_feet(point: Reals2, array: Reals1, users: Static, foot_out: Reals2):
+    """Find the nearest places on the ground to points near it.
 
     Args:
         point: Points [R], shape (n, 3).
         array: Numbers of bodies and zones.
         users: Functions of users.
-        normal_out: Unit vectors, shape (n, 3).
+        foot_out: Places [R], shape (n, 3).
     """
     ground = ti.static(Ground(array, users))
+    ti.loop_config(serialize=True)  # few at a time: to wake threads would take longer
     for i in range(point.shape[0]):
-        normal = normal_at(vector_at(point, i), ground)
+        place = vector_at(point, i)
+        foot = place - distance_to(place, ground) * normal_at(place, ground)
         for c in ti.static(range(3)):
-            normal_out[i, c] = normal[c]
+            foot_out[i, c] = foot[c]
 
 
 @ti.kernel
@@ -310,7 +344,7 @@ def cast_rays(
         gap = distance_to(place, ground) - radius
         while t < whole and gap >= -TOUCH:
             before = t
-            t = ti.min(t + ti.max(gap / lipschitz, SLIDE), whole)
+            t = ti.min(t + ti.max(gap / lipschitz, GLIDE), whole)
             gap = distance_to(place + t * ahead, ground) - radius
         if gap < -TOUCH:
             low = before
@@ -342,6 +376,7 @@ def drop_robots(
         fall_out: How far each falls; infinite without ground in `depth` [R], shape (n,).
     """
     ground = ti.static(Ground(array, users))
+    ti.loop_config(serialize=True)  # few at a time: to wake threads would take longer
     for i in range(place.shape[0]):
         fall_out[i] = ti.math.inf
         t = ti.cast(0.0, F64)

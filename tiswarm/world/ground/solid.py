@@ -101,14 +101,9 @@ class SolidGround:
 
     def foot(self, point: Reals) -> Reals:
         """Find the nearest place on the ground's surface to each point near it [R], (n, 3)."""
-        foot: Reals = point - self.distance(point)[:, None] * self.normal(point)
+        foot = np.empty((len(point), 3))
+        _call(kernels.find_feet, _table(point), self.array, self.users, foot)
         return foot
-
-    def normal(self, point: Reals) -> Reals:
-        """Find the unit vector out of the ground at points near it, shape (n, 3)."""
-        normal = np.empty((len(point), 3))
-        _call(kernels.find_normals, _table(point), self.array, self.users, normal)
-        return normal
 
     def hides(self, start: Reals, end: Reals) -> Bools:
         """Whether the ground is between two points, for n pairs of shape (n, 3), shape (n,)."""
