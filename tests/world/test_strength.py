@@ -270,3 +270,17 @@ def test_cantilevers_need_stronger_docks_than_towers():
 
     assert not any(len(history.broken) for history in towers)
     assert any(len(history.broken) for history in cantilevers)
+
+
+def test_arrays_of_a_batch_have_loads_and_what_broke():
+    """A row of loads for each contact that holds; shares of strength are margins, inverted."""
+    tower = {"kind": "tower", "strength": {"limit": 120.0}}
+
+    swarms = tiswarm.grow(tower, robots=30, seeds=[2001, 2002], quiet=True)
+
+    assert swarms.contact_load.shape == (len(swarms.loaded_contacts), 6)
+    assert {*np.unique(swarms.broken[:, 0]).tolist()} <= {0, 1}
+    for structure in range(2):
+        rows = swarms.loaded_contacts[:, 0] == structure
+        most = swarms.contact_load[rows, 5].max()
+        assert np.nanmin(swarms.margin[structure]) == pytest.approx(1.0 / most, rel=1e-12)

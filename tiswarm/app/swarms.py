@@ -354,6 +354,43 @@ class Swarms(Sequence[GrownStructure]):
         return self._padded(lambda structure: structure.peak_stress)
 
     @property
+    def margin(self) -> Reals:
+        """Least strength of a robot's contacts in parts of their load in the end [1], shape (S, N).
+
+        NaN of robots without contacts, and where docks hold any load.
+        """
+        return self._padded(lambda structure: structure.margin)
+
+    @property
+    def broken(self) -> Ints:
+        """Contacts that broke, in order, shape (B, 6).
+
+        Rows of (structure, robot, dock, robot, dock, robots that had joined by then), the earlier
+        robot first; robot and dock are -1 for the ground.
+        """
+        return self._rows(lambda structure: structure.broken)
+
+    @property
+    def loaded_contacts(self) -> Ints:
+        """Contacts when the mechanics were solved last; `contact_load` has their loads.
+
+        Rows of (structure, robot, dock, robot, dock), the earlier robot first; robot and dock are
+        -1 for the ground, shape (L, 5).
+        """
+        return self._rows(lambda structure: structure.loaded_contacts)
+
+    @property
+    def contact_load(self) -> Reals:
+        """Loads of `loaded_contacts` at rest, shape (L, 6).
+
+        Columns are the pull along a contact, negative where docks press, and the force across it
+        [weight of a dock], bending moment and torsion [weight of a dock times R], largest von Mises
+        stress [weight of a dock / R^2], and the load in parts of the strength [1], NaN where docks
+        hold any load.
+        """
+        return np.concatenate([structure.contact_load for structure in self])
+
+    @property
     def contacts(self) -> Ints:
         """Docked pairs, rows of (structure, i, dock of i, j, dock of j), i < j, shape (C, 5)."""
         return self._rows(lambda structure: structure.contacts)
