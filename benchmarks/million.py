@@ -25,7 +25,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.machine import machine
 from tiswarm.evaluation.metrics import rmse, robot_errors
 from tiswarm.localization.methods import localize_batch
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.study.provenance import peak_memory_mb
@@ -124,7 +124,7 @@ def sensed(name: str, robots: int) -> tuple[SensingLog, Reals]:
 
 def localized(log: SensingLog) -> Reals:
     """Localize a log by one chain of `joint`, shape (N, 3) [R]."""
-    params = JointParams(chains=1, walk_contacts=False, odometry=False)
+    params = JointParams(chains=1, cues=Cues(walk_contacts=False, odometry=False))
     [estimate] = localize_batch([log], [params])
     return estimate.position
 

@@ -4,7 +4,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from Pynite import FEModel3D
 
 from tests.frames import Standing
 from tiswarm.world.mechanics import MechanicsParams
@@ -34,6 +33,8 @@ class Forces:
 
 def beam_frame(structure: Standing, params: MechanicsParams, *, sparse: bool = False) -> Forces:
     """Build the frame in PyNite: centers, docks and feet as nodes, and solve it there."""
+    from Pynite import FEModel3D  # noqa: PLC0415 - it takes most of a second to load
+
     model = FEModel3D()
     r, shear = params.beam_radius, 0.5 / (1.0 + params.poisson)
     for name, axial in (("link", params.link_axial), ("contact", params.contact_axial)):

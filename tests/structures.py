@@ -1,7 +1,7 @@
-"""Structures that no robot of this project would build, to try localizers on.
+"""Structures to try localizers on: grown ones, and ones that no robot of this project would build.
 
-Robots with any number of docks are put down one by one, so that one dock touches a dock that is
-there, and turn about it until another one touches. Lengths in R.
+For the latter, robots with any number of docks are put down one by one, so that one dock touches
+a dock that is there, and turn about it until another one touches. Lengths in R.
 """
 
 from collections.abc import Iterable
@@ -15,10 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import AnyInts
 from tiswarm.base.registry import BUILT_IN, get
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams
+from tiswarm.world.growth import grow
 from tiswarm.world.history import History
+from tiswarm.world.params import StructureParams
 
 SUITES = {name: get("sensor", name) for name in BUILT_IN["sensor"]}
 """Every sensor suite of the package by its name."""
@@ -31,6 +34,12 @@ GAP = 1e-3
 """Docks this much farther apart still touch."""
 TRIES = 400
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)[1:]
+
+
+def grown(params: StructureParams, *, robots: int, seed: int) -> History:
+    """Grow one structure of FireAntV3 robots."""
+    [history] = grow(params, robots=robots, seeds=[seed], robot=RobotGeometry())
+    return history
 
 
 @dataclass(frozen=True, kw_only=True)

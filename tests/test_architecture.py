@@ -1,9 +1,10 @@
-"""`docs/architecture.md` is true of the repository."""
+"""`docs/architecture.md` is true of the repository, and functions stay readable."""
 
 import ast
 import re
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,13 +21,9 @@ IN_BACKTICKS = re.findall(r"(?<!`)`([^`\s]+)`(?!`)", PAGE)
 PATHS = {
     name for name in IN_BACKTICKS if "/" in name or re.search(r"\.(md|py|toml|txt|yaml)$", name)
 }
-MODULES: dict[str, ast.Module] = {
-    str(file.relative_to(REPOSITORY)): ast.parse(file.read_text(encoding="utf-8"))
-    for file in sorted((REPOSITORY / "tiswarm").rglob("*.py"))
-}
-"""By file, the syntax tree of each module."""
-
 MOST_KERNEL_ARGUMENTS = 30
+MOST_KERNEL_LINES = 100
+MOST_FUNCTION_LINES = 60
 
 _Node = TypeVar("_Node", bound=ast.AST)
 
@@ -43,9 +40,18 @@ def _distributions() -> set[str]:
     return {re.split(r"[^\w.-]", requirement)[0] for requirement in requirements}
 
 
+@cache
+def _modules() -> dict[str, ast.Module]:
+    """Return the syntax tree of each module of the package, by its file."""
+    return {
+        str(file.relative_to(REPOSITORY)): ast.parse(file.read_text(encoding="utf-8"))
+        for file in sorted((REPOSITORY / "tiswarm").rglob("*.py"))
+    }
+
+
 def _nodes(kind: type[_Node]) -> Iterator[tuple[str, _Node]]:
     """Yield each syntax node of a kind in the package, with its file."""
-    for file, tree in MODULES.items():
+    for file, tree in _modules().items():
         yield from ((file, node) for node in ast.walk(tree) if isinstance(node, kind))
 
 
@@ -75,16 +81,40 @@ def test_dependencies_have_a_reason_on_the_page():
     assert explained == _distributions()
 
 
+def _functions() -> Iterator[tuple[str, bool, ast.FunctionDef]]:
+    """Yield each function of the package: file and name, whether it is a kernel, its node."""
+    for file, node in _nodes(ast.FunctionDef):
+        is_kernel = "ti.kernel" in map(ast.unparse, node.decorator_list)
+        yield f"{file}: {node.name}", is_kernel, node
+
+
+def _body_lines(node: ast.FunctionDef) -> int:
+    """Count the lines of a function after its signature and docstring."""
+    has_docstring = ast.get_docstring(node) is not None
+    first_line = node.body[0].end_lineno + 1 if has_docstring else node.body[0].lineno
+    return node.end_lineno - first_line + 1
+
+
 def test_kernels_take_at_most_30_arguments():
     """A reader can hold what a launch reads and writes; backends have limits of their own."""
     too_many = [
-        f"{file}: {node.name}"
-        for file, node in _nodes(ast.FunctionDef)
-        if "ti.kernel" in map(ast.unparse, node.decorator_list)
-        and len(node.args.args) > MOST_KERNEL_ARGUMENTS
+        name
+        for name, is_kernel, node in _functions()
+        if is_kernel and len(node.args.args) > MOST_KERNEL_ARGUMENTS
     ]
 
     assert too_many == []
+
+
+def test_functions_can_be_read_at_once():
+    """A body has at most 60 lines, that of a kernel, which cannot be split as freely, 100."""
+    too_long = [
+        name
+        for name, is_kernel, node in _functions()
+        if _body_lines(node) > (MOST_KERNEL_LINES if is_kernel else MOST_FUNCTION_LINES)
+    ]
+
+    assert too_long == []
 
 
 def test_settings_are_read_from_instances():

@@ -27,6 +27,7 @@ from tiswarm.app.inspection import Inspection, inspect
 from tiswarm.app.logs import Localized, Log, Truth, method_params, open_log
 from tiswarm.app.results import (
     Color,
+    CueChoice,
     File,
     Overrides,
     PageFile,
@@ -72,7 +73,7 @@ def localize(
     log: SensingLog | File,
     method: str = METHOD,
     *,
-    cues: Sequence[str] | None = None,
+    cues: CueChoice = None,
     overrides: Overrides = (),
     solution: int | None = None,
     arch: AnyArch = "cpu",
@@ -90,7 +91,8 @@ def localize(
     Args:
         log: Sensing log, or its file.
         method: Name of the method.
-        cues: Cues to use; the method's own choice if None.
+        cues: Cues to use, all others being off, or a dictionary that switches some on or off, as
+            `{"walk_contacts": False}` does; the method's own choice if None.
         overrides: Settings of the method by dotted key, or as texts `KEY=VALUE`.
         solution: Return this solution, the likeliest being 1, instead of the mean of all.
         arch: Compute device of `joint`, and of `virtual-force` under the schedule `together`;

@@ -28,9 +28,10 @@ from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.cost.cost import WholeCost
 from tiswarm.localization.peers.hop_by_hop import place
 from tiswarm.localization.peers.settings import LeastSquaresParams
+from tiswarm.localization.settings import Cues
 from tiswarm.records.sensing_log import SensingLog
 
-PARAMS = LeastSquaresParams(robust=False, non_overlap=False, touches=False)
+PARAMS = LeastSquaresParams(robust=False, cues=Cues(non_overlap=False, touches=False))
 SCENARIOS = ("tower", "cantilever")
 
 

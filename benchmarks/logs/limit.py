@@ -47,7 +47,7 @@ def known_robots(
         truth: True centers [log unit], shape (N, 3).
         frame: As for `grade.error`; turns of the whole structure in a free one do not count.
     """
-    seen = observability(log, PARAMS.cues, truth, yaw_unknown=log.yaw_bias > 0.0)
+    seen = observability(log, PARAMS.used_cues, truth, yaw_unknown=log.yaw_bias > 0.0)
     tied, modes = ~seen.disconnected, (seen.floppy_modes or 0) - _TURNS * (frame == "free")
     floppy = np.zeros_like(tied) if seen.floppy is None or not modes else seen.floppy
     return Known(tied, tied & ~floppy), modes

@@ -14,14 +14,15 @@ from tiswarm.base.errors import InputError
 from tiswarm.localization.chains.problem import Problem, pose_problem
 from tiswarm.localization.peers.hop_by_hop import place
 from tiswarm.localization.peers.settings import LeastSquaresParams
+from tiswarm.localization.settings import Cues
 from tiswarm.records.sensing_log import SensingLog
 
-PARAMS = LeastSquaresParams(robust=False, non_overlap=False, touches=False)
+PARAMS = LeastSquaresParams(robust=False, cues=Cues(non_overlap=False, touches=False))
 FARTHEST = 1e6
 """Coordinate beyond which a solver has failed [R]."""
 
 
-@tiswarm.method("scipy", cues=PARAMS.cues)
+@tiswarm.method("scipy", cues=PARAMS.used_cues)
 def scipy_trust_region(log: SensingLog) -> Reals:
     """Minimize a robust cost by SciPy's trust-region method: `soft_l1` of residuals in sd."""
     problem, start, yaw = _posed(log)
@@ -51,13 +52,13 @@ def scipy_trust_region(log: SensingLog) -> Reals:
     return _checked(parts(found.x)[0], log)
 
 
-@tiswarm.method("gtsam", cues=PARAMS.cues)
+@tiswarm.method("gtsam", cues=PARAMS.used_cues)
 def gtsam_batch(log: SensingLog) -> Reals:
     """Minimize the chi-square by GTSAM's Levenberg-Marquardt method."""
     return _checked(levenberg_marquardt(*_posed(log)).position, log)
 
 
-@tiswarm.method("isam2", cues=PARAMS.cues)
+@tiswarm.method("isam2", cues=PARAMS.used_cues)
 def isam2(log: SensingLog) -> Reals:
     """Minimize the chi-square robot by robot, as they join, by GTSAM's iSAM2.
 

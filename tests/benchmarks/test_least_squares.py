@@ -9,6 +9,7 @@ import pytest
 from tests.benchmarks.commands import call
 from tests.structures import with_directions
 from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.settings import Cues
 from tiswarm.sensing import SensingParams, observe
 
 pytest.importorskip("gtsam")
@@ -45,7 +46,7 @@ def test_a_robot_without_measurements_stays_at_its_start(towers):
         flip_height=np.where(np.arange(30) == 29, np.nan, log.flip_height),
     )
     start = np.random.default_rng(0).normal(scale=9.0, size=(30, 3))
-    params = dataclasses.replace(PARAMS, walk_contacts=False, odometry=False)
+    params = dataclasses.replace(PARAMS, cues=Cues(walk_contacts=False, odometry=False))
     problem = pose_problem(silent, params)
 
     for found in (

@@ -5,7 +5,7 @@ import re
 from threadpoolctl import threadpool_limits
 
 from tiswarm.compute import numerics
-from tiswarm.compute.lang import LIBRARY
+from tiswarm.compute.lang import LIBRARY, ti
 
 
 def test_libraries_that_round_numbers_are_named_with_digests_of_their_values():
@@ -47,3 +47,17 @@ def test_numpy_without_code_for_any_processor_is_named(monkeypatch):
     monkeypatch.setattr(numerics.np, "show_config", lambda mode: {"Build Dependencies": {}})
 
     assert ", baseline (" in numerics.here.__wrapped__().numpy
+
+
+def test_llvm_alone_optimizes_kernels_without_checks_of_bounds(monkeypatch):
+    """The library takes seconds for a long kernel; afterwards it optimizes kernels again."""
+    config = ti.lang.impl.current_cfg()
+    optimized_by_library = {}
+
+    for checks_bounds in (False, True):
+        monkeypatch.setattr(config, "debug", checks_bounds)
+        with numerics.optimized_by_llvm():
+            optimized_by_library[checks_bounds] = config.advanced_optimization
+
+    assert optimized_by_library == {False: False, True: True}
+    assert config.advanced_optimization

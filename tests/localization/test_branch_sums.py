@@ -5,27 +5,22 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.structures import NOISY
 from tiswarm.compute import backend
 from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.arrays import BlockProgress, BodyMotion, SubtreeMotion
 from tiswarm.localization.chains.card_kernels import RUN, STEPS_A_LAUNCH
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.settings import JointParams
-from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing import observe
 
 PARAMS = JointParams(chains=46, steps=40, hold_steps=20, robust=False, end_sigma=0.1)
 
 
-@pytest.fixture(scope="module")
-def towers(tall_towers):
-    """Three towers of 30 robots: the measurements written out here are theirs."""
-    return tall_towers
-
-
 @pytest.fixture
-def logs(towers):
+def logs(tall_towers):
     """What the robots of three towers sensed."""
-    return [observe(h, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)) for h in towers]
+    return [observe(h, NOISY) for h in tall_towers]
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture import CONVERGENCE
 from tiswarm.localization.mixture.ends import failed, squares
 from tiswarm.localization.mixture.mixture import between_chains, deviation
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.measurements.contacts import reach
 
 SHORT = JointParams(chains=4, steps=1500, hold_steps=200)
@@ -51,7 +51,9 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
     """
     log, _ = structure(Rule(docks=2), 12, 1)
     tolerance = {"start_sigma": 0.05, "end_sigma": 0.05}
-    params = JointParams(steps=2000, chains=16, non_overlap=False, robust=False, **tolerance)
+    params = JointParams(
+        steps=2000, chains=16, cues=Cues(non_overlap=False), robust=False, **tolerance
+    )
     known = pose_problem(log, params)
     rows = known.rows
     short = dataclasses.replace(rows, arm=0.1 * rows.arm, other_arm=0.1 * rows.other_arm)

@@ -10,14 +10,14 @@ from tests.localization.test_problem import true_yaw
 from tests.structures import NOISY, with_directions
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 
 pytestmark = pytest.mark.unchecked
 
 QUICK = JointParams(chains=3, steps=600, hold_steps=200)
-METHODS = [QUICK, LeastSquaresParams(non_overlap=False)]
+METHODS = [QUICK, LeastSquaresParams(cues=Cues(non_overlap=False))]
 PEERS = [LeastSquaresParams(), HopByHopParams()]
 
 
@@ -46,7 +46,9 @@ def test_directions_are_ignored_where_they_are_switched_off(towers):
     log = directed(towers[0])
     without = replace(log, directions=log.directions[:0])
 
-    off, none = (localize(one, replace(QUICK, directions=False)) for one in (log, without))
+    off, none = (
+        localize(one, replace(QUICK, cues=Cues(directions=False))) for one in (log, without)
+    )
 
     assert off.position.tobytes() == none.position.tobytes()
 

@@ -12,7 +12,7 @@ from tiswarm.localization.chains.views import start_sigma
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, CuesOfNamedDocks, JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -20,9 +20,9 @@ from tiswarm.sensing import SensingParams, observe
 pytestmark = pytest.mark.unchecked
 
 METHODS = [
-    JointParams(chains=2, steps=600, hold_steps=200, non_overlap=False),
-    LeastSquaresParams(non_overlap=False),
-    HopByHopParams(non_overlap=False),
+    JointParams(chains=2, steps=600, hold_steps=200, cues=Cues(non_overlap=False)),
+    LeastSquaresParams(cues=Cues(non_overlap=False)),
+    HopByHopParams(cues=CuesOfNamedDocks(non_overlap=False)),
 ]
 CONTACTS = ("contacts", "height", "ground", "walk_contacts")
 

@@ -29,12 +29,6 @@ FREE = frame(np.eye(3))
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
-@pytest.fixture(scope="module")
-def towers(tall_towers):
-    """Three towers of 30 robots: the measurements written out here are theirs."""
-    return tall_towers
-
-
 def ranged(seed=0, **known):
     """Robots that know all their distances, and more of each other or of the world."""
     log, place = foreign.without_beacons(ROBOTS, seed)
@@ -105,13 +99,13 @@ def test_a_line_of_robots_does_not_turn_about_itself():
     assert fixed.names == ()
 
 
-def test_contacts_and_directions_leave_no_motion(towers):
+def test_contacts_and_directions_leave_no_motion(tall_towers):
     """Orientations are sensed, so that arms of docks do not turn with the swarm."""
-    log = observe(towers[0], SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=1.0))
-    directed = with_directions(log, towers[0], sd_deg=1.0)
+    log = observe(tall_towers[0], SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=1.0))
+    directed = with_directions(log, tall_towers[0], sd_deg=1.0)
     moves = np.ones(30, np.bool_)
 
-    names = [frame_of(each, towers[0].position, moves).names for each in (log, directed)]
+    names = [frame_of(each, tall_towers[0].position, moves).names for each in (log, directed)]
 
     assert names == [(), ()]
 

@@ -335,12 +335,12 @@ def test_words_and_advice_name_the_line_and_what_excludes_the_turn():
     assert text.startswith(
         "free to turn about the line through 4 robots (0, 1, 2, 3): 2 robots (4, 5); "
     )
-    table = tabulate(log, JointParams().cues, estimate)
+    table = tabulate(log, JointParams().used_cues, estimate)
     assert {row["robots determined"] for row in table} == {"2 robots (4, 5)"}
     before = float(table[0]["expected RMSE [m]"])
     assert before == pytest.approx(np.sqrt((estimate.sd**2).mean()), rel=0.1)
     stored = replace(estimate, solutions=(), turns=(), observability=None)
-    again = tabulate(log, JointParams().cues, stored)
+    again = tabulate(log, JointParams().used_cues, stored)
     # Measurements that gain as much change places.
     assert {row["further measurement"] for row in again} == {
         row["further measurement"] for row in table

@@ -16,7 +16,7 @@ from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture.ends import Fit
 from tiswarm.localization.mixture.frames import PartImages, hanging_parts
 from tiswarm.localization.mixture.mixture import mixed
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.measurements.contacts import touching
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -24,7 +24,7 @@ from tiswarm.world.params import TowerParams
 
 pytestmark = pytest.mark.unchecked
 
-FINAL = JointParams(walk_contacts=False)
+FINAL = JointParams(cues=Cues(walk_contacts=False))
 TILTED = SensingParams(tilt_noise_deg=0.5)
 MET = 1e-3
 """Excess of a cost that rounding and a few steps leave."""

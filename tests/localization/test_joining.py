@@ -115,8 +115,15 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
             "cues: hop-by-hop cannot use touches; choose method joint",
         ),
         (
-            {"method": "hop-by-hop", "touches": True},
-            "touches: true should be false with hop-by-hop; leave it out, or choose method joint",
+            {"method": "hop-by-hop", "cues": {"touches": True}},
+            "cues.touches: true should be false with hop-by-hop; leave it out, or choose method j",
+        ),
+        ({"cues": {"hieght": False}}, "cues.hieght: unknown key; did you mean height"),
+        ({"cues": {"height": 0}}, "cues.height: 0 should be true or false"),
+        ({"height": False}, "height: the key is now cues.height; write cues.height: false"),
+        (
+            {"method": "virtual-force", "cues": {"height": False}},
+            "cues: unknown key of virtual-force; leave it out, or choose method distributed or ",
         ),
         ({"method": "hop-by-hop", "order": "hps"}, "order: .*; did you mean hops"),
     ):

@@ -12,32 +12,26 @@ from tiswarm.localization.chains.arrays import BlockProgress, BodyMotion, Headin
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING, find_subtrees, reinitialize_lost, weights
 from tiswarm.localization.joint import localize_batch
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 
 SHORT = JointParams(chains=2, steps=300, hold_steps=100)
-PAIR = JointParams(steps=300, start_sigma=0.1, end_sigma=0.1, non_overlap=False)
+PAIR = JointParams(steps=300, start_sigma=0.1, end_sigma=0.1, cues=Cues(non_overlap=False))
 BIASED = dataclasses.replace(NOISY, yaw_bias_deg=15.0, spawn_noise=0.2)
 
 
 @pytest.fixture(scope="module")
-def towers(tall_towers):
-    """Three towers of 30 robots: the measurements written out here are theirs."""
-    return tall_towers
-
-
-@pytest.fixture(scope="module")
-def log(towers) -> SensingLog:
+def log(tall_towers) -> SensingLog:
     """What the robots of a small tower sensed, with noise."""
-    return observe(towers[0], NOISY)
+    return observe(tall_towers[0], NOISY)
 
 
 @pytest.mark.parametrize("steps", [4, 40])
 @pytest.mark.parametrize("robust", [True, False])
 @pytest.mark.parametrize("noise", [NOISY, BIASED])
 @pytest.mark.parametrize("docks", ["both", "directed", "own", "none"])
-def test_forces_match_the_energies_written_out_slowly(towers, docks, noise, robust, steps):
+def test_forces_match_the_energies_written_out_slowly(tall_towers, docks, noise, robust, steps):
     """Contacts, overlaps and known places pull and turn as sums over all of them say.
 
     Docks grow in the first tenth of the steps. Every third robot has four fixes, and robots
@@ -46,10 +40,12 @@ def test_forces_match_the_energies_written_out_slowly(towers, docks, noise, robu
     """
     if docks in {"own", "none"}:
         noise = dataclasses.replace(noise, contact_docks=docks)
-    log = with_fixes(observe(towers[0], noise), towers[0], range(3, 30, 3), each=4, sd=0.2)
-    log = with_ranges(log, towers[0], reach=5.0, sd=0.1)
+    log = with_fixes(
+        observe(tall_towers[0], noise), tall_towers[0], range(3, 30, 3), each=4, sd=0.2
+    )
+    log = with_ranges(log, tall_towers[0], reach=5.0, sd=0.1)
     if docks == "directed":
-        log = with_directions(log, towers[0], sd_deg=5.0, robots=range(0, 30, 2))
+        log = with_directions(log, tall_towers[0], sd_deg=5.0, robots=range(0, 30, 2))
     params = dataclasses.replace(SHORT, robust=robust, start_sigma=0.3, end_sigma=0.3)
     known = pose_problem(log, params)
     annealer = annealer_of([log], [params], [known])
@@ -77,9 +73,9 @@ def test_forces_match_the_energies_written_out_slowly(towers, docks, noise, robu
             np.testing.assert_allclose(torques[k], slow[1], rtol=1e-9, atol=1e-10)
 
 
-def test_a_robot_that_lost_touch_is_put_back(towers):
+def test_a_robot_that_lost_touch_is_put_back(tall_towers):
     """And nobody else, in no other chain, along no axis that is known."""
-    history = towers[0]
+    history = tall_towers[0]
     known = pose_problem(observe(history, SensingParams()), JointParams())
     position = np.tile(history.position, (2, 1, 1))
     position[1, -1] += [25.0, 10.0, 1.5]
@@ -93,9 +89,9 @@ def test_a_robot_that_lost_touch_is_put_back(towers):
     np.testing.assert_array_equal(position[0], history.position)
 
 
-def test_a_robot_that_noise_alone_moved_is_not_put_back(towers):
+def test_a_robot_that_noise_alone_moved_is_not_put_back(tall_towers):
     """Where equations are as uncertain as that, nobody is lost."""
-    history = towers[0]
+    history = tall_towers[0]
     known = pose_problem(observe(history, SensingParams()), JointParams())
     position = history.position[None].copy()
     position[0, -1] += [25.0, 10.0, 1.5]
@@ -104,9 +100,9 @@ def test_a_robot_that_noise_alone_moved_is_not_put_back(towers):
     assert reinitialize_lost(unsure, position, np.zeros(position.shape[:2])) == 0
 
 
-def test_anchors_stay_where_they_are(towers):
+def test_anchors_stay_where_they_are(tall_towers):
     """Whatever is shifted or turned."""
-    log = observe(towers[0], BIASED)
+    log = observe(tall_towers[0], BIASED)
 
     found = anneal([log], [SHORT], [pose_problem(log, SHORT)])[0]
 
@@ -115,16 +111,16 @@ def test_anchors_stay_where_they_are(towers):
 
 
 @pytest.mark.parametrize(("spawn_noise", "fixed"), [(None, []), (0.2, []), (None, [9, 17])])
-def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed):
+def test_a_robot_goes_with_every_branch_that_it_is_of(tall_towers, spawn_noise, fixed):
     """What pulls at a branch pulls at its robots; where robots of it are known, it is not shifted.
 
     All robots know their heights, and some where they started, or their x.
     """
-    log = observe(towers[0], dataclasses.replace(NOISY, spawn_noise=spawn_noise))
-    at = towers[0].position[fixed]
+    log = observe(tall_towers[0], dataclasses.replace(NOISY, spawn_noise=spawn_noise))
+    at = tall_towers[0].position[fixed]
     fixes = [[i, 1.0, 0.0, 0.0, x, 0.1, -1.0] for i, x in zip(fixed, at[:, 0], strict=True)]
     log = dataclasses.replace(log, fixes=np.array(fixes).reshape(-1, 7))
-    params = dataclasses.replace(SHORT, walk_contacts=False)
+    params = dataclasses.replace(SHORT, cues=Cues(walk_contacts=False))
     known = pose_problem(log, params)
     annealer = annealer_of([log], [params], [known])
     tree = find_subtrees(known.pair, known.roots, log.robot_count)
@@ -215,17 +211,18 @@ def _pair() -> SensingLog:
 
 
 @pytest.mark.parametrize("noise", [SensingParams(), BIASED])
-def test_every_contact_has_its_share_of_the_heat(towers, noise):
+def test_every_contact_has_its_share_of_the_heat(tall_towers, noise):
     """Equipartition: kicks and steps keep the energy of what is independent at s^2 / 2 each.
 
     Where steps were too long for what swings they would pump energy in.
     """
-    log = observe(towers[0], dataclasses.replace(noise, spawn_noise=None))
+    log = observe(tall_towers[0], dataclasses.replace(noise, spawn_noise=None))
     tolerance = dict.fromkeys(["start_sigma", "end_sigma"], 0.1)
-    off = dict.fromkeys(["walk_contacts", "height", "ground", "non_overlap", "robust"], False)
+    cues = Cues(walk_contacts=False, height=False, ground=False, non_overlap=False)
     params = JointParams(
-        chains=64, steps=1000, hold_steps=1, extension_prior=0.0, **tolerance, **off
-    )
+        chains=64, steps=1000, hold_steps=1, extension_prior=0.0, cues=cues, robust=False,
+        **tolerance,
+    )  # fmt: skip
     known = pose_problem(log, params)
 
     found = anneal([log], [params], [known])[0]
@@ -241,12 +238,12 @@ def _members(tree, branch):
     return np.concatenate([own, *(_members(tree, k) for k in grown)])
 
 
-def test_steps_are_the_same_however_threads_share_them(towers):
+def test_steps_are_the_same_however_threads_share_them(tall_towers):
     """A thread for each structure, or all for each step: the same bits, lists of any length.
 
     Structures that cool unlike each other too.
     """
-    logs = [observe(h, n) for h, n in zip(towers, [NOISY, BIASED, BIASED], strict=True)]
+    logs = [observe(h, n) for h, n in zip(tall_towers, [NOISY, BIASED, BIASED], strict=True)]
     short = dataclasses.replace(SHORT, steps=60, hold_steps=20)
     params = [dataclasses.replace(short, end_sigma=end) for end in (None, 0.1, 0.2)]
     known = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
@@ -320,11 +317,11 @@ def test_the_share_of_the_steps_that_is_done_grows_up_to_all_of_them(log):
     np.testing.assert_allclose(shares, even, atol=1.0 / 400)
 
 
-def test_progress_moves_with_each_structure_that_is_searched(towers):
+def test_progress_moves_with_each_structure_that_is_searched(tall_towers):
     """Annealings are half of the work; the other half is a search, structure by structure."""
     shares = []
 
-    localize_batch([observe(each, NOISY) for each in towers], [SHORT] * 3, shares.append)
+    localize_batch([observe(each, NOISY) for each in tall_towers], [SHORT] * 3, shares.append)
 
     assert shares == sorted(shares)
     np.testing.assert_allclose(shares[-4:], [1 / 2, 2 / 3, 5 / 6, 1])

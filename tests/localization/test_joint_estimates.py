@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from tests.localization.test_problem import true_yaw
-from tests.structures import NOISY
+from tests.structures import NOISY, grown
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.methods import localize, localize_many
-from tiswarm.localization.settings import SWITCHES, JointParams
+from tiswarm.localization.settings import SWITCHES, Cues, JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -75,10 +74,10 @@ def test_a_large_structure_is_annealed_fewer_times_and_quicker():
 def test_a_long_arm_is_not_torn_from_its_anchor(robots):
     """All robots come to the one that stands still, whose contacts are not given up."""
     params = CantileverParams(movers=10, solve_every=100, mechanics=MechanicsParams(model="rigid"))
-    history = grow(params, robots=robots, seeds=[1000], robot=RobotGeometry())[0]
+    history = grown(params, robots=robots, seed=1000)
     log = observe(history, SensingParams())
 
-    estimate = localize(log, JointParams(chains=1, walk_contacts=False))
+    estimate = localize(log, JointParams(chains=1, cues=Cues(walk_contacts=False)))
 
     assert _rmse(estimate.position, history) < 2.5
     assert not (estimate.outlier_contacts[:, 3] == 0).any()
@@ -87,7 +86,11 @@ def test_a_long_arm_is_not_torn_from_its_anchor(robots):
 def test_company_names_and_order_do_not_change_a_byte(towers):
     """Alone or together, renamed and shuffled: the same bits."""
     logs = [observe(h, n) for h, n in zip(towers, [NOISY, BIASED, BIASED], strict=True)]
-    params = [SHORT, dataclasses.replace(SHORT, height=False, walk_contacts=False), SHORT]
+    params = [
+        SHORT,
+        dataclasses.replace(SHORT, cues=Cues(height=False, walk_contacts=False)),
+        SHORT,
+    ]
     shuffled = [_renamed_and_shuffled(log) for log in logs]
 
     together = localize_many(logs, params)
@@ -100,10 +103,10 @@ def test_company_names_and_order_do_not_change_a_byte(towers):
     assert together[2].yaw.tobytes() == alone[2].yaw.tobytes() == reverse[2].yaw.tobytes()
 
 
+@pytest.mark.program(precision="f32")
 def test_single_precision_is_precise_enough(towers):
     """Other bits make other chains, but robots are found."""
     log = observe(towers[0], SensingParams())
-    backend.start(precision="f32")
 
     estimate = localize(log, dataclasses.replace(SHORT, steps=1000))
 
@@ -131,7 +134,7 @@ def test_wrong_contacts_are_given_up(towers):
     assert named == [estimate.convergence.converged for estimate in robust]
     assert sum(named) >= 2
     for log, history, estimate in compress(zip(logs, towers, robust, strict=True), named):
-        judged = outlier_scores(history, estimate, rows=measure(log, params.cues))
+        judged = outlier_scores(history, estimate, rows=measure(log, params.used_cues))
         true = _touched(history)
         felt = [tuple(row) for row in measure(log, SWITCHES).sensed_contacts.tolist()]
         doubted = [tuple(row) for row in estimate.outlier_contacts.tolist()]

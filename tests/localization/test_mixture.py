@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests import foreign
-from tests.structures import NOISY
+from tests.structures import NOISY, grown
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import pose_problem
@@ -243,7 +243,7 @@ def test_a_wrong_height_and_a_wrong_fix_are_outliers(tall_towers):
 @pytest.fixture(scope="module", params=[12, pytest.param(50, marks=pytest.mark.trial)])
 def tower(request):
     """A tower of 12 robots, and of 50 in a trial."""
-    return grow(TowerParams(), robots=request.param, seeds=[0], robot=RobotGeometry())[0]
+    return grown(TowerParams(), robots=request.param, seed=0)
 
 
 def test_a_clean_tower_converges_and_is_consistent(tower):
@@ -414,7 +414,7 @@ def test_chains_do_not_hold_back_what_many_robots_share(robots):
     """All that moved alike go back, though each by itself was off by what is likely."""
     off = 0.3
     params = TowerParams(force_threshold=1e9)
-    (history,) = grow(params, robots=robots, seeds=[5], robot=RobotGeometry())
+    history = grown(params, robots=robots, seed=5)
     log = observe(history, NOISY)
     known = pose_problem(log, replace(ALL, contact_sd=np.sqrt(0.1)))
     moved = history.position.copy()

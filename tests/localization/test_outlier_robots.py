@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.structures import NOISY
-from tiswarm.base.robot import RobotGeometry
+from tests.structures import NOISY, grown
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
 from tiswarm.localization.mixture import OutlierRobotSettings, outliers, verdict
@@ -18,7 +17,6 @@ from tiswarm.measurements.odometry import Odometry, stuck_robots
 from tiswarm.measurements.verdicts import describe_outliers
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN
 from tiswarm.sensing import observe
-from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
 pytestmark = pytest.mark.unchecked
@@ -31,7 +29,7 @@ the annealer in two finds outliers among single measurements instead."""
 @pytest.fixture(scope="module", params=[24, pytest.param(40, marks=pytest.mark.trial)])
 def tower(request):
     """A tower of 24 robots, and of 40 in a trial."""
-    return grow(TowerParams(), robots=request.param, seeds=[1000], robot=RobotGeometry())[0]
+    return grown(TowerParams(), robots=request.param, seed=1000)
 
 
 @pytest.fixture(scope="module")
@@ -112,13 +110,15 @@ def test_the_robot_that_is_named_is_less_certain_than_before(estimate, sound, ro
 @pytest.mark.parametrize("degrees", [0.0, 5.0, 6.0])
 def test_a_drift_that_the_sum_of_all_rows_hides_is_warned_of(monkeypatch, degrees):
     """The cost falls by more than chance explains without the orientations of the seventh robot."""
-    history = grow(TowerParams(), robots=24, seeds=[1000], robot=RobotGeometry())[0]
+    history = grown(TowerParams(), robots=24, seed=1000)
     log = drifted(observe(history, NOISY), 7, np.radians([0.0, degrees, 0.0]))
     place = log.anchor_position + history.position - history.position[0]
 
     def judged():
         nowhere, sd = np.zeros(24, np.bool_), np.full(24, 0.5)
-        found = assess(log, JointParams().cues, place / log.dock_radius, is_guess=nowhere, sd=sd)
+        found = assess(
+            log, JointParams().used_cues, place / log.dock_radius, is_guess=nowhere, sd=sd
+        )
         return found.convergence
 
     found = judged()

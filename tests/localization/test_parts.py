@@ -134,7 +134,7 @@ def test_coordinates_that_we_make_up_are_no_measurements(swarm):
     """Parts that nothing ties are put somewhere, which determines nothing of them."""
     log, _ = swarm
     untied = dataclasses.replace(log, fixes=np.empty((0, 7)))
-    cues = SHORT.cues
+    cues = SHORT.used_cues
 
     known = pose_problem(untied, SHORT)
 

@@ -7,15 +7,20 @@ import pytest
 
 import tiswarm
 from tests.runs import REPOSITORY
-from tiswarm.base.robot import RobotGeometry
+from tests.structures import grown
 from tiswarm.localization.methods import localize
 from tiswarm.localization.peers.settings import LeastSquaresParams
-from tiswarm.localization.settings import BackPropagation, JointParams, Together, VirtualForceParams
+from tiswarm.localization.settings import (
+    BackPropagation,
+    Cues,
+    JointParams,
+    Together,
+    VirtualForceParams,
+)
 from tiswarm.measurements.cues import in_plane
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.params import TowerParams
 
@@ -26,7 +31,7 @@ FORCE = VirtualForceParams(iterations=60, initial_offset_axis="body")
 @pytest.fixture(scope="module")
 def tower() -> History:
     """A planar tower of 25 robots."""
-    return grow(TowerParams(plane=True), robots=25, seeds=[1000], robot=RobotGeometry())[0]
+    return grown(TowerParams(plane=True), robots=25, seed=1000)
 
 
 def _moved(log: SensingLog, y: float) -> SensingLog:
@@ -108,8 +113,8 @@ def test_planar_robots_that_join_are_placed_as_in_the_whole_log(tower, tmp_path,
 @pytest.mark.parametrize(
     "params",
     [
-        JointParams(chains=4, steps=1500, walk_contacts=False),
-        LeastSquaresParams(walk_contacts=False),
+        JointParams(chains=4, steps=1500, cues=Cues(walk_contacts=False)),
+        LeastSquaresParams(cues=Cues(walk_contacts=False)),
     ],
     ids=lambda p: p.method,
 )
@@ -125,7 +130,7 @@ def test_the_plane_is_a_measurement(tower, params):
 
 def test_without_the_plane_robots_swing_about_their_contacts(tower):
     """The switch `plane` takes the measurement out."""
-    params = JointParams(chains=2, steps=600, hold_steps=200, plane=False)
+    params = JointParams(chains=2, steps=600, hold_steps=200, cues=Cues(plane=False))
 
     found = localize(observe(tower, SensingParams()), params)
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests import foreign
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import observability
 from tiswarm.sensing import SensingParams, observe
@@ -36,7 +36,7 @@ def test_every_equation_holds_where_robots_truly_are(towers, bias):
         known = pose_problem(log, ALL)
 
         gap = known.residual(history.position, yaw)
-        felt = {tuple(row) for row in measure(log, ALL.cues).sensed_contacts.tolist()}
+        felt = {tuple(row) for row in measure(log, ALL.used_cues).sensed_contacts.tolist()}
         assert {tuple(row) for row in known.rows.sensed_contacts.tolist()} <= felt
         assert (known.is_final.sum(), len(gap)) > (len(log.contacts) - 1, len(log.contacts))
         assert -1e-9 < gap.min() <= gap.max() < 0.02 + 1e-9  # as near as docks must be to feel
@@ -87,21 +87,21 @@ def test_what_equations_are_too_few_for_is_floppy(towers):
     for history in towers:
         log = observe(history, SensingParams())
         for off in (("height", "ground", "walk_contacts"), ("walk_contacts",), ()):
-            params = JointParams(**dict.fromkeys(off, False))
-            left = observability(log, params.cues)
+            params = JointParams(cues=Cues(**dict.fromkeys(off, False)))
+            left = observability(log, params.used_cues)
             short = pose_problem(log, params).underdetermination * left.unknowns
 
             assert 0.0 <= short <= left.floppy_modes + 1e-9
-            assert short > 0.5 * left.floppy_modes or "height" in params.cues
+            assert short > 0.5 * left.floppy_modes or "height" in params.used_cues
 
 
 def test_a_cue_that_is_off_says_nothing(towers):
     """Without cues there are no equations; with one of them, only its own."""
     log = observe(towers[0], SensingParams(spawn_noise=0.0))
-    none = {"contacts": False, "height": False, "ground": False, "walk_contacts": False}
-    silent = pose_problem(log, JointParams(**none, odometry=False))
-    walked = pose_problem(log, JointParams(**none | {"walk_contacts": True}, odometry=False))
-    level = pose_problem(log, JointParams(**none | {"height": True}, odometry=False))
+    none = dict.fromkeys(["contacts", "height", "ground", "walk_contacts", "odometry"], False)
+    silent = pose_problem(log, JointParams(cues=Cues(**none)))
+    walked = pose_problem(log, JointParams(cues=Cues(**none | {"walk_contacts": True})))
+    level = pose_problem(log, JointParams(cues=Cues(**none | {"height": True})))
 
     assert len(silent.robot) == 0
     assert silent.underdetermination == 1.0

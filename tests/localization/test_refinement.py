@@ -25,7 +25,7 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.cost import HINGE_SD, SETTLED, STRAIN_SD, State, WholeCost
 from tiswarm.localization.cost.linear import NOMINAL
-from tiswarm.localization.settings import LARGE, JointParams
+from tiswarm.localization.settings import LARGE, Cues, JointParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER, connections_of, with_orientations
 from tiswarm.records.sensing_log import SensingNoise
@@ -55,12 +55,6 @@ def sensed(history, kind):
         noise = replace(linked.noise, connection_deg=1.0)
         return replace(linked, orientation_wxyz=blind, stances=None, noise=noise)
     return log
-
-
-@pytest.fixture(scope="module")
-def towers(tall_towers):
-    """Three towers of 30 robots: tests name robots, and compare with matrices of that size."""
-    return tall_towers
 
 
 def with_sources(log, history):
@@ -176,12 +170,12 @@ def _residuals_slowly(log, rows, state):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_residuals_are_those_of_walks_taken_flip_by_flip(towers, kind):
+def test_residuals_are_those_of_walks_taken_flip_by_flip(tall_towers, kind):
     """Wherever robots are, and however wrong orientations and sources are."""
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     known, cost = cost_of(log)
     draw = np.random.default_rng(1)
-    at = towers[0].position + draw.normal(size=(log.robot_count, 3))
+    at = tall_towers[0].position + draw.normal(size=(log.robot_count, 3))
     state = state_at(cost, at, draw)
 
     found = residuals(cost, state)
@@ -191,12 +185,12 @@ def test_residuals_are_those_of_walks_taken_flip_by_flip(towers, kind):
 
 
 @pytest.mark.parametrize("robots", [[], range(0, 30, 2), None])
-def test_nothing_is_left_where_robots_truly_are(towers, robots):
+def test_nothing_is_left_where_robots_truly_are(tall_towers, robots):
     """With the turns that orientations were sensed with, however large, and with directions."""
     noise = SensingParams(tilt_noise_deg=10.0, yaw_noise_deg=20.0, spawn_noise=0.0)
-    for history in towers:
+    for history in tall_towers:
         log = with_directions(observe(history, noise), history, sd_deg=0.0, robots=robots)
-        known, cost = cost_of(log, replace(ALL, height=False))
+        known, cost = cost_of(log, replace(ALL, cues=Cues(height=False)))
         true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
         wrong = _orientations(log) * Rotation.from_quat(true, scalar_first=True).inv()
         turn = wrong.as_rotvec() / np.radians([10.0, 10.0, 20.0])
@@ -212,13 +206,13 @@ def test_nothing_is_left_where_robots_truly_are(towers, robots):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_derivatives_are_those_of_the_residuals(towers, kind):
+def test_derivatives_are_those_of_the_residuals(tall_towers, kind):
     """By shifts, turns, yaw and errors of sources, and by turns of earlier stances, at no turn."""
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     known, cost = cost_of(log, non_overlap=False)
     draw = np.random.default_rng(2)
     robots = log.robot_count
-    position = towers[0].position + 0.1 * draw.normal(size=(robots, 3))
+    position = tall_towers[0].position + 0.1 * draw.normal(size=(robots, 3))
     at = state_at(cost, position, draw, turn=0.0)
     motion = state_at(cost, draw.normal(size=(robots, 3)), draw)
     motion.position[0] = 0.0
@@ -237,13 +231,13 @@ def test_derivatives_are_those_of_the_residuals(towers, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_derivatives_of_overlaps_are_those_of_distances(towers, kind):
+def test_derivatives_of_overlaps_are_those_of_distances(tall_towers, kind):
     """Docks move with their robot, and turn with it by all that its orientation is corrected by."""
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     _, cost = cost_of(log)
     draw = np.random.default_rng(8)
     robots = log.robot_count
-    position = towers[0].position + 0.3 * draw.normal(size=(robots, 3))
+    position = tall_towers[0].position + 0.3 * draw.normal(size=(robots, 3))
     at = state_at(cost, position, draw, turn=0.0)
     motion = state_at(cost, draw.normal(size=(robots, 3)), draw)
     motion.position[0] = 0.0
@@ -260,13 +254,13 @@ def test_derivatives_of_overlaps_are_those_of_distances(towers, kind):
     np.testing.assert_allclose(slope, change, atol=1e-5)
 
 
-def test_a_prior_does_not_move_the_minimum(towers):
+def test_a_prior_does_not_move_the_minimum(tall_towers):
     """However far off the search begins; else chains would decide where measurements are weak."""
-    log = with_orientations(sensed(towers[0], "chained"))
+    log = with_orientations(sensed(tall_towers[0], "chained"))
     _, cost = cost_of(log, non_overlap=False)
     yaw, draw = np.zeros(log.robot_count), np.random.default_rng(9)
-    near = towers[0].position + 0.05 * draw.normal(size=towers[0].position.shape)
-    near[0] = towers[0].position[0]
+    near = tall_towers[0].position + 0.05 * draw.normal(size=tall_towers[0].position.shape)
+    near[0] = tall_towers[0].position[0]
 
     free, least = cost.refine(cost.at(near, yaw), 30)
     _, found = with_prior(cost, 0.3).refine(cost.at(near, yaw), 30)
@@ -275,12 +269,12 @@ def test_a_prior_does_not_move_the_minimum(towers):
     assert found.cost == pytest.approx(least.cost, abs=0.2)
 
 
-def test_residuals_of_connections_are_those_of_the_turned_robots(towers):
+def test_residuals_of_connections_are_those_of_the_turned_robots(tall_towers):
     """To first order in how far all robots are turned from what connections chained."""
-    log = with_orientations(sensed(towers[0], "chained"))
+    log = with_orientations(sensed(tall_towers[0], "chained"))
     known, cost = cost_of(log, non_overlap=False)
     draw = np.random.default_rng(3)
-    small = state_at(cost, towers[0].position, draw, turn=1e-4)
+    small = state_at(cost, tall_towers[0].position, draw, turn=1e-4)
 
     linear = cost.linearized(small)
 
@@ -298,13 +292,13 @@ def test_residuals_of_connections_are_those_of_the_turned_robots(towers):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_steps_and_variances_are_those_of_generalized_least_squares(towers, kind):
+def test_steps_and_variances_are_those_of_generalized_least_squares(tall_towers, kind):
     """Written out with dense matrices, with overlaps and a prior of positions."""
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     known, cost = cost_of(log)
     robots = log.robot_count
     draw = np.random.default_rng(4)
-    begin = state_at(cost, towers[0].position)
+    begin = state_at(cost, tall_towers[0].position)
     at = state_at(cost, begin.position + 0.01 * draw.normal(size=(robots, 3)), draw, turn=0.1)
     at.position[0] = begin.position[0]
     linear = with_prior(cost, 0.7).linearized(at)
@@ -330,14 +324,14 @@ def test_steps_and_variances_are_those_of_generalized_least_squares(towers, kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_width_of_a_minimum_is_the_root_of_a_determinant(towers, kind):
+def test_the_width_of_a_minimum_is_the_root_of_a_determinant(tall_towers, kind):
     """Of the covariance of all unknowns; solutions are weighed by it."""
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     _, cost = cost_of(log, non_overlap=False)
     volumes, expected = [], []
 
     for width in (0.1, 0.5):
-        start = (towers[0].position, np.zeros(30))
+        start = (tall_towers[0].position, np.zeros(30))
         linear = with_prior(cost, width).linearized(cost.at(*start))
         volumes.append(linear.log_volume)
         information = linear.jacobian.T @ dense(linear) @ linear.jacobian.toarray()
@@ -349,12 +343,12 @@ def test_the_width_of_a_minimum_is_the_root_of_a_determinant(towers, kind):
 
 
 @pytest.mark.parametrize("radius", [0.01, 1.0])
-def test_steps_within_a_radius_are_those_with_a_prior_of_that_width(towers, radius):
+def test_steps_within_a_radius_are_those_with_a_prior_of_that_width(tall_towers, radius):
     """As Levenberg and Marquardt damp them: turns and errors of sources are not."""
-    log = sensed(towers[0], "sources")
+    log = sensed(tall_towers[0], "sources")
     _, cost = cost_of(log)
     draw = np.random.default_rng(4)
-    at = state_at(cost, towers[0].position + 0.3 * draw.normal(size=(30, 3)), draw, turn=0.1)
+    at = state_at(cost, tall_towers[0].position + 0.3 * draw.normal(size=(30, 3)), draw, turn=0.1)
     linear = cost.linearized(at)
 
     found, _ = linear.step(radius)
@@ -366,11 +360,11 @@ def test_steps_within_a_radius_are_those_with_a_prior_of_that_width(towers, radi
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_round_goes_where_its_step_leads(towers, kind, monkeypatch):
+def test_a_round_goes_where_its_step_leads(tall_towers, kind, monkeypatch):
     """Each unknown moves by its own part of the step; the start is left as it was."""
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     _, cost = cost_of(log, non_overlap=False)
-    begin = state_at(cost, towers[0].position)
+    begin = state_at(cost, tall_towers[0].position)
     width = 1e-3
     free, earlier = with_prior(cost, width).linearized(begin).step(np.inf)
     step = np.zeros(len(cost.precision))
@@ -383,19 +377,21 @@ def test_a_round_goes_where_its_step_leads(towers, kind, monkeypatch):
     moved = State(*(a - b for a, b in zip(state, begin, strict=True)))
     np.testing.assert_allclose(unknowns(cost, moved), step, atol=1e-9)
     np.testing.assert_allclose(state.earlier.ravel(), earlier, atol=1e-9)
-    np.testing.assert_array_equal(begin.position, towers[0].position)
+    np.testing.assert_array_equal(begin.position, tall_towers[0].position)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_cost_is_the_chi_square_written_out(towers, kind):
+def test_the_cost_is_the_chi_square_written_out(tall_towers, kind):
     """r^T C^-1 r with numpy's inverse, and squares of unknowns in their priors.
 
     A prior of positions does not count: it would draw the minimum to where the search began.
     """
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     known, cost = cost_of(log)
     draw = np.random.default_rng(5)
-    at = state_at(cost, towers[0].position + 0.3 * draw.normal(size=(log.robot_count, 3)), draw)
+    at = state_at(
+        cost, tall_towers[0].position + 0.3 * draw.normal(size=(log.robot_count, 3)), draw
+    )
 
     linear = with_prior(cost, 0.7).linearized(at)
 
@@ -415,13 +411,13 @@ def test_the_cost_is_the_chi_square_written_out(towers, kind):
 
 
 @pytest.mark.parametrize("kind", ["walks", "directions", "sources"])
-def test_the_robust_cost_is_cauchys_loss_written_out(towers, kind):
+def test_the_robust_cost_is_cauchys_loss_written_out(tall_towers, kind):
     """c^2 log(1 + e^2 / c^2 v) of each row, or of the three rows of a direction together."""
-    log = sensed(towers[0], kind)
+    log = sensed(tall_towers[0], kind)
     known, cost = cost_of(log, non_overlap=False, **INDEPENDENT)
     draw = np.random.default_rng(6)
     far = draw.normal(size=(log.robot_count, 3)) * draw.choice([0.01, 3.0], (log.robot_count, 1))
-    at = state_at(cost, towers[0].position + far, draw)
+    at = state_at(cost, tall_towers[0].position + far, draw)
 
     linear = cost.linearized(at)
 
@@ -444,16 +440,16 @@ def _cauchy(square):
 
 
 @pytest.mark.parametrize("kind", ["walks", "directions", "sources"])
-def test_the_slope_of_the_robust_cost_is_its_derivative(towers, kind):
+def test_the_slope_of_the_robust_cost_is_its_derivative(tall_towers, kind):
     """Else steps would lead past the minimum, and rounds would end short of it."""
-    log = sensed(towers[0], kind)
+    log = sensed(tall_towers[0], kind)
     _, cost = cost_of(log, **INDEPENDENT)
     draw = np.random.default_rng(7)
     motion = state_at(cost, draw.normal(size=(log.robot_count, 3)), draw, turn=0.0)
     motion.position[0] = 0.0
     for width in (0.01, 0.3):
         moved = width * draw.normal(size=(log.robot_count, 3))
-        at = state_at(cost, towers[0].position + moved, draw, turn=0.0)
+        at = state_at(cost, tall_towers[0].position + moved, draw, turn=0.0)
 
         slope = cost.linearized(at).slope
 
@@ -465,7 +461,9 @@ def test_the_slope_of_the_robust_cost_is_its_derivative(towers, kind):
         assert 2.0 * slope @ unknowns(cost, motion)[cost.free] == pytest.approx(change, rel=1e-4)
 
 
-CONTACTS_ONLY = JointParams(height=False, ground=False, walk_contacts=False, odometry=False)
+CONTACTS_ONLY = JointParams(
+    cues=Cues(height=False, ground=False, walk_contacts=False, odometry=False)
+)
 
 
 @settings(max_examples=30)
@@ -490,20 +488,20 @@ def test_freedom_is_rows_less_the_rank_of_their_derivatives(kind, docks, robots,
     freedom = linear.freedom()
 
     rank = (size > 1e-4 * size[0]).sum()
-    left = observability(log, (ALL if level else CONTACTS_ONLY).cues)
+    left = observability(log, (ALL if level else CONTACTS_ONLY).used_cues)
     assert freedom == len(known.rows) - rank
     assert left.floppy_modes == 3 * robots - 3 - rank
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_freedom_counts_priors_as_rows(towers, kind):
+def test_freedom_counts_priors_as_rows(tall_towers, kind):
     """Turns, yaw and errors of sources are known beforehand to so much; positions are not.
 
     Chained turns are not, either: connections alone say what they are.
     """
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     _, cost = cost_of(log, non_overlap=False)
-    start = (towers[0].position, np.zeros(30))
+    start = (tall_towers[0].position, np.zeros(30))
     linear = cost.linearized(cost.at(*start))
     held = with_prior(cost, 0.1).linearized(cost.at(*start))
 
@@ -539,13 +537,13 @@ def test_rounds_never_raise_the_cost(seed, far, robust):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_rounds_end_where_no_step_is_left(towers, kind):
+def test_rounds_end_where_no_step_is_left(tall_towers, kind):
     """Turns, yaw and errors of sources add up from round to round as positions do."""
-    log = with_orientations(sensed(towers[0], kind))
+    log = with_orientations(sensed(tall_towers[0], kind))
     _, cost = cost_of(log, non_overlap=False)
     draw = np.random.default_rng(10)
-    start = towers[0].position + 0.02 * draw.normal(size=(30, 3))
-    start[0] = towers[0].position[0]
+    start = tall_towers[0].position + 0.02 * draw.normal(size=(30, 3))
+    start[0] = tall_towers[0].position[0]
 
     state, linear = with_prior(cost, 0.3).refine(cost.at(start, np.zeros(30)), 40)
 
@@ -569,10 +567,10 @@ def test_no_round_moves_a_robot_far(monkeypatch):
     assert moved.max() == pytest.approx(1.0)  # docks that touch are 2 R apart
 
 
-def test_only_connections_hold_the_turns_of_robots_without_a_compass(towers):
+def test_only_connections_hold_the_turns_of_robots_without_a_compass(tall_towers):
     """What chained them is in the rows; a prior of their own would count it twice."""
     compass, chained = (
-        cost_of(with_orientations(sensed(towers[0], kind)))[1].precision[93:180]
+        cost_of(with_orientations(sensed(tall_towers[0], kind)))[1].precision[93:180]
         for kind in ("directions", "chained")
     )
 
@@ -649,9 +647,9 @@ def _blind(history):
     )  # fmt: skip
 
 
-def test_an_error_that_fixes_share_is_found(towers):
+def test_an_error_that_fixes_share_is_found(tall_towers):
     """Robots of one source are off alike; one whose place is known otherwise says by how much."""
-    history, sd, shared = towers[0], 0.05, np.array([0.6, -0.9])
+    history, sd, shared = tall_towers[0], 0.05, np.array([0.6, -0.9])
     log = _blind(history)
     draw = np.random.default_rng(8)
     robot, axis = np.repeat(np.arange(1, 30), 3), np.tile(np.arange(3), 29)
@@ -677,9 +675,9 @@ def test_an_error_that_fixes_share_is_found(towers):
 
 
 @pytest.mark.parametrize("sources", [1, 2, 4])
-def test_what_fixes_share_does_not_average_out(towers, sources):
+def test_what_fixes_share_does_not_average_out(tall_towers, sources):
     """However many fixes a robot has of each source, sd is the shared one over sqrt(sources)."""
-    history, each, shared = towers[0], 50, 0.4
+    history, each, shared = tall_towers[0], 50, 0.4
     log = _blind(history)
     robot = np.repeat(np.arange(1, 30), 3 * each * sources)
     axis = np.tile(np.arange(3), 29 * each * sources)
@@ -711,9 +709,9 @@ def test_settings_choose_which_structures_are_refined():
 
 @pytest.mark.parametrize("kind", sorted({*KINDS} - {"sources"}))
 @pytest.mark.parametrize("robust_sd", [None, ROBUST_SD])
-def test_robots_that_stay_are_constants(towers, kind, robust_sd):
+def test_robots_that_stay_are_constants(tall_towers, kind, robust_sd):
     """Their rows and columns are left out of the normal equations, and nothing else."""
-    history = towers[0]
+    history = tall_towers[0]
     log, draw = sensed(history, kind), np.random.default_rng(100_000)
     moves = draw.random(len(history.position)) < 0.3
     position = history.position + 0.1 * draw.normal(size=history.position.shape)

@@ -8,6 +8,7 @@ import pytest
 
 from tests import foreign
 from tests.runs import REPOSITORY
+from tests.structures import NOISY, grown
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.methods import localize, localize_many
@@ -21,7 +22,7 @@ from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.study.navigation import _parts
+from tiswarm.study.navigation import _sides
 from tiswarm.world.growth import grow
 from tiswarm.world.params import CantileverParams, TowerParams
 
@@ -59,7 +60,7 @@ def apart():
 def parted():
     """A tower from anchors so far apart that its parts have not met."""
     anchors = ((0.0, 0.0), (14.0, 0.0), (0.0, 14.0))
-    [history] = grow(TowerParams(anchors=anchors), robots=24, seeds=[1], robot=RobotGeometry())
+    history = grown(TowerParams(anchors=anchors), robots=24, seed=1)
     assert len(set(_part_of(history))) > 1
     return history
 
@@ -76,7 +77,7 @@ def _part_of(history):
 @pytest.mark.parametrize("method", METHODS)
 def test_no_part_with_an_anchor_is_a_guess(parted, method):
     """Anchors are at their places, and robots of each part near theirs, with noise."""
-    log = observe(parted, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0))
+    log = observe(parted, NOISY)
 
     found = localize(log, METHODS[method])
 
@@ -248,7 +249,7 @@ def test_robots_that_navigate_know_the_places_of_all_anchors(parted):
     """Anchors are one part, which has one frame; without them each founder has its own."""
     log = observe(parted, SensingParams())
 
-    together, apart = _parts(parted, log), _parts(replace(parted, anchors=1), log)
+    together, apart = _sides(parted, log), _sides(replace(parted, anchors=1), log)
 
     assert [part.robots.tolist() for part in together] == [[*range(24)]]
     assert len(apart) == 3

@@ -20,12 +20,6 @@ EXACT = 1e-6
 """Of coordinates from the square root of a sum of squares, relative to their size [1]."""
 
 
-@pytest.fixture(scope="module")
-def towers(tall_towers):
-    """Three towers of 30 robots: the measurements written out here are theirs."""
-    return tall_towers
-
-
 def starts_of(log):
     """Both images by multidimensional scaling [R]."""
     return scaled_distances(pose_problem(log, PARAMS), log.anchor_position / log.dock_radius)
@@ -69,9 +63,9 @@ def test_known_robots_say_how_the_shape_is_turned_and_which_hand_it_has(seed):
     assert max(off) > 1.0
 
 
-def test_shortest_ways_stand_in_for_distances_that_nothing_measured(towers):
+def test_shortest_ways_stand_in_for_distances_that_nothing_measured(tall_towers):
     """With a few known robots the tower is found to a few R, which chains then mend."""
-    history = towers[0]
+    history = tall_towers[0]
     log = observe(history, SensingParams())
     log = replace(log, stances=None, contacts=log.contacts[:0], noise=None)
     log = with_ranges(log, history, reach=8.0, sd=0.01)
@@ -85,10 +79,10 @@ def test_shortest_ways_stand_in_for_distances_that_nothing_measured(towers):
     assert min(off) < 0.5 * size
 
 
-def test_contacts_alone_and_too_many_robots_have_no_such_start(towers, monkeypatch):
+def test_contacts_alone_and_too_many_robots_have_no_such_start(tall_towers, monkeypatch):
     """Contacts say too little of distances, and all distances of many robots take too long."""
-    contacts = observe(towers[0], SensingParams())
-    ranged = with_ranges(contacts, towers[0], reach=6.0, sd=0.1)
+    contacts = observe(tall_towers[0], SensingParams())
+    ranged = with_ranges(contacts, tall_towers[0], reach=6.0, sd=0.1)
     few = pose_problem(ranged, PARAMS)
     anchor = ranged.anchor_position
 

@@ -10,7 +10,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.peers.settings import HopByHopParams
-from tiswarm.localization.settings import SWITCHES, JointParams
+from tiswarm.localization.settings import SWITCHES, Cues, CuesOfNamedDocks, JointParams
 from tiswarm.measurements.cues import measure
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -32,7 +32,7 @@ def test_touches_place_robots(docks):
     logs = [touched(history, docks) for history in towers]
 
     found = [localize(log, QUICK) for log in logs]
-    without = localize_many(logs, [replace(QUICK, touches=False)] * len(logs))
+    without = localize_many(logs, [replace(QUICK, cues=Cues(touches=False))] * len(logs))
 
     error, unaided = (
         np.mean([
@@ -44,7 +44,7 @@ def test_touches_place_robots(docks):
     assert error < 0.5 * unaided
     for log, history, estimate in zip(logs, towers, found, strict=True):
         assert "touches" in estimate.observability.cues
-        scores = outlier_scores(history, estimate, rows=measure(log, QUICK.cues))
+        scores = outlier_scores(history, estimate, rows=measure(log, QUICK.used_cues))
         assert scores.get("wrong_contacts", 0) == 0  # touches are not scored
 
 
@@ -67,14 +67,14 @@ def test_touches_are_ignored_where_they_are_switched_off(towers):
     log = replace(touched(towers[0]), stances=None)
     without = replace(log, touches=log.touches[:0])
 
-    off, none = (localize(one, replace(QUICK, touches=False)) for one in (log, without))
+    off, none = (localize(one, replace(QUICK, cues=Cues(touches=False))) for one in (log, without))
 
     assert off.position.tobytes() == none.position.tobytes()
 
 
 def test_hop_by_hop_takes_no_touches():
     """Robots would have to know the docks; its cues say so."""
-    assert "touches" not in HopByHopParams().cues
+    assert "touches" not in HopByHopParams().used_cues
     assert "touches" in SWITCHES
     with pytest.raises(pydantic.ValidationError, match="touches"):
-        HopByHopParams(touches=True)
+        HopByHopParams(cues=CuesOfNamedDocks(touches=True))

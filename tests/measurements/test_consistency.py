@@ -6,7 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from tests.structures import silent
+from tests.structures import NOISY, silent
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import inconsistent_places
 from tiswarm.measurements.units import contradictions
@@ -91,7 +91,7 @@ def test_most_false_contacts_of_a_noiseless_log_are_found(towers):
 def test_a_ground_contact_that_its_robots_flips_contradict_is_found(towers):
     """One that is taken for flat ground at a height where there is none; no right one is."""
     for history in towers:
-        for noise in (SensingParams(), SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)):
+        for noise in (SensingParams(), NOISY):
             log = observe(history, noise)
             high = np.flatnonzero(history.position[:, 2] > 4.0)
             wrong = np.column_stack([high, np.zeros_like(high)])

@@ -8,7 +8,7 @@ import pytest
 from tests.structures import silent
 from tiswarm.evaluation.metrics import earlier_contact_count
 from tiswarm.localization.chains.problem import pose_problem
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.measurements.contacts import contact_count, disconnected, nearest_overlap, overlaps
 from tiswarm.measurements.cues import measure
 
@@ -41,9 +41,9 @@ def test_odometry_connects_whoever_knows_where_it_started_and_all_it_touches():
     log = dataclasses.replace(log, spawn_position=spawn, flip_height=np.ones(6))
 
     for cues, lost in ((["contacts", "height"], [3, 4, 5]), (["contacts", "odometry"], [5])):
-        off = {cue: cue in cues for cue in ("height", "odometry")}
+        params = JointParams(cues=Cues(height="height" in cues, odometry="odometry" in cues))
         assert np.flatnonzero(disconnected(measure(log, cues))).tolist() == lost
-        assert np.flatnonzero(pose_problem(log, JointParams(**off)).untied).tolist() == lost
+        assert np.flatnonzero(pose_problem(log, params).untied).tolist() == lost
 
 
 def test_contacts_are_counted_at_both_ends_and_at_the_joiner():

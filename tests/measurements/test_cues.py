@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from tests.structures import NOISY
 from tiswarm.localization.methods import localize
 from tiswarm.localization.peers.settings import LeastSquaresParams
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.measurements import cues
 from tiswarm.measurements.model import Coordinates
 from tiswarm.measurements.observability import observability
@@ -15,9 +16,9 @@ from tiswarm.sensing import SensingParams, observe
 def test_a_new_cue_serves_every_method_and_analysis(towers, monkeypatch):
     """Marks on a wall that every other robot sees say how far along x it is, to 0.05 R."""
     history = towers[0]
-    log = observe(history, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0))
-    params = JointParams(walk_contacts=False, ground=False, steps=1500, chains=4)
-    before = [localize(log, params), observability(log, params.cues)]
+    log = observe(history, NOISY)
+    params = JointParams(cues=Cues(walk_contacts=False, ground=False), steps=1500, chains=4)
+    before = [localize(log, params), observability(log, params.used_cues)]
 
     def wall(centered, odometry, _precision):
         robot = np.arange(1, log.robot_count, 2)
@@ -27,7 +28,7 @@ def test_a_new_cue_serves_every_method_and_analysis(towers, monkeypatch):
 
     monkeypatch.setattr(cues, "CUES", [*cues.CUES, cues.Cue(name="wall", rows=wall)])
 
-    after = [localize(log, params), observability(log, params.cues)]
+    after = [localize(log, params), observability(log, params.used_cues)]
     reference = localize(log, LeastSquaresParams())
 
     off = [np.abs(found[0].position - history.position)[:, 0].mean() for found in (before, after)]

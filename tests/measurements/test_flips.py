@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import tiswarm
-from tests.structures import NOISY
+from tests.structures import NOISY, grown
 from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.measurements.flips import fit_orientations, flip_axes
 from tiswarm.records.sensing_log import SensingNoise
@@ -188,7 +188,7 @@ def test_settings_without_meaning_are_refused(tmp_path, method, axes):
 @pytest.mark.filterwarnings("ignore::tiswarm.base.errors.ResultWarning")
 def test_methods_localize_by_the_fit():
     """The door to all methods fits orientations first."""
-    [history] = grow(TowerParams(), robots=8, seeds=[101], robot=RobotGeometry())
+    history = grown(TowerParams(), robots=8, seed=101)
     log = observe(history, NOISY)
 
     found = tiswarm.localize(log, method="hop-by-hop", flip_axes=6)

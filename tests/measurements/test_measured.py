@@ -52,7 +52,7 @@ def test_a_case_turns_each_cue_that_was_sensed_into_rows_three_times(towers, wor
     log = observe(history, SensingParams())
 
     estimate = localize(log, params)
-    rows = measure(log, params.cues)
+    rows = measure(log, params.used_cues)
     truth = Truth(
         robot_id=log.robot_id,
         position=history.position,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
 from tests.strategies import rotations, vectors
-from tests.structures import with_directions
+from tests.structures import NOISY, with_directions
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.model import SPACING, Measurements
@@ -100,7 +100,7 @@ def test_variance_is_that_of_noisy_logs(towers, log):
     squares = []
     for seed in range(40):
         history = replace(towers[0], seed=seed)
-        noisy = observe(history, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0))
+        noisy = observe(history, NOISY)
         exact = measure(replace(log, orientation_wxyz=noisy.orientation_wxyz,
                                 stances=replace(log.stances,
                                                 orientation_wxyz=noisy.stances.orientation_wxyz)),

@@ -11,7 +11,7 @@ from tests.strategies import rotations
 from tests.structures import with_connections, with_directions
 from tiswarm.localization.methods import localize
 from tiswarm.localization.peers.settings import LeastSquaresParams
-from tiswarm.localization.settings import JointParams, VirtualForceParams
+from tiswarm.localization.settings import Cues, JointParams, VirtualForceParams
 from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.odometry import Odometry, connections_of, with_orientations
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
@@ -156,7 +156,7 @@ def test_chained_orientations_are_as_noisy_as_stated(towers):
     ("params", "largest"),
     [
         (JointParams(chains=3, steps=600, hold_steps=200), 0.25),
-        (LeastSquaresParams(non_overlap=False), 0.4),
+        (LeastSquaresParams(cues=Cues(non_overlap=False)), 0.4),
         (VirtualForceParams(iterations=40), 8.0),
     ],
     ids=lambda p: getattr(p, "method", ""),

@@ -1,4 +1,4 @@
-"""A stranger adds a key in one file and a cue in one; all else follows from their tables."""
+"""A stranger adds a key, a cue and its switch, each in one place; all else follows."""
 
 import json
 import shutil
@@ -17,10 +17,15 @@ FIELD = '''    echoes: Reals = _listed("robot", "distance", "sd", version=2, mea
 class Stances(Sensed):'''
 CUE = """    Cue(
         name="echoes", rows=_echoes, key="echoes", item="echo of robot {other}",
-        switch="Distances by sound count.", place=12, words="distances by sound", said=13,
+        has_switch=True, words="distances by sound", said=13,
     ),
 ]  # fmt: skip
 """
+SWITCH = """    echoes: Annotated[bool, Field(description="Distances by sound count.")] = True
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class CuesOfNamedDocks(Cues):"""
 ROWS = """def _echoes(log, odometry, precision):
     stance, rows = _of_all_stances("echoes", log, odometry)
     other, center = odometry.final[rows[:, 0].astype(int)], np.full_like(stance, CENTER)
@@ -38,7 +43,7 @@ import numpy as np
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.measurements.units import slips
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import line_schema
@@ -53,7 +58,8 @@ rows = np.array([[j, i, apart[j, i], 0.05] for j in range(8) for i in range(j)])
 path = Path("log.jsonl")
 log = replace(observe(history, SensingParams(tilt_noise_deg=1.0)), echoes=rows)
 write_sensing_log(log, path)
-params = [JointParams(chains=2, steps=60, hold_steps=20, echoes=on) for on in (True, False)]
+quick = JointParams(chains=2, steps=60, hold_steps=20)
+params = [replace(quick, cues=Cues(echoes=on)) for on in (True, False)]
 header, *robots = path.read_text().splitlines()
 wrong = Path("wrong.jsonl")
 wrong.write_text("\\n".join([header, robots[0], robots[1].replace(f"{apart[1, 0]}", "-1.0")]))
@@ -80,14 +86,18 @@ def _changed(path, old, new):
 
 
 @pytest.mark.trial
-def test_a_key_and_its_cue_are_an_edit_each(tmp_path):
+def test_a_key_a_cue_and_its_switch_are_an_edit_each(tmp_path):
     """Reader, writer, refusals, schema, settings, estimates, units and words take them."""
     shutil.copytree(REPOSITORY / "tiswarm", tmp_path / "tiswarm")
-    log, cues = (tmp_path / f"tiswarm/{n}.py" for n in ("records/sensing_log", "measurements/cues"))
+    log = tmp_path / "tiswarm/records/sensing_log.py"
+    cues = tmp_path / "tiswarm/measurements/cues.py"
+    settings = tmp_path / "tiswarm/localization/settings.py"
     head = "@dataclass(frozen=True, kw_only=True)\nclass "
     _changed(log, f"{head}Stances(Sensed):", FIELD)
     _changed(cues, f"{head}Cue:", ROWS)
     _changed(cues, "]  # fmt: skip\n", CUE)
+    strict = "@dataclass(frozen=True, kw_only=True, config=STRICT)\nclass "
+    _changed(settings, f"{strict}CuesOfNamedDocks(Cues):", SWITCH)
 
     done = subprocess.run(
         [sys.executable, "-c", USE], cwd=tmp_path, check=True, capture_output=True, text=True

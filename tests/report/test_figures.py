@@ -44,7 +44,7 @@ def test_every_figure_is_drawn(run_folder):
 
 def test_a_narrow_figure_has_a_panel_below_the_other():
     """A phone shows it at its size: five points of a letter remain five."""
-    panels = Panels(2.0, 3, 3, share="y", most=figure_style.COLUMN_WIDTH)
+    panels = Panels(2.0, 3, 3, share="y", max_width=figure_style.COLUMN_WIDTH)
     panels.first.plot([1.0, 2.0], [3.0, 4.0], label="a condition with a name as long as a sentence")
     panels.first.plot([1.0, 2.0], [4.0, 5.0], label="another condition")
     panels.legend("mean", structures=2)

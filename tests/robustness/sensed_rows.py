@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.structures import (
     Rule,
+    grown,
     silent,
     structure,
     with_connections,
@@ -25,12 +26,10 @@ from tests.structures import (
     with_heights,
     with_ranges,
 )
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import KEYS, LISTS, SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.sensing.suites import STATIONS
-from tiswarm.world.growth import grow
 from tiswarm.world.params import BridgeParams, CantileverParams, TowerParams
 
 Lines = list[dict[str, Any]]
@@ -78,9 +77,9 @@ def logs_of_all_kinds(folder: Path) -> dict[str, Lines]:
 
 def _sensed() -> Iterable[tuple[str, SensingLog]]:
     """Yield a log of each kind with its name."""
-    [tower] = grow(TowerParams(), robots=8, seeds=[0], robot=RobotGeometry())
-    [cantilever] = grow(CantileverParams(), robots=12, seeds=[1], robot=RobotGeometry())
-    [bridge] = grow(BridgeParams(), robots=10, seeds=[2], robot=RobotGeometry())
+    tower = grown(TowerParams(), robots=8, seed=0)
+    cantilever = grown(CantileverParams(), robots=12, seed=1)
+    bridge = grown(BridgeParams(), robots=10, seed=2)
     yield "tower", observe(tower, NO_BIAS)
     yield "cantilever, biased", observe(cantilever, ALL_SENSES)
     yield "bridge, two anchors", observe(bridge, NO_BIAS)

@@ -12,6 +12,7 @@ from tests.robustness.quick_methods import JOINING, METHODS
 from tests.robustness.sensed_rows import ALL_SENSES
 from tests.structures import (
     Rule,
+    grown,
     structure,
     with_connections,
     with_directions,
@@ -25,7 +26,6 @@ from tiswarm.app.logs import Log
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.registry import BUILT_IN
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
 from tiswarm.records.mcap import SENSING, encode_messages
 from tiswarm.records.outputs import Outputs
@@ -33,7 +33,6 @@ from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log
 from tiswarm.sensing import observe
-from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
 pytestmark = pytest.mark.slow
@@ -42,7 +41,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     """Lines of a log with every key of each version, one with four docks, and one with events."""
-    [history] = grow(TowerParams(), robots=8, seeds=[0], robot=RobotGeometry())
+    history = grown(TowerParams(), robots=8, seed=0)
     first = observe(history, ALL_SENSES)
     foreign = with_heights(*structure(Rule(kind="loops", docks=4), robots=8, seed=1))
     second = with_ranges(

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from tiswarm.base.errors import InputError
 from tiswarm.cli import main
-from tiswarm.localization.settings import VirtualForceParams
+from tiswarm.localization.settings import Cues, VirtualForceParams
+from tiswarm.scenario import expansion
 from tiswarm.scenario.expansion import find_mistakes, load_scenario, variants
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams
@@ -334,6 +335,94 @@ def test_a_bad_item_does_not_make_its_list_too_short(scenario):
     assert [mistake.key for mistake in mistakes] == ["seeds[0]"]
 
 
+def test_of_many_mistakes_twenty_are_listed(scenario, monkeypatch):
+    """A file of something else has thousands; each costs time, and nobody reads them."""
+    explained = []
+    monkeypatch.setattr(
+        "tiswarm.scenario.validation.explain", lambda *error: explained.append(error) or "is wrong"
+    )
+    path = scenario(SMALL + "".join(f"key{number}: 1\n" for number in range(500)))
+
+    mistakes = find_mistakes(path)
+
+    assert [error.line for error in mistakes[:20]] == [*range(3, 23)]
+    assert str(mistakes[20]) == (
+        f"{path}: has more than 20 mistakes; correct those that are listed first"
+    )
+    assert len(mistakes) == 21
+    assert len(explained) < 50  # checks of parts explain some again
+
+
+def test_conditions_with_mistakes_are_checked_up_to_the_twentieth(scenario, monkeypatch):
+    """Each condition is a whole scenario to check."""
+    built = count_scenarios(monkeypatch)
+    wrong = "".join(f"  c{number}: {{localization.key{number}: 1}}\n" for number in range(500))
+
+    mistakes = find_mistakes(scenario(f"{SMALL}conditions:\n{wrong}"))
+
+    assert [error.key for error in mistakes[:2]] == [
+        "conditions.c0.localization.key0", "conditions.c1.localization.key1"
+    ]  # fmt: skip
+    assert len(mistakes) == 21
+    assert len(built) < 50
+
+
+def count_scenarios(monkeypatch):
+    """Return a list that gets an entry whenever a whole scenario is checked."""
+    built = []
+    check = expansion.from_plain
+    monkeypatch.setattr(
+        expansion, "from_plain", lambda data: built.append(data["name"]) or check(data)
+    )
+    return built
+
+
+def test_a_mistake_of_all_variants_ends_their_checks(scenario, monkeypatch):
+    """One wrong condition makes a mistake at each point of the sweep."""
+    built = count_scenarios(monkeypatch)
+    points = [*range(5, 3005)]
+
+    mistakes = find_mistakes(
+        scenario(f"{SMALL}conditions: {{a: {{localization.key: 1}}}}\nsweep: {{robots: {points}}}")
+    )
+
+    assert [error.key for error in mistakes] == ["conditions.a.localization.key"]
+    assert len(built) < 1100
+
+
+@pytest.mark.parametrize("key", ["robots", "structure.goal_height", "localization.iterations"])
+def test_a_sweep_checks_only_what_it_changes(scenario, monkeypatch, key):
+    """Else checks of thousands of values, all of them right, take seconds."""
+    built = count_scenarios(monkeypatch)
+    text = f"{SMALL}sweep: {{{key}: {[*range(5, 105)]}}}"
+
+    points = variants(load_scenario(scenario(text)))
+
+    assert len(points) == 100
+    assert len(built) < 10
+
+
+@pytest.mark.parametrize("count", [20, 100])
+def test_a_list_of_right_values_may_be_meant_as_a_sweep(scenario, monkeypatch, count):
+    """The option says so for any number of values, and checks few of them in the whole scenario."""
+    built = count_scenarios(monkeypatch)
+    values = [*range(5, 5 + count)]
+
+    (mistake,) = find_mistakes(scenario(SMALL), [f"robots={values}"])
+
+    assert "; to sweep robots, give --set 'sweep={robots: [5, 6, 7" in mistake.problem
+    assert len(built) < 70
+
+
+def test_a_long_list_with_a_wrong_value_is_no_sweep(scenario):
+    """Advice that leads to another mistake helps nobody."""
+    values = [*range(5, 105), -1]
+
+    (mistake,) = find_mistakes(scenario(SMALL), [f"robots={values}"])
+
+    assert "to sweep" not in mistake.problem
+
+
 def test_a_misspelled_key_is_the_only_mistake():
     """The key that was meant is not missing, too."""
     data = {"name": "x", "structur": {"kind": "tower"}, "localization": {"method": "joint"}}
@@ -498,6 +587,73 @@ def test_another_method_or_kind_names_the_keys_it_lacks(scenario, option, text, 
         load_scenario(path, [option])
 
     assert str(refusal.value).startswith(f"{path}{problem}")
+
+
+JOINT = "name: own\nstructure: {kind: tower}\nlocalization:\n  method: joint\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "where"),
+    [
+        (f"{JOINT}  walk_contacts: false", [], ":5: localization.walk_contacts"),
+        (
+            f"{JOINT}conditions:\n  a: {{localization.walk_contacts: false}}",
+            [],
+            ":6: conditions.a.localization.walk_contacts",
+        ),
+        (
+            f"{JOINT}sweep:\n  localization.walk_contacts: [false]",
+            [],
+            ":6: sweep.localization.walk_contacts",
+        ),
+        (
+            JOINT,
+            ["localization.walk_contacts=false"],
+            "overrides: localization.walk_contacts=false",
+        ),
+    ],
+    ids=["section", "condition", "sweep", "option"],
+)
+def test_a_switch_of_an_earlier_version_names_the_key_to_write(scenario, text, options, where):
+    """Cues were keys of each method; they are a section of their own."""
+    path = scenario(text)
+
+    with pytest.raises(InputError) as refusal:
+        load_scenario(path, options)
+
+    problem = "the key is now localization.cues.walk_contacts; write localization.cues."
+    message = str(refusal.value).removeprefix(str(path))
+    assert message.startswith(f"{where}: {problem}walk_contacts: false")
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        (f"{JOINT}  cues: {{walk_contacts: false}}", []),
+        (f"{JOINT}conditions:\n  a: {{localization.cues.walk_contacts: false}}", []),
+        (f"{JOINT}sweep:\n  localization.cues.walk_contacts: [false]", []),
+        (JOINT, ["localization.cues.walk_contacts=false"]),
+    ],
+    ids=["section", "condition", "sweep", "option"],
+)
+def test_a_cue_is_switched_off_wherever_settings_are_set(scenario, text, options):
+    """Section, condition, sweep and option: the cue is off, and all others stay on."""
+    [variant] = variants(load_scenario(scenario(text), options))
+
+    assert variant.settings.localization.cues == Cues(walk_contacts=False)
+
+
+def test_a_method_without_a_cue_names_those_that_have_it(scenario):
+    """Hop-by-hop finds no docks, and Algorithm 1 has settings of its own for what it uses."""
+    text = "name: own\nstructure: {kind: tower}\nlocalization:\n  method: "
+    touches = scenario(f"{text}hop-by-hop\n  cues: {{touches: true}}")
+    [of_docks] = find_mistakes(touches)
+    of_published = find_mistakes(scenario(f"{text}virtual-force\n  cues: {{height: false}}"))[0]
+
+    assert ":5: localization.cues.touches: true should be false with hop-by-hop; " in str(of_docks)
+    assert str(of_docks).endswith("or choose method joint or least-squares")
+    assert ":5: localization.cues: unknown key of virtual-force; " in str(of_published)
 
 
 def test_a_method_is_set_up_without_a_file():

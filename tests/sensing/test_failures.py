@@ -9,12 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.records.test_sensing_file import content
-from tiswarm.base.robot import RobotGeometry
+from tests.structures import grown
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_log import LISTS
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.sensing.failures import failing
-from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0, false_contacts=0.05, spawn_noise=0.1)
@@ -202,7 +201,7 @@ def _turn(sensed_wxyz, true_wxyz):
 
 def test_drift_of_planar_robots_stays_in_their_plane():
     """They turn about y: a drift about another axis would lift docks from the plane."""
-    [history] = grow(TowerParams(plane=True), robots=12, seeds=[3], robot=RobotGeometry())
+    history = grown(TowerParams(plane=True), robots=12, seed=3)
 
     log = observe(history, SensingParams(drift=1.0))
 

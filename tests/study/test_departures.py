@@ -8,18 +8,17 @@ import pytest
 
 import tiswarm
 from tests.runs import REPOSITORY
+from tests.structures import grown
 from tiswarm import study
 from tiswarm.app.logs import open_log
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.tables import LOSSES
 from tiswarm.records.sensing_file import log_entries, read_sensing_log
 from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view, view_data, view_log
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.world.growth import grow
 from tiswarm.world.params import DepartureParams, TowerParams
 
 LEAVING = "structure={kind: tower, departures: {rate: 0.3}}"
@@ -44,7 +43,7 @@ def folder(tmp_path_factory):
 def history():
     """The structure of that run."""
     params = TowerParams(departures=DepartureParams(rate=0.3))
-    return grow(params, robots=15, seeds=[1], robot=RobotGeometry())[0]
+    return grown(params, robots=15, seed=1)
 
 
 def test_a_log_says_where_robots_left(history, folder):

@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.runs import REPOSITORY
+from tests.structures import grown
 from tests.world.test_beliefs import same
 from tiswarm import study
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.tables import by_join
 from tiswarm.localization.distributed.method import PeerSwarm
 from tiswarm.localization.methods import joining, localize
@@ -181,10 +181,7 @@ def test_climbing_robots_plan_by_the_orientations_of_their_log():
 @pytest.fixture(scope="module")
 def bridges():
     """One bridge with eight robots, and with twelve."""
-    return [
-        grow(BridgeParams(gap=30.0), robots=robots, seeds=[0], robot=RobotGeometry())[0]
-        for robots in (8, 12)
-    ]
+    return [grown(BridgeParams(gap=30.0), robots=robots, seed=0) for robots in (8, 12)]
 
 
 def _errors(bridge, kind, size):

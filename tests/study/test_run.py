@@ -217,8 +217,8 @@ def test_any_method_is_run_and_called_alike(tiswarm, tmp_path, method, setting):
     scenario = tmp_path / "small.yaml"
     scenario.write_text(
         "name: small\nrobots: 10\nstructure: {kind: tower}\n"
-        f"localization: {{method: {method}, {key}: {value}, non_overlap: false,\n"
-        "  ground: false, walk_contacts: false, odometry: false}\n"
+        f"localization: {{method: {method}, {key}: {value}, cues: {{\n"
+        "  non_overlap: false, ground: false, walk_contacts: false, odometry: false}}\n"
     )
     ran = tiswarm("run", scenario, "--no-pictures", "--out", tmp_path)
     assert ran.returncode == 0, ran.stderr

@@ -94,6 +94,21 @@ def test_measurements_are_equal_if_they_are_on_each_structure():
     assert table["method"].tolist() == ["virtual-force", "virtual-force together", "virtual-force"]
 
 
+def test_measurements_of_structures_are_in_the_order_of_their_seeds():
+    """Structures of one condition may have other cues: no hash of text decides the order."""
+    path = REPOSITORY / "scenarios" / "tower.yaml"
+    cases = study.plan(load_scenario(path, ["seeds=8", "conditions={a: {}}"])).cases
+    cues = [f"cue_{letter}" for letter in "hfbgadce"]
+    records = [
+        replace(failure(case, ""), status="done", scores={"rmse_R": 1.0}, measurements=cue)
+        for case, cue in zip(cases, cues, strict=True)
+    ]
+
+    table = tables.table(records, [case.settings for case in cases])
+
+    assert table["measurements"].tolist() == [", ".join(cues)]
+
+
 def test_rounds_of_back_propagation_are_in_the_table():
     """A round follows the last join at the latest; conditions without rounds have gaps."""
     path = REPOSITORY / "scenarios" / "back-propagation.yaml"

@@ -9,6 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from tests import frames, oracle
+from tests.structures import grown
 from tiswarm.base.robot import TANGENT_RHO, RobotGeometry
 from tiswarm.compute.math import uniform
 from tiswarm.sensing import SensingParams, observe
@@ -327,10 +328,7 @@ def test_one_mover_is_what_robots_one_at_a_time_are():
 
 def test_more_movers_than_robots_take_no_memory():
     """The slots of the others would stay empty, and a billion of them fill any memory."""
-    many, few = (
-        grow(TowerParams(movers=movers), robots=5, seeds=[0], robot=RobotGeometry())[0]
-        for movers in (10**9, 5)
-    )
+    many, few = (grown(TowerParams(movers=movers), robots=5, seed=0) for movers in (10**9, 5))
 
     assert _same(many, few)
 

@@ -1,20 +1,14 @@
 """Rules of growth: those of the guide grow what the kernel grows, and all structures are sound."""
 
 import dataclasses
-import re
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests import oracle
+from tests.rules import FIREANT, SEED, assert_same_growth, grow_seeds, with_rule
 from tiswarm.base import plugins, registry
-from tiswarm.base.errors import InputError
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets, uniform
-from tiswarm.world.growth import grow
-from tiswarm.world.history import History
 from tiswarm.world.history_file import find_fault
 from tiswarm.world.params import (
     BridgeParams,
@@ -27,10 +21,6 @@ from tiswarm.world.params import (
 )
 from tiswarm.world.walks import recruit, relay
 
-PAGE = (Path(__file__).parents[2] / "docs" / "guides" / "rules.md").read_text()
-CODE = "\n\n".join(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL))
-FIREANT = RobotGeometry()
-SEED = 100_000
 KINDS: dict[str, GrowthParams] = {
     "tower": TowerParams(),
     "cantilever": CantileverParams(anchor=3.5, founders=2),
@@ -46,44 +36,7 @@ KINDS: dict[str, GrowthParams] = {
 }
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory):
-    """File with the rules of the page."""
-    file = tmp_path_factory.mktemp("rules") / "rules.py"
-    file.write_text(CODE)
-    return file
-
-
-@pytest.fixture(autouse=True)
-def _rules(page):
-    """Load the rules of the page, and leave none to the next test."""
-    plugins.load_plugins([page])
-    yield
-    plugins.forget()
-
-
-def _by(params: GrowthParams, name: str, **settings: object) -> GrowthParams:
-    return dataclasses.replace(params, rule=registry.get("rule", name)(**settings))
-
-
-def _grow(params: GrowthParams, robots: int, seeds: "list[int] | range") -> list[History]:
-    return grow(params, robots=robots, seeds=seeds, robot=FIREANT)
-
-
-def _assert_same(one: list[History], other: list[History]) -> None:
-    for a, b in zip(one, other, strict=True):
-        assert (a.robot_count, a.spawns, a.crossed, a.ended) == (
-            b.robot_count, b.spawns, b.crossed, b.ended
-        )  # fmt: skip
-        np.testing.assert_array_equal(a.sensed, b.sensed)
-        np.testing.assert_array_equal(
-            *(np.array([*map(dataclasses.astuple, h.loads)]) for h in (a, b))
-        )
-        for mine, its in zip(a.walks, b.walks, strict=True):
-            for field in dataclasses.fields(mine):
-                np.testing.assert_array_equal(
-                    getattr(mine, field.name), getattr(its, field.name), err_msg=field.name
-                )
+pytestmark = pytest.mark.usefixtures("page_rules")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -91,7 +44,10 @@ def test_reactive_build_in_python_grows_the_bytes_of_the_kernel(kind):
     """All of the history is equal, for every kind of structure and way to climb."""
     params, seeds = KINDS[kind], range(SEED, SEED + 2)
 
-    _assert_same(_grow(params, 12, seeds), _grow(_by(params, "reactive-build-python"), 12, seeds))
+    assert_same_growth(
+        grow_seeds(params, 12, seeds),
+        grow_seeds(with_rule(params, "reactive-build-python"), 12, seeds),
+    )
 
 
 @pytest.mark.trial
@@ -100,29 +56,18 @@ def test_reactive_build_in_python_grows_the_bytes_of_the_kernel_on_many_seeds(ro
     """So the published laws of ReactiveBuild hold for the rule as for the kernel."""
     params = TowerParams()
 
-    _assert_same(
-        _grow(params, robots, range(SEED, SEED + seeds)),
-        _grow(_by(params, "reactive-build-python"), robots, range(SEED, SEED + seeds)),
+    assert_same_growth(
+        grow_seeds(params, robots, range(SEED, SEED + seeds)),
+        grow_seeds(with_rule(params, "reactive-build-python"), robots, range(SEED, SEED + seeds)),
     )
-
-
-def test_a_score_grows_the_same_in_python_and_as_a_kernel():
-    """The ramp of the page does, with its settings."""
-    settings = {"slope": 0.4, "length": 15.0}
-    seeds = range(SEED, SEED + 2)
-
-    ramp = _grow(_by(TowerParams(), "ramp", **settings), 15, seeds)
-
-    _assert_same(ramp, _grow(_by(TowerParams(), "ramp-kernel", **settings), 15, seeds))
-    assert (ramp[0].position != _grow(TowerParams(), 15, seeds)[0].position).any()
 
 
 @pytest.mark.parametrize("kind", ["tower", "bridge", "movers"])
 def test_structures_of_a_random_rule_are_sound(kind):
     """No overlap, contacts at the right distance, and nobody stays alone, whatever is chosen."""
-    params = _by(KINDS[kind], "random", flips=3)
+    params = with_rule(KINDS[kind], "random", flips=3)
 
-    for history in _grow(params, 15, [SEED, SEED + 1]):
+    for history in grow_seeds(params, 15, [SEED, SEED + 1]):
         assert find_fault(history, contact_gap=0.02) == ""
         lonely = {*range(history.robot_count)} - {*history.contacts[:, [0, 2]].ravel().tolist()}
         assert len(lonely) <= params.founder_count
@@ -131,16 +76,16 @@ def test_structures_of_a_random_rule_are_sound(kind):
 @pytest.mark.parametrize("rule", ["random", "ramp"])
 def test_company_does_not_change_a_structure(rule):
     """A seed grows the same structure alone and in a batch, though a rule sees all at once."""
-    params = _by(TowerParams(), rule)
+    params = with_rule(TowerParams(), rule)
 
-    [alone] = _grow(params, 12, [SEED + 1])
+    [alone] = grow_seeds(params, 12, [SEED + 1])
 
-    _assert_same([alone], _grow(params, 12, [SEED, SEED + 1, SEED + 2])[1:2])
+    assert_same_growth([alone], grow_seeds(params, 12, [SEED, SEED + 1, SEED + 2])[1:2])
 
 
 def test_robots_stay_where_the_rule_says():
     """Random climbers stay after so many flips, at the first robot that they touch."""
-    [history] = _grow(_by(TowerParams(), "random", flips=4), 12, [SEED])
+    [history] = grow_seeds(with_rule(TowerParams(), "random", flips=4), 12, [SEED])
 
     for walk in history.walks[1:]:
         touched = np.unique(walk.contacts[:, 0])
@@ -150,7 +95,7 @@ def test_robots_stay_where_the_rule_says():
 def test_a_rule_may_call_in_its_own_way():
     """Robots that call from half the load end up under smaller loads."""
     late, early = (
-        _grow(_by(TowerParams(), name), 25, [SEED])[0]
+        grow_seeds(with_rule(TowerParams(), name), 25, [SEED])[0]
         for name in ("reactive-build-python", "early-call")
     )
 
@@ -189,7 +134,7 @@ def _recorded(params: GrowthParams, robots: int, seeds: list[int], like: str) ->
     rule = Recorder(like)
     params = dataclasses.replace(params)
     object.__setattr__(params, "rule", rule)
-    _grow(params, robots, seeds)
+    grow_seeds(params, robots, seeds)
     return rule.steps
 
 
@@ -259,8 +204,8 @@ def test_a_rule_may_spread_calls_in_its_own_way():
     silent = Recorder("reactive-build-python", spread=lambda call, _: np.repeat(0 * call, 3))
     object.__setattr__(params, "rule", silent)
 
-    [quiet] = _grow(params, 15, [SEED])
-    [usual] = _grow(TowerParams(force_threshold=2.0), 15, [SEED])
+    [quiet] = grow_seeds(params, 15, [SEED])
+    [usual] = grow_seeds(TowerParams(force_threshold=2.0), 15, [SEED])
 
     assert not any(walk.recruited for walk in quiet.walks)
     assert any(walk.recruited for walk in usual.walks)
@@ -288,7 +233,7 @@ def test_a_wrong_choice_is_a_line(tmp_path, returned, problem):
     plugins.load_plugins([tmp_path / "wrong.py"])
 
     with pytest.raises(plugins.PluginError, match=problem):
-        _grow(_by(TowerParams(), "wrong"), 3, [SEED])
+        grow_seeds(with_rule(TowerParams(), "wrong"), 3, [SEED])
 
 
 @pytest.mark.parametrize("name", ["dock", "relay", "robot_count", "sensed"])
@@ -302,7 +247,7 @@ def test_a_rule_cannot_write_what_it_sees(tmp_path, name):
     with pytest.raises(
         plugins.PluginError, match=r"writes\.py:6: writes\.choose failed: .*read-only"
     ):
-        _grow(_by(TowerParams(), "writes"), 3, [SEED])
+        grow_seeds(with_rule(TowerParams(), "writes"), 3, [SEED])
 
 
 def test_a_rule_cannot_write_calls(tmp_path):
@@ -331,7 +276,7 @@ def test_who_goes_back_to_an_earlier_stance_is_not_recruited(tmp_path, end, recr
     (tmp_path / "turns_back.py").write_text(code)
     plugins.load_plugins([tmp_path / "turns_back.py"])
 
-    [history] = _grow(_by(TowerParams(force_threshold=0.01), "turns-back"), 8, [SEED])
+    [history] = grow_seeds(with_rule(TowerParams(force_threshold=0.01), "turns-back"), 8, [SEED])
 
     assert history.walks
     assert any(walk.recruited for walk in history.walks) == recruits
@@ -346,149 +291,12 @@ def test_one_choice_is_that_of_all_climbers(tmp_path, one):
         code = f"import numpy as np\nimport tiswarm\n\n@tiswarm.rule('{name}')\nclass Rule:\n"
         file.write_text(f"{code}    def choose(self, step):\n        return {returned}\n")
         plugins.load_plugins([file])
-        grown += [_grow(_by(TowerParams(), name), 3, [SEED])]
+        grown += [grow_seeds(with_rule(TowerParams(), name), 3, [SEED])]
 
     assert f"or correct the rule {name}" in grown[1][0].ended
-    _assert_same(*([dataclasses.replace(each, ended="") for each in found] for found in grown))
-
-
-SCORES = """
-import functools
-
-import tiswarm
-from tiswarm.compute.lang import ti
-
-SLOPE = 0.5
-
-
-@ti.func
-def above_of(center):
-    above = 0
-    if center[2] > SLOPE * center[0] + 2.0:
-        above = center[2] - SLOPE * center[0] - 2.0
-    return above
-
-
-def doubled(function):
-    @functools.wraps(function)
-    def twice(*values):
-        return 2.0 * function(*values)
-
-    return twice
-
-
-@tiswarm.rule("real")
-class Real:
-    def score(self):
-        @ti.func
-        def distance(center, orientation, goal):
-            above = ti.max(center[2] - SLOPE * center[0] - 2.0, 0.0)
-            return (center - ti.Vector([20.0, 0.0, 10.0])).norm() + 10.0 * above
-        return distance
-
-
-@tiswarm.rule("whole")
-class Whole:
-    def score(self):
-        @ti.func
-        def distance(center, orientation, goal):
-            return (center - ti.Vector([20, 0, 10])).norm() + 10 * above_of(center)
-        return distance
-
-
-@tiswarm.rule("wrong")
-class Wrong:
-    def score(self):
-        @ti.func
-        def distance(center, orientation, goal):
-            return sqrt(center[0])
-        return distance
-
-
-@tiswarm.rule("decorated")
-class Decorated:
-    def score(self):
-        @doubled
-        @ti.func
-        def distance(center, orientation, goal):
-            return (center - goal).norm()
-        return distance
-
-
-@tiswarm.rule("of-python")
-class OfPython:
-    def score(self):
-        def distance(center, orientation, goal):
-            return (center - goal).norm()
-        return distance
-
-
-@tiswarm.rule("decorated-method")
-class DecoratedMethod:
-    @doubled
-    def choose(self, step):
-        return 0 * step.robot - 0.5
-"""
-
-
-@pytest.fixture
-def scores(tmp_path):
-    """File with rules whose scores are kernel functions, or should be."""
-    file = tmp_path / "scores.py"
-    file.write_text(SCORES)
-    plugins.load_plugins([file])
-    return file
-
-
-@pytest.mark.usefixtures("scores")
-def test_a_score_that_begins_with_a_whole_number_grows_as_a_real_one_does():
-    """Its helper's number becomes real, as in Python."""
-    seeds = [SEED, SEED + 1]
-
-    _assert_same(
-        _grow(_by(TowerParams(), "real"), 12, seeds), _grow(_by(TowerParams(), "whole"), 12, seeds)
+    assert_same_growth(
+        *([dataclasses.replace(each, ended="") for each in found] for found in grown)
     )
-
-
-@pytest.mark.usefixtures("scores")
-def test_a_score_follows_a_number_that_it_reads():
-    """The steeper ramp of its file, not the one that was compiled first."""
-    [before] = _grow(_by(TowerParams(), "whole"), 12, [SEED])
-
-    rule = registry.registered("rule")["whole"].value
-    module = sys.modules[f"tiswarm_plugin_{registry.registered('rule')['whole'].plugin.digest}"]
-    module.SLOPE = 0.1
-    [after] = _grow(_by(TowerParams(), "whole"), 12, [SEED])
-    [flat] = _grow(dataclasses.replace(TowerParams(), rule=rule()), 12, [SEED])
-
-    assert (before.position != after.position).any()
-    _assert_same([after], [flat])
-
-
-@pytest.mark.parametrize(
-    ("name", "error", "message"),
-    [
-        ("wrong", InputError, r'scores\.py:50: distance: Name "sqrt" is not defined; correct it'),
-        (
-            "decorated",
-            plugins.PluginError,
-            r"decorated\.score returned distance, a function of Python",
-        ),
-        (
-            "of-python",
-            plugins.PluginError,
-            r"of-python\.score returned distance, a function of Python",
-        ),
-        ("decorated-method", plugins.PluginError, r"decorated-method\.choose returned float64"),
-    ],
-)
-@pytest.mark.usefixtures("scores")
-def test_a_score_that_kernels_cannot_compute_is_a_line(name, error, message):
-    """Decorators of a method count, too."""
-    with pytest.raises(error, match=message) as caught:
-        _grow(_by(TowerParams(), name), 3, [SEED])
-
-    assert "\n" not in str(caught.value)
 
 
 RANDOM = """
@@ -532,7 +340,7 @@ def test_random_numbers_of_a_rule_that_would_not_repeat_are_refused(tmp_path, dr
     with pytest.raises(
         plugins.PluginError, match=rf"draws\.py.*: draws\.choose failed: .*{problem}"
     ):
-        _grow(_by(TowerParams(), "draws"), 3, [SEED])
+        grow_seeds(with_rule(TowerParams(), "draws"), 3, [SEED])
     np.random.default_rng()  # that of others needs no seed
 
 
@@ -543,6 +351,6 @@ def test_random_numbers_of_a_rule_that_repeat_are_its_own(tmp_path, draw):
     file.write_text(RANDOM.replace("DRAW", draw))
     plugins.load_plugins([file])
 
-    [history] = _grow(_by(TowerParams(), "draws"), 2, [SEED])
+    [history] = grow_seeds(with_rule(TowerParams(), "draws"), 2, [SEED])
 
     assert history.robot_count >= 1

@@ -19,7 +19,7 @@ from tiswarm.records.outputs import NEW, Outputs
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import figure_style, table_figures
 from tiswarm.report.figure_style import Panels, marker_style
-from tiswarm.report.run_data import read_labels, swept_columns, with_points
+from tiswarm.report.run_data import joined_words, read_labels, swept_columns, with_points
 from tiswarm.study import tables
 from tiswarm.study.store import CaseRecord, RunFolder
 
@@ -95,7 +95,7 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
         names = [str(run) for run in runs]
     read = {name: _read_table(run) for run, name in zip(runs, names, strict=True)}
     first = ["run", *dict.fromkeys(key for table in read.values() for key in swept_columns(table))]
-    both = _stacked(read)
+    stacked = _stacked(read)
     labeled = {
         name: with_points(read_labels(run).put(read[name].copy(), before="cases"))
         for run, name in zip(runs, names, strict=True)
@@ -106,19 +106,20 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
         for label, accuracy in _by_series(RunFolder(run)).items()
     }
     rows = []
-    for (one, before), (other, after) in itertools.combinations(series.items(), 2):
-        if one[0] != other[0] and not before.index.intersection(after.index).empty:
-            pair = dict(zip(_COMPARED, (*other, *one), strict=False))
+    for (first_key, before), (second_key, after) in itertools.combinations(series.items(), 2):
+        is_of_two_runs = first_key[0] != second_key[0]
+        if is_of_two_runs and not before.index.intersection(after.index).empty:
+            pair = dict(zip(_COMPARED, (*second_key, *first_key), strict=False))
             rows += tables.differences(pair, before, after)
     make_folder(out)
-    columns = [*first, *both.columns.difference(first, sort=False)]
-    write_frame(both[columns], out / "comparison.csv", opened=outputs.opened)
+    columns = [*first, *stacked.columns.difference(first, sort=False)]
+    write_frame(stacked[columns], out / "comparison.csv", opened=outputs.opened)
     pairs = pd.DataFrame(rows, columns=None if rows else _COMPARED)
     write_frame(pairs, out / "paired.csv", opened=outputs.opened)
-    found = Comparison(out, _stacked(labeled))
+    comparison = Comparison(out, _stacked(labeled))
     with style.context(["default", figure_style.STYLE]):
-        outputs.write(out / FILES[2], figure_style.png(draw_rows(found.shown)))
-    return found
+        outputs.write(out / FILES[2], figure_style.png(draw_rows(comparison.shown)))
+    return comparison
 
 
 def _stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
@@ -158,8 +159,7 @@ def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
 def draw_rows(table: pd.DataFrame) -> "Figure":
     """Draw the mean of each of the first rows with its confidence interval, one color a run."""
     seen = table.head(table_figures.MOST_ROWS)
-    named = seen[["point", "condition"]].to_numpy().tolist()
-    labels = [", ".join(filter(None, row)) for row in named]
+    labels = joined_words(seen, ["point", "condition"])
     height = 0.9 + 0.17 * len(seen)
     panels = Panels(height, len(MAIN), len(MAIN), share="y")
     for axes, measure in panels.paired_with(MAIN):
@@ -172,8 +172,8 @@ def draw_rows(table: pd.DataFrame) -> "Figure":
             )  # fmt: skip
     table_figures.finish_rows(panels, labels, MAIN)
     panels.legend(figure_style.mean_words(table["cases"]), loc="outside upper right")
-    left = len(table) - len(seen)
-    return panels.finish(f"{left} more rows are in comparison.csv" if left else "")
+    omitted = len(table) - len(seen)
+    return panels.finish(f"{omitted} more rows are in comparison.csv" if omitted else "")
 
 
 def _short_table(table: pd.DataFrame) -> pd.DataFrame:

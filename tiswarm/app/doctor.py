@@ -26,8 +26,10 @@ from tiswarm.compute import machine
 from tiswarm.report.pictures import raycast
 
 _PROBE_SECONDS = 60
-_ROBOTS, _STEPS = 10_000, 20
-"""Size and length of the run that examines a device."""
+_ROBOTS = 10_000
+"""Robots of the run that examines a device."""
+_STEPS = 20
+"""Steps of that run."""
 _LIBRARIES = {
     "libX11.so.6": "libx11-6",
     "libGL.so.1": "libgl1",
@@ -78,7 +80,8 @@ def examine() -> Iterator[Finding]:
             yield Finding(f"backend {arch}", *_in_child(examine_backend, arch))
     for renderer in raycast.TRACERS:
         yield Finding(f"renderer {renderer}", *_in_child(draw_test_picture, renderer))
-    if packages := missing_packages():
+    packages = missing_packages()
+    if packages:
         detail = f"apt-get install {' '.join(packages)}"
         yield Finding("system packages", works=False, detail=detail)
 
@@ -93,8 +96,9 @@ def name_kernels() -> Iterator[Finding]:
 def examine_kernels(arch: Arch) -> str:
     """Return what decides the last bits of numbers, and the folder of kernels, as JSON."""
     numbers = json.loads(name_numerics(arch))
-    found = {f"numbers by {name}": text for name, text in numbers.items()}
-    return json.dumps({**found, "kernel cache": start_cache(arch)})
+    details = {f"numbers by {name}": text for name, text in numbers.items()}
+    details["kernel cache"] = start_cache(arch)
+    return json.dumps(details)
 
 
 def name_numerics(_arch: Arch) -> str:
@@ -116,8 +120,11 @@ def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter and code
             child_command(_PROBE, probe.__name__, name),
-            capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            timeout=_PROBE_SECONDS,
+            check=False,
+        )
     except subprocess.TimeoutExpired:
         return False, f"no answer in {_PROBE_SECONDS} s"
     said = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()
@@ -125,7 +132,7 @@ def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:
 
 
 def try_backend(arch: Arch) -> str:
-    """Let a swarm part on a device; return its library, precision and speed.
+    """Let a swarm disperse on a device; return its library, precision and speed.
 
     Raises:
         EnvironmentTroubleError: the machine lacks the device, or robots move otherwise than on the
@@ -136,23 +143,23 @@ def try_backend(arch: Arch) -> str:
 
     robot = RobotGeometry()
     side = robot.spacing * (3.0 * _ROBOTS) ** (1.0 / 3.0)
-    place = side * np.random.default_rng(0).random((_ROBOTS, 3))
+    position = side * np.random.default_rng(0).random((_ROBOTS, 3))
     level = np.tile([1.0, 0.0, 0.0, 0.0], (_ROBOTS, 1))
 
-    def part(swarm: PreparedSwarm) -> RelaxResult:
+    def disperse(swarm: PreparedSwarm) -> RelaxResult:
         return swarm.relax(
             attraction_gain=0.0, repulsion_gain=0.04, ramp=0.0, steps=_STEPS, max_step=0.02
         )
 
     running = backend.start(arch)
-    swarm = PreparedSwarm(place, level, [], robot=robot, arch=arch)
-    part(swarm)  # compiles the kernels
+    swarm = PreparedSwarm(position, level, [], robot=robot, arch=arch)
+    disperse(swarm)  # compiles the kernels
     begin = time.perf_counter()
-    found = part(swarm)
+    result = disperse(swarm)
     step_ns = 1e9 * (time.perf_counter() - begin) / (_ROBOTS * _STEPS)
     if arch != "cpu":
-        right = part(PreparedSwarm(place, level, [], robot=robot))
-        if not np.abs(found.position - right.position).max() <= _STEPS * found.force_error:
+        reference = disperse(PreparedSwarm(position, level, [], robot=robot))
+        if not np.abs(result.position - reference.position).max() <= _STEPS * result.force_error:
             raise EnvironmentTroubleError("moves robots otherwise than the processor does")
     speed = f"{step_ns:.0f} ns a step of a robot, {_ROBOTS:,} robots"
     return f"{running.library}, {running}, {running.threads} threads: {speed}"
@@ -164,7 +171,8 @@ def examine_backend(arch: Arch) -> str:
     Raises:
         EnvironmentTroubleError: as for `try_backend`.
     """
-    if not (card := machine.find_card(arch)) or not card.is_software:
+    card = machine.find_card(arch)
+    if not card or not card.is_software:
         return try_backend(arch)
     from tiswarm.compute import backend  # noqa: PLC0415 - the kernel language
 
@@ -177,8 +185,8 @@ def start_cache(arch: Arch) -> str:
     from tiswarm.compute import backend  # noqa: PLC0415 - the kernel language
 
     with contextlib.redirect_stderr(io.StringIO()) as said:
-        found = backend.start(arch)
-    return said.getvalue().removeprefix("tiswarm: warning: ") or found.cache
+        running = backend.start(arch)
+    return said.getvalue().removeprefix("tiswarm: warning: ") or running.cache
 
 
 def draw_test_picture(renderer: str) -> str:
@@ -212,8 +220,10 @@ def missing_packages() -> list[str]:
 def find_software_vulkan() -> Path | None:
     """Find the manifest of Mesa's Vulkan driver that needs no graphics card."""
     folders = ("/usr/share", "/usr/local/share", "/etc")
-    found = [path for folder in folders for path in Path(folder).glob("vulkan/icd.d/lvp_icd*.json")]
-    return max(found, default=None)  # that of 64 bits, if there is one of 32 beside
+    manifests = [
+        path for folder in folders for path in Path(folder).glob("vulkan/icd.d/lvp_icd*.json")
+    ]
+    return max(manifests, default=None)  # that of 64 bits, if there is one of 32 beside
 
 
 def _loads(library: str) -> bool:

@@ -37,18 +37,24 @@ def draw_all(
     """Draw the results of a run, unless the drawings are whole and show its tables."""
     some_done = len(result.failed) < result.computed + result.found
     manifest = read_manifest(result.folder)
-    whole = {PAGE, *(["figures", "renders"] if some_done else [])} <= {
-        Path(name).parts[0] for name in manifest.drawn
-    } and all(digest(result.folder / name) == sha for name, sha in manifest.drawn.items())
+    needed = {PAGE, "figures", "renders"} if some_done else {PAGE}
+    present = {Path(name).parts[0] for name in manifest.drawn}
+    whole = needed <= present and all(
+        digest(result.folder / name) == sha for name, sha in manifest.drawn.items()
+    )
     drawn = pictures and (pdf or not whole)
     if drawn:  # what another command drew is not drawn again, and no longer checked
         write_manifest(result.folder, replace(manifest, drawn={}, outdated=manifest.ever_drawn))
     renders = drawn and some_done
     if drawn or movie:
         draw(
-            load_run(result.folder), progress, figures=drawn, renders=renders, pdf=pdf,
+            load_run(result.folder),
+            progress,
+            figures=drawn,
+            renders=renders,
+            pdf=pdf,
             movie=movie if some_done else None,
-        )  # fmt: skip
+        )
 
 
 def draw(
@@ -86,11 +92,11 @@ def draw(
         check_renderer(renderer)
         run.choose(case)
     with ThreadPoolExecutor(1) as pool:  # renders leave the interpreter to figures for long
-        rendering = (
-            pool.submit(render_run, run, progress=progress, renderer=renderer, case=case)
-            if renders
-            else None
-        )
+        rendering = None
+        if renders:
+            rendering = pool.submit(
+                render_run, run, progress=progress, renderer=renderer, case=case
+            )
         written = draw_figures(run, progress, vector=pdf) if figures else []
     if figures:
         manifest = _without_old_figures(run.folder, written, manifest)
@@ -123,8 +129,8 @@ def _without_old_figures(run: Path, written: Sequence[Path], manifest: Manifest)
         drawn = manifest.ever_drawn.get(f"figures/{path.name}")
         if drawn and drawn == digest(path):  # a figure that a user has changed is the user's
             path.unlink(missing_ok=True)
-    others = {name: sha for name, sha in manifest.drawn.items() if not name.startswith("figures/")}
-    return replace(manifest, drawn=others, outdated={})
+    kept = {name: sha for name, sha in manifest.drawn.items() if not name.startswith("figures/")}
+    return replace(manifest, drawn=kept, outdated={})
 
 
 def draw_log(
@@ -138,7 +144,7 @@ def draw_log(
     notes: Sequence[str] = (),
     advice: Sequence[Mapping[str, str]] = (),
     figures: Sequence[Any] = (),
-    own: Sequence[Any] = (),
+    user_colorings: Sequence[Any] = (),
     outputs: Outputs = NEW,
 ) -> None:
     """Write the page of a log and its estimate.
@@ -153,7 +159,7 @@ def draw_log(
         notes: What the log leaves open, and what the method found, in lines.
         advice: Further measurements that would help, as rows of cells by heading.
         figures: Figures, as `explanation.show` returns them.
-        own: Values of the user that color robots, each a `Coloring`.
+        user_colorings: Values of the user that color robots, each a `Coloring`.
         outputs: What may be written.
 
     Raises:
@@ -165,9 +171,15 @@ def draw_log(
         from tiswarm.evaluation.tables import Scores  # noqa: PLC0415 - slow to import
 
         scores = Scores(true, estimate.position, log.is_gone, log.length_unit)
-    view = view_log(log, estimate, true, user_colorings=own)
+    view = view_log(log, estimate, true, user_colorings=user_colorings)
     page = gather_log_page(
-        view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice,
+        view,
+        estimate,
+        name=name,
+        scores=scores,
+        warnings=warnings,
+        notes=notes,
+        advice=advice,
         figures=figures,
-    )  # fmt: skip
+    )
     outputs.write(path, page.html().encode())

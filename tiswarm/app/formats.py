@@ -92,12 +92,21 @@ def import_format(name: str, suffix: str) -> Callable[[_Read], _Read]:
 
 
 _CERTAIN = {
-    "csv": "contacts.csv", "parquet": "contacts.parquet", "png": "contact-graph.png",
-    "gsd": "{pose}.gsd", "ply": "{pose}.ply", "tum": "{pose}.tum",
-    "gif": "growth.gif", "mp4": "growth.mp4", "webp": "growth.webp",
-    "gltf": "case.glb", "mcap": "case.mcap", "mjcf": "case.xml", "pyfg": "case.pyfg",
+    "csv": "contacts.csv",
+    "parquet": "contacts.parquet",
+    "png": "contact-graph.png",
+    "gsd": "{pose}.gsd",
+    "ply": "{pose}.ply",
+    "tum": "{pose}.tum",
+    "gif": "growth.gif",
+    "mp4": "growth.mp4",
+    "webp": "growth.webp",
+    "gltf": "case.glb",
+    "mcap": "case.mcap",
+    "mjcf": "case.xml",
+    "pyfg": "case.pyfg",
     "wbt": "case.wbt",
-}  # fmt: skip
+}
 """A file that an export has in any case, by its format."""
 
 

@@ -51,15 +51,15 @@ _LACKING = (
 )
 
 
-def inspect(given: Path | dict[str, Any], overrides: Sequence[str] = ()) -> Inspection:
+def inspect(source: Path | dict[str, Any], overrides: Sequence[str] = ()) -> Inspection:
     """Inspect a scenario, or a sensing log if the name ends in .jsonl, .jsonl.zst or .mcap.
 
     A scenario may be plain data; `overrides` are texts `KEY=VALUE`, of a scenario alone.
     """
-    path = Path() if isinstance(given, Mapping) else given
+    path = Path() if isinstance(source, Mapping) else source
     is_log = path.name.lower().endswith((".jsonl", ".jsonl.zst", ".mcap"))
     if not is_log:
-        return _inspect_scenario(given, overrides)
+        return _inspect_scenario(source, overrides)
     if overrides:
         raise InputError("is a log, which has no keys to override; leave --set out", path=path)
     return _inspect_log(path)
@@ -85,7 +85,7 @@ class Findings:
     @cached_property
     def warnings(self) -> list[str]:
         """What makes the estimate doubtful, in lines."""
-        return [*([self.doubt] if self.doubt else []), *cautions(self.log, self.estimate)]
+        return [*filter(None, [self.doubt]), *cautions(self.log, self.estimate)]
 
     @cached_property
     def notes(self) -> list[str]:
@@ -126,9 +126,9 @@ class Findings:
     @property
     def summary(self) -> str:
         """Number of robots and whether to trust the estimate, in a line."""
-        found = verdict(self.estimate) if self.doubt else headline(self.log, self.estimate)
-        size = counted(self.estimate.robot_count, "robot")
-        return f"{self.solution}{size}{f', {found}' if found else ''}"
+        judgment = verdict(self.estimate) if self.doubt else headline(self.log, self.estimate)
+        size = f"{self.solution}{counted(self.estimate.robot_count, 'robot')}"
+        return f"{size}, {judgment}" if judgment else size
 
     def __str__(self) -> str:
         """Give notes, cautions and the summary, in lines."""
@@ -137,54 +137,62 @@ class Findings:
     @property
     def _cues(self) -> Collection[str]:
         """Cues that the method used; none of an estimate that was read from a table."""
-        known = self.estimate.observability
-        return () if known is None else known.cues
+        observability = self.estimate.observability
+        return () if observability is None else observability.cues
 
 
 def describe_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
     """Describe in lines what the log leaves unknown, and the outliers."""
     yield from unknowns(log, path, filter(None, [estimate.observability]))
-    if estimate.located is not None and (left := np.flatnonzero(~estimate.located)).size:
-        yield f"not located by those before them (positions are guesses): {named(log, left)}"
+    if estimate.located is not None and not estimate.located.all():
+        unlocated = np.flatnonzero(~estimate.located)
+        yield f"not located by those before them (positions are guesses): {named(log, unlocated)}"
     yield from describe_outliers(log, path, estimate)
 
 
-def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Iterator[str]:
+def unknowns(
+    log: SensingLog, path: Path, observabilities: Iterable[Observability]
+) -> Iterator[str]:
     """Describe in lines what a log leaves unknown, and contacts that contradict each other.
 
-    `found` is what cues determine, all that are in use last.
+    `observabilities` are what cues determine, all that are in use last.
     """
-    found = list(found)
-    if found and (lost := np.flatnonzero(found[-1].disconnected)).size:
-        yield f"disconnected from the anchor (positions are guesses): {named(log, lost)}"
+    observabilities = list(observabilities)
+    if observabilities and observabilities[-1].disconnected.any():
+        disconnected = np.flatnonzero(observabilities[-1].disconnected)
+        yield f"disconnected from the anchor (positions are guesses): {named(log, disconnected)}"
     if log.ground_form is not None:
         yield f"the ground is {log.ground_form}: docks on it have no known height, and do not count"
     if log.gone.size:
         yield f"gone (their positions are where they last stood): {named(log, log.gone)}"
-    if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:
+    single = np.flatnonzero(contact_count(log)[1:] == 1) + 1
+    if single.size:
         yield f"one contact only: {named(log, single)}"
     gauge_yaw_sd = None
-    for known in found:
-        yield _left_open(log, known)
-        gauge_yaw_sd = known.gauge_yaw_sd if known.yaw_unknown else gauge_yaw_sd
+    for observability in observabilities:
+        yield _underdetermined(log, observability)
+        if observability.yaw_unknown:
+            gauge_yaw_sd = observability.gauge_yaw_sd
     if gauge_yaw_sd is not None:
         fixed = f"the mean compass fixes it to {math.degrees(gauge_yaw_sd):.2g} deg (1 sd)"
         yield f"global yaw is unobservable; {fixed}"
     yield from impossible(log, path)
 
 
-def _left_open(log: SensingLog, known: Observability) -> str:
-    cues = f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.yaw_unknown}"
-    modes = known.floppy_modes
+def _underdetermined(log: SensingLog, observability: Observability) -> str:
+    """Describe in a line which motions change no measurement of some cues."""
+    cues = ", ".join(observability.cues).replace("_", " ")
+    if observability.yaw_unknown:
+        cues += ", yaw unknown"
+    unknown_count = observability.unknowns
+    modes = observability.floppy_modes
     if modes is None:
-        return (
-            f"{cues}: too many robots or loops to count floppy modes of {known.unknowns} unknowns"
-        )
-    meaning = f"free motion{'s' * (modes != 1)}"
-    text = f"{cues}: {counted(modes, 'floppy mode')} ({meaning}) of {known.unknowns} unknowns"
-    if known.floppy is not None and modes:
-        text += f", which move {counted(known.floppy.sum(), 'robot')}"
-    common, docks = common_modes(log, known)
+        return f"{cues}: too many robots or loops to count floppy modes of {unknown_count} unknowns"
+    meaning = "free motion" if modes == 1 else "free motions"
+    text = f"{cues}: {counted(modes, 'floppy mode')} ({meaning}) of {unknown_count} unknowns"
+    if observability.floppy is not None and modes:
+        text += f", which move {counted(observability.floppy.sum(), 'robot')}"
+    common, docks = common_modes(log, observability)
     if common:
         text += f"; in {common} of them, all robots tied to the anchor move as one{_about(docks)}"
     return text
@@ -208,11 +216,15 @@ def _inspect_log(path: Path) -> Inspection:
     return Inspection(summary="\n".join(summary))
 
 
-def _inspect_scenario(given: Path | dict[str, Any], overrides: Sequence[str]) -> Inspection:
+def _inspect_scenario(source: Path | dict[str, Any], overrides: Sequence[str]) -> Inspection:
     # slow to import
-    from tiswarm.scenario.expansion import find_mistakes, load_scenario  # noqa: PLC0415
+    from tiswarm.scenario.expansion import examine, in_file_order  # noqa: PLC0415
     from tiswarm.study.forecast import forecast  # noqa: PLC0415
 
-    if mistakes := find_mistakes(given, overrides):
-        return Inspection(mistakes)
-    return Inspection(summary=str(forecast(load_scenario(given, overrides))))
+    try:
+        scenario, mistakes = examine(source, overrides)
+    except InputError as error:
+        return Inspection([error])
+    if scenario is None or mistakes:
+        return Inspection(in_file_order(mistakes))
+    return Inspection(summary=str(forecast(scenario)))

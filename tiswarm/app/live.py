@@ -61,7 +61,9 @@ class _LiveRun:
         self._folder, whole = study.open_folder(path)
         self._cases = whole.cases
         self.lock = Lock()  # of all methods: each request has a thread
-        self._known: dict[str, tuple[int, CaseRecord]] = {}  # by name, with the time of the record
+        self._records: dict[
+            str, tuple[int, CaseRecord]
+        ] = {}  # by name, with the time of the record
 
     def update(self) -> str:
         """Read the cases that were stored since the last call; return the state of the folder."""
@@ -70,11 +72,12 @@ class _LiveRun:
                 stored = (self._folder.cases / case.name / "case.json").stat().st_mtime_ns
             except OSError:  # not yet finished, or about to be replaced
                 continue
-            if self._known.get(case.name, (0, None))[0] != stored:
+            if self._records.get(case.name, (0, None))[0] != stored:
                 record = self._folder.read_case(case.name)
                 if record is not None:
-                    self._known[case.name] = stored, record
-        return f"{len(self._known)}-{max((time for time, _ in self._known.values()), default=0)}"
+                    self._records[case.name] = stored, record
+        newest = max((stored for stored, _ in self._records.values()), default=0)
+        return f"{len(self._records)}-{newest}"
 
     def page(self) -> str:
         """Render the page that shows the list of cases and the chosen one."""
@@ -82,24 +85,27 @@ class _LiveRun:
 
     def listing(self, state: str) -> str:
         """Render the cases, the newest first."""
-        known = sorted(self._known.items(), key=lambda item: (-item[1][0], item[0]))
-        failed = sum(not record.is_done for _, (_, record) in known)
-        result = f"{len(known)} of {counted(len(self._cases), 'case')} finished"
+        newest_first = sorted(self._records.items(), key=lambda item: (-item[1][0], item[0]))
+        failed = sum(not record.is_done for _, (_, record) in newest_first)
+        result = f"{len(newest_first)} of {counted(len(self._cases), 'case')} finished"
         result += f", {failed} of them failed." if failed else "."
-        if not known:
+        if not newest_first:
             return render("live-list.html", state=state, result=result, rows=[], words=[], note="")
-        table = case_table(self._summary([name for name, _ in known]))
+        table = case_table(self._summary([name for name, _ in newest_first]))
         shown = table.frame[[name for name in _LISTED if name in table.frame]].to_dict("records")
-        links = [f"case/{quote(name)}?{stored}" for name, (stored, _) in known]
+        links = [f"case/{quote(name)}?{stored}" for name, (stored, _) in newest_first]
         return render(
             "live-list.html",
-            state=state, result=result, rows=[*zip(links, shown, strict=False)],
-            words=table.words, note=table.note,
-        )  # fmt: skip
+            state=state,
+            result=result,
+            rows=[*zip(links, shown, strict=False)],
+            words=table.words,
+            note=table.note,
+        )
 
     def case(self, name: str) -> str | None:
         """Render the page of a case; None where no such case is finished."""
-        if name not in self._known:
+        if name not in self._records:
             return None
         of_case = self._summary([name])
         cells = case_table(of_case).frame.drop(columns="case").iloc[0]
@@ -107,7 +113,7 @@ class _LiveRun:
         quantities = pd.DataFrame({"quantity": cells.index, "value": cells.to_numpy()})
         return Page(
             name=name,
-            result="" if self._known[name][1].is_done else "The case failed.",
+            result="" if self._records[name][1].is_done else "The case failed.",
             headline=PageTable(frame=quantities, words=["quantity"], title="Case"),
             view=build_view(RunData(self._folder.path, of_case)),
         ).html()
@@ -115,7 +121,7 @@ class _LiveRun:
     def _summary(self, names: list[str]) -> pd.DataFrame:
         """Tabulate some cases as in `summary.csv`."""
         settings = {case.name: case.settings for case in self._cases}
-        records = [self._known[name][1] for name in names]
+        records = [self._records[name][1] for name in names]
         return summary(records, [settings[name] for name in names])
 
 
@@ -141,7 +147,8 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer with the page, the list of cases if it has changed, or one of them."""
         try:
-            host, path = urlsplit(f"//{self.headers['Host']}").hostname, urlsplit(self.path).path
+            host = urlsplit(f"//{self.headers['Host']}").hostname
+            path = urlsplit(self.path).path
         except ValueError:  # a bracket of an address that does not end
             self.send_error(400)
             return
@@ -168,13 +175,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _content(self, path: str) -> str | None:
         """Return the content of an address: empty if it is unchanged, None if there is none."""
-        place, _, name = path.removeprefix("/").partition("/")
-        if place == "case":
+        section, _, name = path.removeprefix("/").partition("/")
+        if section == "case":
             return self._live.case(unquote(name))
-        if place == "cases":
+        if section == "cases":
             state = self._live.update()
             return "" if name == state else self._live.listing(state)
-        return None if place else self._live.page()
+        return None if section else self._live.page()
 
     def log_message(self, *_: object) -> None:
         """Print nothing for each request."""

@@ -14,7 +14,16 @@ import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import Findings
-from tiswarm.app.results import Color, File, Overrides, PageFile, as_path, as_texts, plain
+from tiswarm.app.results import (
+    Color,
+    CueChoice,
+    File,
+    Overrides,
+    PageFile,
+    as_path,
+    as_texts,
+    plain,
+)
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
@@ -67,7 +76,7 @@ class Log(SensingLog):
         self,
         method: str = METHOD,
         *,
-        cues: Sequence[str] | None = None,
+        cues: CueChoice = None,
         overrides: Overrides = (),
         solution: int | None = None,
         arch: AnyArch = "cpu",
@@ -87,12 +96,12 @@ class Log(SensingLog):
             progress.info(methods.where([params], running))
         name = "compile, localize" if backend.current().is_cold else "localize"
         with progress.task(name, self.robot_count) as advance:
-            found = self.with_estimate(methods.localize(self, params, on_progress=advance))
+            localized = self.with_estimate(methods.localize(self, params, on_progress=advance))
         if solution is not None:
-            found = found.with_solution(solution)
-        if doubt := found.findings.doubt:
-            warn(doubt)
-        return found
+            localized = localized.with_solution(solution)
+        if localized.findings.doubt:
+            warn(localized.findings.doubt)
+        return localized
 
     def with_estimate(
         self, estimate: Estimate | File | None = None, *, quiet: bool = True
@@ -205,11 +214,18 @@ class Localized(Estimate):
         findings = self.findings
         figures = show(self.log, self, explain)
         draw_log(
-            page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
-            true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
-            advice=findings.advice, figures=figures,
-            own=self.log.colorings(color), outputs=outputs,
-        )  # fmt: skip
+            page,
+            self.log,
+            self,
+            name=f"{findings.solution}{self.log.path.name}",
+            true=self.log.positions(truth),
+            warnings=findings.warnings,
+            notes=findings.notes,
+            advice=findings.advice,
+            figures=figures,
+            user_colorings=self.log.colorings(color),
+            outputs=outputs,
+        )
         return PageFile(page)
 
     def export(
@@ -251,17 +267,18 @@ class Localized(Estimate):
     def _shown(self, truth: Truth, color: Color) -> "SwarmView":
         from tiswarm.report.swarm_view import view_log  # noqa: PLC0415 - slow to import
 
-        own = self.log.colorings(color)
-        return view_log(self.log, self, self.log.positions(truth), user_colorings=own)
+        colorings = self.log.colorings(color)
+        return view_log(self.log, self, self.log.positions(truth), user_colorings=colorings)
 
 
 def method_params(
-    method: str, cues: Sequence[str] | None, overrides: Overrides, settings: Mapping[str, object]
+    method: str, cues: CueChoice, overrides: Overrides, settings: Mapping[str, object]
 ) -> "LocalizationParams":
     """Check the settings of a method; `tiswarm.localize` explains the arguments."""
     from tiswarm.scenario.validation import localization_params  # noqa: PLC0415 - slow to import
 
-    return localization_params(method, as_texts(overrides), cues=cues, values=plain(settings))
+    chosen = plain(cues) if isinstance(cues, Mapping) else cues
+    return localization_params(method, as_texts(overrides), cues=chosen, values=plain(settings))
 
 
 def open_log(log: SensingLog | File) -> Log:

@@ -36,6 +36,9 @@ File = str | PathLike[str]
 Overrides = Mapping[str, object] | Sequence[str]
 """Values by dotted key, or as texts `KEY=VALUE`."""
 
+CueChoice = Sequence[str] | Mapping[str, bool] | None
+"""Cues to use alone, or those that are switched on or off; all of the method's if None."""
+
 Color: TypeAlias = "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]"
 """Values that color robots: columns `FILE:COLUMN` of tables, or series of pandas by robot."""
 
@@ -97,11 +100,14 @@ class Run:
     def table(self) -> "pd.DataFrame":
         """Results by condition that the page shows; `frame("table")` has all statistics."""
         full = self.frame("table")
-        shown = {each for place in PAGE.values() for each in place}
-        hidden = {each.mean for each in MEASURES.values() if each not in shown}
-        ends = {name for each in MAIN for name in (each.ci95, each.least, each.most)}
-        kept = [n for n in map(str, full) if n in ends or (n.endswith("_mean") and n not in hidden)]
-        kept = [name for name in kept if full[name].notna().any()]
+        shown = {measure for headings in PAGE.values() for measure in headings}
+        hidden = {measure.mean for measure in MEASURES.values() if measure not in shown}
+        ranges = {name for m in MAIN for name in (m.ci95, m.least, m.most)}
+        kept = []
+        for name in map(str, full):
+            is_shown_mean = name.endswith("_mean") and name not in hidden
+            if (name in ranges or is_shown_mean) and full[name].notna().any():
+                kept.append(name)
         return full.loc[:, :"failed"].join(full[kept])
 
     @property
@@ -192,11 +198,17 @@ class Run:
         progress = ConsoleProgress(quiet=quiet)
         study.tabulate(self.folder, progress)
         data = self._data(color, case)
-        renders = any(each.done for each in data.cases)
+        renders = any(stored.done for stored in data.cases)
         draw(
-            data, progress, figures=True, renders=renders, pdf=pdf, movie=movie, renderer=renderer,
+            data,
+            progress,
+            figures=True,
+            renders=renders,
+            pdf=pdf,
+            movie=movie,
+            renderer=renderer,
             case=case,
-        )  # fmt: skip
+        )
 
     def export(
         self,
@@ -294,14 +306,14 @@ def as_path(file: File, argument: str) -> Path:
 
 def plain(values: Mapping[str, object]) -> dict[str, object]:
     """Convert values to plain data, with lists and numbers for arrays and scalars of NumPy."""
-    found: dict[str, object] = {}
+    plain_values: dict[str, object] = {}
     for key, value in values.items():
         try:
-            found[key] = json.loads(json.dumps(value, default=_from_numpy))
+            plain_values[key] = json.loads(json.dumps(value, default=_from_numpy))
         except (TypeError, ValueError) as error:
             problem = f"{error}; give numbers, strings, lists or dictionaries"
             raise InputError(problem, key=key) from error
-    return found
+    return plain_values
 
 
 def as_texts(overrides: Overrides) -> Sequence[str]:

@@ -265,17 +265,17 @@ class Swarms(Sequence[GrownStructure]):
     @property
     def seed(self) -> Ints:
         """Seed of each structure, shape (S,)."""
-        return np.array([each.seed for each in self], np.int64)
+        return np.array([structure.seed for structure in self], np.int64)
 
     @property
     def robot_count(self) -> Ints:
         """Robots that joined each structure, shape (S,)."""
-        return np.array([each.robot_count for each in self], np.int64)
+        return np.array([structure.robot_count for structure in self], np.int64)
 
     @property
     def ended(self) -> list[str]:
         """Reason why growth of each structure stopped early; empty where it did not."""
-        return [each.ended for each in self]
+        return [structure.ended for structure in self]
 
     @property
     def height(self) -> Reals:
@@ -290,12 +290,12 @@ class Swarms(Sequence[GrownStructure]):
     @property
     def position(self) -> Reals:
         """Final centers [R], shape (S, N, 3)."""
-        return self._padded(lambda each: each.position)
+        return self._padded(lambda structure: structure.position)
 
     @property
     def orientation_wxyz(self) -> Reals:
         """Final orientations, body to world, shape (S, N, 4)."""
-        return self._padded(lambda each: each.orientation_wxyz)
+        return self._padded(lambda structure: structure.orientation_wxyz)
 
     @property
     def join_round(self) -> Ints:
@@ -304,12 +304,12 @@ class Swarms(Sequence[GrownStructure]):
         In a round, every robot that climbs walks until it joins, is turned away, or an earlier join
         of the round disturbs its walk.
         """
-        return self._padded(lambda each: each.join_round)
+        return self._padded(lambda structure: structure.join_round)
 
     @property
     def leave_round(self) -> Ints:
         """Round of growth in which each robot left, fell or died; -1 if none, shape (S, N)."""
-        return self._padded(lambda each: each.leave_round)
+        return self._padded(lambda structure: structure.leave_round)
 
     @property
     def departures(self) -> Ints:
@@ -318,32 +318,32 @@ class Swarms(Sequence[GrownStructure]):
         Rows of (structure, robot, robots that had joined by then, event); the event is 0 if the
         robot left, 1 if it fell as others left, and 2 if it died where it stands.
         """
-        return self._rows(lambda each: each.departures)
+        return self._rows(lambda structure: structure.departures)
 
     @property
     def is_gone(self) -> Bools:
         """Whether each robot left or fell; positions are then where it last stood, shape (S, N)."""
-        return self._padded(lambda each: each.is_gone)
+        return self._padded(lambda structure: structure.is_gone)
 
     @property
     def flips(self) -> Ints:
         """Flips of each robot, the way back to its best stance included, shape (S, N)."""
-        return self._padded(lambda each: each.flips)
+        return self._padded(lambda structure: structure.flips)
 
     @property
     def is_anchor(self) -> Bools:
         """Whether the position of each robot is known to all, shape (S, N)."""
-        return self._padded(lambda each: each.is_anchor)
+        return self._padded(lambda structure: structure.is_anchor)
 
     @property
     def is_recruited(self) -> Bools:
         """Whether each robot stays because it was called for, shape (S, N)."""
-        return self._padded(lambda each: each.is_recruited)
+        return self._padded(lambda structure: structure.is_recruited)
 
     @property
     def sensed_load(self) -> Reals:
         """Load that each robot senses in its links in the end [weight of a dock], shape (S, N)."""
-        return self._padded(lambda each: each.sensed_load)
+        return self._padded(lambda structure: structure.sensed_load)
 
     @property
     def peak_stress(self) -> Reals:
@@ -351,22 +351,22 @@ class Swarms(Sequence[GrownStructure]):
 
         NaN where the mechanics were not solved after that join.
         """
-        return self._padded(lambda each: each.peak_stress)
+        return self._padded(lambda structure: structure.peak_stress)
 
     @property
     def contacts(self) -> Ints:
         """Docked pairs, rows of (structure, i, dock of i, j, dock of j), i < j, shape (C, 5)."""
-        return self._rows(lambda each: each.contacts)
+        return self._rows(lambda structure: structure.contacts)
 
     @property
     def ground_docks(self) -> Ints:
         """Docks on flat ground, rows of (structure, robot, dock), shape (G, 3)."""
-        return self._rows(lambda each: each.ground_docks)
+        return self._rows(lambda structure: structure.ground_docks)
 
     @property
     def edge_docks(self) -> Ints:
         """Docks on an edge or underside, rows of (structure, robot, dock), shape (E, 3)."""
-        return self._rows(lambda each: each.edge_docks)
+        return self._rows(lambda structure: structure.edge_docks)
 
     @property
     def stance_contacts(self) -> Ints:
@@ -374,21 +374,21 @@ class Swarms(Sequence[GrownStructure]):
 
         Rows of (structure, robot, stance, own dock, other robot, other dock).
         """
-        return self._rows(lambda each: each.stance_contacts)
+        return self._rows(lambda structure: structure.stance_contacts)
 
     @property
     def stances(self) -> StanceRows:
         """All stances of all robots of all structures."""
-        parts = [each.stances for each in self]
-        rows = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
-        number = np.repeat(np.arange(len(self)), [len(part.robot) for part in parts])
+        stances = [structure.stances for structure in self]
+        rows = [np.concatenate(columns) for columns in zip(*stances, strict=True)]
+        number = np.repeat(np.arange(len(self)), [len(of_one.robot) for of_one in stances])
         return StanceRows(number, *rows[1:])
 
     @property
     def growth(self) -> pd.DataFrame:
         """Size and loads after each join, by seed; columns as in `growth.csv` of a run."""
         return pd.concat(
-            {each.seed: each.growth for each in self}, names=["seed", None]
+            {structure.seed: structure.growth for structure in self}, names=["seed", None]
         ).reset_index(level=0)
 
     @property
@@ -397,7 +397,7 @@ class Swarms(Sequence[GrownStructure]):
 
         Flips and rounds of growth, `growth_rounds`, stand beside them.
         """
-        return pd.DataFrame([each.totals for each in self])
+        return pd.DataFrame([structure.totals for structure in self])
 
     def sense(self, **settings: object) -> list[Log]:
         """Sense each structure; the logs are those of a run with these settings and seeds.
@@ -412,7 +412,7 @@ class Swarms(Sequence[GrownStructure]):
             InputError: there is no such setting, or its value is invalid.
         """
         params = _sensing(self.scenario, settings)
-        return [_sense(each, params) for each in self]
+        return [_sense(structure, params) for structure in self]
 
     def score(self, estimates: Iterable[Localized]) -> pd.DataFrame:
         """Compare estimates with the structures.
@@ -431,13 +431,15 @@ class Swarms(Sequence[GrownStructure]):
             InputError: their number is another, one has no log, or is of another structure, or they
                 cannot be matched.
         """
-        found = list(estimates)
-        if len(found) != len(self):
-            problem = f"{len(found)} estimates are not {len(self)}, one for each structure; "
+        all_estimates = list(estimates)
+        if len(all_estimates) != len(self):
+            problem = (
+                f"{len(all_estimates)} estimates are not {len(self)}, one for each structure; "
+            )
             raise InputError(
                 f"{problem}score a part of the batch by its slice", argument="estimates"
             )
-        ordered = _matched(self, found)
+        ordered = _matched(self, all_estimates)
         scores = [{"seed": s.seed, **_score(s, e)} for s, e in zip(self, ordered, strict=True)]
         table = pd.DataFrame(scores)
         first = ["seed", RMSE.column, DISPARITY.column]
@@ -497,8 +499,8 @@ class Swarms(Sequence[GrownStructure]):
         outputs = Outputs(overwrite=overwrite)
         outputs.check({"path": file})
         arrays = {"format": np.array(FORMAT), "scenario": np.array(dump_scenario(self.scenario))}
-        for number, each in enumerate(self):
-            arrays |= {f"{number}/{name}": v for name, v in to_arrays(each).items()}
+        for number, structure in enumerate(self):
+            arrays |= {f"{number}/{name}": v for name, v in to_arrays(structure).items()}
         with outputs.opened(file) as stream, zipfile.ZipFile(stream, "w") as z:
             for name, values in arrays.items():
                 # Without a time of its own, an entry has the same bytes each time.
@@ -507,21 +509,26 @@ class Swarms(Sequence[GrownStructure]):
         return file
 
     def _total(self, name: str) -> Reals:
-        return np.array([each.totals[name] for each in self], np.float64)
+        return np.array([structure.totals[name] for structure in self], np.float64)
 
-    def _padded(self, of: Callable[[GrownStructure], NDArray[_Value]]) -> NDArray[_Value]:
-        parts = [of(each) for each in self]
-        return np.array([_filled(part, self.scenario.robots) for part in parts])
+    def _padded(self, values_of: Callable[[GrownStructure], NDArray[_Value]]) -> NDArray[_Value]:
+        """Stack the values of all robots of each structure, shape (S, N, ...)."""
+        robots = self.scenario.robots
+        return np.array([_filled(values_of(structure), robots) for structure in self])
 
-    def _rows(self, of: Callable[[GrownStructure], AnyInts]) -> Ints:
-        numbered = [np.insert(of(each), 0, n, axis=1) for n, each in enumerate(self)]
+    def _rows(self, rows_of: Callable[[GrownStructure], AnyInts]) -> Ints:
+        """Join the rows of all structures, each with the index of its structure before it."""
+        numbered = [
+            np.insert(rows_of(structure), 0, number, axis=1)
+            for number, structure in enumerate(self)
+        ]
         return np.concatenate(numbered).astype(np.int64)
 
     def _chosen(self, seed: int | None) -> GrownStructure:
         if seed is None:
-            return max(self, key=lambda each: each.robot_count)
-        require_name(str(seed), [str(each) for each in self.seed], "seed")
-        return next(each for each in self if each.seed == seed)
+            return max(self, key=lambda structure: structure.robot_count)
+        require_name(str(seed), [str(choice) for choice in self.seed], "seed")
+        return next(structure for structure in self if structure.seed == seed)
 
     def __str__(self) -> str:
         """Tabulate the structures: robots, height, reach, largest stress, rounds, early ends."""
@@ -536,7 +543,8 @@ class Swarms(Sequence[GrownStructure]):
 
     @property
     def _heading(self) -> str:
-        kind, robots = self.scenario.structure.kind, counted(self.scenario.robots, "robot")
+        kind = self.scenario.structure.kind
+        robots = counted(self.scenario.robots, "robot")
         return f"{counted(len(self), 'structure')} ({kind}) of {robots}"
 
     @property
@@ -563,17 +571,23 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
     seeds = scenario.seed_list
     with ConsoleProgress(quiet=quiet).task(name, len(seeds) * scenario.robots) as advance:
         histories = growth.grow(
-            structure, robots=scenario.robots, seeds=seeds, robot=scenario.robot,
+            structure,
+            robots=scenario.robots,
+            seeds=seeds,
+            robot=scenario.robot,
             on_progress=advance,
-        )  # fmt: skip
+        )
     for history in histories:
         if not history.walks:
             raise InputError(f"seed {history.seed}: no robot joined: {history.ended}")
-        if fault := find_fault(history, contact_gap=structure.climb.contact_gap):
+        fault = find_fault(history, contact_gap=structure.climb.contact_gap)
+        if fault:
             warn(f"seed {history.seed}: the structure is invalid: {fault}")
     # A bridge that closes has reached its aim, with any number of robots.
-    if early := [each for each in histories if each.ended and not each.crossed]:
-        count, reasons = counted(len(histories), "structure"), {each.ended for each in early}
+    early = [history for history in histories if history.ended and not history.crossed]
+    if early:
+        count = counted(len(histories), "structure")
+        reasons = {history.ended for history in early}
         more = f" (and {len(reasons) - 1} more reasons)" if len(reasons) > 1 else ""
         warn(f"{len(early)} of {count} ended before all robots joined: {early[0].ended}{more}")
     return Swarms([GrownStructure.of(history, scenario) for history in histories], scenario)
@@ -594,15 +608,16 @@ def open_swarms(path: Path) -> Swarms:
         scenario = load_scenario(stated)
     except InputError as error:
         raise InputError(error.problem, path=path, key=error.key) from error
-    parts: dict[str, dict[str, NDArray[Any]]] = {}
+    by_structure: dict[str, dict[str, NDArray[Any]]] = {}
     for name, values in arrays.items():
         number, _, entry = name.partition("/")
-        parts.setdefault(number, {})[entry] = values
+        by_structure.setdefault(number, {})[entry] = values
     try:
-        if [*parts] != [str(number) for number in range(max(1, len(parts)))]:
+        if [*by_structure] != [str(number) for number in range(max(1, len(by_structure)))]:
             raise ValueError("not numbered in order")
         histories = [
-            from_arrays(each, scenario.structure, scenario.robot) for each in parts.values()
+            from_arrays(entries, scenario.structure, scenario.robot)
+            for entries in by_structure.values()
         ]
         for history in histories:
             _refuse_fault(history, scenario)
@@ -695,19 +710,19 @@ def _score(swarm: GrownStructure, estimate: Localized) -> dict[str, float]:
     if log.structure not in ("", swarm.digest):
         raise _other_structure(log)
     if estimate.robot_count != swarm.robot_count:
-        robots, joined = estimate.robot_count, swarm.robot_count
-        problem = f"{counted(robots, 'robot')}, but {joined} joined {swarm.name}; keep the order"
+        robots = counted(estimate.robot_count, "robot")
+        problem = f"{robots}, but {swarm.robot_count} joined {swarm.name}; keep the order"
         raise InputError(problem, argument="estimates")
     cues = cue_names() if estimate.observability is None else estimate.observability.cues
-    found = tables.evaluate(swarm, estimate.log, estimate, cues)
-    return {**found.scores, **tables.own_scores(found.truth, estimate)}
+    evaluation = tables.evaluate(swarm, estimate.log, estimate, cues)
+    return {**evaluation.scores, **tables.plugin_scores(evaluation.truth, estimate)}
 
 
-def _filled(part: NDArray[_Value], length: int) -> NDArray[_Value]:
+def _filled(values: NDArray[_Value], length: int) -> NDArray[_Value]:
     """Fill an array up to a length along its first axis."""
-    blank = {"f": math.nan, "i": -1, "b": False}[part.dtype.kind]
-    whole = np.full((length, *part.shape[1:]), blank, part.dtype)
-    whole[: len(part)] = part
+    blank = {"f": math.nan, "i": -1, "b": False}[values.dtype.kind]
+    whole = np.full((length, *values.shape[1:]), blank, values.dtype)
+    whole[: len(values)] = values
     return whole
 
 
@@ -740,28 +755,31 @@ def _page(swarms: Swarms) -> Page:
     cells.insert(0, "seed", frame["seed"].astype(str))
     if any(swarms.ended):
         cells["ended early"] = swarms.ended
-    height, left_out = swarms.height, len(swarms) - MOST_ROWS
+    height = swarms.height
     sizes = f"{height.mean():.3g} R in the mean, {height.min():.3g} to {height.max():.3g} R"
     if len(swarms) == 1:
-        summary, sizes = summary[["quantity", "mean"]], f"{height[0]:.3g} R"
-        summary = summary.rename(columns={"mean": "value"})
+        sizes = f"{height[0]:.3g} R"
+        summary = summary[["quantity", "mean"]].rename(columns={"mean": "value"})
+    omitted = len(swarms) - MOST_ROWS
     return Page(
         name=swarms[0].name if len(swarms) == 1 else swarms.scenario.structure.kind,
         result=f"{swarms._heading}: height {sizes}.",  # noqa: SLF001 - of this module
         headline=PageTable(frame=summary, words=["quantity", "range"], title="Summary"),
         view=_space(swarms),
         rows=PageTable(
-            frame=cells.head(MOST_ROWS), words=["ended early"], title="Structures",
-            note=f"{counted(left_out, 'more structure')} in the table." if left_out > 0 else "",
+            frame=cells.head(MOST_ROWS),
+            words=["ended early"],
+            title="Structures",
+            note=f"{counted(omitted, 'more structure')} in the table." if omitted > 0 else "",
         ),
         rows_example="robots",
-    )  # fmt: skip
+    )
 
 
 def _space(swarms: Swarms) -> View:
     """Show the first structures, as many as a page has room for."""
     room = 1 + np.searchsorted(np.cumsum(swarms.robot_count)[1:], MOST_ROBOTS, side="right")
-    views = [each._shown() for each in swarms[: min(int(room), _MOST_STRUCTURES)]]  # noqa: SLF001
+    views = [structure._shown() for structure in swarms[: min(int(room), _MOST_STRUCTURES)]]  # noqa: SLF001
     shown = [
         view_data(v, [Coloring("sensed load", "dock weights", v.force, "forces")]) for v in views
     ]

@@ -52,7 +52,9 @@ class InputError(TiswarmError):
             argument: Argument of a function at fault.
             key: Dotted key at fault.
         """
-        place = "" if path is None else str(path) if line is None else f"{path}:{line}"
+        place = "" if path is None else str(path)
+        if place and line is not None:
+            place = f"{path}:{line}"
         super().__init__(": ".join(part for part in (place, argument, key, problem) if part))
         self.problem = problem
         self.path = path
@@ -66,9 +68,12 @@ class InputError(TiswarmError):
         if not self.argument:
             return self
         differs = {
-            "overrides": f"--set {self.key}", "estimate": "ESTIMATE", "movie": "--animate",
-            "form": "--format", "case_limit_s": "--case-limit",
-        }  # fmt: skip
+            "overrides": f"--set {self.key}",
+            "estimate": "ESTIMATE",
+            "movie": "--animate",
+            "form": "--format",
+            "case_limit_s": "--case-limit",
+        }
         option = differs.get(self.argument, f"--{self.argument}")
         return InputError(
             self.problem, path=self.path, line=self.line, column=self.column, key=option
@@ -132,9 +137,11 @@ class ResultWarning(UserWarning):
 
 def warn(text: str) -> None:
     """Warn of a result, at the line of the caller's own code."""
-    depth, frame = 1, sys._getframe()  # noqa: SLF001 - each Python that we support has it
+    depth = 1
+    frame = sys._getframe()  # noqa: SLF001 - each Python that we support has it
     while frame.f_back and frame.f_globals.get("__name__", "").startswith("tiswarm."):
-        depth, frame = depth + 1, frame.f_back
+        depth += 1
+        frame = frame.f_back
     warnings.warn(text, ResultWarning, stacklevel=depth)
 
 

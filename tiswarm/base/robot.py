@@ -22,10 +22,18 @@ TANGENT_RHO = 2.0 / math.sqrt(3.0)
 _SPACING = 2.0
 _MAX_OVERLAP = 1e-9
 """Overlap of docks that rounding may leave [R]."""
-_FEWEST, _MOST = 2, 8
-"""Docks of a robot."""
-_NEAREST, _FARTHEST = 0.1, 10.0
-"""Distances of a dock from the center [R]."""
+
+_FEWEST = 2
+"""Least number of docks of a robot."""
+
+_MOST = 8
+"""Greatest number of docks of a robot."""
+
+_NEAREST = 0.1
+"""Least distance of a dock from the center [R]."""
+
+_FARTHEST = 10.0
+"""Greatest distance of a dock from the center [R]."""
 
 Shape = Literal["line", "triangle", "square", "tetrahedron", "octahedron", "cube"]
 
@@ -85,7 +93,8 @@ class RobotGeometry:
     @field_validator("rho")
     @classmethod
     def _keep_corners_apart(cls, rho: float, info: ValidationInfo) -> float:
-        if shape := info.data.get("shape"):
+        shape = info.data.get("shape")
+        if shape:
             closest = float(pdist(SHAPES[shape]).min())
             if rho * closest < _SPACING - _MAX_OVERLAP:
                 least = math.ceil(1e4 * (_SPACING - _MAX_OVERLAP) / closest) / 1e4

@@ -80,9 +80,13 @@ class Section:
         if name not in names(self.kind):
             listed = ", ".join(repr(choice) for choice in names(self.kind))
             raise _mistake_at(
-                self._selector, "union_tag_invalid", value,
-                discriminator=repr(self._selector), tag=str(name), expected_tags=listed,
-            )  # fmt: skip
+                self._selector,
+                "union_tag_invalid",
+                value,
+                discriminator=repr(self._selector),
+                tag=str(name),
+                expected_tags=listed,
+            )
         checks = _adapter(get(self.kind, str(name)))
         if info.mode == "json":  # only from JSON does strict validation accept lists for tuples
             return checks.validate_json(json.dumps(value))
@@ -244,12 +248,13 @@ def _texts(settings: type[Any]) -> dict[str, str]:
     except (OSError, TypeError, SyntaxError):
         return {}
     body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
-    return {
-        annotated.target.id: inspect.cleandoc(str(text.value.value))
-        for annotated, text in pairwise(body)
-        if isinstance(annotated, ast.AnnAssign) and isinstance(annotated.target, ast.Name)
-        and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-    }  # fmt: skip
+    texts = {}
+    for declared, text in pairwise(body):
+        if not (isinstance(declared, ast.AnnAssign) and isinstance(declared.target, ast.Name)):
+            continue
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+            texts[declared.target.id] = inspect.cleandoc(str(text.value.value))
+    return texts
 
 
 def _plugins_named_by(settings: Any) -> tuple[Plugin, ...]:  # noqa: ANN401 - a dataclass

@@ -56,12 +56,13 @@ def scenarios(
     """List the scenarios that come with tiswarm, or print one."""
     from tiswarm.scenario.yaml_source import describe_scenarios, shipped_scenarios
 
+    shipped = shipped_scenarios()
     if name is None:
         typer.echo("\n".join(describe_scenarios(every=every)))
         if not every:
-            typer.echo(f"tiswarm scenarios --all lists all {len(shipped_scenarios())}")
-    elif path := shipped_scenarios().get(name):
-        typer.echo(path.read_text(), nl=False)
+            typer.echo(f"tiswarm scenarios --all lists all {len(shipped)}")
+    elif name in shipped:
+        typer.echo(shipped[name].read_text(), nl=False)
     else:
         raise InputError("there is no such scenario; tiswarm scenarios --all lists all", key=name)
 

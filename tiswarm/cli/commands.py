@@ -65,22 +65,36 @@ def localize(
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
     seeded = {} if seed is None else {"seed": seed}
     with options.showing_traceback(debug=debug):
-        found = api.localize(
-            log, method, cues=names, overrides=overrides, solution=solution, arch=arch,
-            threads=threads, precision=precision, plugins=plugins, out=out, report=report,
-            overwrite=overwrite, quiet=quiet, **seeded,
-        )  # fmt: skip
+        localized = api.localize(
+            log,
+            method,
+            cues=names,
+            overrides=overrides,
+            solution=solution,
+            arch=arch,
+            threads=threads,
+            precision=precision,
+            plugins=plugins,
+            out=out,
+            report=report,
+            overwrite=overwrite,
+            quiet=quiet,
+            **seeded,
+        )
     if not quiet:
-        typer.echo(f"{found} -> {out}")
-        typer.echo("".join(f"{line}\n" for line in found.findings.solutions * verbose), nl=False)
-        if (count := len(found.solutions)) > 1 and solution is None:
+        typer.echo(f"{localized} -> {out}")
+        if verbose:
+            for line in localized.findings.solutions:
+                typer.echo(line)
+        count = len(localized.solutions)
+        if count > 1 and solution is None:
             typer.echo(
                 f"the positions are the mean of {count} solutions; --solution 1 writes the "
                 "likeliest consistent configuration, --verbose lists all"
             )
     if report is not None and (opened or not quiet):
         options.show_page(report, opened=opened)
-    if found.findings.doubt:
+    if localized.findings.doubt:
         raise typer.Exit(NOT_TRUSTED)
 
 
@@ -118,9 +132,9 @@ def track(
 
     if source == "-" and sys.stdin is None:
         raise InputError("standard input is closed; send lines to it, or name a LOG", key="-")
-    given = sys.stdin.buffer if source == "-" else Path(source)
+    lines = sys.stdin.buffer if source == "-" else Path(source)
     tracker = api.track(
-        given, out=out or sys.stdout, estimate=estimate, overrides=overrides, overwrite=overwrite
+        lines, out=out or sys.stdout, estimate=estimate, overrides=overrides, overwrite=overwrite
     )
     if out and not quiet:
         typer.echo(f"{len(tracker.names)} robots -> {out}")
@@ -170,9 +184,15 @@ def view(
 
     options.refuse({"--port": port, "--plugin": plugins}, "only --live serves a page")
     page = api.view(
-        log, estimate, truth, explain=explained, color=color, out=out, overwrite=overwrite,
+        log,
+        estimate,
+        truth,
+        explain=explained,
+        color=color,
+        out=out,
+        overwrite=overwrite,
         quiet=quiet,
-    )  # fmt: skip
+    )
     if opened or not quiet:
         options.show_page(page, opened=opened)
 
@@ -310,23 +330,46 @@ def import_(
     body = None if dock_offset is None else docks_in_plane(dock_offset)
     named = dict(pair.partition("=")[::2] for pair in column.split(",") if pair)
     with options.showing_traceback(debug=debug):
-        found = api.import_poses(
-            poses, out=out, plugins=plugins, overwrite=overwrite, dock_radius=dock_radius,
-            dock_offset_body=body, docks=docks, gap=gap, overlap=overlap, contacts=contacts,
-            anchors=anchors, up=up, euler=euler, columns=named,
-            left_handed=left_handed, conjugate=conjugate, ground_z=ground_z, heights=heights,
-            drop_disconnected=drop_disconnected, drop_incomplete=drop_incomplete,
-            glitch_frames=glitch_frames, tilt_deg=tilt_deg, yaw_deg=yaw_deg,
-            length_unit=length_unit, beacons=beacons, range_sd=range_sd,
-        )  # fmt: skip
+        imports = api.import_poses(
+            poses,
+            out=out,
+            plugins=plugins,
+            overwrite=overwrite,
+            dock_radius=dock_radius,
+            dock_offset_body=body,
+            docks=docks,
+            gap=gap,
+            overlap=overlap,
+            contacts=contacts,
+            anchors=anchors,
+            up=up,
+            euler=euler,
+            columns=named,
+            left_handed=left_handed,
+            conjugate=conjugate,
+            ground_z=ground_z,
+            heights=heights,
+            drop_disconnected=drop_disconnected,
+            drop_incomplete=drop_incomplete,
+            glitch_frames=glitch_frames,
+            tilt_deg=tilt_deg,
+            yaw_deg=yaw_deg,
+            length_unit=length_unit,
+            beacons=beacons,
+            range_sd=range_sd,
+        )
     if not quiet:
-        for run, imported in found.items():
+        for run, imported in imports.items():
             typer.echo("\n".join(imported.notes) + f" -> {out / run}")
     if report is not None:
         localize(
-            out / "sensing.jsonl", out=estimate, report=report, overwrite=overwrite, debug=debug,
+            out / "sensing.jsonl",
+            out=estimate,
+            report=report,
+            overwrite=overwrite,
+            debug=debug,
             quiet=quiet,
-        )  # fmt: skip
+        )
 
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")
@@ -375,14 +418,20 @@ def redraw(
     """Draw tables, pictures and page of a run again."""
     from tiswarm import api
 
-    found = api.redraw(
-        run, plugins=plugins, pdf=pdf, movie=options.chosen_movie(movie, animate=animate),
-        renderer=renderer, case=case, color=color, quiet=quiet,
-    )  # fmt: skip
+    redrawn = api.redraw(
+        run,
+        plugins=plugins,
+        pdf=pdf,
+        movie=options.chosen_movie(movie, animate=animate),
+        renderer=renderer,
+        case=case,
+        color=color,
+        quiet=quiet,
+    )
     if not quiet:
-        typer.echo(found)
+        typer.echo(redrawn)
     if opened or not quiet:
-        options.show_page(found.page, opened=opened)
+        options.show_page(redrawn.page, opened=opened)
 
 
 @app.command(epilog="Example: tiswarm table reports/paper-1a2b3c4d --latex > table.tex")
@@ -402,7 +451,11 @@ def table(
     if latex + markdown + csv > 1:
         raise InputError("choose only one of --latex, --markdown, --csv")
     load_plugins(plugins)
-    form: Any = "latex" if latex else "csv" if csv else "markdown"
+    form: Any = "markdown"
+    if latex:
+        form = "latex"
+    elif csv:
+        form = "csv"
     typer.echo(tiswarm.open_run(run).paper_text(form), nl=False)
 
 
@@ -420,9 +473,9 @@ def compare(
     """
     from tiswarm import api
 
-    found = api.compare(*runs, out=out, overwrite=overwrite)
+    comparison = api.compare(*runs, out=out, overwrite=overwrite)
     if not quiet:
-        typer.echo(found)
+        typer.echo(comparison)
 
 
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
@@ -457,6 +510,14 @@ def export(
 
     with options.showing_traceback(debug=debug):
         api.export(
-            source, form, estimate, truth,
-            out=out, case=case, color=color, plugins=plugins, overwrite=overwrite, quiet=quiet,
-        )  # fmt: skip
+            source,
+            form,
+            estimate,
+            truth,
+            out=out,
+            case=case,
+            color=color,
+            plugins=plugins,
+            overwrite=overwrite,
+            quiet=quiet,
+        )

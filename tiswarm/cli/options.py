@@ -49,7 +49,8 @@ class Grouped(TyperCommand):
         for parameter in self.get_params(ctx):
             usual = "Options" if parameter.param_type_name == "option" else "Arguments"
             heading = getattr(parameter, "rich_help_panel", None) or usual
-            if record := parameter.get_help_record(ctx):
+            record = parameter.get_help_record(ctx)
+            if record:
                 groups.setdefault(heading, []).append(record)
         for heading, records in groups.items():
             if records:
@@ -66,8 +67,9 @@ class Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - typer's own click
         """Find the command that arguments begin with."""
-        if instead := _INSTEAD.get(args[0]):
-            raise InputError(f"there is no such command; use tiswarm {instead}", key=args[0])
+        if args[0] in _INSTEAD:
+            problem = f"there is no such command; use tiswarm {_INSTEAD[args[0]]}"
+            raise InputError(problem, key=args[0])
         return super().resolve_command(ctx, args)
 
 
@@ -194,9 +196,9 @@ def show_tracebacks(run: Path, *, debug: bool) -> None:
         typer.echo(file.read_text(), nl=False, err=True)
 
 
-def refuse(given: Mapping[str, object], reason: str) -> None:
+def refuse(arguments: Mapping[str, object], reason: str) -> None:
     """Refuse the first argument that has a value."""
-    for name, value in given.items():
+    for name, value in arguments.items():
         if value:
             raise InputError(f"{reason}; leave it out", key=name)
 
@@ -235,8 +237,9 @@ def _status(arguments: list[str]) -> int:
         return error.exit_status
     except _COMMAND_LINE_ERROR as error:
         text = _as_setting(error, arguments) or error.format_message()
-        if text.startswith("Missing ") and (context := error.ctx):
-            text = f"{text.rstrip('.')}; give it as in {context.command.epilog.partition(': ')[2]}"
+        if text.startswith("Missing ") and error.ctx:
+            example = error.ctx.command.epilog.partition(": ")[2]
+            text = f"{text.rstrip('.')}; give it as in {example}"
         fail(" ".join(text.replace("Value error, ", "").split()))
         return InputError.exit_status
     except OSError as error:
@@ -247,11 +250,10 @@ def _status(arguments: list[str]) -> int:
     except SystemExit as end:  # of SIGTERM, or because nobody reads the output
         status = end.code
     if status in _INTERRUPTED:
-        goes_on = "; the same command again lets a run go on from its finished cases"
-        fail(
-            "interrupted"
-            + (goes_on if arguments[:1] == ["run"] else "; outputs are whole, or as before")
-        )
+        if arguments[:1] == ["run"]:
+            fail("interrupted; the same command again lets a run go on from its finished cases")
+        else:
+            fail("interrupted; outputs are whole, or as before")
     return status if isinstance(status, int) else 0
 
 
@@ -263,26 +265,28 @@ def _interrupt_once(*_: object) -> None:
 
 def _as_setting(error: Any, arguments: list[str]) -> str:  # noqa: ANN401 - typer's own click
     """Lead from an unknown option that is a key to `--set`; empty if it is none."""
-    option, context = getattr(error, "option_name", ""), getattr(error, "ctx", None)
+    option = getattr(error, "option_name", "")
+    context = getattr(error, "ctx", None)
     if not option or not context or "overrides" not in [p.name for p in context.command.params]:
         return ""
     from tiswarm.scenario.model import scenario_schema
 
     section = "localization." if context.command.name in {"localize", "track"} else ""
-    name, schema = option.lstrip("-").replace("-", "_"), scenario_schema()
+    name = option.lstrip("-").replace("-", "_")
+    schema = scenario_schema()
     paths = sorted(_keys(schema, schema), key=lambda path: path.count("."))
     ends = (f".{name}", f".{name}s")
-    found = [p for p in paths if p.startswith(section) and f".{p}".endswith(ends)]
-    words = [part for each in arguments for part in each.split("=", 1)]
-    if not found or option not in words:
+    keys = [path for path in paths if path.startswith(section) and f".{path}".endswith(ends)]
+    words = [word for argument in arguments for word in argument.split("=", 1)]
+    if not keys or option not in words:
         return ""
     value = [*words[words.index(option) + 1 :], "VALUE"][0]
-    return f"No such option: {option}; use --set {found[0].removeprefix(section)}={value}"
+    return f"No such option: {option}; use --set {keys[0].removeprefix(section)}={value}"
 
 
 def _keys(section: Any, schema: Any, path: str = "") -> Iterator[str]:  # noqa: ANN401 - JSON
     """List the keys of a scenario's section in its JSON Schema, with the keys that hold them."""
     for name, entry in section.get("properties", {}).items():
         yield path + name
-        for part in dict.fromkeys(re.findall(r"#/\$defs/(\w+)", json.dumps(entry))):
-            yield from _keys(schema["$defs"][part], schema, f"{path}{name}.")
+        for definition in dict.fromkeys(re.findall(r"#/\$defs/(\w+)", json.dumps(entry))):
+            yield from _keys(schema["$defs"][definition], schema, f"{path}{name}.")

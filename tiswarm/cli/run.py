@@ -71,28 +71,40 @@ def run(
 
     animated = options.chosen_movie(movie, animate=animate)
     execution: dict[str, Any] = {
-        "workers": workers, "scheduler": scheduler, "shard": _shard(shard),
-        "case_limit_s": case_limit, "fail_fast": fail_fast,
-    }  # fmt: skip
+        "workers": workers,
+        "scheduler": scheduler,
+        "shard": _shard(shard),
+        "case_limit_s": case_limit,
+        "fail_fast": fail_fast,
+    }
     if only_plan:
         typer.echo(api.forecast(scenario, overrides, plugins=plugins, **execution))
         return
-    found = api.run(
-        scenario, overrides,
-        out=out, arch=arch, threads=threads, pictures=pictures, pdf=pdf, movie=animated,
-        plugins=plugins, overwrite=overwrite, quiet=quiet, **execution,
-    )  # fmt: skip
+    result = api.run(
+        scenario,
+        overrides,
+        out=out,
+        arch=arch,
+        threads=threads,
+        pictures=pictures,
+        pdf=pdf,
+        movie=animated,
+        plugins=plugins,
+        overwrite=overwrite,
+        quiet=quiet,
+        **execution,
+    )
     if not quiet:
-        typer.echo(found)
-    if not found.missing and (opened or not quiet):
-        options.show_page(found.page, opened=opened)
-    if found.failed:
-        options.show_tracebacks(found.folder, debug=debug)
+        typer.echo(result)
+    if not result.missing and (opened or not quiet):
+        options.show_page(result.page, opened=opened)
+    if result.failed:
+        options.show_tracebacks(result.folder, debug=debug)
         raise typer.Exit(CasesFailedError.exit_status)
 
 
 def _shard(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d+)/(\d+)", text)
-    if not found:
+    numbers = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not numbers:
         raise InputError(f"invalid shard {text}: use I/N with 1 <= I <= N")
-    return int(found[1]), int(found[2])
+    return int(numbers[1]), int(numbers[2])

@@ -160,3 +160,18 @@ def fast_arithmetic(*, ignores_nan: bool) -> Iterator[None]:
         yield
     finally:
         config.fast_math = config.cfg_optimization = False
+
+
+@contextmanager
+def optimized_by_llvm() -> Iterator[None]:
+    """Let LLVM alone optimize kernels that are compiled within.
+
+    The kernel library's own optimization takes four fifths of the time to compile a long kernel.
+    Where kernels check bounds, it stays: it removes repeated checks, which slow LLVM down.
+    """
+    config = ti.lang.impl.current_cfg()
+    config.advanced_optimization = config.debug
+    try:
+        yield
+    finally:
+        config.advanced_optimization = True

@@ -85,7 +85,8 @@ def yaw_aligned(estimate: Reals, truth: Reals) -> Reals:
     True
     """
     mean = estimate.mean(axis=0)
-    (e_x, e_y, _), (t_x, t_y, _) = (estimate - mean).T, (truth - truth.mean(axis=0)).T
+    e_x, e_y, _ = (estimate - mean).T
+    t_x, t_y, _ = (truth - truth.mean(axis=0)).T
     yaw = math.atan2(float(e_x @ t_y - e_y @ t_x), float(e_x @ t_x + e_y @ t_y))
     turn = Rotation.from_euler("z", yaw)
     return np.asarray(turn.apply(estimate - mean) + truth.mean(axis=0))
@@ -139,10 +140,10 @@ def mean_std_ci95(values: Reals) -> dict[str, float]:
     >>> mean_std_ci95(np.array([1.0, 2.0, 3.0, math.nan]))["std"]
     1.0
     """
-    known = values[np.isfinite(values)]
-    count = len(known)
-    mean = float(known.mean()) if count else math.nan
-    std = float(known.std(ddof=1)) if count > 1 else math.nan
+    finite = values[np.isfinite(values)]
+    count = len(finite)
+    mean = float(finite.mean()) if count else math.nan
+    std = float(finite.std(ddof=1)) if count > 1 else math.nan
     is_enough = count >= FEWEST
     width = float(stdtrit(count - 1, 0.975)) * std / math.sqrt(count) if is_enough else math.nan
     return {"mean": mean, "std": std, "ci95": width}
@@ -150,10 +151,10 @@ def mean_std_ci95(values: Reals) -> dict[str, float]:
 
 def least_and_most(values: Reals) -> dict[str, float]:
     """Return the least and the greatest of the values that are finite, shape (n,); NaN of none."""
-    known = values[np.isfinite(values)]
-    if not len(known):
+    finite = values[np.isfinite(values)]
+    if not len(finite):
         return {"least": math.nan, "most": math.nan}
-    return {"least": float(known.min()), "most": float(known.max())}
+    return {"least": float(finite.min()), "most": float(finite.max())}
 
 
 def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
@@ -244,8 +245,8 @@ def error_profile(robots: pd.DataFrame) -> pd.DataFrame:
     [0.0, 2.0]
     """
     robots = robots.assign(height_R=robots["z_R"])
-    parts = [_ranges(robots, name) for name in (*_COUNTS, "height_R")]
-    return pd.concat(parts, ignore_index=True)
+    profiles = [_ranges(robots, name) for name in (*_COUNTS, "height_R")]
+    return pd.concat(profiles, ignore_index=True)
 
 
 def relative_profile(relative: pd.DataFrame) -> pd.DataFrame:
@@ -255,11 +256,11 @@ def relative_profile(relative: pd.DataFrame) -> pd.DataFrame:
         Columns by, low, high, count (of pairs), mean_error_R, rmse_R.
     """
     rows = []
-    for apart, part in relative.groupby("hops_apart"):
-        pairs = part["pairs"].sum()
-        weight = part["pairs"] / pairs
-        mean = (weight * part["mean_error_R"]).sum()
-        rmse = np.sqrt((weight * part[RMSE.column] ** 2).sum())
+    for apart, group in relative.groupby("hops_apart"):
+        pairs = group["pairs"].sum()
+        weight = group["pairs"] / pairs
+        mean = (weight * group["mean_error_R"]).sum()
+        rmse = np.sqrt((weight * group[RMSE.column] ** 2).sum())
         row = {"by": "hops_apart", "low": apart, "high": apart, "count": pairs}
         rows.append(row | {"mean_error_R": mean, RMSE.column: rmse})
     return pd.DataFrame(rows)
@@ -267,27 +268,31 @@ def relative_profile(relative: pd.DataFrame) -> pd.DataFrame:
 
 def _ranges(robots: pd.DataFrame, name: str) -> pd.DataFrame:
     """Return a row for each range of a variable that is not empty."""
-    known = robots[[name, "error_R"]].dropna()
-    value = known[name].to_numpy(np.float64)
-    least, most = value.min(), value.max()
+    rows_with_error = robots[[name, "error_R"]].dropna()
+    value = rows_with_error[name].to_numpy(np.float64)
+    least = value.min()
+    most = value.max()
     if name in _COUNTS:
         width = -(-(most - least + 1.0) // BINS)
         last = width - 1.0
     else:
         width = last = (most - least) / BINS
-    place = np.zeros(len(value)) if width == 0.0 else (value - least) // width
-    place = np.minimum(place, BINS - 1)
-    rows = [
-        {
-            "by": name,
-            "low": least + where * width,
-            "high": min(least + where * width + last, most),
-            "count": len(part),
-            **_statistics(part.to_numpy()),
-            **dict(zip(("p10_R", "p90_R"), np.quantile(part, [0.1, 0.9]).tolist(), strict=True)),
-        }
-        for where, part in known["error_R"].groupby(place)
-    ]
+    range_index = np.zeros(len(value)) if width == 0.0 else (value - least) // width
+    range_index = np.minimum(range_index, BINS - 1)
+    rows = []
+    for index, errors in rows_with_error["error_R"].groupby(range_index):
+        p10, p90 = np.quantile(errors, [0.1, 0.9]).tolist()
+        rows.append(
+            {
+                "by": name,
+                "low": least + index * width,
+                "high": min(least + index * width + last, most),
+                "count": len(errors),
+                **_statistics(errors.to_numpy()),
+                "p10_R": p10,
+                "p90_R": p90,
+            }
+        )
     return pd.DataFrame(rows)
 
 

@@ -44,15 +44,22 @@ def score(
     for lengths in rho.
     """
     stays = ~log.is_gone
-    estimated, true = estimate.position[stays], truth.position[stays]
+    estimated = estimate.position[stays]
+    true = truth.position[stays]
     rmse = metrics.rmse(estimated, true)
     pairs = log.contacts[:, [0, 2]]
     pairs = pairs[stays[pairs].all(axis=1)]
     of_contacts = metrics.relative_errors(estimate.position, truth.position, pairs)
     unknown = np.isnan(log.known_position[:, 0]) & stays
     error = metrics.robot_errors(estimate.position, truth.position)[unknown]
-    place, free = truth.position / log.dock_radius, estimate.yaw is not None
-    modes = weld(rows, place, yaw_unknown=free).floppy_modes
+    position = truth.position / log.dock_radius
+    modes = weld(rows, position, yaw_unknown=estimate.yaw is not None).floppy_modes
+    at_join = {}
+    if estimate.at_join is not None:
+        at_join = {"rmse_at_join_R": metrics.rmse(estimate.at_join, truth.position)}
+    steps = {}
+    if estimate.steps is not None:
+        steps = {"steps_per_robot": _mean(estimate.steps[unknown])}
     return {
         "joined": log.robot_count,
         "contacts_per_robot": _mean(metrics.earlier_contact_count(log)[unknown]),
@@ -68,12 +75,8 @@ def score(
         "within_dock": _mean(error <= DOCK_DIAMETER),
         "contacts_within_dock": _mean(of_contacts <= DOCK_DIAMETER),
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
-        **(
-            {}
-            if estimate.at_join is None
-            else {"rmse_at_join_R": metrics.rmse(estimate.at_join, truth.position)}
-        ),
-        **({} if estimate.steps is None else {"steps_per_robot": _mean(estimate.steps[unknown])}),
+        **at_join,
+        **steps,
         **_of_located(truth, estimate, unknown),
         **_calibration(truth, estimate, unknown),
         **_of_traffic(estimate),
@@ -123,7 +126,8 @@ def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History
     Robots that left have no errors. `sensed_force` is what each robot senses in its links [weight
     of a dock].
     """
-    true, estimated = truth.position, estimate.position
+    true = truth.position
+    estimated = estimate.position
     table = pd.DataFrame({"robot": truth.robot_id})
     table[["x_R", "y_R", "z_R"]] = true
     table[["qw", "qx", "qy", "qz"]] = truth.orientation_wxyz
@@ -141,7 +145,8 @@ def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History
     if estimate.doubtful is not None:
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
-        table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
+        table["sent_B"] = estimate.traffic["sent"]
+        table["heard_B"] = estimate.traffic["heard"]
     if len(history.departures):
         robot, after, event = history.departures.T
         table["lost"] = pd.Series(np.array(LOSSES)[event], robot)
@@ -161,7 +166,8 @@ def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History
 def by_iteration(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
     """Tabulate each recorded iteration: errors, and the residual of the localizer."""
     table = pd.DataFrame({"iteration": estimate.iteration})
-    true, trace = truth.position[~log.is_gone], estimate.trace[:, ~log.is_gone]
+    true = truth.position[~log.is_gone]
+    trace = estimate.trace[:, ~log.is_gone]
     table["sse_R2"] = [metrics.sse(frame, true) for frame in trace]
     table["rmse_R"] = [metrics.rmse(frame, true) for frame in trace]
     table["procrustes_disparity"] = [metrics.procrustes_disparity(frame, true) for frame in trace]
@@ -173,12 +179,19 @@ def by_join(history: History) -> pd.DataFrame:
 
     Mechanics are missing where the structure was not solved after the join.
     """
-    walks, loads, terrain = history.walks, history.loads, history.terrain
-    (x, _, z), joined = history.position.T, np.arange(1, len(walks) + 1)
+    walks = history.walks
+    loads = history.loads
+    terrain = history.terrain
+    x, _, z = history.position.T
+    joined = np.arange(1, len(walks) + 1)
     standing = np.concatenate([history.table("ground_docks"), history.table("edge_docks")])
     last = np.array([walk.stance_count - 1 for walk in walks])
     standing = standing[standing[:, 1] == last[standing[:, 0]], 0]
     sent = [walk.belief[3] for walk in walks if len(walk.belief)]
+    sent_bytes = {"sent_B": sent} if np.isfinite(sent).any() else {}
+    overhang: Reals | float = np.nan
+    if terrain.has_edge:
+        overhang = _standing(x, history, np.mean) - terrain.left_edge
     return pd.DataFrame(
         {
             "robots": joined,
@@ -196,11 +209,9 @@ def by_join(history: History) -> pd.DataFrame:
             "on_anchor": np.cumsum(np.isin(joined - 1, _on_anchor(history))),
             "anchored": _anchored(history),
             "least_support": [s.least_support for s in loads],
-            "overhang_R": np.nan
-            if not terrain.has_edge
-            else _standing(x, history, np.mean) - terrain.left_edge,
+            "overhang_R": overhang,
             **_losses(history),
-            **({"sent_B": sent} if np.isfinite(sent).any() else {}),
+            **sent_bytes,
         }
     )
 
@@ -216,23 +227,27 @@ def _losses(history: History) -> dict[str, Ints]:
     }
 
 
-def _standing(places: Reals, history: History, of: Callable[[Reals], float]) -> Reals:
-    """Compute the maximum or mean over the robots that stand after each join, shape (N,)."""
-    after, joined = history.left_after, np.arange(1, len(places) + 1)
-    if not history.is_gone.any():  # which needs no loop
-        every: Reals = np.cumsum(places) / joined
-        return every if of is np.mean else np.maximum.accumulate(places)
-    return np.array([of(places[:n][after[:n] > n]) for n in joined.tolist()])
+def _standing(x: Reals, history: History, statistic: Callable[[Reals], float]) -> Reals:
+    """Compute the maximum or mean of x over the robots that stand after each join, shape (N,)."""
+    joined = np.arange(1, len(x) + 1)
+    if history.is_gone.any():
+        departure = history.left_after
+        return np.array([statistic(x[:n][departure[:n] > n]) for n in joined.tolist()])
+    if statistic is np.mean:  # all robots remain, which needs no loop
+        mean: Reals = np.cumsum(x) / joined
+        return mean
+    return np.maximum.accumulate(x)
 
 
 def _anchored(history: History) -> list[int]:
     """Count the robots that contacts tie to an anchor after each join; all if some have left."""
-    parts, anchored = DisjointSet([*range(history.robot_count)]), []
+    components = DisjointSet([*range(history.robot_count)])
+    anchored = []
     for j, walk in enumerate(history.walks):
         for i in walk.at_rest(walk.contacts)[:, 1]:
-            parts.merge(int(i), j)
-        tied = {parts[i] for i in range(min(history.anchors, j + 1))}
-        anchored.append(sum(map(parts.subset_size, tied)))
+            components.merge(int(i), j)
+        tied = {components[i] for i in range(min(history.anchors, j + 1))}
+        anchored.append(sum(map(components.subset_size, tied)))
     return anchored
 
 
@@ -240,7 +255,8 @@ def totals(history: History) -> dict[str, float | int]:
     """Return the size and load of a finished structure."""
     grown = by_join(history)
     names = ("height_R", "reach_R", "depth_R", "peak_stress", "sensed_max", "recruited")
-    x, terrain = history.position[~history.is_gone, 0], history.terrain
+    x = history.position[~history.is_gone, 0]
+    terrain = history.terrain
     is_beyond = (x > terrain.left_edge) & (x < terrain.right_edge)
     first, second, third, *_ = [*map(int, _on_anchor(history)), np.nan, np.nan, np.nan]
     return {
@@ -285,17 +301,17 @@ def _as_planned(walk: Walk) -> int:
 
 def _beliefs(history: History) -> dict[str, float]:
     """Return errors and bytes of places that robots believed; empty where they know the truth."""
-    found = np.array([walk.belief for walk in history.walks if len(walk.belief)])
-    if not len(found):
+    beliefs = np.array([walk.belief for walk in history.walks if len(walk.belief)])
+    if not len(beliefs):
         return {}
-    building, newest, *_ = np.sqrt((found**2).mean(axis=0))
+    building, newest, *_ = np.sqrt((beliefs**2).mean(axis=0))
     return {
         "belief_building_R": building,
         "belief_newest_R": newest,
-        "belief_final_R": found[-1, 0],
-        "belief_per_contact_R": found[-1, 2],
-        "belief_sent_B": found[-1, 3],
-        "belief_worst_sent_B": found[-1, 4],
+        "belief_final_R": beliefs[-1, 0],
+        "belief_per_contact_R": beliefs[-1, 2],
+        "belief_sent_B": beliefs[-1, 3],
+        "belief_worst_sent_B": beliefs[-1, 4],
     }
 
 
@@ -315,16 +331,24 @@ class Scores(dict[str, float]):
         Robots that left, `is_gone` of shape (N,), do not count: the scores have their number as
         `left`, and `true` and `estimated` are of the others.
         """
-        true, estimated = true[~is_gone], estimated[~is_gone]
-        self.unit, self.left, self.true, self.estimated = unit, int(is_gone.sum()), true, estimated
-        super().__init__({
-            "RMSE": metrics.rmse(estimated, true),
-            "RMSE, yaw and place aligned": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
-            "RMSE, rigidly aligned": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
-            "largest error": float(metrics.robot_errors(estimated, true).max()),
-            "rms radius of the structure": metrics.rms_radius(true),
-            "Procrustes disparity": metrics.procrustes_disparity(estimated, true),
-        })  # fmt: skip
+        true = true[~is_gone]
+        estimated = estimated[~is_gone]
+        self.unit = unit
+        self.left = int(is_gone.sum())
+        self.true = true
+        self.estimated = estimated
+        yaw_aligned = metrics.yaw_aligned(estimated, true)
+        rigidly_aligned = metrics.rigidly_aligned(estimated, true)
+        super().__init__(
+            {
+                "RMSE": metrics.rmse(estimated, true),
+                "RMSE, yaw and place aligned": metrics.rmse(yaw_aligned, true),
+                "RMSE, rigidly aligned": metrics.rmse(rigidly_aligned, true),
+                "largest error": float(metrics.robot_errors(estimated, true).max()),
+                "rms radius of the structure": metrics.rms_radius(true),
+                "Procrustes disparity": metrics.procrustes_disparity(estimated, true),
+            }
+        )
 
     @property
     def errors(self) -> dict[str, Reals]:
@@ -337,9 +361,13 @@ class Scores(dict[str, float]):
 
     def __str__(self) -> str:
         """Give a line for each measure."""
-        left = [f"{'robots that left, not scored':<28} {self.left}"] if self.left else []
-        units = {name: "" if "disparity" in name else f" {self.unit}" for name in self}
-        return "\n".join([*(f"{k:<28} {v:.4g}{units[k]}" for k, v in self.items()), *left])
+        lines = []
+        for name, value in self.items():
+            unit = "" if "disparity" in name else f" {self.unit}"
+            lines.append(f"{name:<28} {value:.4g}{unit}")
+        if self.left:
+            lines.append(f"{'robots that left, not scored':<28} {self.left}")
+        return "\n".join(lines)
 
 
 def score_files(truth: Path, estimate: Path | Estimate) -> Scores:
@@ -353,20 +381,24 @@ def score_files(truth: Path, estimate: Path | Estimate) -> Scores:
     unit = read_length_unit(truth)
     names, true, _ = read_positions(truth, unit)
     further: Mapping[str, object]
+    path = None
     if isinstance(estimate, Path):
-        path, (other_names, estimated, further) = estimate, read_positions(estimate, unit)
+        path = estimate
+        estimated_names, estimated, further = read_positions(estimate, unit)
     else:
-        path, other_names, estimated = None, estimate.robot_id, estimate.position
+        estimated_names = estimate.robot_id
+        estimated = estimate.position
         further = estimate.columns()
         if estimate.length_unit != unit:
             problem = f"is in {estimate.length_unit}, the truth in {unit}; use the same unit"
             raise InputError(problem, argument="estimate")
-    missing = np.setxor1d(names, other_names)
+    missing = np.setxor1d(names, estimated_names)
     if len(missing):
         problem = f"robot {missing[0]} is in one of the two tables only; score the same robots"
         raise InputError(problem, path=path, key="robot")
     is_gone = np.broadcast_to(np.asarray(further.get("gone", "no")) == "yes", len(true))
-    return Scores(true[names.argsort()][other_names.argsort().argsort()], estimated, is_gone, unit)
+    in_order_of_estimate = names.argsort()[estimated_names.argsort().argsort()]
+    return Scores(true[in_order_of_estimate], estimated, is_gone, unit)
 
 
 def _of_located(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, float]:
@@ -383,13 +415,15 @@ def _of_traffic(estimate: Estimate) -> dict[str, float | int]:
     scores: dict[str, float | int] = {}
     if estimate.doubtful is not None:
         scores["doubtful"] = int(estimate.doubtful.sum())
-    if (traffic := estimate.traffic) is not None:
+    traffic = estimate.traffic
+    if traffic is not None:
         for name in ("sent", "heard", "memory"):
             count = traffic[name]
             scores |= {f"{name}_B": _mean(count), f"worst_{name}_B": int(count.max())}
         scores |= {name: _mean(traffic[name]) for name in ("messages", "rounds", "operations")}
         scores |= {"worst_operations": float(traffic["operations"].max())}
-        if (joins := traffic.get("joins")) is not None:
+        joins = traffic.get("joins")
+        if joins is not None:
             scores |= {"solved_share": float(joins.max() / max(joins.sum(), 1.0))}
     return scores
 
@@ -402,17 +436,19 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
         sd = estimate.sd[unknown]
         scores["coverage_50"] = _mean(error <= HALF_WITHIN * sd)
         scores["coverage_90"] = _mean(error <= MOST_WITHIN * sd)
-    if (found := estimate.convergence) is not None:
-        scores |= {"converged": found.converged, "consistent": found.consistent}
-        scores |= {"testable": found.testable, "misfit_sd": found.misfit_sd}
-        scores |= {} if found.spare is None else {"spare_measurements": found.spare}
-        scores |= {"sd_factor": found.sd_factor}
-        scores |= {"chains": found.chains, "restarted_chains": found.restarted}
+    convergence = estimate.convergence
+    if convergence is not None:
+        scores |= {"converged": convergence.converged, "consistent": convergence.consistent}
+        scores |= {"testable": convergence.testable, "misfit_sd": convergence.misfit_sd}
+        if convergence.spare is not None:
+            scores["spare_measurements"] = convergence.spare
+        scores["sd_factor"] = convergence.sd_factor
+        scores |= {"chains": convergence.chains, "restarted_chains": convergence.restarted}
     if estimate.is_open is not None:
         scores["open_robots"] = int(estimate.is_open[unknown].sum())
     if estimate.mirrored is not None:
         scores["mirrored"] = int(estimate.mirrored[unknown].sum())
-    if estimate.convergence is not None:
+    if convergence is not None:
         suspects = estimate.outlier_robots
         scores["suspects"] = 0 if suspects is None else len(suspects)
     return scores
@@ -423,7 +459,7 @@ def _mean(values: NDArray[np.generic]) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def own_scores(truth: Truth, estimate: Estimate) -> dict[str, float]:
+def plugin_scores(truth: Truth, estimate: Estimate) -> dict[str, float]:
     """Return the measures of plug-ins by name.
 
     Raises:

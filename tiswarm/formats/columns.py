@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.formats.poses import QUATERNION, Assumptions, PoseTable, some
+from tiswarm.formats.poses import QUATERNION, Assumptions, PoseTable, first_names
 from tiswarm.records.io import MAX_TABLE_BYTES, CsvFile, numbered_lines, open_input
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import FARTHEST
@@ -211,7 +211,7 @@ def read_table(
     else:
         rows, notes = _read_long_rows(table, bodies, label_columns, assumed, robot)
     if unnumbered:
-        notes.append(f"no robots, since their names have no number: {some(unnumbered)}")
+        notes.append(f"no robots, since their names have no number: {first_names(unnumbered)}")
     first_body = bodies[0]
     if "sphere" not in label_columns:
         notes += _add_quaternions(rows, table, first_body, assumed, sheet)
@@ -280,13 +280,13 @@ def plain_sheet(path: Path) -> Sheet:
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """Whether the cells of a line are units, some of which may be empty."""
+    """Whether the cells of a line are units; single ones may be empty."""
     units = {unit.lower() for unit in (*LENGTHS, *_TIMES, *_ANGLES, "")}
     return any(cells) and {cell.strip("[]() ").lower() for cell in cells} <= units
 
 
 def _all_end_with(separator: str, rows: Sequence[str], count: int) -> bool:
-    """Whether all rows, of which there are some, end with the last of `count` separators."""
+    """Whether each row ends with the last of `count` separators; not if there are no rows."""
     return {(row.count(separator), row.rstrip()[-1]) for row in rows} == {(count, separator)}
 
 

@@ -38,6 +38,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.records.frames import csv_text
 from tiswarm.records.mcap import SENSING, encode_messages
+from tiswarm.records.messages import exact_text
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.swarm_view import POSE, Coloring, SwarmView
@@ -269,10 +270,11 @@ def _variables(view: SwarmView, is_known: Bools) -> Iterator[str]:
     center = pose[is_known, :3]
     dock = unit * (center[:, None] + dock_offsets(pose[is_known, 3:], view.dock_offset_body))
     for i in robots:
-        yield f"VERTEX_SE3:QUAT {i} A{i} {_text(unit * pose[i, :3])} {_text(_xyzw(pose[i, 3:]))}"
+        position = exact_text(unit * pose[i, :3])
+        yield f"VERTEX_SE3:QUAT {i} A{i} {position} {exact_text(_xyzw(pose[i, 3:]))}"
     for k, i in enumerate(robots):
         for d in range(docks):
-            yield f"VERTEX_XYZ L{docks * i + d} {_text(dock[k, d])}"
+            yield f"VERTEX_XYZ L{docks * i + d} {exact_text(dock[k, d])}"
 
 
 def _orientation_priors(log: SensingLog, is_known: Bools) -> Iterator[str]:
@@ -285,9 +287,10 @@ def _orientation_priors(log: SensingLog, is_known: Bools) -> Iterator[str]:
     for i in np.flatnonzero(is_known & is_sensed).tolist():
         position_sd = _EXACT_SD if i == 0 else _UNKNOWN_SD
         position_variance = (position_sd * unit) ** 2
-        pose_text = f"{_text(log.anchor_position)} {_text(_xyzw(log.orientation_wxyz[i]))}"
+        position = exact_text(log.anchor_position)
+        turn = exact_text(_xyzw(log.orientation_wxyz[i]))
         covariance = _triangle(np.diag([position_variance] * 3 + turn_variance.tolist()))
-        yield f"VERTEX_SE3:QUAT:PRIOR {i} A{i} {pose_text} {covariance}"
+        yield f"VERTEX_SE3:QUAT:PRIOR {i} A{i} {position} {turn} {covariance}"
 
 
 def _measurements(log: SensingLog, is_known: Bools) -> Iterator[str]:
@@ -297,7 +300,7 @@ def _measurements(log: SensingLog, is_known: Bools) -> Iterator[str]:
     arm = _triangle(exact * np.eye(3))
     for i in np.flatnonzero(is_known).tolist():
         for d, offset in enumerate(log.dock_offset_body):
-            yield f"EDGE_SE3_XYZ {i} A{i} L{docks * i + d} {_text(offset)} {arm}"
+            yield f"EDGE_SE3_XYZ {i} A{i} L{docks * i + d} {exact_text(offset)} {arm}"
     for i, a, j, b in log.contacts[is_known[log.contacts[:, [0, 2]]].all(axis=1)].tolist():
         yield f"EDGE_RANGE {j} L{docks * i + a} L{docks * j + b} {log.spacing!r} {exact!r}"
     source_sd = np.append(log.source_sd, 0.0)  # a source of -1 is none
@@ -313,9 +316,4 @@ def _xyzw(quaternion: Reals) -> Reals:
 
 
 def _triangle(covariance: Reals) -> str:
-    return _text(covariance[np.triu_indices(len(covariance))])
-
-
-def _text(numbers: Reals) -> str:
-    """Write numbers in the shortest form that reads back as the same ones."""
-    return " ".join(map(repr, numbers.tolist()))
+    return exact_text(covariance[np.triu_indices(len(covariance))])

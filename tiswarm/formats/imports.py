@@ -39,11 +39,12 @@ from tiswarm.formats.poses import (
     Assumptions,
     Poses,
     PoseTable,
+    first_names,
     horizontal_mirror,
     poses_by_run,
     read_contacts,
     read_dock_offsets,
-    some,
+    with_earlier_first,
 )
 from tiswarm.formats.ranges import read_ranges
 from tiswarm.measurements.contacts import dock_pairs
@@ -338,8 +339,6 @@ def _log(
     logged = contacts.astype(np.int32)
     logged[:, [0, 2]] = join_index[contacts[:, [0, 2]]]
     logged = logged[(logged[:, [0, 2]] >= 0).all(axis=1)]
-    is_swapped = logged[:, 0] > logged[:, 2]
-    logged[is_swapped] = logged[is_swapped][:, [2, 3, 0, 1]]
     least, greatest = assumed.level
     height = poses.docks[order, :, 2]
     standing = np.argwhere((height >= least) & (height <= greatest)).astype(np.int32)
@@ -355,7 +354,7 @@ def _log(
         dock_offset_body=poses.dock_offset_body,
         anchor_position=poses.position[order[0]],
         orientation_wxyz=poses.orientation_wxyz[order],
-        contacts=sensing_log.canonical_contacts(logged),
+        contacts=sensing_log.canonical_contacts(with_earlier_first(logged)),
         ground_z=assumed.ground_z,
         ground_docks=standing,
         fixes=np.array(fixes).reshape(-1, 7),
@@ -369,7 +368,8 @@ def _log(
 
 def _noise(assumed: Assumptions) -> sensing_log.SensingNoise | None:
     """State the noise of orientations if it is given."""
-    tilt, yaw = assumed.tilt_deg, assumed.yaw_deg
+    tilt = assumed.tilt_deg
+    yaw = assumed.yaw_deg
     if tilt is None and yaw is None:
         return None
     try:
@@ -409,13 +409,15 @@ def _in_one_place(poses: Poses, assumed: Assumptions) -> list[str]:
     if not len(pair):
         return []
     robots = [f"{a} and {b}" for a, b in np.unique(poses.robot_id[pair], axis=0).tolist()]
-    problem = f"docks of these robots are in one place: {some(robots)}; if they are one body, "
+    problem = (
+        f"docks of these robots are in one place: {first_names(robots)}; if they are one body, "
+    )
     return [f"{problem}give it one name"]
 
 
 def _named(poses: Poses, robots: Ints) -> str:
     """Count robots and name the first ones."""
-    return f"{counted(len(robots), 'robot')} ({some(poses.robot_id[robots].tolist())})"
+    return f"{counted(len(robots), 'robot')} ({first_names(poses.robot_id[robots].tolist())})"
 
 
 def _describe(log: sensing_log.SensingLog) -> Iterator[str]:
@@ -501,8 +503,8 @@ def guess_dock_offset(
     count = len(position)
     _, near = cKDTree(position).query(position, k=min(count, _NEAREST + 1))
     robot = np.repeat(np.arange(count), near.size // count)
-    i, j = np.unique(np.sort(np.stack([robot, near.ravel()]), axis=0), axis=1)
-    i, j = i[i != j], j[i != j]
+    pairs = np.unique(np.sort(np.stack([robot, near.ravel()]), axis=0), axis=1)
+    i, j = pairs[:, pairs[0] != pairs[1]]
     arm = dock_offsets(orientation_wxyz, docks_in_plane(1.0))
     between = (position[j] - position[i])[:, None, None]
     spread = arm[j][:, None] - arm[i][:, :, None]
@@ -595,7 +597,8 @@ def with_docks(
     Raises:
         InputError: the file has docks, and offsets of docks are given.
     """
-    radius, body = assumed.dock_radius, assumed.dock_offset_body
+    radius = assumed.dock_radius
+    body = assumed.dock_offset_body
     poses = poses._replace(length_unit=poses.length_unit or assumed.length_unit)
     if len(poses.dock_offset_body):
         if body is None:

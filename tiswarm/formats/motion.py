@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.formats.poses import SD_PER_MEDIAN_DEVIATION, Assumptions, Poses, Samples, some
+from tiswarm.formats.poses import SD_PER_MEDIAN_DEVIATION, Assumptions, Poses, Samples, first_names
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import Stances
 
@@ -673,7 +673,5 @@ def _note(poses: Poses, samples: Samples, bad: Bools) -> str:
         f"robot {name} at time {time:g}"
         for name, time in zip(names, samples.time[first].tolist(), strict=True)
     ]
-    return (
-        f"{counted(int(bad.sum()), 'pose')} left out, {some(places)}: no flip about a dock leads "
-        "there (keep them with --glitch-frames 0)"
-    )
+    note = f"{counted(int(bad.sum()), 'pose')} left out, {first_names(places)}: "
+    return f"{note}no flip about a dock leads there (keep them with --glitch-frames 0)"

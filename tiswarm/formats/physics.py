@@ -19,7 +19,7 @@ about an axis (`body_invweight0`), the stiffness along each axis and about each 
 (MuJoCo documentation, Modeling, "Solver parameters"; a weld measures half of an angle).
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
@@ -30,6 +30,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.version import __version__
 from tiswarm.compute.math import dock_offsets
+from tiswarm.records.messages import exact_text
 from tiswarm.records.surface import GroundSurface
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.report.swarm_view import Slab, SwarmView, shown_slabs
@@ -243,11 +244,6 @@ def _unit(way: Reals) -> Reals:
     return unit
 
 
-def _text(numbers: Iterable[float] | Reals) -> str:
-    """Write numbers in the shortest form that reads back as the same ones."""
-    return " ".join(repr(float(number)) for number in np.ravel(numbers))  # type: ignore[arg-type]
-
-
 # --- MuJoCo ----------------------------------------------------------------------------------
 
 _OPTION = {"timestep": "0.002", "gravity": f"0 0 {-GRAVITY}", "tolerance": "1e-12"}
@@ -277,7 +273,7 @@ def encode_mjcf(view: SwarmView) -> dict[str, bytes]:
         _add(_add(default, "default", {"class": name}), "geom", look)
     custom = _add(root, "custom")
     for name, numbers in world.about.items():
-        _add(custom, "numeric", name=name, data=_text(numbers))
+        _add(custom, "numeric", name=name, data=exact_text(numbers))
     _add(_add(root, "asset"), "texture", _SKY)
     _add_heights(root, world)
     bodies = _add(root, "worldbody")
@@ -293,8 +289,8 @@ def encode_mjcf(view: SwarmView) -> dict[str, bytes]:
         bodies_of = {"body1": world.name(joint.row)}
         if joint.partner != _NONE:
             bodies_of["body2"] = world.name(joint.partner)
-        anchor = _text(world.in_body(joint.partner, joint.place))  # in the frame of the second body
-        _add(equality, "weld", bodies_of, name=world.joint_name(joint), anchor=anchor)
+        place = world.in_body(joint.partner, joint.place)  # in the frame of the second body
+        _add(equality, "weld", bodies_of, name=world.joint_name(joint), anchor=exact_text(place))
     ET.indent(root)
     return {"case.xml": ET.tostring(root, encoding="utf-8") + b"\n"}
 
@@ -321,7 +317,7 @@ def _add_heights(root: ET.Element, world: World) -> None:
     asset = root.find("asset")
     _add(
         asset if asset is not None else _add(root, "asset"), "hfield", name="ground",
-        nrow=str(height.shape[1]), ncol=str(height.shape[0]), size=_text(sizes),
+        nrow=str(height.shape[1]), ncol=str(height.shape[0]), size=exact_text(sizes),
         elevation=" ".join(f"{number:.5g}" for number in share.T[::-1].ravel().tolist()),
     )  # fmt: skip
 
@@ -331,33 +327,36 @@ def _add_ground(parent: ET.Element, world: World) -> None:
     look = {"class": "ground"}
     if world.plane is not None:
         plane = {
-            "pos": _text([0.0, 0.0, world.unit * world.plane]),
-            "size": _text([world.unit * half for half in (_PLANE, _PLANE, 1.0)]),
+            "pos": exact_text([0.0, 0.0, world.unit * world.plane]),
+            "size": exact_text([world.unit * half for half in (_PLANE, _PLANE, 1.0)]),
         }
         _add(parent, "geom", look | plane, name="ground", type="plane")
     if world.surface is not None:
         surface = world.surface
         middle = [*(0.5 * (surface.corner + surface.end)), float(surface.height.min())]
-        place = {"pos": _text(world.unit * np.array(middle))}
+        place = {"pos": exact_text(world.unit * np.array(middle))}
         _add(parent, "geom", look | place, name="ground", type="hfield", hfield="ground")
     for n, (middle, size, *ends) in enumerate(world.ground_solids()):
-        box = {"pos": _text(middle), "size": _text(0.5 * size)}
+        box = {"pos": exact_text(middle), "size": exact_text(0.5 * size)}
         _add(parent, "geom", look | box, name=f"slab_{n}", type="box")
-        cylinder = {"fromto": _text(np.array(ends)), "size": repr(world.unit * EDGE_RADIUS)}
+        cylinder = {"fromto": exact_text(np.ravel(ends)), "size": repr(world.unit * EDGE_RADIUS)}
         _add(parent, "geom", look | cylinder, name=f"edge_{n}", type="cylinder")
 
 
 def _add_robot(parent: ET.Element, world: World, row: int) -> None:
     """Add a free body with its docks and links."""
     turn = world.turn[row].as_quat(scalar_first=True)
-    pose = {"pos": _text(world.unit * world.center[row]), "quat": _text(turn)}
+    pose = {"pos": exact_text(world.unit * world.center[row]), "quat": exact_text(turn)}
     body = _add(parent, "body", {"name": world.name(row)} | pose)
     _add(body, "freejoint")
-    rgba = f"{_text(world.color[row])} 1"
+    rgba = f"{exact_text(world.color[row])} 1"
     for d, offset in enumerate(world.unit * world.view.dock_offset_body):
-        sphere = {"name": f"dock_{world.robots[row]}.{d}", "pos": _text(offset)}
+        sphere = {"name": f"dock_{world.robots[row]}.{d}", "pos": exact_text(offset)}
         _add(body, "geom", {"class": "dock"} | sphere, size=repr(world.unit), rgba=rgba)
-        capsule = {"fromto": f"0 0 0 {_text(offset)}", "size": repr(_LINK_RADIUS * world.unit)}
+        capsule = {
+            "fromto": f"0 0 0 {exact_text(offset)}",
+            "size": repr(_LINK_RADIUS * world.unit),
+        }
         _add(body, "geom", {"class": "link"} | capsule, rgba=rgba)
 
 
@@ -385,7 +384,7 @@ def encode_wbt(view: SwarmView) -> dict[str, bytes]:
 
 def _scenery(world: World) -> Iterator[str]:
     """Write what is neither robot nor ground; the camera looks along y."""
-    about = [f"{name}: {_text(numbers)}" for name, numbers in world.about.items()]
+    about = [f"{name}: {exact_text(numbers)}" for name, numbers in world.about.items()]
     info = [_quoted(text) for text in (_ABOUT, *about, f"tiswarm {__version__}")]
     title = _quoted(world.view.name or "case")
     yield _node("WorldInfo", title=title, info=info, gravity=repr(GRAVITY), basicTimeStep="2")
@@ -393,7 +392,7 @@ def _scenery(world: World) -> Iterator[str]:
     high = np.max(world.center, axis=0, initial=0.0)
     eye = 0.5 * (low + high) - [0.0, 1.5 * float((high - low).max()) + 15.0, 0.0]
     turned = "0 0 1 1.5707963267948966"
-    yield _node("Viewpoint", orientation=turned, position=_text(world.unit * eye))
+    yield _node("Viewpoint", orientation=turned, position=exact_text(world.unit * eye))
     yield _node("Background", skyColor=["1 1 1"])
     yield _node("DirectionalLight", direction="0.3 0.5 -1", ambientIntensity="0.5")
 
@@ -419,16 +418,16 @@ def _quoted(text: str) -> str:
 def _rotation(turn: Rotation) -> str:
     """Write a rotation as axis and angle."""
     vector = turn.as_rotvec()
-    return _text([*_unit(vector), float(np.linalg.norm(vector))])
+    return exact_text([*_unit(vector), float(np.linalg.norm(vector))])
 
 
 def _pose(place: Reals, child: str, turn: Rotation | None = None) -> str:
     rotation = {} if turn is None else {"rotation": _rotation(turn)}
-    return _node("Pose", translation=_text(place), **rotation, children=[child])
+    return _node("Pose", translation=exact_text(place), **rotation, children=[child])
 
 
 def _shape(geometry: str, color: Reals) -> str:
-    look = _node("PBRAppearance", baseColor=_text(color), metalness="0")
+    look = _node("PBRAppearance", baseColor=exact_text(color), metalness="0")
     return _node("Shape", appearance=look, geometry=geometry)
 
 
@@ -444,7 +443,7 @@ def _connector(world: World, joint: Joint, row: int, axis: Reals) -> str:
     name = _quoted(world.joint_name(joint))
     return _node(
         "Connector",
-        translation=_text(world.in_body(row, joint.place)),
+        translation=exact_text(world.in_body(row, joint.place)),
         rotation=_rotation(turn),
         name=name,
         model=name,
@@ -468,7 +467,7 @@ def _robot(world: World, row: int, connectors: list[str]) -> str:
         shapes.append(_pose(0.5 * offset, link, _frame(_unit(offset))))
     return _node(
         "Robot",
-        translation=_text(world.unit * world.center[row]),
+        translation=exact_text(world.unit * world.center[row]),
         rotation=_rotation(world.turn[row]),
         name=_quoted(world.name(row)),
         children=[*shapes, *connectors],
@@ -482,7 +481,7 @@ def _ground(world: World, connectors: list[str]) -> str:
     """Write the ground as a robot without physics, which does not move."""
     solids: list[tuple[Reals, str, Rotation | None]] = []
     if world.plane is not None:
-        plane = _node("Plane", size=_text([2.0 * _PLANE * world.unit] * 2))
+        plane = _node("Plane", size=exact_text([2.0 * _PLANE * world.unit] * 2))
         solids.append((np.array([0.0, 0.0, world.unit * world.plane]), plane, None))
     if world.surface is not None:
         surface = world.surface
@@ -490,12 +489,12 @@ def _ground(world: World, connectors: list[str]) -> str:
         grid = _node(
             "ElevationGrid", xDimension=str(surface.height.shape[0]),
             yDimension=str(surface.height.shape[1]), xSpacing=cell, ySpacing=cell,
-            height=f"[ {_text(world.unit * surface.height.T)} ]",
+            height=f"[ {exact_text((world.unit * surface.height.T).ravel())} ]",
         )  # fmt: skip
         solids.append((world.unit * np.array([*surface.corner, 0.0]), grid, None))
     radius = repr(world.unit * EDGE_RADIUS)
     for middle, size, start, end in world.ground_solids():
-        solids.append((middle, _node("Box", size=_text(size)), None))
+        solids.append((middle, _node("Box", size=exact_text(size)), None))
         height = repr(float(np.linalg.norm(end - start)))
         edge = _node("Cylinder", height=height, radius=radius)
         solids.append((0.5 * (start + end), edge, _frame(_unit(end - start))))

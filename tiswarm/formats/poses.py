@@ -4,10 +4,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
@@ -15,6 +16,8 @@ from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.io import CsvFile
 from tiswarm.records.sensing_file import FAR_FROM_UNIT
+
+_Contacts = TypeVar("_Contacts", NDArray[np.int32], NDArray[np.int64])
 
 TOLERANCE = 0.02
 """Largest gap and overlap of a contact unless stated otherwise [dock radii]."""
@@ -164,7 +167,7 @@ _MOST_NAMED = 5
 """Robots that a note names."""
 
 
-def some(names: Sequence[object]) -> str:
+def first_names(names: Sequence[object]) -> str:
     """List the first names, and count the others."""
     listed = ", ".join(str(name) for name in names[:_MOST_NAMED])
     if len(names) > _MOST_NAMED:
@@ -335,9 +338,15 @@ def read_contacts(path: Path, poses: Poses) -> Ints:
         if problem:
             raise InputError(problem, path=path, line=table.line(k))
         contacts[k, [0, 2]] = [row_of[robot], row_of[partner]]
-    is_swapped = contacts[:, 0] > contacts[:, 2]
-    contacts[is_swapped] = contacts[is_swapped][:, [2, 3, 0, 1]]
-    return np.unique(contacts, axis=0)
+    return np.unique(with_earlier_first(contacts), axis=0)
+
+
+def with_earlier_first(contacts: _Contacts) -> _Contacts:
+    """Turn rows of (robot, its dock, robot, its dock), (n, 4), so that the earlier robot leads."""
+    turned = contacts.copy()
+    is_later = contacts[:, 0] > contacts[:, 2]
+    turned[is_later] = contacts[is_later][:, [2, 3, 0, 1]]
+    return turned
 
 
 def _rotation(wxyz: Reals) -> Rotation:

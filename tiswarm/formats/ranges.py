@@ -26,7 +26,7 @@ from tiswarm.formats.columns import (
     robot_numbers,
     split_unit,
 )
-from tiswarm.formats.poses import SD_PER_MEDIAN_DEVIATION, some
+from tiswarm.formats.poses import SD_PER_MEDIAN_DEVIATION, first_names
 from tiswarm.records.io import CsvFile
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog, SensingNoise
@@ -257,12 +257,15 @@ def _strangers(path: Path, beacons: Sequence[str], rows: Sequence[_Range]) -> li
     partners = {row.partner for row in rows}
     strangers = sorted(partners - tags - {*beacons}, key=_natural)
     if not (tags | partners) & {*beacons}:
-        names = some(strangers or sorted(tags | partners))
-        problem = f"no range is to a beacon: ranges have {names}, beacons are {some(beacons)}; "
+        names = first_names(strangers or sorted(tags | partners))
+        problem = (
+            f"no range is to a beacon: ranges have {names}, beacons are {first_names(beacons)}; "
+        )
         raise InputError(f"{problem}write them alike", path=path)
     if not strangers:
         return []
-    problem = f"ranges are to names without a place, which are located as tags: {some(strangers)}; "
+    names = first_names(strangers)
+    problem = f"ranges are to names without a place, which are located as tags: {names}; "
     return [f"{problem}add their places if they are beacons"]
 
 
@@ -455,10 +458,9 @@ def _pooled(
     )
     far_wider = [f"{a} to {b}" for (a, b), pair_sd in scatter.items() if pair_sd > _MOVED * sd]
     if far_wider:
-        problem = (
-            f"readings scatter far more than others: {some(far_wider)}; robots moved, or paths "
-        )
-        warnings.append(f"{problem}changed: cut the table to a time of rest")
+        problem = f"readings scatter far more than others: {first_names(far_wider)}; "
+        remedy = "robots moved, or paths changed: cut the table to a time of rest"
+        warnings.append(problem + remedy)
     if _drift(pairs) > _DRIFT:
         problem = "readings of a pair follow each other closely, and drift: robots moved; "
         warnings.append(f"{problem}cut the table to a time of rest")
@@ -500,4 +502,4 @@ def _numbers(names: Sequence[str], beacons: int) -> tuple[list[int], list[str]]:
     numbers_of_beacons = [max(tags, default=-1) + 1 + k for k in range(beacons)]
     numbers = [*numbers_of_beacons, *tags]
     listed = [f"{name} is {number}" for name, number in zip(names, numbers, strict=True)]
-    return numbers, [f"robots are numbered: {some(listed)}"]
+    return numbers, [f"robots are numbered: {first_names(listed)}"]

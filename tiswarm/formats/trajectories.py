@@ -236,7 +236,9 @@ def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
 
 def _trajectory(path: Path, dock_radius: float) -> tuple[pd.DataFrame, list[int]]:
     """Read the lines of a file, with their numbers, and list the lines that have a NaN."""
-    rows, lines, incomplete = [], [], []
+    rows = []
+    lines = []
+    incomplete = []
     for line, text in numbered_lines(path, LONGEST_TEXT):
         cells = text.split()
         if not cells or cells[0].startswith("#"):

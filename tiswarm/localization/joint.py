@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,8 +23,8 @@ def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     chains = params.chains_for(log.robot_count)
     steps = params.steps_for(log.robot_count)
     parts = [part for part in (log, log.stances) if part is not None]
-    is_directed = "directions" in params.cues and any(len(part.directions) for part in parts)
-    has_touches = "touches" in params.cues and any(len(part.touches) for part in parts)
+    is_directed = "directions" in params.used_cues and any(len(part.directions) for part in parts)
+    has_touches = "touches" in params.used_cues and any(len(part.touches) for part in parts)
     traits = (len(log.dock_offset_body), is_directed, has_touches, bool(len(log.gone)))
     return (*traits, params.seed, chains, steps, params.hold_steps)
 
@@ -101,4 +101,5 @@ def _restarted(fit: Fit) -> tuple[Fit, int]:
 
 def _annealed(posed: Posed, **options: Any) -> Annealed:  # noqa: ANN401 - those of `anneal`
     """Anneal the chains of one log; options as for `anneal`."""
-    return anneal([posed.log], [posed.params], [posed.problem], **options)[0]
+    params = cast("JointParams", posed.params)
+    return anneal([posed.log], [params], [posed.problem], **options)[0]

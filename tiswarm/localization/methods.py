@@ -200,7 +200,7 @@ def _observed(estimate: Estimate, log: SensingLog, params: MethodParams) -> Esti
     # Half way between two images, measurements may resist less than at either.
     configuration = estimate.configuration
     yaw_unknown = estimate.yaw is not None
-    determined = observability(log, params.cues, configuration, yaw_unknown=yaw_unknown)
+    determined = observability(log, params.used_cues, configuration, yaw_unknown=yaw_unknown)
     return replace(estimate, observability=determined)
 
 
@@ -271,7 +271,7 @@ class PluginMethodParams(MethodParams):
     """What of the log the method uses."""
 
     @property
-    def cues(self) -> tuple[str, ...]:
+    def used_cues(self) -> tuple[str, ...]:
         """What of the log is used."""
         return self.plugin_cues
 
@@ -309,7 +309,7 @@ class PluginMethodParams(MethodParams):
         )
         if isinstance(result, Estimate):
             return result
-        return _judged(log, params.cues, position.astype(np.float64))
+        return _judged(log, params.used_cues, position.astype(np.float64))
 
 
 def method(
@@ -393,7 +393,7 @@ def _require_settings(name: str, settings: type[Any] | None) -> None:
             raise InputError(problem)
 
 
-_TAKEN = {"method", *PluginMethodParams.__annotations__, *dir(PluginMethodParams)}
+_TAKEN = {"method", "cues", *PluginMethodParams.__annotations__, *dir(PluginMethodParams)}
 """Names that a setting of a plug-in cannot have."""
 
 

@@ -1,14 +1,14 @@
-"""Settings of localization: cues that methods share, and those of the methods of the core."""
+"""Settings of localization: the cues that methods share, and those of the methods of the core."""
 
-from dataclasses import fields, make_dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from dataclasses import fields
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET
 from tiswarm.localization.cost import EXTENSION
-from tiswarm.measurements.cues import cue_names, switched
+from tiswarm.measurements.cues import CUES, cue_names
 
 MOST_STEPS = 3000
 """Steps in which structures of up to `LARGE` robots are annealed where fewer do not converge."""
@@ -19,11 +19,70 @@ LARGE = 3000
 _Axes = Annotated[int, Field(ge=1, le=64)]
 _Sd = Annotated[float, Field(gt=0.0)]
 
-SWITCHES = tuple(cue.name for cue in switched())
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class Cues:
+    """Cues that localization uses; each counts as far as the log has it.
+
+    There is a switch for each cue that has one in the table `tiswarm.measurements.cues.CUES`.
+    Fields carry their text as a description, for the JSON Schema does not find the docstrings of a
+    base class.
+    """
+
+    contacts: Annotated[bool, Field(description="Docks that touch at the end are D apart.")] = True
+
+    non_overlap: Annotated[bool, Field(description="All other docks are D apart or farther.")] = (
+        True
+    )
+
+    height: Annotated[bool, Field(description="Robots are as high as their flips imply.")] = True
+
+    ground: Annotated[
+        bool, Field(description="A dock on flat ground is one dock radius above it.")
+    ] = True
+
+    walk_contacts: Annotated[
+        bool, Field(description="Contacts of earlier stances count too, carried on by flips.")
+    ] = True
+
+    odometry: Annotated[
+        bool, Field(description="Robots that know their spawn went as far as their flips say.")
+    ] = True
+
+    plane: Annotated[
+        bool, Field(description="Planar robots are in the vertical plane of the anchor.")
+    ] = True
+
+    fixes: Annotated[
+        bool, Field(description="Coordinates that a beacon or camera measured count.")
+    ] = True
+
+    ranges: Annotated[bool, Field(description="Measured distances of centers count.")] = True
+
+    directions: Annotated[bool, Field(description="Measured directions of contacts count.")] = True
+
+    touches: Annotated[
+        bool, Field(description="Contacts whose docks are unknown count; methods must find these.")
+    ] = True
+
+    displacements: Annotated[
+        bool, Field(description="Measured vectors between the centers of two robots count.")
+    ] = True
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class CuesOfNamedDocks(Cues):
+    """Cues of methods that cannot find the docks of a contact."""
+
+    touches: Literal[False] = False
+    """Contacts whose docks are unknown do not count: only `joint` and `least-squares` find them."""
+
+
+SWITCHES = tuple(field.name for field in fields(Cues))
 """Cues that settings have a switch for."""
 
-DOCKS_UNKNOWN = tuple(cue.name for cue in switched() if cue.unless_found)
-"""Cues that only `joint` can use: it finds the docks of their rows."""
+DOCKS_UNKNOWN = tuple(cue.name for cue in CUES if not cue.names_docks)
+"""Cues that only methods can use that find the docks of their rows."""
 
 
 def all_cues() -> tuple[str, ...]:
@@ -44,9 +103,9 @@ class MethodParams:
     """Name of the method."""
 
     @property
-    def cues(self) -> tuple[str, ...]:
-        """What of the log is used: every cue without a switch, and those whose switch is on."""
-        return tuple(cue for cue in all_cues() if getattr(self, cue, True))
+    def used_cues(self) -> tuple[str, ...]:
+        """Names of the cues that are used of a log, as far as it has them: all."""
+        return all_cues()
 
     @property
     def joining(self) -> str:
@@ -89,22 +148,14 @@ _ONE_BY_ONE = (
 """Settings of `virtual-force` that have no meaning where robots move together."""
 
 
-_Switches: Any = make_dataclass(
-    "_Switches",
-    [(cue.name, Annotated[bool, Field(description=cue.switch)], True) for cue in switched()],
-    frozen=True,
-    kw_only=True,
-)
-
-
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class CueParams(_Switches, MethodParams):  # type: ignore[misc]
-    """Cues of a method that can do without any of them; each counts as far as the log has it.
+class CueParams(MethodParams):
+    """Settings of a method that can do without any of the cues.
 
-    There is a switch for each cue that has one in the table of cues. Fields that are inherited
-    carry their text as a description, for the JSON Schema does not find the docstrings of a base
-    class.
+    Fields of base classes carry their text as a description, as those of `Cues`.
     """
+
+    cues: Annotated[Cues, Field(description="Cues in use, each of them on or off.")] = Cues()
 
     flip_axes: Annotated[
         _Axes | None,
@@ -112,18 +163,10 @@ class CueParams(_Switches, MethodParams):  # type: ignore[misc]
         Field(description="Axes of a dock to fit flips to; if null, none are fitted."),
     ] = None
 
-
-DocksNamed: Any = make_dataclass(
-    "DocksNamed",
-    [
-        (cue.name, Annotated[Literal[False], Field(description=cue.unless_found)], False)
-        for cue in switched()
-        if cue.unless_found
-    ],
-    frozen=True,
-    kw_only=True,
-)
-"""Settings of methods that cannot find the docks of a contact; a base before `CueParams`."""
+    @property
+    def used_cues(self) -> tuple[str, ...]:
+        """What of the log is used: every cue without a switch, and those whose switch is on."""
+        return tuple(cue for cue in all_cues() if getattr(self.cues, cue, True))
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -307,7 +350,7 @@ class VirtualForceParams(MethodParams):
                     )
 
     @property
-    def cues(self) -> tuple[str, ...]:
+    def used_cues(self) -> tuple[str, ...]:
         """What of the log is used."""
         chosen = {
             "contacts": True,

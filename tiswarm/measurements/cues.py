@@ -225,12 +225,9 @@ class Cue:
     walked: _Producer | None = None
     """Function for earlier stances, used beside the cue `walk_contacts`."""
 
-    switch: str = ""
-    """Description of the setting that is on unless a user says otherwise; a cue without one is
-    always used."""
-
-    place: int = 0
-    """Place of the setting among those of all cues."""
+    has_switch: bool = False
+    """Whether settings have a switch for it, a field of `tiswarm.localization.settings.Cues`; a cue
+    without one is always used."""
 
     words: str = ""
     """Words for pages; the name if empty."""
@@ -245,48 +242,48 @@ class Cue:
     """What a row is, of `other` robot, `own` dock and `dock` of the other, or `along` an axis, `at`
     a coordinate."""
 
-    unless_found: str = ""
-    """Description of the setting, which is off, of methods that cannot find the docks of its rows;
-    empty of a cue that names docks or needs none."""
+    names_docks: bool = True
+    """Whether its rows name the docks that they are of, or need none; only methods that find docks
+    can use others."""
 
 
 CUES: list[Cue] = [
     Cue(
         name="contacts", rows=_contacts, key="contacts", item="contact [{own}, {other}, {dock}]",
-        switch="Docks that touch at the end are D apart.", place=0,
+        has_switch=True,
         words="contacts", said=0,
     ),
     Cue(
         name="non_overlap",
-        switch="All other docks are D apart or farther.", place=1,
+        has_switch=True,
         words="non-overlap", said=12,
     ),
     Cue(
         name="ground", rows=_ground, walked=_walk_ground,
         key="ground_docks", item="ground contact of dock {dock}",
-        switch="A dock on flat ground is one dock radius above it.", place=3,
+        has_switch=True,
         words="docks on the ground", said=7,
     ),
     Cue(
         name="height", rows=_height, key="flip_height", item="height",
-        switch="Robots are as high as their flips imply.", place=2,
+        has_switch=True,
         words="heights", said=6,
     ),
     Cue(
         name=WALKED, rows=_walk_contacts,
         key="contacts", item="contact [{own}, {other}, {dock}]",
-        switch="Contacts of earlier stances count too, carried on by the flips.", place=4,
+        has_switch=True,
         words="contacts on the way", said=11,
     ),
     Cue(
         name="odometry", rows=_odometry_from_spawn,
         key="spawn_position", item="spawn position along {along}",
-        switch="Robots that know where they started went as far as their flips say.", place=5,
+        has_switch=True,
         words="odometry", said=10,
     ),
     Cue(
         name="plane", rows=_plane, key="fixes", item="fix along {along} at {at}",
-        switch="Planar robots are in the vertical plane of the anchor.", place=6,
+        has_switch=True,
         words="the plane of motion", said=8,
     ),
     Cue(
@@ -295,45 +292,40 @@ CUES: list[Cue] = [
     ),
     Cue(
         name="fixes", rows=_fixes, key="fixes", item="fix along {along} at {at}",
-        switch="Coordinates that a beacon or camera measured count.", place=7,
+        has_switch=True,
         words="fixes", said=5,
     ),
     Cue(
         name="ranges", rows=_ranges, key="ranges", item="range to robot {other}",
-        switch="Measured distances of centers count.", place=8,
+        has_switch=True,
         words="ranges", said=4,
     ),
     Cue(
         name="directions", rows=_directions,
         key="directions", item="direction of contact [{own}, {other}, {dock}]",
-        switch="Measured directions of contacts count.", place=9,
+        has_switch=True,
         words="directions of contacts", said=2,
     ),
     Cue(
         name="touches", rows=_touches, key="touches", item="touch of robot {other}",
-        switch="Contacts whose docks are unknown count.", place=10,
+        has_switch=True,
         words="contacts of unknown docks", said=1,
-        unless_found="Touches do not count: only `joint` finds their docks.",
+        names_docks=False,
     ),
     Cue(
         name="displacements", rows=_displacements,
         key="displacements", item="displacement to robot {other}",
-        switch="Measured vectors between the centers of two robots count.", place=11,
+        has_switch=True,
         words="displacements", said=3,
     ),
 ]  # fmt: skip
-"""The table of cues. To add one, write its function and an entry here: settings, analyses and pages
-follow."""
+"""The table of cues. To add one, write its function and an entry here: analyses and pages follow.
+One with a switch needs a field of `tiswarm.localization.settings.Cues`, too."""
 
 
 def cue_names() -> tuple[str, ...]:
     """List the names of all cues with rows."""
     return tuple(cue.name for cue in CUES if cue.rows)
-
-
-def switched() -> list[Cue]:
-    """List the cues that settings have a switch for, in their order."""
-    return sorted((cue for cue in CUES if cue.switch), key=lambda cue: cue.place)
 
 
 class Measured:

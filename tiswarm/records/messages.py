@@ -3,7 +3,7 @@
 import difflib
 import json
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from pydantic_core import ErrorDetails
 
@@ -86,6 +86,10 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+MISSING = "\N{EN DASH}"
+"""What tables for people show in place of a number that is not known."""
+
+
 def percent(share: float) -> str:
     """Write a share in percent, without the sign; one that is nearly all is less than 100.
 
@@ -104,3 +108,12 @@ def three_digits(number: float) -> str:
     ('2.60', '123', '0.000120')
     """
     return f"{number:#.3g}".rstrip(".")
+
+
+def exact_text(numbers: Iterable[float]) -> str:
+    """Write numbers in the shortest form that reads back as the same ones.
+
+    >>> exact_text([0.1, 2])
+    '0.1 2.0'
+    """
+    return " ".join(repr(float(number)) for number in numbers)

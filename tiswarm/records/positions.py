@@ -147,7 +147,8 @@ def read_positions(
     """
     table = CsvFile(path)
     columns = _header(length_unit)
-    required, optional = columns[:4], columns[4:]
+    required = columns[:4]
+    optional = columns[4:]
     if table.columns != [name for name in columns if name in {*required, *table.columns}]:
         wanted = ",".join(required) + "".join(f"[,{name}]" for name in optional)
         raise InputError(f"the columns are not {wanted}; rename them", path=path, line=1)

@@ -26,7 +26,13 @@ from tiswarm.records.measures import (
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import LABEL
 from tiswarm.report import figure_style
-from tiswarm.report.run_data import RunData, stated_conditions, stated_scenario, with_points
+from tiswarm.report.run_data import (
+    RunData,
+    joined_words,
+    stated_conditions,
+    stated_scenario,
+    with_points,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,8 +95,6 @@ _AXES: Mapping[str, tuple[str, str, Mapping[str, str]]] = {
     ),
 }
 """By column of `scaling.csv`, its label, its symbol and the panels against it."""
-
-_MOST_SERIES = 8
 
 
 CAPTIONS = {
@@ -156,7 +160,7 @@ def compares_rounds(run: RunData) -> bool:
     return len(set(table.groupby("condition")["round_every"].first().dropna())) > 1
 
 
-def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
+def draw_rounds(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw RMSE against steps per robot, for rounds of back-propagation at several intervals.
 
     A line joins rounds that move equally many robots by equally many steps. A condition without
@@ -169,13 +173,13 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     shown = points[:_MOST_POINTS]
     one_length = len(set(table["round_sweeps"].dropna())) == 1
     height = 0.6 + 3.2 * -(-len(shown) // 2)
-    panels = figure_style.Panels(height, len(shown), 2, share="x", most=most)
-    for axes, (point, part) in panels.paired_with(shown):
-        has_rounds = part["round_every"].notna()
-        levels = part.loc[~has_rounds, ["condition", RMSE.mean, RMSE.ci95]]
+    panels = figure_style.Panels(height, len(shown), 2, share="x", max_width=max_width)
+    for axes, (point, point_rows) in panels.paired_with(shown):
+        has_rounds = point_rows["round_every"].notna()
+        levels = point_rows.loc[~has_rounds, ["condition", RMSE.mean, RMSE.ci95]]
         for index, level in enumerate(levels.itertuples(index=False)):
             _draw_level(axes, *level, at_right=index % 2 == 0)
-        rounds = part[has_rounds].fillna({"round_recent": np.inf})
+        rounds = point_rows[has_rounds].fillna({"round_recent": np.inf})
         families = rounds.groupby(["round_sweeps", "round_recent"], sort=False)
         for index, ((sweeps, recent), family) in enumerate(families):
             name = f"last {recent:g}" if np.isfinite(recent) else "all"
@@ -190,7 +194,7 @@ def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     panels.first.set_xlim(0.7 * steps.min(), 1.4 * steps.max())
     words = f"robots moved in a round; {figure_style.mean_words(table['cases'])}"
     panels.legend(words, structures=int(table["cases"].max()))
-    more = figure_style.omission_note(len(points) - len(shown), "table.csv")
+    more = figure_style.omission_note(len(points) - len(shown), "sweep point", "in table.csv")
     return panels.finish("numbers: joins between two rounds", more, run.note)
 
 
@@ -251,13 +255,13 @@ def _profile_painters(run: RunData) -> dict[str, figure_style.Painter]:
     if not 1 < len(points) <= _MOST_POINTS:
         return {"profiles": partial(_draw_profiles, table=table)}
     painters: dict[str, figure_style.Painter] = {}
-    for point, part in points.items():
+    for point, point_rows in points.items():
         slug = re.sub(r"[^A-Za-z0-9.]+", "-", str(point)).strip("-")
-        painters[f"profiles-{slug}"] = partial(_draw_profiles, table=part.assign(point=""))
+        painters[f"profiles-{slug}"] = partial(_draw_profiles, table=point_rows.assign(point=""))
     return painters
 
 
-def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -> "Figure":
+def _draw_profiles(run: RunData, max_width: float = np.inf, *, table: pd.DataFrame) -> "Figure":
     """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops.
 
     Bands of the best and the worst series cover the errors of most robots of a range, 10 % to 90 %.
@@ -267,40 +271,25 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
     many = table["count"] >= _FEWEST_ROBOTS
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
     if len(table[_SERIES].drop_duplicates()) > len(figure_style.PALETTE):
-        return _draw_small_profiles(run, table, most)
-    panels = figure_style.Panels(3.6, len(PROFILED), 3, most=most)
+        return _draw_small_profiles(run, table, max_width)
+    panels = figure_style.Panels(3.6, len(PROFILED), 3, max_width=max_width)
     means = table.groupby(_SERIES)[RMSE.column].mean()
     bands: set[Any] = {means.idxmin(), means.idxmax()}
     for axes, (name, label) in panels.paired_with(PROFILED.items()):
-        part = table[table["by"] == name]
-        for index, (series, rows) in enumerate(part.groupby(_SERIES, sort=False)):
+        variable_rows = table[table["by"] == name]
+        for index, (series, rows) in enumerate(variable_rows.groupby(_SERIES, sort=False)):
             look = figure_style.line_style(index)
-            joined = rows[rows["many"]]
-            few = rows[~rows["many"]]
-            axes.plot(
-                joined["at"],
-                joined[RMSE.column],
-                marker="o",
-                markersize=2.5,
-                label=", ".join(filter(None, map(str, series))),
-                **look,
-            )
-            if series in bands and joined["p90_R"].notna().any():
-                low = joined["p10_R"].to_numpy(float)
-                high = joined["p90_R"].to_numpy(float)
-                axes.fill_between(
-                    joined["at"], low, high, color=look["color"], alpha=0.15, linewidth=0.0
-                )
-            look |= {"linestyle": "", "markerfacecolor": "white", "markeredgewidth": 0.6}
-            axes.plot(few["at"], few[RMSE.column], marker="o", markersize=2.5, **look)
+            _draw_series(axes, rows, ", ".join(filter(None, map(str, series))), look)
+            if series in bands:
+                _draw_band(axes, rows[rows["many"]], look["color"])
             if index == 0:
                 _count(axes, rows["at"], rows["count"])
         axes.set(xlabel=label, ylabel=RMSE.axis)
-        rmse = part[RMSE.column].to_numpy(float)
-        figure_style.fit_axis(axes, "y", rmse[part["many"]], others=rmse)
+        rmse = variable_rows[RMSE.column].to_numpy(float)
+        figure_style.fit_axis(axes, "y", rmse[variable_rows["many"]], others=rmse)
     figure_style.set_log(axes, "x")
     axes.set_ylabel("Relative RMSE [R]")
-    ticks = sorted(set(part["low"]))
+    ticks = sorted(set(variable_rows["low"]))
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     unused = panels.figure.axes[-1]
@@ -312,22 +301,42 @@ def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -
     return panels.finish("above: robots or pairs of a point", opened, run.note)
 
 
-def _draw_small_profiles(run: RunData, table: pd.DataFrame, most: float) -> "Figure":
+def _draw_series(axes: "Axes", rows: pd.DataFrame, label: str, look: Mapping[str, Any]) -> None:
+    """Draw the RMSE of a series: a line through points of many robots, and open points of few."""
+    many = rows[rows["many"]]
+    few = rows[~rows["many"]]
+    axes.plot(many["at"], many[RMSE.column], marker="o", markersize=2.5, label=label, **look)
+    opened = {**look, "linestyle": "", "markerfacecolor": "white", "markeredgewidth": 0.6}
+    axes.plot(few["at"], few[RMSE.column], marker="o", markersize=2.5, **opened)
+
+
+def _draw_band(axes: "Axes", rows: pd.DataFrame, color: str) -> None:
+    """Draw the 10 % and 90 % quantiles of the errors of a series, if these are known."""
+    if rows["p90_R"].notna().any():
+        low = rows["p10_R"].to_numpy(float)
+        high = rows["p90_R"].to_numpy(float)
+        axes.fill_between(rows["at"], low, high, color=color, alpha=0.15, linewidth=0.0)
+
+
+def _draw_small_profiles(run: RunData, table: pd.DataFrame, max_width: float) -> "Figure":
     """Draw RMSE against hops for more series than colors: a panel for each.
 
     Series of a sweep point share its panel, if there are few. In gray behind each panel are the
     series of the first, to compare with.
     """
-    part = table[table["by"] == _SMALL]
-    if len({*part["point"]}) == 1 or part["condition"].nunique() > len(figure_style.PALETTE):
-        names = part[_SERIES].to_numpy().tolist()
-        points = [", ".join(filter(None, words)) for words in names]
-        part = part.assign(point=points, condition="RMSE")
-    part = part[part["many"] | ~part.groupby("point")["many"].transform("any")]
-    panels_of = dict(list(part.groupby("point", sort=False)))
+    hop_rows = table[table["by"] == _SMALL]
+    if len({*hop_rows["point"]}) == 1 or hop_rows["condition"].nunique() > len(
+        figure_style.PALETTE
+    ):
+        names = joined_words(hop_rows, _SERIES)
+        hop_rows = hop_rows.assign(point=names, condition="RMSE")
+    hop_rows = hop_rows[hop_rows["many"] | ~hop_rows.groupby("point")["many"].transform("any")]
+    panels_of = dict(list(hop_rows.groupby("point", sort=False)))
     shown = dict(list(panels_of.items())[:_MOST_SMALL])
     height = 0.6 + 1.15 * -(-len(shown) // _SMALL_COLUMNS)
-    panels = figure_style.Panels(height, len(shown), _SMALL_COLUMNS, share="xy", most=most)
+    panels = figure_style.Panels(
+        height, len(shown), _SMALL_COLUMNS, share="xy", max_width=max_width
+    )
     first = next(iter(shown.values()))
     for axes, (point, rows) in panels.paired_with(shown.items()):
         for _, line in first.groupby("condition", sort=False):
@@ -336,11 +345,11 @@ def _draw_small_profiles(run: RunData, table: pd.DataFrame, most: float) -> "Fig
             look: dict[str, Any] = {"color": figure_style.PALETTE[index], "markersize": 2.0}
             axes.plot(line["at"], line[RMSE.column], "o-", linewidth=1.0, label=condition, **look)
         figure_style.set_title(axes, str(point), 6.5)
-    figure_style.fit_axis(panels.first, "y", part[RMSE.column].to_numpy(float))
+    figure_style.fit_axis(panels.first, "y", hop_rows[RMSE.column].to_numpy(float))
     panels.label_once(PROFILED[_SMALL], RMSE.axis)
     if len(figure_style.entries_of(panels.first)) > 1:
         panels.legend()
-    more = figure_style.omission_note(len(panels_of) - len(shown), "profiles.csv")
+    more = figure_style.omission_note(len(panels_of) - len(shown), "sweep point", "in profiles.csv")
     return panels.finish("gray: first panel", more, run.note)
 
 
@@ -363,7 +372,7 @@ def _count(axes: "Axes", positions: "pd.Series[float]", counts: "pd.Series[float
 _MOST_POWERS = 4  # that a panel states
 
 
-def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
+def draw_scaling(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw means over structures against the number of robots N on logarithmic axes.
 
     Panels state the power of N fitted to all sizes, and to the two largest, if there are few. Bands
@@ -376,12 +385,12 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     numbers = sorted(set(table[column]))
     ticks = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in numbers]  # noqa: PLR2004 - k
     series = list(dict.fromkeys(table["series"]))
-    names = series[:_MOST_SERIES]
+    names = series[: figure_style.MOST_SERIES]
     table = table[table["series"].isin(names) & (table["mean"] > 0.0)]
     shown = _built_for(
         run, {m: text for m, text in panels_of.items() if m in set(table["measure"])}
     )
-    panels = figure_style.Panels(2.2 * -(-len(shown) // 3), len(shown), 3, most=most)
+    panels = figure_style.Panels(2.2 * -(-len(shown) // 3), len(shown), 3, max_width=max_width)
     legend: dict[str, Any] = {}
     for axes, (measure, text) in panels.paired_with(shown.items()):
         rows = table[table["measure"] == measure]
@@ -402,7 +411,7 @@ def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
         powers += f"; where more than {_MOST_POWERS}, in scaling.csv"
     if not table["exponent"].notna().any():
         powers = ""
-    more = figure_style.omission_note(len(series) - len(names), "scaling.csv")
+    more = figure_style.omission_note(len(series) - len(names), "sweep point", "in scaling.csv")
     return panels.finish(powers, more, run.note)
 
 
@@ -468,12 +477,12 @@ def _draw_powers(
         )
 
 
-def _powers(part: "pd.DataFrame", symbol: str) -> str:
+def _powers(series_rows: "pd.DataFrame", symbol: str) -> str:
     """Write the powers of a number that fit a series."""
-    if part.empty or pd.isna(part["exponent"].iloc[0]):
+    if series_rows.empty or pd.isna(series_rows["exponent"].iloc[0]):
         return ""
-    exponent = part["exponent"].iloc[0]
-    last_slope = part["slope"].iloc[-1]
+    exponent = series_rows["exponent"].iloc[0]
+    last_slope = series_rows["slope"].iloc[-1]
     return f"{symbol}^{exponent:.2f}, last {symbol}^{last_slope:.2f}"
 
 
@@ -499,7 +508,7 @@ def _grade_painters(run: RunData) -> dict[str, figure_style.Painter]:
     return {} if has_rounds or not _families(run, table) else {"grades": draw_grades}
 
 
-def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
+def draw_grades(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw RMSE against the number in which conditions differ that else agree.
 
     They share a panel, in which each point of the sweep has a line. A dashed line in its color is
@@ -515,7 +524,7 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     plain = next((name for name in table["condition"] if name not in graded), "")
     columns = figure_style.columns_of(len(families))
     height = 0.6 + 2.1 * -(-len(families) // columns)
-    panels = figure_style.Panels(height, len(families), columns, share="y", most=most)
+    panels = figure_style.Panels(height, len(families), columns, share="y", max_width=max_width)
     for axes, family in panels.paired_with(families):
         low = min(family.names)
         high = max(family.names)
@@ -543,7 +552,8 @@ def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     number = counted(int(table["cases"].max()), "structure")
     panels.legend(f"{figure_style.mean_words(table['cases'])}, {number}{level}")
     return panels.finish(
-        figure_style.omission_note(len(points) - len(shown), "table.csv"), run.note
+        figure_style.omission_note(len(points) - len(shown), "sweep point", "in table.csv"),
+        run.note,
     )
 
 
@@ -593,9 +603,9 @@ def _draw_line(
     axes: "Axes", rows: pd.DataFrame, grades: Mapping[float, str], look: dict[str, Any]
 ) -> None:
     """Draw the means of graded conditions with their intervals."""
-    part = rows.reindex([*grades.values()])
-    half = part[RMSE.ci95].fillna(0.0)
-    axes.errorbar([*grades], part[RMSE.mean], yerr=half, markersize=3.0, elinewidth=0.6, **look)
+    graded = rows.reindex([*grades.values()])
+    half = graded[RMSE.ci95].fillna(0.0)
+    axes.errorbar([*grades], graded[RMSE.mean], yerr=half, markersize=3.0, elinewidth=0.6, **look)
 
 
 def _dashed(look: dict[str, Any]) -> dict[str, Any]:
@@ -619,7 +629,7 @@ def _building_painters(run: RunData) -> dict[str, figure_style.Painter]:
     return {"building": draw_building} if planned is not None and planned.notna().any() else {}
 
 
-def draw_building(run: RunData, most: float = np.inf) -> "Figure":
+def draw_building(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw what robots build, and what they send for it, with a row for what they navigate by.
 
     A marker is the mean of a kind of structure with its 95 % confidence interval.
@@ -637,7 +647,7 @@ def draw_building(run: RunData, most: float = np.inf) -> "Figure":
     }
     columns = min(len(shown), 3)
     height = (0.9 + len(names) * (0.16 + 0.07 * len(kinds))) * -(-len(shown) // columns)
-    panels = figure_style.Panels(height, len(shown), columns, share="y", most=most)
+    panels = figure_style.Panels(height, len(shown), columns, share="y", max_width=max_width)
     for axes, (column, (kind, label)) in panels.paired_with(shown.items()):
         _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
         axes.set_xlabel(label)

@@ -63,12 +63,12 @@ def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures of errors that a run has, by file name."""
     if _first_by_kind(run.series):
         return {"convergence": draw_convergence, "error-along-growth": _draw_error_along_growth}
-    upward = all(_way(cases) == _HEIGHT for cases in run.series.values())
+    upward = all(_growth_axis(cases) == _HEIGHT for cases in run.series.values())
     name = "error-against-height" if upward else "error-along-growth"
     return {"convergence": draw_convergence, name: draw_errors}
 
 
-def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
+def draw_convergence(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw RMSE against iteration, mean over seeds; best and worst with a standard deviation.
 
     Each point of a sweep has a panel for each method, since iterations of methods cost different
@@ -81,7 +81,7 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
     rows = -(-len(shown) // columns)
     width = figure_style.COLUMN_WIDTH if columns == 1 else figure_style.PAGE_WIDTH
     panels = figure_style.Panels(
-        0.8 + 1.9 * rows, len(shown), columns, width=width, share="y", most=most
+        0.8 + 1.9 * rows, len(shown), columns, width=width, share="y", max_width=max_width
     )
     legend: dict[str, Artist] = {}
     names = _legible(shown)
@@ -91,8 +91,8 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
         drawn = _most_telling(of_point, names)
         hidden += len(of_point) - len(drawn)
         top = max(top, _plot_convergence(axes, drawn, names))
-        way = next(iter(of_point)) if method and len(of_point) == 1 else method
-        figure_style.set_title(axes, ", ".join(filter(None, [point, way])))
+        name = next(iter(of_point)) if method and len(of_point) == 1 else method
+        figure_style.set_title(axes, ", ".join(filter(None, [point, name])))
         legend |= {str(line.get_label()): line for line in axes.lines}
     lines = [np.asarray(line.get_ydata(), float) for axes in panels.axes for line in axes.lines]
     ends = np.array([line[-1] for line in lines])
@@ -100,13 +100,11 @@ def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
     figure_style.fit_axis(panels.first, "y", ends, others=np.concatenate([np.empty(0), *lines]))
     panels.label_once(y=RMSE.axis)
     panels.legend("mean; best and worst ± 1 sd" if seeds > 1 else "", legend, structures=seeds)
-    omitted = len(points) - len(shown)
-    notes = []
-    if omitted:
-        notes.append(f"{counted(omitted, 'more panel')} not drawn")
-    if hidden:
-        notes.append(f"{counted(hidden, 'more line')} not drawn")
-    return panels.finish(*notes, run.note)
+    return panels.finish(
+        figure_style.omission_note(len(points) - len(shown), "panel", "not drawn"),
+        figure_style.omission_note(hidden, "line", "not drawn"),
+        run.note,
+    )
 
 
 _Trace = tuple[Reals, Reals]
@@ -209,7 +207,7 @@ def _traces(cases: list[StoredCase]) -> tuple[Reals, Reals]:
     return iteration, np.array([np.interp(iteration, *table.T) for table in tables])
 
 
-def draw_errors(run: RunData, most: float = np.inf) -> "Figure":
+def draw_errors(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw each robot's error against its place along the structure, colored by its join index.
 
     Each series has a panel. Of many series, the first conditions of all sweep points are drawn.
@@ -226,35 +224,39 @@ def draw_errors(run: RunData, most: float = np.inf) -> "Figure":
     width = figure_style.COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
     lines = max(name.count(", ") for name, _ in shown)
     height = 0.5 + (2.0 + _TITLE_LINE * lines) * rows
-    ways = [_way(cases) for _, cases in shown]
-    same_way = len(set(ways)) == 1
-    share = "xy" if same_way else "y"
-    panels = figure_style.Panels(height, len(shown), columns, width=width, share=share, most=most)
-    tables = [_errors_at(cases, way[0]) for (_, cases), way in zip(shown, ways, strict=True)]
+    growth_axes = [_growth_axis(cases) for _, cases in shown]
+    is_one_axis = len(set(growth_axes)) == 1
+    share = "xy" if is_one_axis else "y"
+    panels = figure_style.Panels(
+        height, len(shown), columns, width=width, share=share, max_width=max_width
+    )
+    tables = [
+        _errors_at(cases, axis[0]) for (_, cases), axis in zip(shown, growth_axes, strict=True)
+    ]
     _scatter(panels, tables)
     notes = [run.note]
     for axes, ((name, _), table) in panels.paired_with(zip(shown, tables, strict=True)):
         if len(table) > _MAX_POINTS:
             notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
         figure_style.set_title(axes, name.replace(", ", ",\n"), 7.0)
-    panels.label_once(ways[0][1] if same_way else "", "Error [R]")
-    for axes, (_, label) in panels.paired_with(ways):
-        axes.set_xlabel("" if same_way else label)
+    panels.label_once(growth_axes[0][1] if is_one_axis else "", "Error [R]")
+    for axes, (_, label) in panels.paired_with(growth_axes):
+        axes.set_xlabel("" if is_one_axis else label)
     if len(shown) < len(run.series):
         notes.append(f"{len(run.series) - len(shown)} more series not shown")
     return panels.finish(*notes)
 
 
-def _draw_error_along_growth(run: RunData, most: float = np.inf) -> "Figure":
+def _draw_error_along_growth(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw each robot's error against its place along the structure, colored by its join index.
 
     Each kind of structure has a panel with the first condition.
     """
     kinds = _first_by_kind(run.series)
-    panels = figure_style.Panels(2.6, len(kinds), len(kinds), share="y", most=most)
-    _scatter(panels, [_errors_at(cases, _way(cases)[0]) for cases in kinds.values()])
+    panels = figure_style.Panels(2.6, len(kinds), len(kinds), share="y", max_width=max_width)
+    _scatter(panels, [_errors_at(cases, _growth_axis(cases)[0]) for cases in kinds.values()])
     for axes, (kind, cases) in panels.paired_with(kinds.items()):
-        axes.set_xlabel(_way(cases)[1])
+        axes.set_xlabel(_growth_axis(cases)[1])
         many = counted(len(cases), "structure")
         figure_style.set_title(axes, f"{kind}, {cases[0].condition}, {many}")
     panels.label_left("Error [R]")
@@ -271,7 +273,7 @@ def _first_by_kind(series: Series) -> Series:
     return kinds if few and kinds.keys() <= {*names("structure")} else {}
 
 
-def _way(cases: list[StoredCase]) -> tuple[str, str]:
+def _growth_axis(cases: list[StoredCase]) -> tuple[str, str]:
     """Return the column along which structures of a series grow, and the axis label."""
     return _GROWS.get(cases[0].kind, _HEIGHT)
 

@@ -158,7 +158,6 @@ def show(log: SensingLog, estimate: Estimate, robots: Sequence[int] = ()) -> lis
 
 
 _MOST_POINTS = 3_000
-_VIEWS = {"from the side": (0, 2), "from above": (0, 1)}
 _MARGIN = 1.0
 _MOST_COLUMNS = 8
 _BARS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # lengths of the scale bar [R]
@@ -217,7 +216,7 @@ def draw_placement(placement: Placement, *, in_rows: bool = False) -> "Figure":
     near = placement.docks[(abs(placement.docks - middle) <= half + 1.0).all(axis=1)]
     limits = np.column_stack([middle - half, middle + half])
     for panel, views in zip(panels, grid, strict=True):
-        for axes, view in zip(views, _VIEWS.values(), strict=True):
+        for axes, view in zip(views, figure_style.VIEWS.values(), strict=True):
             _draw(axes, panel.places[:, view], placement.center[[*view]], near[:, view])
             axes.set(xlim=limits[view[0]], ylim=limits[view[1]], aspect="equal")
             axes.set_xticks([])
@@ -227,7 +226,7 @@ def draw_placement(placement: Placement, *, in_rows: bool = False) -> "Figure":
             views[0].set_ylabel(title, fontsize=6.0, parse_math=False)
         else:
             views[0].set_title(title, fontsize=7.0, parse_math=False)
-    for axes, title in zip(grid[0], _VIEWS, strict=True):
+    for axes, title in zip(grid[0], figure_style.VIEWS, strict=True):
         if in_rows:
             axes.set_title(title, fontsize=7.0)
         else:
@@ -238,7 +237,7 @@ def draw_placement(placement: Placement, *, in_rows: bool = False) -> "Figure":
 
 def _grid(panels: int, *, in_rows: bool) -> "tuple[Figure, list[list[Axes]]]":
     """Make a figure and its axes: for each panel, one for each view."""
-    views = len(_VIEWS)
+    views = len(figure_style.VIEWS)
     if in_rows:
         figure = new_figure(COLUMN_WIDTH, 0.3 + panels * (COLUMN_WIDTH - 0.4) / views)
         return figure, [[*row] for row in figure.subplots(panels, views, squeeze=False)]
@@ -253,7 +252,7 @@ def _add_scale(axes: "Axes", limits: Reals, placement: Placement) -> None:
     text = f"{length:g} R"
     if placement.unit != "R":
         text += f" = {three_digits(length * placement.radius)} {placement.unit}"
-    start, low = limits[list(_VIEWS.values())[-1], 0] + 0.04 * size
+    start, low = limits[list(figure_style.VIEWS.values())[-1], 0] + 0.04 * size
     axes.plot([start, start + length], [low, low], color="black", linewidth=1.5, gid="scale")
     axes.text(start, low + 0.03 * size, text, fontsize=6.0, parse_math=False)
 

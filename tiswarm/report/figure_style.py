@@ -50,8 +50,8 @@ class Caption(NamedTuple):
 class Painter(Protocol):
     """What draws a figure of a run."""
 
-    def __call__(self, run: "RunData", most: float = ...) -> "Figure":
-        """Draw the figure, at most so wide [inch]."""
+    def __call__(self, run: "RunData", max_width: float = ...) -> "Figure":
+        """Draw the figure, no wider than `max_width` [inch]."""
 
 
 TRUE_BLUE = "#0072B2"
@@ -100,6 +100,9 @@ COLUMN_WIDTH = 3.5
 
 PAGE_WIDTH = 7.0
 """Width of a page of a paper [inch]."""
+
+VIEWS = {"from the side": (0, 2), "from above": (0, 1)}
+"""Axes of each view of positions, across and upward."""
 
 NARROW = "-narrow"
 """End of the name of an SVG that is drawn as wide as a column."""
@@ -171,20 +174,20 @@ class Panels:
         *,
         width: float = PAGE_WIDTH,
         share: str = "",
-        most: float = np.inf,
+        max_width: float = np.inf,
     ) -> None:
         """Make a figure of a size [inch] with `count` panels, `columns` in a row.
 
-        Panels have the axes named in `share`, such as "xy", in common. Where the figure may be at
-        most so wide [inch], panels keep their size as far as they can, and get more rows.
+        Panels have the axes named in `share`, such as "xy", in common. Where that is wider
+        than `max_width` [inch], panels keep their size as far as they can, and get more rows.
         """
         rows = -(-count // columns)
-        if most < width:
+        if max_width < width:
             fitting = 2 if share and count > _MANY_PANELS else 1
-            columns = max(fitting, int(columns * most / width))
+            columns = max(fitting, int(columns * max_width / width))
             height *= -(-count // columns) / rows
             rows = -(-count // columns)
-            width = most
+            width = max_width
         self.figure = new_figure(width, height)
         grid = self.figure.subplots(
             rows, columns, sharex="x" in share, sharey="y" in share, squeeze=False
@@ -418,15 +421,19 @@ def entries_of(axes: "Axes") -> "dict[str, Artist]":
     return dict(zip(labels, handles, strict=True))
 
 
-def omission_note(points: int, file: str) -> str:
-    """Write a note on the sweep points that a figure lacks; empty if it has all."""
-    return f"{counted(points, 'more sweep point')} in {file}" if points else ""
+def omission_note(count: int, noun: str, remark: str) -> str:
+    """Write a note on what a figure lacks, and a remark on it; empty if it lacks nothing.
+
+    >>> omission_note(2, "row", "in table.csv")
+    '2 more rows in table.csv'
+    """
+    return f"{counted(count, f'more {noun}')} {remark}" if count else ""
 
 
-def legend_columns(names: Sequence[str], width: float, most: int = 4) -> int:
+def legend_columns(names: Sequence[str], width: float, max_columns: int = 4) -> int:
     """Return how many columns of a legend fit into a width [inch]."""
-    for columns in range(min(most, len(names)), 1, -1):
-        longest = [max(map(len, part)) for part in np.array_split([*names], columns)]
+    for columns in range(min(max_columns, len(names)), 1, -1):
+        longest = [max(map(len, group)) for group in np.array_split([*names], columns)]
         if columns * _LEGEND_MARK + _LEGEND_LETTER * sum(longest) <= width:
             return columns
     return 1

@@ -36,10 +36,10 @@ class PluginFigure(NamedTuple):
         """Return what draws the figure, by its name."""
         return {self.name: self._paint}
 
-    def _paint(self, run: RunData, most: float = math.inf) -> "Figure":
-        """Draw the figure, `most` inches wide at most."""
+    def _paint(self, run: RunData, max_width: float = math.inf) -> "Figure":
+        """Draw the figure, no wider than `max_width` [inch]."""
         figure: Figure = call_plugin("figure", self.name, lambda: self.draw(run))
-        figure.set_figwidth(min(most, figure.get_figwidth()))
+        figure.set_figwidth(min(max_width, figure.get_figwidth()))
         if figure.get_layout_engine() is None:
             figure.set_layout_engine("constrained")
         return figure

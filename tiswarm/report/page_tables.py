@@ -5,6 +5,7 @@ import re
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,7 +31,7 @@ from tiswarm.records.measures import (
     Measure,
     plugin_headings,
 )
-from tiswarm.records.messages import counted, three_digits
+from tiswarm.records.messages import MISSING, counted, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.run_data import measured_words, with_points
 
@@ -53,13 +54,32 @@ _PUBLISHED = {
 
 @dataclass(frozen=True, kw_only=True)
 class PageTable:
-    """A table of the page."""
+    """A table of the page.
 
-    frame: pd.DataFrame  # formatted cells, all of them text
+    A number that is missing is an empty text in `frame`, and a dash for readers.
+    """
+
+    frame: pd.DataFrame  # formatted cells; all of them are text once the table is made
     words: Collection[str]  # columns of words, which are aligned left; the others contain numbers
     title: str = ""
     note: str = ""
     is_first: bool = False  # whether readers see it without a click
+
+    def __post_init__(self) -> None:
+        """Make a text of each cell; that of a number that is missing is empty."""
+        texts = {name: self._texts(str(name), cells) for name, cells in self.frame.items()}
+        object.__setattr__(self, "frame", pd.DataFrame(texts, index=self.frame.index))
+
+    def _texts(self, name: str, cells: "pd.Series[Any]") -> "pd.Series[str]":
+        texts = cells.astype(object).where(cells.notna(), "").map(str)
+        return texts if name in self.words else texts.replace("nan", "")
+
+    @property
+    def shown(self) -> pd.DataFrame:
+        """Cells of the columns that are shown, with a dash for each number that is missing."""
+        frame = self.frame[self.columns]
+        numbers = [name for name in frame if name not in self.words]
+        return frame.assign(**{str(name): frame[name].replace("", MISSING) for name in numbers})
 
     @property
     def is_grouped(self) -> bool:
@@ -75,8 +95,8 @@ class PageTable:
     def groups(self) -> list[tuple[str, list[list[str]]]]:
         """Cells of all rows, below the point that they share; that is empty without one."""
         points = self.frame[POINT] if self.is_grouped else pd.Series("", self.frame.index)
-        parts = self.frame[self.columns].groupby(points, sort=False)
-        return [(str(point), part.to_numpy().tolist()) for point, part in parts]
+        groups = self.shown.groupby(points, sort=False)
+        return [(str(point), rows.to_numpy().tolist()) for point, rows in groups]
 
 
 _LATEX = str.maketrans(
@@ -125,7 +145,7 @@ def console_text(table: PageTable, width: int = 100) -> str:
 
     The point of a sweep stands once, in a line above its conditions.
     """
-    frame = table.frame[table.columns]
+    frame = table.shown
     cells = [[*map(str, frame)], *frame.to_numpy().tolist()]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
 
@@ -230,11 +250,11 @@ def _asked(rows: pd.DataFrame, question: str) -> dict[str, pd.Series]:
         return {"sent by a robot [B]": _mean(rows, SENT.column)}
     if question == "cues" and RMSE.mean in rows:
         return _changes(rows)
-    built = {kind: m for kind, m in BUILT_FOR.items() if m.mean in rows and "kind" in rows}
-    if question != "reached" or not built:
+    aims = {kind: m for kind, m in BUILT_FOR.items() if m.mean in rows and "kind" in rows}
+    if question != "reached" or not aims:
         return {}
-    parts = [_mean(rows[rows["kind"] == kind], m.column) for kind, m in built.items()]
-    return {"reached": pd.concat(parts)}
+    cells = [_mean(rows[rows["kind"] == kind], measure.column) for kind, measure in aims.items()]
+    return {"reached": pd.concat(cells)}
 
 
 def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -269,7 +289,6 @@ def result_tables(
     table: pd.DataFrame, paired: pd.DataFrame, suites: pd.DataFrame | None = None
 ) -> list[PageTable]:
     """Format the other results of a run; `paired` and `suites` may be empty."""
-    words = _names(table)
     tables = []
     if suites is not None and len(suites):
         tables.append(_measured_suites(suites))
@@ -277,58 +296,82 @@ def result_tables(
         tables.append(_beside_the_paper(table))
     if len(paired):
         tables.append(_differences(paired))
+    tables += _errors_in_parts(table)
+    tables += _plugin_measures(table)
+    tables += _calibration(table)
+    tables += _robots_on_anchor(table)
+    return tables
+
+
+def _errors_in_parts(table: pd.DataFrame) -> Iterator[PageTable]:
+    """Format errors after alignment, errors for attachment, and what limits them."""
+    words = _names(table)
     note = "Alignment removes a rotated or shifted frame; the rest is a wrong shape."
-    tables.append(_labeled(words, _means(table, "aligned"), "RMSE after alignment [R]", note))
+    yield _labeled(words, _means(table, "aligned"), "RMSE after alignment [R]", note)
     note = (
         "2 R, a dock's diameter, is what the paper calls sufficient for attachment. Robots: in the "
         "world; neighbors: the vector between two robots in contact, one hop apart, with its RMSE."
     )
-    tables.append(_labeled(words, _means(table, "attachment"), "Accuracy for attachment", note))
+    yield _labeled(words, _means(table, "attachment"), "Accuracy for attachment", note)
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
-    tables.append(_labeled(words, _means(table, "limits"), "Limits of the accuracy", note))
-    of_plugins = _means_of(table, plugin_headings())
-    if of_plugins:
-        texts = (
-            f"{measure.column}: {measure.meaning}."
-            for measure in plugin_headings()
-            if measure.mean in table
+    yield _labeled(words, _means(table, "limits"), "Limits of the accuracy", note)
+
+
+def _plugin_measures(table: pd.DataFrame) -> Iterator[PageTable]:
+    """Format the measures of plug-ins, if there are any."""
+    columns = _means_of(table, plugin_headings())
+    if not columns:
+        return
+    texts = [
+        f"{measure.column}: {measure.meaning}."
+        for measure in plugin_headings()
+        if measure.mean in table
+    ]
+    yield _labeled(_names(table), columns, "Measures of plug-ins", " ".join(texts))
+
+
+def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
+    """Format what methods report of their estimates beside what is true, if any does."""
+    columns = _means(table, "calibration") | _consistent(table)
+    if not columns:
+        return
+    note = (
+        "Fractions. A robot is in its interval if its error is within the interval that its "
+        "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
+        "are too large."
+    )
+    if any("outliers" in label for label in columns):
+        note += (
+            " Precision: wrong contacts among those reported as outliers; recall: reported "
+            "outliers among wrong contacts."
         )
-        tables.append(_labeled(words, of_plugins, "Measures of plug-ins", " ".join(texts)))
-    calibration = _means(table, "calibration") | _consistent(table)
-    if calibration:
-        note = (
-            "Fractions. A robot is in its interval if its error is within the interval that its "
-            "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
-            "are too large."
+    if PAGE["calibration"][CONSISTENT] in columns:
+        note += (
+            " Converged: several searches found one least cost. Consistent: noise as stated "
+            "explains it; where not, the factor multiplies standard deviations. Not testable: "
+            "fewer measurements are spare than a quarter of the unknown coordinates."
         )
-        if any("outliers" in label for label in calibration):
-            note += (
-                " Precision: wrong contacts among those reported as outliers; recall: reported "
-                "outliers among wrong contacts."
-            )
-        if PAGE["calibration"][CONSISTENT] in calibration:
-            note += (
-                " Converged: several searches found one least cost. Consistent: noise as stated "
-                "explains it; where not, the factor multiplies standard deviations. Not testable: "
-                "fewer measurements are spare than a quarter of the unknown coordinates."
-            )
-        if "mirrored robots" in calibration:
-            note += (
-                " Mirrored robots, counted by case: configurations that fit put them farther apart "
-                "than their standard deviation."
-            )
-        shown = _labeled(words, calibration, "Calibration", note)
-        reported = (shown.frame[[*calibration]] != "").any(axis=1)
-        tables.append(replace(shown, frame=shown.frame[reported]))
-    anchor = _means(table, "anchor")
-    if anchor:
-        note = (
-            "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
-            "Means are over structures in which so many robots touch it."
+    if "mirrored robots" in columns:
+        note += (
+            " Mirrored robots, counted by case: configurations that fit put them farther apart "
+            "than their standard deviation."
         )
-        shown = _labeled(words, anchor, "Robots on the anchor", note)
-        tables.append(replace(shown, frame=_once(shown.frame)))
-    return tables
+    labeled = _labeled(_names(table), columns, "Calibration", note)
+    is_reported = (labeled.frame[[*columns]] != "").any(axis=1)
+    yield replace(labeled, frame=labeled.frame[is_reported])
+
+
+def _robots_on_anchor(table: pd.DataFrame) -> Iterator[PageTable]:
+    """Format which robots touch the anchor, if the table states it."""
+    columns = _means(table, "anchor")
+    if not columns:
+        return
+    note = (
+        "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
+        "Means are over structures in which so many robots touch it."
+    )
+    labeled = _labeled(_names(table), columns, "Robots on the anchor", note)
+    yield replace(labeled, frame=_once(labeled.frame))
 
 
 def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
@@ -338,8 +381,10 @@ def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
     tested = table[TESTABLE.mean].astype(float)
     share = (table[CONSISTENT.mean].astype(float) - (1.0 - tested)) / tested.where(tested > 0.0)
     spare = _numbers(table.get(SPARE.mean, tested * math.nan))
-    of = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
-    texts = np.where(tested > 0.0, _numbers(share) + of, "not testable (" + spare + " spare)")
+    tested_share = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
+    texts = np.where(
+        tested > 0.0, _numbers(share) + tested_share, "not testable (" + spare + " spare)"
+    )
     has_verdict = table[CONSISTENT.mean].notna()
     if not has_verdict.any():
         return {}
@@ -507,6 +552,8 @@ def _number(value: float, sign: str = "") -> str:
     """Write a number with three significant digits, a whole one without decimals."""
     if math.isnan(value):
         return ""
+    if math.isinf(value):
+        return str(value)
     plus = sign if value > 0.0 else ""
     whole = value == round(value) or abs(value) >= 1000.0  # noqa: PLR2004 - all digits before the point
     return plus + (f"{value:.0f}" if whole else three_digits(value))

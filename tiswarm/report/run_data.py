@@ -79,7 +79,7 @@ class Labels:
 
     def point(self, text: str) -> str:
         """Return the label of a point that is written as `key=value, key=value`."""
-        pairs = [part.partition("=") for part in _PAIR.split(text)]
+        pairs = [pair.partition("=") for pair in _PAIR.split(text)]
         labels = [self.cell(key, cell) if equals else key for key, equals, cell in pairs]
         return ", ".join(filter(None, labels))
 
@@ -309,10 +309,15 @@ def read_pairs(folder: Path, labels: Labels) -> pd.DataFrame:
 def with_points(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
     """Put a column `point`, empty without a sweep, in the place of the labels of swept keys."""
     swept = [key for key in swept_columns(table, before=before) if key not in NO_KEYS]
-    points = [", ".join(filter(None, row)) for row in table[swept].to_numpy().tolist()]
+    points = joined_words(table, swept)
     table = table.drop(columns=swept)
     table.insert(1, "point", points)
     return table
+
+
+def joined_words(table: pd.DataFrame, columns: Sequence[str]) -> list[str]:
+    """Join the words of some columns in each row, without those that are empty."""
+    return [", ".join(filter(None, row)) for row in table[[*columns]].to_numpy().tolist()]
 
 
 def measured_words(names: str, *, without: Collection[str] = ()) -> str:

@@ -42,7 +42,7 @@ def painters(run: RunData) -> dict[str, figure_style.Painter]:
     return {"price-and-error": draw_suites} if (run.folder / "suites.csv").is_file() else {}
 
 
-def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
+def draw_suites(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw RMSE of all robots against the price of 100 robots, a marker for each suite and way.
 
     Each point of a sweep has a panel.
@@ -57,7 +57,7 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     ways = list(dict.fromkeys(table["way"]))
     columns = min(2, len(shown))
     height = 0.6 + 4.4 * -(-len(shown) // columns)
-    panels = figure_style.Panels(height, len(shown), columns, share="xy", most=most)
+    panels = figure_style.Panels(height, len(shown), columns, share="xy", max_width=max_width)
     figure_style.fit_axis(panels.first, "y", table[_ERROR].to_numpy(float))
     panels.first.set_xscale("symlog", linthresh=_CHEAPEST, linscale=0.4)
     figure_style.label_plainly(panels.first.xaxis)
@@ -70,7 +70,8 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     panels.label_left("RMSE of all robots [R]")
     panels.legend(figure_style.mean_words(table["cases"]), structures=int(table["cases"].max()))
     return panels.finish(
-        figure_style.omission_note(len(points) - len(shown), "suites.csv"), run.note
+        figure_style.omission_note(len(points) - len(shown), "sweep point", "in suites.csv"),
+        run.note,
     )
 
 

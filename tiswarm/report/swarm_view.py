@@ -424,8 +424,8 @@ def build_view(run: RunData) -> View | None:
         if sum(len(case_data["robot"]) for case_data in [*shown, data]) > MOST_ROBOTS:
             break
         if data["robot"]:
-            places = sum(_places(case_data) for case_data in [*shown, data])
-            shown.append(data if places <= _MOST_PLACES else {**data, "trace": None})
+            positions = sum(_moving_positions(case_data) for case_data in [*shown, data])
+            shown.append(data if positions <= _MOST_PLACES else {**data, "trace": None})
         if len(view.robot) > MOST_ROBOTS:
             notes = [f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots."]
     if not shown:
@@ -463,7 +463,7 @@ def first_series(run: RunData) -> list[str]:
     return [*ranked[:1], *compared[:1]]
 
 
-def _places(data: dict[str, Any]) -> int:
+def _moving_positions(data: dict[str, Any]) -> int:
     """Count the positions in motion of a case."""
     return len(data["robot"]) * len(data["trace"]["iteration"]) if data["trace"] else 0
 

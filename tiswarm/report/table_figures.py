@@ -12,7 +12,7 @@ import pandas as pd
 from tiswarm.records.measures import CONTACTS, FEWEST, FLOPPY_MODES, HEIGHT, MAIN, RMSE, Measure
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
-from tiswarm.report.run_data import RunData, with_points
+from tiswarm.report.run_data import RunData, joined_words, with_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,7 +59,7 @@ def painters(run: RunData) -> dict[str, figure_style.Painter]:
     return {"accuracy": draw_accuracy, **shape}
 
 
-def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
+def draw_accuracy(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw means over structures with 95 % confidence intervals; of few structures, each one.
 
     Without a sweep, conditions have a row each. With one, rows are points, and conditions differ in
@@ -70,7 +70,7 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     table = run.table("table.csv", ["condition"], ["cases", *published, *DRAWN], after="cases")
     table = with_points(table)
     keys = _rows_and_series(table)
-    row_names, series_names = (_joined(table, columns) for columns in keys)
+    row_names, series_names = (joined_words(table, columns) for columns in keys)
     table = table.assign(row=row_names, of=series_names)
     series = list(dict.fromkeys(series_names))
     names = list(dict.fromkeys(row_names))
@@ -78,7 +78,7 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     few = table["cases"].max() < FEWEST
     room = _ROOM if len(shown) * len(series) < _MANY else 0.7 * _ROOM
     height = 0.9 + room * len(shown) * (1 + len(series))
-    panels = figure_style.Panels(height, len(MAIN), len(MAIN), share="y", most=most)
+    panels = figure_style.Panels(height, len(MAIN), len(MAIN), share="y", max_width=max_width)
     for axes, measure in panels.paired_with(MAIN):
         for index, name in enumerate(series):
             rows = table[table["of"] == name].set_index("row").reindex(shown)
@@ -109,9 +109,7 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     number = counted(int(table["cases"].max()), "structure")
     title = f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}"
     panels.legend(title, entries, loc="outside upper right")
-    more = ""
-    if len(shown) < len(names):
-        more = counted(len(names) - len(shown), "more row") + " in table.csv"
+    more = figure_style.omission_note(len(names) - len(shown), "row", "in table.csv")
     return panels.finish(more, run.note)
 
 
@@ -127,24 +125,19 @@ def _rows_and_series(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     return ["point", "condition"], []
 
 
-def _joined(table: pd.DataFrame, keys: Sequence[str]) -> list[str]:
-    """Join the words of some columns."""
-    return [", ".join(filter(None, row)) for row in table[[*keys]].to_numpy().tolist()]
-
-
 def _structure_values(
     run: RunData, measure: str, keys: Sequence[Sequence[str]], name: str
 ) -> "pd.Series[float]":
     """Take a measure of each case of a series that is done, by row."""
     cases = run.summary.reindex(columns=["condition", "point", "status", measure])
     cases = cases[cases["status"] == "done"].fillna({"point": "", "condition": ""})
-    row_names, series_names = (_joined(cases, columns) for columns in keys)
+    row_names, series_names = (joined_words(cases, columns) for columns in keys)
     cases.index = pd.Index(row_names)
     values: pd.Series[float] = cases.loc[np.array(series_names, dtype=object) == name, measure]
     return values
 
 
-def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
+def draw_shape(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw accuracy and structure by the robots' shape: a row for each point of the sweep.
 
     Conditions differ in color and marker; where all are equal, gray stands for all.
@@ -155,19 +148,21 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     points = list(dict.fromkeys(table["point"]))
     shown = points[:MOST_ROWS]
     series = dict(list(table.groupby("condition", sort=False))[: figure_style.MOST_SERIES])
-    panels = figure_style.Panels(0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", most=most)
+    panels = figure_style.Panels(
+        0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", max_width=max_width
+    )
     for axes, measure in panels.paired_with(_OF_SHAPES):
         is_shared = table.groupby("point")[measure.mean].nunique().max() <= 1
         for index, (condition, rows) in enumerate(series.items()):
             look = {**figure_style.dot_style(index, 3.0), "linewidth": 0.8}
             if is_shared:
                 look |= {"color": "0.4", "marker": "o"}
-            part = rows.set_index("point").reindex(shown)
+            shown_rows = rows.set_index("point").reindex(shown)
             axes.errorbar(
-                part[measure.mean],
+                shown_rows[measure.mean],
                 np.arange(len(shown)),
                 label=condition,
-                xerr=part[measure.ci95].fillna(0.0),
+                xerr=shown_rows[measure.ci95].fillna(0.0),
                 **look,
             )
     finish_rows(panels, shown, _OF_SHAPES)
@@ -180,7 +175,8 @@ def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     words = figure_style.mean_words(table["cases"])
     panels.legend(words, structures=int(table["cases"].max()), loc="outside upper right")
     return panels.finish(
-        figure_style.omission_note(len(points) - len(shown), "table.csv"), run.note
+        figure_style.omission_note(len(points) - len(shown), "sweep point", "in table.csv"),
+        run.note,
     )
 
 

@@ -15,12 +15,34 @@ SYMBOLS = {"force_threshold": "F", "recruit_base": "B", "recruit_limit": "J"}
 """Symbols of settings that have one, by the last word of the key."""
 
 LENGTHS = {
-    "anchor", "beam_radius", "contact_gap", "contact_sd", "end_sigma", "fix_bias", "fix_noise",
-    "gap", "goal_beyond", "goal_depth", "goal_height", "goal_reach", "height_sd",
-    "initial_offset", "max_step", "range_bias", "range_noise", "range_reach",
-    "revisit_distance", "rho", "spawn_max", "spawn_min", "spawn_noise", "spawn_sd",
-    "spawn_width", "start_sigma", "stop_error",
-}  # fmt: skip
+    "anchor",
+    "beam_radius",
+    "contact_gap",
+    "contact_sd",
+    "end_sigma",
+    "fix_bias",
+    "fix_noise",
+    "gap",
+    "goal_beyond",
+    "goal_depth",
+    "goal_height",
+    "goal_reach",
+    "height_sd",
+    "initial_offset",
+    "max_step",
+    "range_bias",
+    "range_noise",
+    "range_reach",
+    "revisit_distance",
+    "rho",
+    "spawn_max",
+    "spawn_min",
+    "spawn_noise",
+    "spawn_sd",
+    "spawn_width",
+    "start_sigma",
+    "stop_error",
+}
 """Last words of keys whose values are lengths [R]."""
 
 
@@ -39,7 +61,7 @@ def without_label(value: Any) -> Any:  # noqa: ANN401 - any JSON
     """Return a swept value without its label."""
     if not isinstance(value, dict):
         return value
-    return {key: each for key, each in value.items() if key != LABEL}
+    return {key: setting for key, setting in value.items() if key != LABEL}
 
 
 def row_labels(sweep: Mapping[str, Sequence[Any]]) -> dict[str, dict[str, str]]:
@@ -48,19 +70,19 @@ def row_labels(sweep: Mapping[str, Sequence[Any]]) -> dict[str, dict[str, str]]:
     A row of mappings may have a `label`. Others have one made of the values in which the rows
     differ, with their units: `gap 20 R`. An entry with one row has none: all points share it.
     """
-    found = {}
+    labels_by_key = {}
     for entry, rows in sweep.items():
-        first, *more = swept_keys(entry)
-        cells = [row if more else [row] for row in rows]
+        key, *followers = swept_keys(entry)
+        cells = [row if followers else [row] for row in rows]
         values = [without_label(row[0]) for row in cells]
         if len(values) == 1:
-            found[first] = {cell_of(values[0]): ""}
+            labels_by_key[key] = {cell_of(values[0]): ""}
             continue
-        named = [next(map(str, labels_of(row)), "") for row in cells]
-        made = _made(first, values)
-        labels = [name or text for name, text in zip(named, made, strict=True)]
-        found[first] = dict(zip(map(cell_of, values), _distinct(labels), strict=True))
-    return found
+        stated = [next(map(str, labels_of(row)), "") for row in cells]
+        made = _made(key, values)
+        labels = [label or text for label, text in zip(stated, made, strict=True)]
+        labels_by_key[key] = dict(zip(map(cell_of, values), _distinct(labels), strict=True))
+    return labels_by_key
 
 
 def _made(key: str, values: Sequence[Any]) -> list[str]:
@@ -78,8 +100,8 @@ def _made(key: str, values: Sequence[Any]) -> list[str]:
 def _flat(key: str, value: object) -> Iterator[tuple[str, object]]:
     """Yield the values of nested mappings by dotted key."""
     if isinstance(value, Mapping) and value:
-        for name, each in value.items():
-            yield from _flat(f"{key}.{name}", each)
+        for name, nested in value.items():
+            yield from _flat(f"{key}.{name}", nested)
     else:
         yield key, value
 
@@ -110,7 +132,9 @@ def words_of(key: str, value: object) -> str:
     if isinstance(value, (int, float)) and key == "robots":
         return f"{value:,.12g} robots"
     if isinstance(value, (int, float)):
-        unit = " R" if name in LENGTHS else " deg" if name.endswith("_deg") else ""
+        unit = " deg" if name.endswith("_deg") else ""
+        if name in LENGTHS:
+            unit = " R"
         return f"{SYMBOLS.get(name, words)} {value:.12g}{unit}"
     return f"{words} {_SIGNS.sub(' ', cell_of(value)).strip()}"
 

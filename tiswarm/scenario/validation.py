@@ -26,7 +26,7 @@ from tiswarm.records.messages import (
     dotted,
     explain,
     shown,
-)  # fmt: skip
+)
 from tiswarm.scenario.yaml_source import parse_yaml
 
 Plain = dict[str, Any]
@@ -41,9 +41,17 @@ SAME_KEYS = ("sensing",)
 CONDITION_SECTIONS = ("localization", "sensing")
 """Sections that conditions change."""
 
+MOST_MISTAKES = 20
+"""Mistakes of a scenario that are listed; of more, the list says that there are others."""
+
 _METHOD = ("localization", "method")
 _KIND = ("structure", "kind")
 _RULE = ("structure", "rule", "name")
+
+_MOVED: Mapping[tuple[Part, ...], tuple[Part, ...]] = {
+    ("localization", cue): ("localization", "cues", cue) for cue in SWITCHES
+}
+"""Keys of earlier versions that are somewhere else now."""
 
 _CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+|label))?")
 _Checked = TypeVar("_Checked")
@@ -91,13 +99,21 @@ _LOCALIZATION = TypeAdapter(_LocalizationSection)
 
 
 def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mistake]:
-    """Build an object from plain data, or list every mistake in it."""
+    """Build an object from plain data, or list the mistakes in it.
+
+    Of more than MOST_MISTAKES, the list has one beyond these, and wrong keys come first.
+    """
     try:
         # Only from JSON does strict validation accept lists for tuples.
         return adapter.validate_json(json.dumps(data))
     except ValidationError as invalid:
         errors = invalid.errors(include_url=False)
-        return [_mistake(error, adapter, data) for error in errors if not _follows(error, errors)]
+        if len(errors) > MOST_MISTAKES:
+            errors.sort(key=lambda error: error["type"] not in UNKNOWN_KEY)
+        causes = (error for error in errors if not _follows(error, errors))
+        return [
+            _mistake(error, adapter, data) for error in itertools.islice(causes, MOST_MISTAKES + 1)
+        ]
 
 
 def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
@@ -106,15 +122,15 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     Mistakes in items keep them out of a list, which is too short then. A misspelled key leaves the
     one that was meant missing.
     """
-    at = error["loc"]
+    path = error["loc"]
     if error["type"] == "too_short":
         return any(
-            cause["loc"][: len(at)] == at and len(cause["loc"]) > len(at) for cause in errors
+            cause["loc"][: len(path)] == path and len(cause["loc"]) > len(path) for cause in errors
         )
     return error["type"] in MISSING_KEY and any(
         cause["type"] in UNKNOWN_KEY
-        and cause["loc"][:-1] == at[:-1]
-        and did_you_mean(cause["loc"][-1], [str(at[-1])])
+        and cause["loc"][:-1] == path[:-1]
+        and did_you_mean(cause["loc"][-1], [str(path[-1])])
         for cause in errors
     )
 
@@ -122,8 +138,11 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
 def mistake_at(path: tuple[Part, ...], problem: str) -> ValidationError:
     """Make an error of a validator whose problem is at a path within the value that it checks."""
     error: InitErrorDetails = {
-        "type": "value_error", "loc": path, "input": None, "ctx": {"error": ValueError(problem)}
-    }  # fmt: skip
+        "type": "value_error",
+        "loc": path,
+        "input": None,
+        "ctx": {"error": ValueError(problem)},
+    }
     return ValidationError.from_exception_data("mistake", [error])
 
 
@@ -153,7 +172,8 @@ def parse_setting(text: str, *section: str) -> Setting:
 
 def first_of(errors: Sequence[InputError], where: str = "") -> InputError:
     """Return the first of some errors, with the number of the others and where these are listed."""
-    first, more = errors[0], len(errors) - 1
+    first = errors[0]
+    more = len(errors) - 1
     if not more:
         return first
     problem = f"{first.problem} (and {counted(more, 'more mistake')}{where})"
@@ -163,9 +183,10 @@ def first_of(errors: Sequence[InputError], where: str = "") -> InputError:
 
 def find_culprit(mistake: Mistake, changes: Sequence[_AnyChange]) -> _AnyChange | None:
     """Find the last change that set the value at fault or, failing that, a part of it."""
-    at, last_first = mistake.path, changes[::-1]
-    whole = (change for change in last_first if change.path == at[: len(change.path)])
-    part = (change for change in last_first if change.path[: len(at)] == at)
+    path = mistake.path
+    last_first = changes[::-1]
+    whole = (change for change in last_first if change.path == path[: len(change.path)])
+    part = (change for change in last_first if change.path[: len(path)] == path)
     return next(itertools.chain(whole, part), None)
 
 
@@ -183,7 +204,7 @@ def localization_params(
     method: str,
     overrides: Sequence[str] = (),
     *,
-    cues: Sequence[str] | None = None,
+    cues: Sequence[str] | Mapping[str, object] | None = None,
     values: Mapping[str, object] | None = None,
 ) -> LocalizationParams:
     """Build the settings of a localization method without a scenario file.
@@ -191,28 +212,33 @@ def localization_params(
     Args:
         method: Name of the method.
         overrides: Texts `KEY=VALUE`, the key being one of the method's own.
-        cues: Cues to use, all others being off; None for the method's own choice.
+        cues: Cues to use, all others being off, or a mapping that switches some on or off; None for
+            the method's own choice.
         values: Settings by key, as plain data.
 
     Raises:
         InputError: for an unknown method or cue, or for bad settings, a wrong key first.
     """
     load_plugins()
-    switches = {} if cues is None else _switches(method, cues)
+    switches = cues if cues is None or isinstance(cues, Mapping) else _switches(method, cues)
     settings = [parse_setting(text, "localization") for text in overrides]
-    section = {"method": method, **switches, **(values or {})}
+    section = {"method": method, **(values or {})}
+    if switches is not None:
+        section["cues"] = dict(switches)
     data: Plain = {"localization": section}
     for setting in settings:
-        if problem := set_key(data, setting.path, setting.value):
+        problem = set_key(data, setting.path, setting.value)
+        if problem:
             raise setting.error(problem)
     outcome = validate(_LOCALIZATION, data)
     if isinstance(outcome, _LocalizationSection):
         return outcome.localization
     outcome.sort(key=lambda mistake: not mistake.about_key)
-    raise first_of([
+    errors = [
         blame(mistake, settings) or InputError(mistake.problem, argument=dotted(mistake.path[1:]))
         for mistake in outcome
-    ])  # fmt: skip
+    ]
+    raise first_of(errors)
 
 
 def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
@@ -222,18 +248,19 @@ def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
             meant = did_you_mean(cue, SWITCHES) or f"; use {', '.join(SWITCHES)}"
             raise InputError(f"{cue} is not a cue{meant}", argument="cues")
     settings = _alternatives("localization", _LOCALIZATION)
+    schema = _schema(_LOCALIZATION)
     switches = {
-        name: {cue for cue in SWITCHES if keys.get(cue, {}).get("type") == "boolean"}
-        - {cue for cue in SWITCHES if "const" in keys.get(cue, {})}
+        name: {cue for cue in SWITCHES if "const" not in _form_at(["cues", cue], keys, schema)}
         for name, keys in settings.items()
+        if "cues" in keys
     }
-    of_method = switches.get(method, {*SWITCHES})
+    of_method = switches.get(method, set() if method in settings else {*SWITCHES})
     lacking = [cue for cue in cues if cue not in of_method]
     able = [name for name, of_name in switches.items() if {*cues} <= of_name]
     choose = f"choose method {' or '.join(able)}" if able else "leave them out"
-    if "contacts" not in of_method:
+    if not of_method:
         keys = settings[method].items()
-        flags = ", ".join(key for key, schema in keys if schema.get("type") == "boolean")
+        flags = ", ".join(key for key, form in keys if form.get("type") == "boolean")
         problem = f"{method} has no choice of cues but its settings {flags}; set these, or {choose}"
         raise InputError(problem, argument="cues")
     if lacking:
@@ -251,7 +278,8 @@ def _nested(key: str, value: object) -> Iterator[tuple[str, object]]:
 
 def _setting_path(key: str) -> tuple[str, ...]:
     """Split a dotted key; keys of conditions and sweep have dots of their own."""
-    if match := _CONDITION.fullmatch(key):
+    match = _CONDITION.fullmatch(key)
+    if match:
         return ("conditions", *(part for part in match.groups() if part))
     head, dot, rest = key.partition(".")
     return (head, rest) if head == "sweep" and dot else tuple(key.split("."))
@@ -273,32 +301,43 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> Mis
     is_name_of_rule = path == _RULE[:2] and error["type"] == "literal_error"
     if (path in {_METHOD, _KIND, _RULE} or is_name_of_rule) and not problem.endswith("?"):
         problem += ", or one of a plug-in that you load (--plugin FILE)"
-    return Mistake(path, _by_choice(error, adapter, data) or problem, about_key)
+    moved = _MOVED.get(path, ()) if about_key else ()
+    if moved:
+        new_key = dotted(moved if adapter is not _LOCALIZATION else moved[1:])
+        problem = f"the key is now {new_key}; write {new_key}: {shown(error['input'])}"
+    return Mistake(path, _by_choice(moved or path, error, adapter, data) or problem, about_key)
 
 
-def _by_choice(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> str:
+def _by_choice(
+    path: tuple[Part, ...], error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain
+) -> str:
     """Explain a key that other methods or kinds have and the chosen one lacks; else empty."""
-    path = error["loc"]
-    is_unknown = error["type"] in UNKNOWN_KEY
-    if len(path) != 2 or path[0] not in DISCRIMINATORS:  # noqa: PLR2004 - section and key
+    section, *keys = map(str, path)
+    if section not in DISCRIMINATORS or not keys:
         return ""
-    section, key = map(str, path)
     settings = _alternatives(section, adapter)
     chosen = data[section].get(DISCRIMINATORS[section])
     if not isinstance(chosen, str) or chosen not in settings:
         return ""
-    owners = [
-        name
-        for name, keys in settings.items()
-        if name != chosen and key in keys and "const" not in keys[key]
-    ]
-    if not owners or not (is_unknown or "const" in settings[chosen].get(key, {})):
+    schema = _schema(adapter)
+    forms = {name: _form_at(keys, properties, schema) for name, properties in settings.items()}
+    owners = [name for name, form in forms.items() if form and "const" not in form]
+    is_unknown = error["type"] in UNKNOWN_KEY
+    if not owners or chosen in owners or not (is_unknown or "const" in forms[chosen]):
         return ""
     choose = f"leave it out, or choose {DISCRIMINATORS[section]} {' or '.join(owners)}"
     if is_unknown:
         return f"unknown key of {chosen}; {choose}"
-    allowed = json.dumps(settings[chosen][key]["const"])
+    allowed = json.dumps(forms[chosen]["const"])
     return f"{shown(error['input'])} should be {allowed} with {chosen}; {choose}"
+
+
+def _form_at(keys: Sequence[str], properties: Plain, schema: Plain) -> Plain:
+    """Return what the schema says of a key within keys of a section; empty if there is no such."""
+    form: Plain = {"properties": properties}
+    for key in keys:
+        form = _settings(schema, form, None).get("properties", {}).get(key, {})
+    return form
 
 
 def _alternatives(section: str, adapter: TypeAdapter[Any]) -> dict[str, Plain]:

@@ -150,56 +150,59 @@ def _compose(text: str) -> yaml.Node:
 
 
 def _syntax(error: yaml.MarkedYAMLError) -> str:
-    found = " ".join(str(error.problem or error.context).split())
-    if "another document" in found:
+    problem = " ".join(str(error.problem or error.context).split())
+    if "another document" in problem:
         return "a second document starts here; keep one in a file"
-    if "\\t" in found:
+    if "\\t" in problem:
         return "a tab cannot stand here; indent with spaces"
-    is_log = "'<document start>', but found '{'" in found  # the second of lines of JSON
+    is_log = "'<document start>', but found '{'" in problem  # the second of lines of JSON
     remedy = "give a log to tiswarm localize" if is_log else "check indentation, colons and quotes"
-    return f"not YAML: {found}; {remedy}"
+    return f"not YAML: {problem}; {remedy}"
 
 
-def _value(node: yaml.Node, at: tuple[Part, ...], places: dict[tuple[Part, ...], Place]) -> object:
+def _value(
+    node: yaml.Node, path: tuple[Part, ...], places: dict[tuple[Part, ...], Place]
+) -> object:
     """Convert a node to plain data, and note its places."""
-    places.setdefault(at, _place(node, node))
+    places.setdefault(path, _place(node, node))
     if isinstance(node, yaml.SequenceNode):
-        return [_value(entry, (*at, n), places) for n, entry in enumerate(node.value)]
+        return [_value(entry, (*path, n), places) for n, entry in enumerate(node.value)]
     if not isinstance(node, yaml.MappingNode):
-        text = _text(node, at)
+        text = _text(node, path)
         is_plain = isinstance(node, yaml.ScalarNode) and node.style is None
         return plain_scalar(text) if is_plain else text
     entries: dict[str, object] = {}
     for key_node, value_node in node.value:
         if not isinstance(key_node, yaml.ScalarNode):
             problem = "a key must be text; write `key: value`"
-            raise _mistake(problem, key_node.start_mark, at)
-        key = _text(key_node, at)
-        here = (*at, key)
+            raise _mistake(problem, key_node.start_mark, path)
+        key = _text(key_node, path)
+        key_path = (*path, key)
         if key in entries:
-            problem = f"the key stands on line {places[here].line} too; keep one"
-            raise _mistake(problem, key_node.start_mark, here)
-        places[here] = _place(key_node, value_node)
-        entries[key] = _value(value_node, here, places)
+            problem = f"the key stands on line {places[key_path].line} too; keep one"
+            raise _mistake(problem, key_node.start_mark, key_path)
+        places[key_path] = _place(key_node, value_node)
+        entries[key] = _value(value_node, key_path, places)
     return entries
 
 
-def _text(node: yaml.Node, at: tuple[Part, ...]) -> str:
+def _text(node: yaml.Node, path: tuple[Part, ...]) -> str:
     text = str(node.value)
     if any("\ud800" <= letter <= "\udfff" for letter in text):
         problem = "half a character (a lone surrogate); correct the escape"
-        raise _mistake(problem, node.start_mark, at)
+        raise _mistake(problem, node.start_mark, path)
     return text
 
 
 def _place(key: yaml.Node, value: yaml.Node) -> Place:
-    start, end = key.start_mark, value.start_mark
+    start = key.start_mark
+    end = value.start_mark
     value_column = end.column if end.line == start.line else start.column
     return Place(start.line + 1, start.column + 1, value_column + 1)
 
 
-def _mistake(problem: str, mark: yaml.Mark, at: tuple[Part, ...] = ()) -> InputError:
-    return InputError(problem, line=mark.line + 1, column=mark.column + 1, key=dotted(at))
+def _mistake(problem: str, mark: yaml.Mark, path: tuple[Part, ...] = ()) -> InputError:
+    return InputError(problem, line=mark.line + 1, column=mark.column + 1, key=dotted(path))
 
 
 _FOLDER = Path(__file__).parent / "files"
@@ -224,12 +227,13 @@ def find_scenario(path: Path) -> Path:
     if str(path) != path.stem:
         return path
     # Unlike those of Path, functions of os.path do not raise for names that are too long.
-    found, is_file = shipped_scenarios().get(str(path)), os.path.isfile(path)  # noqa: PTH113
-    if found and is_file:
-        problem = f"both a file here and a scenario of tiswarm's; name {path.absolute()} or {found}"
+    shipped = shipped_scenarios().get(str(path))
+    if shipped and os.path.isfile(path):  # noqa: PTH113
+        file = path.absolute()
+        problem = f"both a file here and a scenario of tiswarm's; name {file} or {shipped}"
         raise InputError(problem, path=path)
-    if found:
-        return found
+    if shipped:
+        return shipped
     if os.path.exists(path):  # noqa: PTH110
         return path
     problem = "neither a file nor a scenario of tiswarm's; tiswarm scenarios --all lists these"
@@ -239,7 +243,10 @@ def find_scenario(path: Path) -> Path:
 def describe_scenarios(*, every: bool = False) -> list[str]:
     """List names and descriptions of the scenarios to begin with, or of all, in lines."""
     shipped = shipped_scenarios()
-    found = shipped if every else {name: shipped[name] for name in FIRST if name in shipped}
-    width = max(map(len, found), default=0)
-    texts = {name: yaml.safe_load(path.read_text())["description"] for name, path in found.items()}
-    return [f"{name:<{width}}  {text}" for name, text in texts.items()]
+    names = [*shipped] if every else [name for name in FIRST if name in shipped]
+    width = max(map(len, names), default=0)
+    lines = []
+    for name in names:
+        description = yaml.safe_load(shipped[name].read_text())["description"]
+        lines.append(f"{name:<{width}}  {description}")
+    return lines

@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.base.process import child_command
-from tiswarm.base.progress import Advance, Note, Progress
+from tiswarm.base.progress import Advance, Note, Progress, ignore
 from tiswarm.compute import backend, kernel_cache
 from tiswarm.scenario.model import Scenario
-from tiswarm.study.runner import Job, Outcome, run_job
+from tiswarm.study.runner import Job, OnStored, Outcome, run_job
 
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job
 END_S = 10.0  # time that an idle process has to store its kernels and end
@@ -77,8 +77,9 @@ def require_cores(points: Collection[Scenario]) -> None:
     """
     most = backend.available_threads()
     for key in ("threads", "workers"):
-        if (many := max(getattr(settings, key) or 0 for settings in points)) > most:
-            problem = f"{key}: {many} are more than the {most} cores of this process"
+        asked = max(getattr(settings, key) or 0 for settings in points)
+        if asked > most:
+            problem = f"{key}: {asked} are more than the {most} cores of this process"
             raise EnvironmentTroubleError(f"{problem}; choose fewer")
 
 
@@ -93,7 +94,7 @@ class _CrashError(_JobError):
 class Executor(NamedTuple):
     """Starts jobs, `width` at the same time, each with so many CPU threads; all if None."""
 
-    submit: Callable[[Job], "Future[Outcome]"]
+    submit: Callable[[Job, OnStored], "Future[Outcome]"]
     width: int
     threads: int | None
 
@@ -123,7 +124,9 @@ def open_executor(
         with connected(execution.scheduler) as (remote, width):
             try:
                 yield Executor(
-                    lambda job: remote.submit(_run_in_process, job, limit), width, threads or 1
+                    lambda job, _on_stored: remote.submit(_run_in_process, job, limit),
+                    width,
+                    threads or 1,
                 )
             finally:
                 _end_all()  # processes of a cluster within this process
@@ -131,19 +134,25 @@ def open_executor(
         width = execution.processes
         with ThreadPoolExecutor(width) as waiting:
             try:
-                each = max(1, (threads or backend.available_threads()) // width)
-                yield Executor(lambda job: waiting.submit(_run_in_process, job, limit), width, each)
+                job_threads = max(1, (threads or backend.available_threads()) // width)
+                yield Executor(
+                    lambda job, on_stored: waiting.submit(_run_in_process, job, limit, on_stored),
+                    width,
+                    job_threads,
+                )
             finally:
                 waiting.shutdown(wait=False, cancel_futures=True)
                 _end_all()
     else:
-        yield Executor(lambda job: _run_here(job, progress), 1, threads)
+        yield Executor(
+            lambda job, on_stored: _run_in_this_process(job, progress, on_stored), 1, threads
+        )
 
 
-def _run_here(job: Job, progress: Progress) -> "Future[Outcome]":
+def _run_in_this_process(job: Job, progress: Progress, on_stored: OnStored) -> "Future[Outcome]":
     done: Future[Outcome] = Future()
     try:
-        done.set_result(run_job(job, progress))
+        done.set_result(run_job(job, progress, on_stored=on_stored))
     except Exception as error:  # noqa: BLE001 - the caller raises it from the future
         done.set_exception(error)
     return done
@@ -159,30 +168,30 @@ def reason(error: BaseException) -> str:
 
 _running: set["_Process"] = set()
 _ending = threading.Event()  # set once processes of this run are to end
-_own = threading.local()
+_of_thread = threading.local()
 
 
-def _run_in_process(job: Job, limit_s: float | None) -> Outcome:
+def _run_in_process(job: Job, limit_s: float | None, on_stored: OnStored = ignore) -> Outcome:
     """Run a job in another process; where machine code crashes it, once more with new kernels."""
     try:
-        return _attempt(job, limit_s)
+        return _attempt(job, limit_s, on_stored)
     except _CrashError as crash:
         if not kernel_cache.clear(Path(backend.current().cache)):
             raise
         sys.stderr.write(f"tiswarm: warning: {crash}; kernel cache cleared, trying once more\n")
-        return _attempt(job, limit_s)
+        return _attempt(job, limit_s, on_stored)
 
 
-def _attempt(job: Job, limit_s: float | None) -> Outcome:
+def _attempt(job: Job, limit_s: float | None, on_stored: OnStored) -> Outcome:
     """Run a job in the process of this thread, which is replaced after any failure."""
-    process: _Process = getattr(_own, "process", None) or _Process()
-    _own.process = None
+    process: _Process = getattr(_of_thread, "process", None) or _Process()
+    _of_thread.process = None
     try:
-        outcome = process.run(job, limit_s)
+        outcome = process.run(job, limit_s, on_stored)
     except BaseException:
         process.end()
         raise
-    _own.process = process
+    _of_thread.process = process
     return outcome
 
 
@@ -192,6 +201,12 @@ class _Stage(str):
     __slots__ = ()
 
 
+class _Stored(NamedTuple):
+    """Cases that a process has just stored."""
+
+    cases: float
+
+
 class _Sent(Progress):
     """Sends the stages of a job to the process that waits for it."""
 
@@ -199,15 +214,23 @@ class _Sent(Progress):
         self.send = send
 
     @contextmanager
-    def task(self, name: str, total: int, note: Note = lambda: "") -> Iterator[Advance]:  # noqa: ARG002
-        done, sent_s = 0.0, -math.inf
+    def task(
+        self,
+        name: str,
+        total: int,
+        note: Note = lambda: "",  # noqa: ARG002 - the stages of a job have none
+        done: int = 0,
+    ) -> Iterator[Advance]:
+        so_far = float(done)
+        sent_s = -math.inf
 
         def advance(steps: float) -> None:
-            nonlocal done, sent_s
-            done += steps
-            if (now_s := time.monotonic()) - sent_s >= _STAGE_EVERY_S:
+            nonlocal so_far, sent_s
+            so_far += steps
+            now_s = time.monotonic()
+            if now_s - sent_s >= _STAGE_EVERY_S:
                 sent_s = now_s
-                self.send(_Stage(f"{name} {done:.0f} of {total}"))
+                self.send(_Stage(f"{name} {so_far:.0f} of {total}"))
 
         advance(0.0)
         yield advance
@@ -217,36 +240,40 @@ class _Process:
     """A process that runs one job after another."""
 
     def __init__(self) -> None:
-        self.is_idle, self.stage = True, ""
+        self.is_idle = True
+        self.stage = ""
         self.output = TemporaryFile()  # noqa: SIM115 - closed as the process ends
-        self.connection, theirs = Pipe()
+        self.connection, child_end = Pipe()
         code = "from tiswarm.study.executors import main; main({}, {})"
         self.process = subprocess.Popen(  # noqa: S603 - our own code
-            child_command(code.format(theirs.fileno(), os.getpid())),
-            stdin=subprocess.DEVNULL, stdout=self.output, stderr=self.output,
-            pass_fds=[theirs.fileno()],
-        )  # fmt: skip
-        theirs.close()
+            child_command(code.format(child_end.fileno(), os.getpid())),
+            stdin=subprocess.DEVNULL,
+            stdout=self.output,
+            stderr=self.output,
+            pass_fds=[child_end.fileno()],
+        )
+        child_end.close()
         _running.add(self)
         if _ending.is_set():
             self.end()
 
-    def run(self, job: Job, limit_s: float | None) -> Outcome:
+    def run(self, job: Job, limit_s: float | None, on_stored: OnStored) -> Outcome:
         """Run a job, unless it takes longer than allowed for all of its cases."""
         self.is_idle = False
         with suppress(OSError):  # the process has ended; receiving finds out why
             self.connection.send(job)
-        found = self._receive(START_S, "its process did not start within {:g} s; run it again")
-        if found == _READY:
+        message = self._receive(START_S, "its process did not start within {:g} s; run it again")
+        if message == _READY:
             total_s = None if limit_s is None else limit_s * len(job.cases)
-            found = self._receive(total_s, "took longer than {:g} s; raise --case-limit")
+            problem = "took longer than {:g} s; raise --case-limit"
+            message = self._receive(total_s, problem, on_stored)
         self.stage = ""
-        if isinstance(found, TiswarmError):
-            raise found
-        if not isinstance(found, Outcome):
-            raise _JobError(found)
+        if isinstance(message, TiswarmError):
+            raise message
+        if not isinstance(message, Outcome):
+            raise _JobError(message)
         self.is_idle = True
-        return found
+        return message
 
     def dismiss(self) -> None:
         """Let the process store the kernels it has compiled and end, if it has nothing to do."""
@@ -264,16 +291,20 @@ class _Process:
             self.connection.close()
             self.output.close()
 
-    def _receive(self, limit_s: float | None, problem: str) -> object:
+    def _receive(self, limit_s: float | None, problem: str, on_stored: OnStored = ignore) -> object:
         end_s = math.inf if limit_s is None else time.monotonic() + limit_s
         try:
             while True:
-                left = end_s - time.monotonic()
-                if self.connection.poll(max(0.0, min(_LONGEST_POLL_S, left))):
-                    if not isinstance(found := self.connection.recv(), _Stage):
-                        return found
-                    self.stage = found
-                elif left <= _LONGEST_POLL_S:
+                remaining_s = end_s - time.monotonic()
+                if self.connection.poll(max(0.0, min(_LONGEST_POLL_S, remaining_s))):
+                    message = self.connection.recv()
+                    if isinstance(message, _Stage):
+                        self.stage = message
+                    elif isinstance(message, _Stored):
+                        on_stored(message.cases)
+                    else:
+                        return message
+                elif remaining_s <= _LONGEST_POLL_S:
                     raise _JobError(problem.format(limit_s))
         except (EOFError, OSError) as error:
             raise self._cause_of_death() from error
@@ -308,15 +339,20 @@ def main(descriptor: int, parent: int) -> None:
     with suppress(EOFError):
         while True:
             job = connection.recv()
-            found: Outcome | TiswarmError | str
+            message: Outcome | TiswarmError | str
             try:
                 progress = _Sent(connection.send)
-                found = run_job(job, progress, on_ready=lambda: connection.send(_READY))
+                message = run_job(
+                    job,
+                    progress,
+                    on_ready=lambda: connection.send(_READY),
+                    on_stored=lambda cases: connection.send(_Stored(cases)),
+                )
             except TiswarmError as error:
-                found = error
+                message = error
             except Exception as error:  # noqa: BLE001 - the parent decides what to do
-                found = reason(error)
-            connection.send(found)
+                message = reason(error)
+            connection.send(message)
 
 
 def _end_with(parent: int) -> None:

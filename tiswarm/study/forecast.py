@@ -25,7 +25,7 @@ _REST_S = 5e-4  # sensing, evaluation and storage of a robot
 _BASE_MB = 270.0  # memory of the program
 _ROBOT_MB = 0.1  # memory of each robot of a batch, most of all in `joint`
 
-_HERE = Execution()
+_IN_THIS_PROCESS = Execution()
 
 
 class Forecast(NamedTuple):
@@ -55,7 +55,7 @@ class Forecast(NamedTuple):
         )
 
 
-def forecast(scenario: Scenario, execution: Execution = _HERE) -> Forecast:
+def forecast(scenario: Scenario, execution: Execution = _IN_THIS_PROCESS) -> Forecast:
     """Estimate the cost of a run without its drawings, to a factor of about three; machines differ.
 
     Each process of `execution` starts once; all parts of a sharded run count.
@@ -70,7 +70,7 @@ def forecast(scenario: Scenario, execution: Execution = _HERE) -> Forecast:
         robots=robots,
         start_s=_START_S * (1 + execution.processes),
         grow_s=sum(seeds * _grow_s(settings) for settings, seeds in grown.values()),
-        localize_s=sum(seeds * each.localization.seconds(each.robots) for each, seeds in points),
+        localize_s=sum(seeds * _localize_s(settings) for settings, seeds in points),
         rest_s=_REST_S * robots,
         memory_mb=_BASE_MB + _ROBOT_MB * at_once,
     )
@@ -86,15 +86,16 @@ def fewer(scenario: Scenario, execution: Execution, progress: Progress) -> Execu
     One process computes a structure, so there are no more processes than structures. All stay where
     a case has a limit of time, or where the code of a plug-in may take any time.
     """
-    own = any(map(registered, ("method", "sensor", "structure", "rule")))
-    if own or execution.workers in {None, 1} or execution.case_limit_s is not None:
+    has_plugins = any(map(registered, ("method", "sensor", "structure", "rule")))
+    if has_plugins or execution.workers in {None, 1} or execution.case_limit_s is not None:
         return execution
-    each = [_structure_s(group) for group in plan(scenario).structures]
-    many = min(execution.workers or 1, len(each))
-    saved_s = sum(each) - max(*each, sum(each) / many, 0.0)
-    if many > 1 and saved_s >= _SAVED_S:
-        return replace(execution, workers=many)
-    why = f"{counted(len(each), 'structure')}, {_time(sum(each))} of work"
+    works_s = [_structure_s(group) for group in plan(scenario).structures]
+    total_s = sum(works_s)
+    workers = min(execution.workers or 1, len(works_s))
+    saved_s = total_s - max(*works_s, total_s / workers, 0.0)
+    if workers > 1 and saved_s >= _SAVED_S:
+        return replace(execution, workers=workers)
+    why = f"{counted(len(works_s), 'structure')}, {_time(total_s)} of work"
     progress.info(f"one process instead of {execution.workers}: {why}; more would save no time")
     return replace(execution, workers=None)
 
@@ -102,22 +103,30 @@ def fewer(scenario: Scenario, execution: Execution, progress: Progress) -> Execu
 def _structure_s(group: Group) -> float:
     """Estimate the work for a structure under all of its conditions [s]."""
     cases = [case.settings for case in group]
-    localize = sum(each.localization.seconds(each.robots) for each in cases)
-    return _grow_s(cases[0]) + localize + sum(_REST_S * each.robots for each in cases)
+    localize_s = sum(_localize_s(settings) for settings in cases)
+    rest_s = sum(_REST_S * settings.robots for settings in cases)
+    return _grow_s(cases[0]) + localize_s + rest_s
+
+
+def _localize_s(settings: Scenario) -> float:
+    """Estimate the localization of the robots of a structure [s]."""
+    return settings.localization.seconds(settings.robots)
 
 
 def _grow_s(settings: Scenario) -> float:
     """Estimate the growth of a structure, whose mechanics are solved at every size [s]."""
-    n, structure = settings.robots, settings.structure
-    once, each, squared = _SOLVE_S[structure.mechanics.model]
-    solve = once + each * n / 2.0 + squared * n**2 / 3.0
+    n = settings.robots
+    structure = settings.structure
+    constant, linear, quadratic = _SOLVE_S[structure.mechanics.model]
+    solve = constant + linear * n / 2.0 + quadratic * n**2 / 3.0
     believe = _believe_s(settings) if structure.navigate_by == "estimate" else 0.0
     return _CLIMB_S * n + solve * n / structure.solve_every + believe
 
 
 def _believe_s(settings: Scenario) -> float:
     """Estimate the localization of robots while they build: at each join of one or of all [s]."""
-    n, params = settings.robots, settings.localization
+    n = settings.robots
+    params = settings.localization
     return params.seconds(n) * (1.0 if params.joining else n / 2.0)
 
 

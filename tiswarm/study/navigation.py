@@ -31,7 +31,7 @@ _DRAWS = 3
 """Numbers of the draw of a robot."""
 
 
-class _Part:
+class _Side:
     """The n robots of a side in join order, and what they have sensed of each other."""
 
     def __init__(
@@ -41,9 +41,9 @@ class _Part:
         founder = int(robots[0])
         self.key = (history.seed, founder)
         self.robots = robots
-        place = history.walks[founder].center[-1].tolist()
+        anchor = history.walks[founder].center[-1].tolist()
         # What robots sense later may need the newer version.
-        self.header = header.model_copy(update={"version": 2, "anchor_position": place})
+        self.header = header.model_copy(update={"version": 2, "anchor_position": anchor})
         builder = SensingLogBuilder(self.header, of_some=True)
         for robot in robots.tolist():
             builder.add(lines[robot])
@@ -71,8 +71,8 @@ def _turn_by(settings: Scenario) -> Turn:
     def turn(seed: int, robot: int, stances: int) -> Reals:
         stance = np.arange(stances)
         turned = sensed_turn(seed, np.full(stances, robot), stance, params, is_planar=plane)
-        found: Reals = turned.as_quat(scalar_first=True)
-        return found
+        quaternion: Reals = turned.as_quat(scalar_first=True)
+        return quaternion
 
     return turn
 
@@ -81,12 +81,12 @@ def believe_with(error: BeliefErrorParams) -> Believe:
     """Return beliefs that are the truth plus an error of a kind."""
 
     def believe(grown: Sequence[History]) -> list[Belief]:
-        found: list[Belief] = []
+        beliefs: list[Belief] = []
         for history in grown:
             offset = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)
             center = history.position + error_of(history, error)
-            found.append(Belief((center[:, None] + offset).reshape(-1, 3)))
-        return found
+            beliefs.append(Belief((center[:, None] + offset).reshape(-1, 3)))
+        return beliefs
 
     return believe
 
@@ -97,7 +97,8 @@ def error_of(history: History, error: BeliefErrorParams) -> Reals:
     A robot keeps its draw as the structure grows. Draws of planar robots lead out of their plane,
     too.
     """
-    robot, size = np.arange(history.robot_count), error.size
+    robot = np.arange(history.robot_count)
+    size = error.size
     first = _touched_first(history)
     is_anchor = first == robot
     draw = normal(history.seed, "belief error", robot[:, None], np.arange(_DRAWS))
@@ -107,8 +108,11 @@ def error_of(history: History, error: BeliefErrorParams) -> Reals:
         draw[~is_anchor] = size * way / np.linalg.norm(way)
     elif error.kind == "turn":
         x, y, _ = (history.position - history.position[founders_of(history)]).T
-        sine, cosine = np.sin(size), np.cos(size) - 1.0
-        draw = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, 0.0 * x])
+        sine = np.sin(size)
+        cosine_less_1 = np.cos(size) - 1.0  # an error is the turned position less the true one
+        draw = np.column_stack(
+            [cosine_less_1 * x - sine * y, sine * x + cosine_less_1 * y, 0.0 * x]
+        )
     elif error.kind == "adding-up":
         for j in np.flatnonzero(~is_anchor):
             draw[j] += draw[first[j]]
@@ -118,8 +122,8 @@ def error_of(history: History, error: BeliefErrorParams) -> Reals:
 def _touched_first(history: History) -> Ints:
     """Return the robot that each one touched first where it stayed; itself if there is none."""
     at_rest = [walk.at_rest(walk.contacts)[:, 1].tolist() for walk in history.walks]
-    known = history.is_anchor
-    return np.array([j if known[j] else [*met, j][0] for j, met in enumerate(at_rest)])
+    is_anchor = history.is_anchor
+    return np.array([j if is_anchor[j] else [*met, j][0] for j, met in enumerate(at_rest)])
 
 
 def founders_of(history: History) -> Ints:
@@ -129,7 +133,12 @@ def founders_of(history: History) -> Ints:
     """
     founder: list[int] = []
     for j, i in enumerate(_touched_first(history).tolist()):
-        founder.append(founder[i] if i != j else 0 if j < history.anchors else j)
+        if i != j:
+            founder.append(founder[i])
+        elif j < history.anchors:
+            founder.append(0)
+        else:
+            founder.append(j)
     return np.array(founder)
 
 
@@ -145,48 +154,54 @@ def believe_by(settings: Scenario) -> Believe:
 
     def believe(grown: Sequence[History]) -> list[Belief]:
         logs = [observe(history, settings.sensing) for history in grown]
-        parts = [_parts(history, log) for history, log in zip(grown, logs, strict=True)]
-        found = places([part for each in parts for part in each])
+        structures = [_sides(history, log) for history, log in zip(grown, logs, strict=True)]
+        localized = localize([side for sides in structures for side in sides])
         beliefs: list[Belief] = []
-        for log, each in zip(logs, parts, strict=True):
-            order = np.argsort(np.concatenate([part.robots for part in each]))
-            center, sent = (np.concatenate([found[part.key][k] for part in each]) for k in (0, 1))
+        for log, sides in zip(logs, structures, strict=True):
+            order = np.argsort(np.concatenate([side.robots for side in sides]))
+            center = np.concatenate([localized[side.key][0] for side in sides])
+            sent = np.concatenate([localized[side.key][1] for side in sides])
             offset = dock_offsets(with_orientations(log).orientation_wxyz, log.dock_offset_body)
             docks = (center[order, None] + offset).reshape(-1, 3)
             beliefs.append(Belief(docks, sent[order]))
         return beliefs
 
-    def places(parts: Sequence[_Part]) -> dict[tuple[int, int], tuple[Reals, Reals]]:
+    def localize(sides: Sequence[_Side]) -> dict[tuple[int, int], tuple[Reals, Reals]]:
         """Find where robots believe they are [R], and what each has sent for that [B]."""
-        if not (joins := methods.joining(params)):
-            logs = [part.log for part in parts]
-            estimates = methods.localize_many(logs, [params] * len(logs))
+        open_swarm = methods.joining(params)
+        if not open_swarm:
+            logs = [side.log for side in sides]
+            estimates = methods.localize_many(logs, [params for _ in logs])
             return {
-                part.key: _priced(e.position, e.traffic["sent"] if e.traffic else None)
-                for part, e in zip(parts, estimates, strict=True)
+                side.key: _with_bytes(e.position, e.traffic["sent"] if e.traffic else None)
+                for side, e in zip(sides, estimates, strict=True)
             }
-        for part in parts:
-            if part.key not in swarms:
-                swarms[part.key] = joins(part.header, params)
-            swarm = swarms[part.key]
-            for line in lines_of(part.log)[1][len(swarm.positions) :]:
+        for side in sides:
+            if side.key not in swarms:
+                swarms[side.key] = open_swarm(side.header, params)
+            swarm = swarms[side.key]
+            for line in lines_of(side.log)[1][len(swarm.positions) :]:
                 swarm.join(line)
-        mine = {part.key: swarms[part.key] for part in parts}
         return {
-            key: _priced(swarm.positions, getattr(swarm, "sent", None))
-            for key, swarm in mine.items()
+            side.key: _with_bytes(
+                swarms[side.key].positions, getattr(swarms[side.key], "sent", None)
+            )
+            for side in sides
         }
 
     return believe
 
 
-def _priced(center: Reals, sent: Reals | None) -> tuple[Reals, Reals]:
-    """Pair places with the bytes that robots sent for them, NaN without messages."""
+def _with_bytes(center: Reals, sent: Reals | None) -> tuple[Reals, Reals]:
+    """Pair positions with the bytes that robots sent for them, NaN without messages."""
     return center, np.full(len(center), np.nan) if sent is None else 1.0 * sent
 
 
-def _parts(history: History, log: SensingLog) -> list[_Part]:
+def _sides(history: History, log: SensingLog) -> list[_Side]:
     """Split a structure by the founder to which the first contact of each robot leads."""
-    founders, (header, lines) = founders_of(history), lines_of(log)
-    every = [np.flatnonzero(founders == f) for f in np.unique(founders)]
-    return [_Part(history, robots, header, lines) for robots in every]
+    founders = founders_of(history)
+    header, lines = lines_of(log)
+    return [
+        _Side(history, np.flatnonzero(founders == founder), header, lines)
+        for founder in np.unique(founders)
+    ]

@@ -47,9 +47,13 @@ def package_code() -> str:
 
 def plugged(settings: Scenario) -> dict[str, str]:
     """Return what a case names that plug-ins may bring beside its method, by kind."""
-    structure, channel = settings.structure, getattr(settings.localization, "channel", "")
-    own = {"structure": structure.kind, "rule": structure.rule.name, "channel": channel}
-    return {"sensor": settings.sensing.suite, **own}
+    structure = settings.structure
+    return {
+        "sensor": settings.sensing.suite,
+        "structure": structure.kind,
+        "rule": structure.rule.name,
+        "channel": getattr(settings.localization, "channel", ""),
+    }
 
 
 def case_code(method: str, **used: str) -> str:
@@ -60,38 +64,45 @@ def case_code(method: str, **used: str) -> str:
     """
     if method not in names("method"):
         return ""
-    return "+".join([package_code(), *_own_digests(method=method, **used)])
+    return "+".join([package_code(), *_plugin_digests(method=method, **used)])
 
 
-def _own_digests(**used: str) -> list[str]:
+def _plugin_digests(**used: str) -> list[str]:
     """List the digests of plug-ins that names are from, by kind of the name."""
-    own = [registered(kind).get(name) for kind, name in used.items()]
-    return list(dict.fromkeys(found.plugin.digest for found in own if found))
+    entries = [registered(kind).get(name) for kind, name in used.items()]
+    return list(dict.fromkeys(entry.plugin.digest for entry in entries if entry))
 
 
 def is_current(method: str, code: str) -> bool:
     """Whether code of this process computed a case of a method, by the digest in its record."""
-    package, *own = code.split("+")
+    package, *plugins = code.split("+")
     kinds = ("method", "sensor", "structure", "rule", "channel")
-    loaded = {each.plugin.digest for kind in kinds for each in registered(kind).values()}
-    its = registered("method").get(method)
+    loaded = {entry.plugin.digest for kind in kinds for entry in registered(kind).values()}
+    entry = registered("method").get(method)
     return (
         method in names("method")
         and package == package_code()
-        and {*own} <= loaded
-        and (its is None or its.plugin.digest in own)
+        and {*plugins} <= loaded
+        and (entry is None or entry.plugin.digest in plugins)
     )
 
 
 def structure_code(kind: str, rule: str) -> str:
     """Return the digest of the code that grows and keeps structures, as in `case_code`."""
-    return "+".join([package_code(), *_own_digests(structure=kind, rule=rule)])
+    return "+".join([package_code(), *_plugin_digests(structure=kind, rule=rule)])
 
 
 _LIBRARIES = (
-    "matplotlib", "numpy", "open3d", "open3d-cpu", "pandas", "pydantic", "quadrants", "scipy",
+    "matplotlib",
+    "numpy",
+    "open3d",
+    "open3d-cpu",
+    "pandas",
+    "pydantic",
+    "quadrants",
+    "scipy",
     "taichi",
-)  # fmt: skip
+)
 
 _Unit = Annotated[str, Field(pattern="^(wall_s|cpu_s|peak_memory_MB)$")]
 Cost = Annotated[Mapping[_Unit, float], Field(min_length=3)]
@@ -106,11 +117,17 @@ class Costs(dict[str, dict[str, Cost]]):
         """Measure the block as a stage of these cases, who share its cost evenly."""
         with suppress(OSError):  # restarts the peak of memory, on Linux
             Path("/proc/self/clear_refs").write_text("5")
-        wall, cpu = time.perf_counter(), time.process_time()
+        start_wall_s = time.perf_counter()
+        start_cpu_s = time.process_time()
         yield
-        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        wall_s = time.perf_counter() - start_wall_s
+        cpu_s = time.process_time() - start_cpu_s
         count = max(len(cases), 1)
-        share = {"wall_s": wall / count, "cpu_s": cpu / count, "peak_memory_MB": peak_memory_mb()}
+        share = {
+            "wall_s": wall_s / count,
+            "cpu_s": cpu_s / count,
+            "peak_memory_MB": peak_memory_mb(),
+        }
         self.add(name, cases, share)
 
     def add(self, name: str, cases: Sequence[str], share: Cost) -> None:
@@ -152,12 +169,12 @@ def manifest(
         costs: Costs by case and stage.
         earlier: What rounded numbers of cases that were stored before.
     """
-    own = sorted({each.rounding for each in used if each.rounding})
-    rounded = [*earlier, *(each.facts for each in own if each.facts not in earlier)]
-    main = max(used, key=lambda each: (each.backend.on_card, each.force_error)).backend
+    roundings = sorted({stage.rounding for stage in used if stage.rounding})
+    new_facts = [rounding.facts for rounding in roundings if rounding.facts not in earlier]
+    main = max(used, key=lambda stage: (stage.backend.on_card, stage.force_error)).backend
     devices: dict[str, set[str]] = {}
-    for each in used:
-        devices.setdefault(each.stage, set()).add(str(each.backend))
+    for stage in used:
+        devices.setdefault(stage.stage, set()).add(str(stage.backend))
     stages: dict[str, dict[str, float]] = {}
     peak = 0
     for name, cost in (item for of_case in costs for item in of_case.items()):
@@ -172,10 +189,10 @@ def manifest(
         backend={
             key: getattr(main, key) for key in ("arch", "card", "threads", "precision", "library")
         },
-        devices={stage: " and ".join(sorted(devices[stage])) for stage in sorted(devices)},
-        force_error=max((each.force_error for each in used), default=0.0),
+        devices={name: " and ".join(sorted(devices[name])) for name in sorted(devices)},
+        force_error=max((stage.force_error for stage in used), default=0.0),
         machine=machine.machine(),
-        numerics=tuple(rounded),
+        numerics=(*earlier, *new_facts),
         python=platform.python_version(),
         libraries={name: installed[name] for name in _LIBRARIES if name in installed},
         stages={

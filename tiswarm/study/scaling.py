@@ -52,7 +52,8 @@ def scaling(
     axis = next((key for key in AXES if len({AXES[key](c.settings) for c in cases}) > 1), "")
     if not axis:
         return {}
-    column, rows = axis.rpartition(".")[2], []
+    column = axis.rpartition(".")[2]
+    rows = []
     for group in structures:
         done = [case for case in group if case.name in records and records[case.name].is_done]
         grown = _together([costs[case.name].get("grow", {}) for case in done])
@@ -61,7 +62,7 @@ def scaling(
             record = records[case.name]
             point = {key: value for key, value in record.point.items() if key != axis}
             stages = {**costs[case.name], "grow": grown}
-            measured = {each.column: record.scores.get(each.column) for each in _SCORES}
+            measured = {score.column: record.scores.get(score.column) for score in _SCORES}
             measured |= built | _spent(case, record, stages)
             row = {"series": replace(record, point=point).series, column: AXES[axis](case.settings)}
             rows += [
@@ -70,13 +71,14 @@ def scaling(
                 if value is not None
             ]
     table = pd.DataFrame(rows, columns=["series", "measure", column, "mean"])
-    alike = table.groupby(["series", "measure", column], sort=False)["mean"]
-    points = alike.agg(mean="mean", least="min", most="max", structures="count").reset_index()
+    means = table.groupby(["series", "measure", column], sort=False)["mean"]
+    points = means.agg(mean="mean", least="min", most="max", structures="count").reset_index()
     points = points.sort_values(column, kind="stable")
-    parts = [
-        _with_powers(part, column) for _, part in points.groupby(["series", "measure"], sort=False)
+    curves = [
+        _with_powers(curve, column)
+        for _, curve in points.groupby(["series", "measure"], sort=False)
     ]
-    return {"scaling": pd.concat(parts) if parts else _with_powers(points, column)}
+    return {"scaling": pd.concat(curves) if curves else _with_powers(points, column)}
 
 
 def _built(case: Path) -> dict[str, float]:
@@ -99,20 +101,20 @@ def _spent(case: Case, record: CaseRecord, stages: Mapping[str, Cost]) -> dict[s
 
     Workers compute structures at the same time.
     """
-    found = {
+    columns = {
         f"{stage.replace(' ', '_')}_{unit}": number
         for stage, cost in stages.items()
         for unit, number in cost.items()
     }
-    known = {stage: cost for stage, cost in stages.items() if cost}
-    if not known:
-        return found
+    measured = {stage: cost for stage, cost in stages.items() if cost}
+    if not measured:
+        return columns
     for unit in ("cpu_s", "wall_s"):
-        found[f"total_{unit}"] = sum(cost[unit] for cost in known.values())
-    found["peak_memory_MB"] = max(cost["peak_memory_MB"] for cost in known.values())
-    whole = found["total_cpu_s"] or math.nan
-    for stage, cost in known.items():
-        found[f"{stage.replace(' ', '_')}_share"] = cost["cpu_s"] / whole
+        columns[f"total_{unit}"] = sum(cost[unit] for cost in measured.values())
+    columns["peak_memory_MB"] = max(cost["peak_memory_MB"] for cost in measured.values())
+    whole = columns["total_cpu_s"] or math.nan
+    for stage, cost in measured.items():
+        columns[f"{stage.replace(' ', '_')}_share"] = cost["cpu_s"] / whole
     joined = record.scores.get(measures.JOINED.column) or math.nan
     steps = record.scores.get(measures.STEPS.column) or math.nan
     at_once = case.settings.workers or 1
@@ -122,23 +124,25 @@ def _spent(case: Case, record: CaseRecord, stages: Mapping[str, Cost]) -> dict[s
         ("localize", "robot_steps", joined * steps),
     ):
         for unit in ("wall_s", "cpu_s"):
-            if (spent := found.get(f"{stage}_{unit}", 0.0)) > 0.0 and not math.isnan(count):
+            spent = columns.get(f"{stage}_{unit}", 0.0)
+            if spent > 0.0 and not math.isnan(count):
                 rate = f"{name}_per_{unit}"
-                found[rate] = count / spent * (at_once if unit == "wall_s" else 1)
-    return found
+                columns[rate] = count / spent * (at_once if unit == "wall_s" else 1)
+    return columns
 
 
 def _together(costs: Sequence[Cost]) -> Cost:
     """Return the cost that cases share."""
-    known = [cost for cost in costs if cost]
-    peak = max((cost["peak_memory_MB"] for cost in known), default=math.nan)
-    times = {unit: sum(cost[unit] for cost in known) for unit in ("wall_s", "cpu_s")}
-    return {**times, "peak_memory_MB": peak} if known else {}
+    measured = [cost for cost in costs if cost]
+    peak = max((cost["peak_memory_MB"] for cost in measured), default=math.nan)
+    times = {unit: sum(cost[unit] for cost in measured) for unit in ("wall_s", "cpu_s")}
+    return {**times, "peak_memory_MB": peak} if measured else {}
 
 
 def _with_powers(points: pd.DataFrame, column: str) -> pd.DataFrame:
     """Add the columns `exponent` and `slope` to the means of one measure, by ascending number."""
-    at, mean = points[column].to_numpy(float), points["mean"].to_numpy(float)
-    known = np.log(np.where(mean > 0.0, mean, math.nan))
-    slope = np.diff(known, prepend=math.nan) / np.diff(np.log(at), prepend=math.nan)
+    at = points[column].to_numpy(float)
+    mean = points["mean"].to_numpy(float)
+    log_mean = np.log(np.where(mean > 0.0, mean, math.nan))
+    slope = np.diff(log_mean, prepend=math.nan) / np.diff(np.log(at), prepend=math.nan)
     return points.assign(exponent=metrics.power_law_exponent(at, mean), slope=slope)

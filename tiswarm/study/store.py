@@ -259,8 +259,8 @@ class RunFolder:
 
     def read_cases(self, cases: Sequence[Case]) -> dict[str, CaseRecord]:
         """Read the cases that are stored, finished or failed, by name."""
-        found = {case.name: self.read_case(case.name) for case in cases}
-        return {name: record for name, record in found.items() if record is not None}
+        records = {case.name: self.read_case(case.name) for case in cases}
+        return {name: record for name, record in records.items() if record is not None}
 
     def store_failure(self, record: CaseRecord, traceback: str = "") -> CaseRecord:
         """Store a case that failed, with its traceback if it has one; the next run tries again."""
@@ -367,14 +367,15 @@ class RunFolder:
             computes: Whether this machine computes cases, or others alone.
         """
         earlier = self._manifest()
-        here = [numerics.here().facts] if computes else []
-        others = [each for each in earlier.numerics if each not in here]
+        new_facts = [numerics.here().facts] if computes else []
+        stored_facts = [facts for facts in earlier.numerics if facts not in new_facts]
         remove(self.path / "report.html")
-        self._write_manifest(Manifest(numerics=(*others, *here), outdated=earlier.ever_drawn))
-        if others and computes:
+        rounding = (*stored_facts, *new_facts)
+        self._write_manifest(Manifest(numerics=rounding, outdated=earlier.ever_drawn))
+        if stored_facts and computes:
             progress.info(
                 "stored cases may be rounded otherwise than those to come: "
-                f"{numerics.difference(others[0])}; remove {self.path} to compute all alike"
+                f"{numerics.difference(stored_facts[0])}; remove {self.path} to compute all alike"
             )
 
     def complete(

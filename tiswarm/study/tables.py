@@ -25,7 +25,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.base.registry import get, registered
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics, paper
-from tiswarm.evaluation.tables import own_scores
+from tiswarm.evaluation.tables import plugin_scores
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records import measures
@@ -60,7 +60,7 @@ def write_tables(
 ) -> None:
     """Write all tables of a run folder from the records and costs of its stored cases, by name."""
     cases = [case for case in whole.cases if case.name in stored]
-    records = [_with_own_scores(stored[case.name], run / "cases") for case in cases]
+    records = [_with_plugin_scores(stored[case.name], run / "cases") for case in cases]
     settings = [case.settings for case in cases]
     written = {
         "summary": summary(records, settings),
@@ -96,11 +96,11 @@ class MeasureTrial:
             return
         done = [record for record in records if record.is_done]
         if done:
-            _with_own_scores(done[0], self._cases)
+            _with_plugin_scores(done[0], self._cases)
             self.is_due = False
 
 
-def _with_own_scores(record: CaseRecord, cases: Path) -> CaseRecord:
+def _with_plugin_scores(record: CaseRecord, cases: Path) -> CaseRecord:
     """Add the measures of plug-ins to a record, from the files of its case.
 
     Other tables follow from the record; the case itself stays as it is, so that an edit of a
@@ -116,7 +116,7 @@ def _with_own_scores(record: CaseRecord, cases: Path) -> CaseRecord:
         position=robots[["x_R", "y_R", "z_R"]].to_numpy(float),
         orientation_wxyz=robots[["qw", "qx", "qy", "qz"]].to_numpy(float),
     )
-    return replace(record, scores={**record.scores, **own_scores(truth, estimate)})
+    return replace(record, scores={**record.scores, **plugin_scores(truth, estimate)})
 
 
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
@@ -165,12 +165,13 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
     for of_point in _grouped(records, lambda record: record.point_text):
         at_point = []
         for group in _grouped(of_point, lambda record: record.condition):
-            first, ours = group[0], _with_statistics(group)
+            first = group[0]
+            statistics = _with_statistics(group)
             setting = setting_of[first.case]
             used = {"measurements": _used(record.measurements for record in group)}
             used |= {"kind": setting.structure.kind, "method": _title(setting.localization)}
-            row = {"condition": first.condition, **first.point_cells, **ours, **used}
-            at_point.append(row | _rounds(setting) | _paper(setting, ours))
+            row = {"condition": first.condition, **first.point_cells, **statistics, **used}
+            at_point.append(row | _rounds(setting) | _paper(setting, statistics))
         of_paper = [row for row in at_point if row[measures.RMSE.published] > 0.0]
         base = (of_paper or at_point)[0]
         for row, (name, rmse) in itertools.product(
@@ -188,8 +189,9 @@ def _rounds(setting: Scenario) -> dict[str, float]:
     The last join is always followed by a round, so there are at most `robots` joins between two.
     """
     method = setting.localization
-    if not isinstance(method, VirtualForceParams) or not (rounds := method.back_propagation):
+    if not isinstance(method, VirtualForceParams) or not method.back_propagation:
         return {}
+    rounds = method.back_propagation
     return {
         "round_every": min(rounds.every, setting.robots),
         "round_recent": rounds.recent or math.nan,
@@ -199,7 +201,8 @@ def _rounds(setting: Scenario) -> dict[str, float]:
 
 def _published(setting: Scenario) -> paper.Published | None:
     """Return the paper's numbers; it leaves open all gains, and how robots start, walk and call."""
-    method, structure = setting.localization, setting.structure
+    method = setting.localization
+    structure = setting.structure
     if structure.kind not in {kind for kind, *_ in paper.PAPER}:
         return None
     open_keys = ("anchor", "climb", "founders", "spawn_behind", *_RECRUITMENT)
@@ -240,15 +243,16 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
         if measure.averaged:
             column = scores.get(measure.column, pd.Series(dtype=float))
             values = column.to_numpy(np.float64)
-            found = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
-            full |= {measure.statistic(name): value for name, value in found.items()}
+            statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
+            full |= {measure.statistic(name): value for name, value in statistics.items()}
     return full
 
 
 def _used(measurements: Iterable[str]) -> str:
     """List what was measured of some structures, those with most measurements first."""
-    found = sorted({*measurements}, key=len, reverse=True)
-    return ", ".join(dict.fromkeys(name for each in found for name in each.split(", ") if name))
+    lists = sorted(dict.fromkeys(measurements), key=len, reverse=True)
+    names = [name for text in lists for name in text.split(", ") if name]
+    return ", ".join(dict.fromkeys(names))
 
 
 def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
@@ -266,12 +270,14 @@ def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Da
                 continue  # each condition built structures of its own
             names = {"condition": second[0].condition, "against": first[0].condition}
             senses = {repr(sensed[group[0].case].sensing) for group in (first, second)}
-            used, others = (
+            used_first, used_second = (
                 {r.seed: r.measurements for r in group if r.is_done} for group in (first, second)
             )
-            both = used.keys() & others.keys()
-            is_equal = bool(both) and len(senses) == 1
-            is_equal = is_equal and all(used[seed] == others[seed] != "" for seed in both)
+            seeds = used_first.keys() & used_second.keys()
+            is_equal = bool(seeds) and len(senses) == 1
+            is_equal = is_equal and all(
+                used_first[seed] == used_second[seed] != "" for seed in seeds
+            )
             rows += differences(
                 {**names, **first[0].point_cells},
                 accuracy_by_key({record.seed: record for record in first}),
@@ -299,18 +305,20 @@ def differences(
 ) -> list[dict[str, Any]]:
     """Return a row for each measure: difference `after - before` over shared structures."""
     a, b = before.align(after, join="inner", axis=0)
-    found = {
+    statistics = {
         name: metrics.paired_difference(a[name].to_numpy(float), b[name].to_numpy(float))
         for name in a
     }
     return [
-        {**first_columns, "measure": name, **row, **last_columns} for name, row in found.items()
+        {**first_columns, "measure": name, **row, **last_columns}
+        for name, row in statistics.items()
     ]
 
 
 def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
     """Tabulate errors by join, height, hops and contacts, for each point and condition."""
-    parts, names_of = [], []
+    profiles_of_series = []
+    names_of = []
     done = [record for record in records if record.is_done]
     for of_row in _grouped(done, lambda record: record.series):
         folders = [cases / record.case for record in of_row]
@@ -327,13 +335,13 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
             metrics.error_profile(pd.concat(robots)),
             metrics.relative_profile(pd.concat(relative)),
         ]
-        parts.append(pd.concat(errors))
+        profiles_of_series.append(pd.concat(errors))
         first = {"condition": of_row[0].condition, **of_row[0].point_cells}
-        names_of += [first] * len(parts[-1])
-    if not parts:
+        names_of += [first for _ in range(len(profiles_of_series[-1]))]
+    if not profiles_of_series:
         return pd.DataFrame(columns=["condition", "by"])
-    every = pd.concat(parts, ignore_index=True)
-    return pd.concat([pd.DataFrame(names_of), every], axis=1)
+    rows = pd.concat(profiles_of_series, ignore_index=True)
+    return pd.concat([pd.DataFrame(names_of), rows], axis=1)
 
 
 def suites(
@@ -345,10 +353,14 @@ def suites(
     located whose positions its cues determine. Means are over structures.
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
-    shown, rows = measures.PAGE["suites"], []
+    shown = measures.PAGE["suites"]
+    rows = []
     for group in _grouped(records, lambda record: record.series):
-        first, setting = group[0], setting_of[group[0].case]
-        suite, touch = get("sensor", setting.sensing.suite), setting.sensing.touch
+        first = group[0]
+        setting = setting_of[first.case]
+        suite = get("sensor", setting.sensing.suite)
+        touch = setting.sensing.touch
+        method = setting.localization.method
         done = [
             {**record.scores, **_located(cases / record.case)} for record in group if record.is_done
         ]
@@ -356,15 +368,15 @@ def suites(
             "condition": first.condition,
             **first.point_cells,
             "suite": setting.sensing.suite,
-            "way": setting.localization.method + ", touch" * touch,
+            "way": f"{method}, touch" if touch else method,
             "needs": suite.needs,
             "cases": len(done),
             **{f"usd_{n}": suite.price(n, touch=touch) for n in _PRICED},
         }
-        scores = pd.DataFrame(done, columns=[each.column for each in shown], dtype=float)
-        for each in shown:
-            found = metrics.mean_std_ci95(scores[each.column].to_numpy())
-            row |= {each.mean: found["mean"], each.ci95: found["ci95"]}
+        scores = pd.DataFrame(done, columns=[measure.column for measure in shown], dtype=float)
+        for measure in shown:
+            statistics = metrics.mean_std_ci95(scores[measure.column].to_numpy())
+            row |= {measure.mean: statistics["mean"], measure.ci95: statistics["ci95"]}
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -420,7 +432,8 @@ def tabulate(path: Path, progress: Progress) -> None:
     if not stored:
         problem = "no case of this run is intact; run the scenario again to restore them"
         raise InputError(problem, path=path)
-    if lost := len(whole.cases) - len(stored):
+    lost = len(whole.cases) - len(stored)
+    if lost:
         many = counted(lost, "case")
         progress.info(f"without {many}, missing or damaged; run the scenario again to restore")
     write_tables(path, whole, stored, folder.read_costs(whole.cases))

@@ -32,6 +32,7 @@ from pydantic.dataclasses import dataclass as parameters
 from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.params import STRICT
 from tiswarm.compute import backend
+from tiswarm.compute.numerics import optimized_by_llvm
 from tiswarm.world import frame_kernels
 
 MAX_UNBORNE = 1e-6
@@ -298,14 +299,15 @@ class Frames:
         backend.processor()
         due = np.array(structures, np.int32)
         while len(due):
-            frame_kernels.find_loads(
-                self.params.beam_radius,
-                self.robots,
-                due,
-                *self.frame,
-                *self.work,
-                *self.load_arrays,
-            )
+            with optimized_by_llvm():
+                frame_kernels.find_loads(
+                    self.params.beam_radius,
+                    self.robots,
+                    due,
+                    *self.frame,
+                    *self.work,
+                    *self.load_arrays,
+                )
             # The kernel counted the blocks that fill-in needs: what had too little room is due.
             due = due[self.work.block_count[due] > self.work.block.shape[1]]
             if len(due):

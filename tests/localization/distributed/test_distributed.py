@@ -170,7 +170,7 @@ def test_no_robot_solves_for_more_than_its_tenure(log):
     assert max(map(len, kept)) == 2
     assert sorted(number for each in kept for number in each) == [*range(1, 12)]
     assert all(robot.place is not None for robot in swarm.robots)
-    assert swarm.found().traffic["joins"].tolist() == [*map(len, kept)]
+    assert swarm.solution().traffic["joins"].tolist() == [*map(len, kept)]
 
 
 def test_a_walk_comes_to_all_robots_that_hang_on_one_before_it_leaves(log):
@@ -222,13 +222,13 @@ def test_a_robot_that_heard_of_no_partner_asks_again_in_the_review(towers, log):
         _deaf(swarm, lambda heard, *_: heard == 11)
         swarm.join(parse_robot(line))
     _deaf(swarm, lambda *_: False)
-    alone = swarm.found()
+    alone = swarm.solution()
     assert np.flatnonzero(alone.lost).tolist() == [11]
     assert alone.doubtful[11]
 
     swarm.review()
 
-    assert not swarm.found().lost.any()
+    assert not swarm.solution().lost.any()
     history = towers[0]
     true = (history.position[11] - history.position[0]) / log.dock_radius
     assert np.linalg.norm(swarm.robots[11].place.position - true) < 3.0
@@ -298,11 +298,11 @@ def test_before_a_bridge_closes_its_far_side_doubts(bridges):
     for history, log, is_far in bridges:
         swarm = grown(log, QUICK, log.robot_count - 1)
 
-        found = swarm.found()
+        solution = swarm.solution()
         far = np.flatnonzero(is_far[:-1])
-        assert np.flatnonzero(found.lost).tolist() == far.tolist()
-        assert found.doubtful[far].all()
-        away = (found.position - history.position[:-1])[far]
+        assert np.flatnonzero(solution.lost).tolist() == far.tolist()
+        assert solution.doubtful[far].all()
+        away = (solution.position - history.position[:-1])[far]
         assert np.sqrt(away.var(axis=0).sum()) < 3.0
 
 
@@ -611,9 +611,9 @@ def test_the_scheme_of_the_paper_uses_the_cues_of_algorithm_1(local):
     """Tables do not put it beside methods that use contacts on the way, too."""
     paper = DistributedParams(scheme="algorithm-1", **local)
 
-    assert paper.cues == VirtualForceParams(**local).cues
-    assert "walk_contacts" not in paper.cues
-    assert "walk_contacts" in DistributedParams().cues
+    assert paper.used_cues == VirtualForceParams(**local).used_cues
+    assert "walk_contacts" not in paper.used_cues
+    assert "walk_contacts" in DistributedParams().used_cues
 
 
 def test_branches_carry_the_parts_of_those_behind_them():

@@ -9,9 +9,8 @@ import pytest
 
 from tests.foreign import open_chain
 from tests.runs import python
-from tests.structures import NOISY, with_directions, with_fixes, with_ranges
+from tests.structures import NOISY, grown, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import State, WholeCost
 from tiswarm.localization.methods import centered, localize
@@ -19,10 +18,9 @@ from tiswarm.localization.online import tracker
 from tiswarm.localization.online.settings import OnlineParams
 from tiswarm.localization.online.tracker import Tracker, annealed_estimate, fitted, reannealed
 from tiswarm.localization.peers.settings import HopByHopParams
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import CuesOfNamedDocks, JointParams
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import observe
-from tiswarm.world.growth import grow
 from tiswarm.world.params import BridgeParams, CantileverParams
 
 LOCAL = OnlineParams(anneal_growth=1e6)
@@ -217,7 +215,7 @@ def test_six_robots_are_in_the_best_of_all_mirror_images_or_say_otherwise(seed):
     lines, place, best = ranged_robots(seed)
     assert np.linalg.norm(best - place, axis=1).max() < 0.5
 
-    tracker = fed(lines, OnlineParams(non_overlap=False))
+    tracker = fed(lines, OnlineParams(cues=CuesOfNamedDocks(non_overlap=False)))
 
     present, final = tracker.estimate(), tracker.estimate(final=True)
     assert not are_silent(present, best)
@@ -231,7 +229,7 @@ def test_a_hundred_small_swarms_hide_no_wrong_image():
     found = []
     for seed in range(100):
         lines, place, _ = ranged_robots(seed)
-        estimate = fed(lines, OnlineParams(non_overlap=False)).estimate()
+        estimate = fed(lines, OnlineParams(cues=CuesOfNamedDocks(non_overlap=False))).estimate()
         off = np.linalg.norm(estimate.position - place, axis=1)
         found.append((are_silent(estimate, place), bool((off > 0.5).any())))
 
@@ -391,7 +389,7 @@ def test_a_robot_that_senses_nothing_joins(lines):
 
 def test_a_part_is_brought_to_the_contacts_that_tie_it():
     """The last robot ties five others to the anchor, 25 R from where they were taken to be."""
-    [bridge] = grow(BridgeParams(gap=26.0), robots=13, seeds=[7], robot=RobotGeometry())
+    bridge = grown(BridgeParams(gap=26.0), robots=13, seed=7)
     log = centered(observe(bridge, NOISY))
     header, *lines = lines_of(log)
     before = fed([header, *lines[:-1]], LOCAL).log
@@ -440,7 +438,7 @@ def test_who_keeps_what_changes_say_knows_how_certain_robots_are(lines):
 
 def test_the_mean_is_the_minimum_where_chains_agree(towers):
     """Chains take errors as independent, and end elsewhere in common: that is no other solution."""
-    [cantilever] = grow(CantileverParams(), robots=30, seeds=[2], robot=RobotGeometry())
+    cantilever = grown(CantileverParams(), robots=30, seed=2)
     for history in (towers[0], cantilever):
         log = centered(observe(history, NOISY))
         minimum = fed(lines_of(log), LOCAL)

@@ -22,19 +22,14 @@ from tests.structures import (
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.methods import localize, localize_many
 from tiswarm.localization.peers.settings import HopByHopParams
+from tiswarm.localization.settings import CuesOfNamedDocks
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
 EVERY_AXIS = np.eye(3)
 SHARP = 1e-6
-HOPS = HopByHopParams(non_overlap=False)  # points at random overlap
+HOPS = HopByHopParams(cues=CuesOfNamedDocks(non_overlap=False))  # points at random overlap
 METHODS = [HOPS, dataclasses.replace(HOPS, order="join")]
-
-
-@pytest.fixture(scope="module")
-def towers(tall_towers):
-    """Three towers of 30 robots: the measurements written out here are theirs."""
-    return tall_towers
 
 
 def fixed(log: SensingLog, truth: np.ndarray, robots, axes=EVERY_AXIS, sd=SHARP) -> SensingLog:
@@ -99,14 +94,18 @@ def test_two_sweep_planes_and_a_height_cross(params):
 
 
 @pytest.mark.parametrize("params", METHODS, ids=lambda p: p.order)
-def test_directions_are_averaged_as_the_equations_say(towers, params):
+def test_directions_are_averaged_as_the_equations_say(tall_towers, params):
     """A robot with directions alone is at the weighted mean of the points that they lead to."""
-    log = with_directions(observe(towers[0], SensingParams()), towers[0], sd_deg=5.0, walks=False)
+    log = with_directions(
+        observe(tall_towers[0], SensingParams()), tall_towers[0], sd_deg=5.0, walks=False
+    )
     log = dataclasses.replace(log, noise=SensingNoise(tilt_deg=0.0, yaw_deg=0.0, direction_deg=5.0))
-    log = with_fixes(log, towers[0], range(1, 29), each=8, sd=SHARP)
-    alone = dict.fromkeys(("contacts", "height", "ground", "walk_contacts", "odometry"), False)
+    log = with_fixes(log, tall_towers[0], range(1, 29), each=8, sd=SHARP)
+    alone = CuesOfNamedDocks(
+        contacts=False, height=False, ground=False, walk_contacts=False, odometry=False
+    )
 
-    found = localize(log, dataclasses.replace(params, **alone))
+    found = localize(log, dataclasses.replace(params, cues=alone))
 
     rows = [row for row in log.directions if row[0] == 29]
     offsets = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
@@ -125,12 +124,14 @@ def test_directions_are_averaged_as_the_equations_say(towers, params):
     assert found.located[29]
 
 
-def test_a_chain_of_directions_locates_a_tower(towers):
+def test_a_chain_of_directions_locates_a_tower(tall_towers):
     """The rivals' own way: connections of one degree, robot after robot."""
-    for history in towers:
+    for history in tall_towers:
         log = with_directions(observe(history, SensingParams()), history, sd_deg=1.0, walks=False)
 
-        found = localize(log, HopByHopParams(walk_contacts=False, height=False))
+        found = localize(
+            log, HopByHopParams(cues=CuesOfNamedDocks(walk_contacts=False, height=False))
+        )
 
         error = np.linalg.norm(found.position - history.position, axis=1)
         assert found.located.mean() > 0.8
@@ -152,14 +153,15 @@ def test_errors_that_partners_share_do_not_average_out():
     np.testing.assert_allclose(found.sd[13], 0.3 * 3**0.5, rtol=0.1)
 
 
-def test_intervals_of_directions_hold_about_as_many_robots_as_they_should(towers):
+def test_intervals_of_directions_hold_about_as_many_robots_as_they_should(tall_towers):
     """Robots that directions tie to several partners count on them all being off alike."""
     params = SensingParams(suite="freesn", tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 
-    found = [localize(observe(tower, params), HopByHopParams()) for tower in towers]
+    found = [localize(observe(tower, params), HopByHopParams()) for tower in tall_towers]
 
     away = [
-        np.linalg.norm(f.position - t.position, axis=1) for f, t in zip(found, towers, strict=True)
+        np.linalg.norm(f.position - t.position, axis=1)
+        for f, t in zip(found, tall_towers, strict=True)
     ]
     ratio = np.concatenate([a[1:] / f.sd[1:] for a, f in zip(away, found, strict=True)])
     assert 0.3 < (ratio < 0.85).mean() < 0.7
@@ -374,7 +376,9 @@ def test_a_dock_in_the_way_excludes_a_mirror_image():
     ranges = np.column_stack([np.full(3, 3), np.arange(3), reach, known])
     log = dataclasses.replace(log, ranges=ranges)
 
-    blind, found = [localize(log, HopByHopParams(non_overlap=on)) for on in (False, True)]
+    blind, found = [
+        localize(log, HopByHopParams(cues=CuesOfNamedDocks(non_overlap=on))) for on in (False, True)
+    ]
 
     assert not blind.located[3]
     np.testing.assert_allclose(blind.position[3], truth[4], atol=1e-9)
@@ -383,9 +387,9 @@ def test_a_dock_in_the_way_excludes_a_mirror_image():
 
 
 @pytest.mark.parametrize("params", METHODS, ids=lambda p: p.order)
-def test_robots_of_a_tower_that_are_located_are_right(towers, params):
+def test_robots_of_a_tower_that_are_located_are_right(tall_towers, params):
     """Contacts of every stance locate them to what contacts are sensed across."""
-    for history in towers:
+    for history in tall_towers:
         log = observe(history, SensingParams())
 
         found = localize(log, params)
@@ -396,21 +400,21 @@ def test_robots_of_a_tower_that_are_located_are_right(towers, params):
         assert found.columns()["undetermined"][0] == ""
 
 
-def test_fixes_come_first_and_contacts_pass_them_on(towers):
+def test_fixes_come_first_and_contacts_pass_them_on(tall_towers):
     """Robots that see a camera are located by it, the others by contacts, heights and ground."""
-    log = observe(towers[0], SensingParams())
+    log = observe(tall_towers[0], SensingParams())
     seen = np.arange(1, 30, 2)
-    log = with_fixes(log, towers[0], seen, each=3, sd=0.01)
+    log = with_fixes(log, tall_towers[0], seen, each=3, sd=0.01)
 
-    found = localize(log, HopByHopParams(walk_contacts=False))
+    found = localize(log, HopByHopParams(cues=CuesOfNamedDocks(walk_contacts=False)))
 
     assert found.located[seen].all()
     assert found.located.sum() > len(seen) + 3
 
 
-def test_estimates_repeat_alone_and_side_by_side(towers):
+def test_estimates_repeat_alone_and_side_by_side(tall_towers):
     """Each structure has the same bytes alone and in a batch."""
-    logs = [observe(history, SensingParams(tilt_noise_deg=1.0)) for history in towers]
+    logs = [observe(history, SensingParams(tilt_noise_deg=1.0)) for history in tall_towers]
 
     together = localize_many(logs, [HopByHopParams()] * 3)
 

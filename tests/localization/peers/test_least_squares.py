@@ -12,10 +12,10 @@ from tests.structures import NOISY, silent
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
 from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
-from tiswarm.localization.settings import JointParams
+from tiswarm.localization.settings import Cues, CuesOfNamedDocks, JointParams
 from tiswarm.sensing import SensingParams, observe
 
-APART = LeastSquaresParams(non_overlap=False)
+APART = LeastSquaresParams(cues=Cues(non_overlap=False))
 
 
 def noisy_ranges(seed, sd=0.05):
@@ -61,7 +61,7 @@ def test_hop_by_hop_is_never_nearer_to_the_measurements(towers):
     logs += [observe(history, SensingParams()) for history in towers]
 
     for log in logs:
-        hops = localize(log, HopByHopParams(non_overlap=False))
+        hops = localize(log, HopByHopParams(cues=CuesOfNamedDocks(non_overlap=False)))
         found = localize(log, APART)  # overlaps are no part of the chi-square of the rows
 
         # Positions are means of draws, which lie beside the minimum where robots are floppy.
@@ -210,4 +210,4 @@ def test_settings_of_chi_square_are_shared_with_joint():
 
     for name in shared:
         assert getattr(LeastSquaresParams(), name) == getattr(JointParams(), name)
-    assert LeastSquaresParams().cues == JointParams().cues
+    assert LeastSquaresParams().used_cues == JointParams().used_cues

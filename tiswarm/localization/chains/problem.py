@@ -441,7 +441,7 @@ def chosen_rows(
         Rows that count, and coordinates that most others of the same robot contradict.
     """
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
-    cues = [cue for cue in params.cues if cue != "fixes"]
+    cues = [cue for cue in params.used_cues if cue != "fixes"]
     measured = Measured(log, odometry, precision)
     rows = measured.rows(cues)
     if len(disregarded):
@@ -454,7 +454,7 @@ def chosen_rows(
     rows = rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows, variance[~is_wrong]))
     # All fixes of a robot count, unlike other coordinates: none is a repetition of another.
-    if not measured.used({*params.cues} & {"fixes"}):
+    if not measured.used({*params.used_cues} & {"fixes"}):
         return rows, inconsistent
     fixed = measured.rows({"fixes"})
     fixed = fixed.select(fixed.robot > 0)

@@ -251,7 +251,7 @@ def view_of(
         arm=dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius),
         begin=begin,
         moves=problem.moves & (np.arange(robots) > 0),
-        repels=params.non_overlap & ~problem.is_gone,
+        repels=params.cues.non_overlap & ~problem.is_gone,
         sigma=cooled(
             start_sigma(problem, params) if start is None else params.start_sigma,
             end_sigma(problem, params),

@@ -107,7 +107,7 @@ def view_near(
         arm=shapes.arm,
         begin=np.tile(begin, (params.chains, 1, 1)),
         moves=moves,
-        repels=params.non_overlap & ~np.isin(np.arange(robots), [*shapes.gone]),
+        repels=params.cues.non_overlap & ~np.isin(np.arange(robots), [*shapes.gone]),
         sigma=cooled(params.start_sigma, ANNEALING.coldest, params.steps, 1),
         robust=robust,
         yaw_precision=0.0,
@@ -153,7 +153,7 @@ def _links_of(blocks: list[Block], table: Table, robots: int) -> Links:
         is_offset=is_offset,
         is_touch=np.zeros(len(at), np.bool_),
         arms=real[:, RowValue.ARM : RowValue.TAIL]
-        - real[:, RowValue.OTHER_ARM : RowValue.VALUE]
+        - real[:, RowValue.NEIGHBOR_ARM : RowValue.VALUE]
         - vector,
         length=real[:, RowValue.VALUE],
         variance=real[:, RowValue.VARIANCE],

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,16 +96,18 @@ class _Hop:
 
     def transmitted(self) -> tuple[Message, int]:
         """Return the message with the parts that still have to be heard, and its bytes."""
-        left = {number for other in self.waited for number in self.next[other]}
-        parts = {number: part for number, part in self.message.parts.items() if number in left}
+        receivers = {number for listener in self.waited for number in self.next[listener]}
+        parts = {number: part for number, part in self.message.parts.items() if number in receivers}
         size = HEADER + len(self.message.common) + sum(ADDRESS + len(p) for p in parts.values())
         return self.message._replace(parts=parts), size
 
 
 def reached(line: RobotLine, params: DistributedParams) -> set[int]:
     """List earlier robots that one touches, or by a radio of limited reach measured a range to."""
-    ranged = [] if params.radio_reach is None else line.ranges or []
-    return {other for _, other, _ in line.contacts} | {int(row[0]) for row in ranged}
+    numbers = {neighbor for _, neighbor, _ in line.contacts}
+    if params.radio_reach is not None and line.ranges:
+        numbers |= {int(row[0]) for row in line.ranges}
+    return numbers
 
 
 class Channel:
@@ -117,14 +120,17 @@ class Channel:
             params: Settings.
             hear: Called with each robot that hears a message.
         """
-        self._params, self._hear = params, hear
+        self._params = params
+        self._hear = hear
         self._hears: Any = get("channel", params.channel)(params)
         self._is_radio = params.channel != "touch"
         self._reaches_all = self._is_radio and params.radio_reach is None
         self._air: list[_Hop] = []
         self._links: list[set[int]] = []
         self._events: dict[int, list[tuple[int, Callable[[], None]]]] = {}
-        self._round, self._serial, self._drawn = 0, 0, 0
+        self._round = 0
+        self._serial = 0
+        self._drawn = 0
         self.sent: list[int] = []
         """Bytes that each robot transmitted, by its number."""
         self.heard: list[int] = []
@@ -156,8 +162,8 @@ class Channel:
         self._links.append(set(touching))
         for count in (self.sent, self.heard, self.messages):
             count.append(0)
-        for other in touching:
-            self._links[other].add(number)
+        for neighbor in touching:
+            self._links[neighbor].add(number)
 
     def send(self, message: Message, after: int = 0) -> None:
         """Send a message after some silent rounds; parts of robots out of reach are lost."""
@@ -180,7 +186,7 @@ class Channel:
             self._round += 1
             due = self._events.pop(self._round, [])
             # Events of a round come in an order of chance.
-            for _, event in sorted(due, key=lambda each: each[0]):
+            for _, event in sorted(due, key=itemgetter(0)):
                 event()
             self._deliver()
 
@@ -218,12 +224,12 @@ class Channel:
             for k, sender in enumerate(senders)
         ]
         self._serial += len(hops)
-        heard = self._heard(hops, [self._in_reach(hop) for hop in hops], [size] * len(hops))
+        heard = self._heard(hops, [self._in_reach(hop) for hop in hops], [size for _ in hops])
         for hop, listeners in zip(hops, heard, strict=True):
             self.sent[hop.sender] += size
             self.messages[hop.sender] += 1
-            for other in listeners:
-                self.heard[other] += size
+            for listener in listeners:
+                self.heard[listener] += size
         return {hop.sender: listeners for hop, listeners in zip(hops, heard, strict=True)}
 
     def ask(self, robot: int, size: int) -> None:
@@ -237,7 +243,7 @@ class Channel:
         """
         senders = sorted(self._links[robot])
         if by_all and self._reaches_all:
-            senders = [other for other in range(len(self._links)) if other != robot]
+            senders = [number for number in range(len(self._links)) if number != robot]
         if self._is_radio:
             self._count_by_radio(senders, size, 1)
             return
@@ -266,40 +272,42 @@ class Channel:
         self.sent[sender] += round(tries * count * size)
         self.heard[sender] += round(tries * got**2 * count * ACKNOWLEDGMENT)
         self.messages[sender] += round(tries * count)
-        for other in receivers:
-            self.heard[other] += round(tries * got * size)
-            self.sent[other] += round(tries * got * ACKNOWLEDGMENT)
+        for receiver in receivers:
+            self.heard[receiver] += round(tries * got * size)
+            self.sent[receiver] += round(tries * got * ACKNOWLEDGMENT)
 
     def _tree(self, root: int, targets: set[int]) -> dict[int, list[int]]:
         """Find ways to some robots: by robot, whom it passes a message on to."""
         if self._reaches_all:
-            there = sorted(targets & {*range(len(self._links))} - {root})
-            return {root: there} if there else {}
-        before: dict[int, int] = {root: root}
-        queue, left = deque([root]), {*targets} - {root}
-        while queue and left:
-            here = queue.popleft()
-            for other in sorted(self._links[here]):
-                if other not in before:
-                    before[other] = here
-                    left.discard(other)
-                    queue.append(other)
+            receivers = sorted(targets & {*range(len(self._links))} - {root})
+            return {root: receivers} if receivers else {}
+        parent: dict[int, int] = {root: root}
+        queue = deque([root])
+        unreached = {*targets} - {root}
+        while queue and unreached:
+            robot = queue.popleft()
+            for neighbor in sorted(self._links[robot]):
+                if neighbor not in parent:
+                    parent[neighbor] = robot
+                    unreached.discard(neighbor)
+                    queue.append(neighbor)
         tree: dict[int, list[int]] = {}
-        for target in sorted(targets & before.keys() - {root}):
-            here = target
-            while here != root and here not in tree.get(before[here], []):
-                tree.setdefault(before[here], []).append(here)
-                here = before[here]
+        for target in sorted(targets & parent.keys() - {root}):
+            robot = target
+            while robot != root and robot not in tree.get(parent[robot], []):
+                tree.setdefault(parent[robot], []).append(robot)
+                robot = parent[robot]
         return tree
 
     def _behind(self, robot: int, tree: Mapping[int, list[int]]) -> set[int]:
         """List a robot and all to which it passes a message on."""
-        found, queue = {robot}, [robot]
+        subtree = {robot}
+        queue = [robot]
         while queue:
-            after = tree.get(queue.pop(), [])
-            found.update(after)
-            queue += after
-        return found
+            children = tree.get(queue.pop(), [])
+            subtree.update(children)
+            queue += children
+        return subtree
 
     def _transmit(
         self,
@@ -310,39 +318,48 @@ class Channel:
         after: int = 0,
     ) -> None:
         """Let a robot pass a message on to those that follow in the tree, after silent rounds."""
-        behind = {other: self._behind(other, tree) for other in tree.get(sender, [])}
+        behind = {child: self._behind(child, tree) for child in tree.get(sender, [])}
+        if not behind:
+            return
         # By touch, each contact has a transmission of its own.
-        each = [behind] if self._is_radio else [{other: its} for other, its in behind.items()]
-        for next_ones in filter(None, each):
+        transmissions = [behind]
+        if not self._is_radio:
+            transmissions = [{child: subtree} for child, subtree in behind.items()]
+        for next_ones in transmissions:
             self._begin(_Hop(serial, message, sender, tree, next_ones), after)
 
     def _begin(self, hop: _Hop, after: int) -> None:
         """Let a transmission begin in the next round, after silent ones."""
-        self._later(after, lambda: self._air.append(hop))
+
+        def transmit() -> None:
+            self._air.append(hop)
+
+        self._later(after, transmit)
 
     def _deliver(self) -> None:
         """Let robots hear what is transmitted in a round; repeat what nobody acknowledged."""
-        hops, self._air = self._air, []
+        hops = self._air
+        self._air = []
         sent = [hop.transmitted() for hop in hops]
         sizes = [size for _, size in sent]
         heard = self._heard(hops, [self._in_reach(hop) for hop in hops], sizes)
         waited = [
-            [other for other in of_hop if other in hop.waited]
+            [listener for listener in of_hop if listener in hop.waited]
             for hop, of_hop in zip(hops, heard, strict=True)
         ]
         answered = self._heard(hops, waited, [])
         for k, (hop, (message, size)) in enumerate(zip(hops, sent, strict=True)):
             self.sent[hop.sender] += size
             self.messages[hop.sender] += 1
-            for other in heard[k]:
-                self.heard[other] += size
-                is_new = (hop.serial, other) not in self._had
-                if is_new and (self._reaches_all or other in hop.next):
-                    self._had.add((hop.serial, other))
-                    self._later(self._params.delay, partial(self._arrive, hop, other, message))
+            for listener in heard[k]:
+                self.heard[listener] += size
+                is_new = (hop.serial, listener) not in self._had
+                if is_new and (self._reaches_all or listener in hop.next):
+                    self._had.add((hop.serial, listener))
+                    self._later(self._params.delay, partial(self._arrive, hop, listener, message))
             # An acknowledgment may be lost, too: the message comes twice then, and counts twice.
-            for other in waited[k]:
-                self.sent[other] += ACKNOWLEDGMENT
+            for listener in waited[k]:
+                self.sent[listener] += ACKNOWLEDGMENT
             self.heard[hop.sender] += ACKNOWLEDGMENT * len(answered[k])
             hop.acknowledged.update(answered[k])
             hop.attempt += 1
@@ -354,7 +371,7 @@ class Channel:
         if not self._is_radio:
             return hop.waited
         if self._reaches_all:
-            return [other for other in range(len(self._links)) if other != hop.sender]
+            return [number for number in range(len(self._links)) if number != hop.sender]
         return sorted(self._links[hop.sender])
 
     def _heard(
@@ -367,18 +384,24 @@ class Channel:
             reached: By transmission, the robots that may hear it.
             sizes: Bytes of each; none of acknowledgments, which those robots send.
         """
-        of = np.repeat(np.arange(len(hops)), [len(each) for each in reached])
+        of = np.repeat(np.arange(len(hops)), [len(listeners) for listeners in reached])
         if not len(of):
             return [[] for _ in hops]
         serial, sender, attempt = np.array([(h.serial, h.sender, h.attempt) for h in hops])[of].T
-        listener = np.array([other for each in reached for other in each])
-        is_answer, seed = not sizes, self._params.seed
-        draw, key = 2 * attempt + is_answer, serial * MOST_ROBOTS
-        chance = uniform(seed, "loss", key + listener, draw)
-        own = uniform(seed, "slot", key + sender, draw)
-        size = np.full(len(of), ACKNOWLEDGMENT) if is_answer else np.array(sizes)[of]
-        ways = (listener, sender) if is_answer else (sender, listener)
-        heard = self._hears(self._round, *ways, size, chance, own, is_answer)
+        listener = np.array([number for listeners in reached for number in listeners])
+        is_answer = not sizes
+        seed = self._params.seed
+        draw = 2 * attempt + is_answer
+        key = serial * MOST_ROBOTS
+        loss_draw = uniform(seed, "loss", key + listener, draw)
+        slot_draw = uniform(seed, "slot", key + sender, draw)
+        ends = (sender, listener)
+        size = np.full(len(of), ACKNOWLEDGMENT)
+        if is_answer:
+            ends = (listener, sender)
+        else:
+            size[:] = np.array(sizes)[of]
+        heard = self._hears(self._round, *ends, size, loss_draw, slot_draw, is_answer)
         return [listener[heard & (of == k)].tolist() for k in range(len(hops))]
 
     def _arrive(self, hop: _Hop, robot: int, message: Message) -> None:

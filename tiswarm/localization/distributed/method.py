@@ -61,7 +61,7 @@ _OF_FORCE = 30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class SwarmSolution:
     """What N robots know of themselves, and what that took. Lengths in R, from the anchor."""
 
     position: Reals
@@ -89,29 +89,33 @@ class Found:
     """Why the search is not to be relied on."""
 
 
-def estimate_of(log: SensingLog, params: DistributedParams, found: Found) -> Estimate:
+def estimate_of(log: SensingLog, params: DistributedParams, solution: SwarmSolution) -> Estimate:
     """Make an estimate of what robots know, with the verdicts that their rows allow."""
-    position, unit = found.position, log.dock_radius
+    position = solution.position
+    unit = log.dock_radius
     problem = pose_problem(log, params)
-    sd = found.sd.copy()
-    sd[found.lost] = np.linalg.norm(position, axis=1).max(initial=0.0)
+    sd = solution.sd.copy()
+    sd[solution.lost] = np.linalg.norm(position, axis=1).max(initial=0.0)
     gap = problem.residual(position[None], np.zeros((1, len(position))))
-    is_guess = problem.untied | found.lost
-    verdicts = assess(log, params.cues, position, is_guess=is_guess, sd=sd)
-    robots, doubtful = len(found.doubtful), int(found.doubtful.sum())
+    is_guess = problem.untied | solution.lost
+    verdicts = assess(log, params.used_cues, position, is_guess=is_guess, sd=sd)
+    robots = len(solution.doubtful)
+    doubtful = int(solution.doubtful.sum())
     if robots > 1:
-        doubts = f"{doubtful} of {robots} robots doubt their positions"
-        verdicts = verdicts.doubted(doubts if doubtful else found.reason)
+        reason = solution.reason
+        if doubtful:
+            reason = f"{doubtful} of {robots} robots doubt their positions"
+        verdicts = verdicts.doubted(reason)
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit,
         **verdicts.fields(is_guess, unit),
-        iteration=np.array([found.steps]),
+        iteration=np.array([solution.steps]),
         trace=position[None] * unit,
-        at_join=found.at_join * unit,
+        at_join=solution.at_join * unit,
         residual=rms(gap) * unit,
-        doubtful=found.doubtful,
-        traffic=found.traffic,
+        doubtful=solution.doubtful,
+        traffic=solution.traffic,
     )
 
 
@@ -143,9 +147,10 @@ def localize(
     for line in lines:
         swarm.join(line)
         on_progress((line.robot + 1) / len(lines))
-    for _ in range(params.reviews if params.solver == "keeper" else 0):
-        swarm.review()
-    return estimate_of(log, params, swarm.found())
+    if params.solver == "keeper":
+        for _ in range(params.reviews):
+            swarm.review()
+    return estimate_of(log, params, swarm.solution())
 
 
 class PeerSwarm:
@@ -185,12 +190,12 @@ class PeerSwarm:
         """Let messages pass until no robot waits for an answer."""
         self.channel.settle()
         for _ in range(_MOST_TURNS):
-            waiting = [each for each in self.robots if each.waits]
+            waiting = [robot for robot in self.robots if robot.waits]
             if not waiting:
                 break
             # Nothing is under way, so no answer will come.
-            for each in waiting:
-                self._send(each, each.expire())
+            for robot in waiting:
+                self._send(robot, robot.expire())
             self.channel.settle()
         # Memory counts at its fullest.
         before = zip(self._memory, self.robots, strict=True)
@@ -200,8 +205,8 @@ class PeerSwarm:
     def positions(self) -> Reals:
         """Centers as each robot estimates its own, in join order [log unit], shape (n, 3)."""
         head = self._program.header
-        found: Reals = self._centers() * head.dock_radius + head.anchor_position
-        return found
+        positions: Reals = self._centers() * head.dock_radius + head.anchor_position
+        return positions
 
     @property
     def sent(self) -> Ints:
@@ -226,14 +231,14 @@ class PeerSwarm:
         centers = [np.zeros(3) if place is None else place.position for place in places]
         return np.array(centers).reshape(-1, 3)
 
-    def found(self) -> Found:
+    def solution(self) -> SwarmSolution:
         """Gather what each robot knows of itself."""
         robots = self.robots
         reason = "robots search near each other only, and many at once may be in a mirror image"
         if not self._program.params.chains:
             reason = "no robot annealed those near it, and any may be in a mirror image"
         operations = np.array([robot.operations for robot in robots])
-        return Found(
+        return SwarmSolution(
             position=self._centers(),
             at_join=np.array(self._at_join),
             sd=np.array([0.0 if robot.place is None else robot.place.sd for robot in robots]),
@@ -251,7 +256,7 @@ class PeerSwarm:
 def _without_ranges(line: RobotLine) -> RobotLine:
     """Leave out the ranges of a line, which robots then neither use nor send."""
     none = {"ranges": None}
-    stances = [each.model_copy(update=none) for each in line.stances or []]
+    stances = [stance.model_copy(update=none) for stance in line.stances or []]
     return line.model_copy(update={**none, "stances": stances or line.stances})
 
 
@@ -265,9 +270,11 @@ class PublishedSwarm:
         # The second version knows fixes, by which robots are where they were heard to be.
         head = header.model_copy(update={"version": 2})
         self._swarm_of = partial(places, head, params.published)
-        self._placed, self._unit = self._swarm_of(), header.dock_radius
-        self._params, self._lines = params, list[RobotLine]()
-        self._found: list[Reals] = []
+        self._placed = self._swarm_of()
+        self._unit = header.dock_radius
+        self._params = params
+        self._lines: list[RobotLine] = []
+        self._positions: list[Reals] = []
         self.channel = Channel(params, lambda _, message: message)
         self.heard: list[set[int]] = []
         """Robots whose poses each one heard as it joined."""
@@ -277,12 +284,12 @@ class PublishedSwarm:
         earlier = {*range(len(self._lines))}
         self.channel.join(reached(line, self._params))
         if self._params.misses_poses:
-            touching = {other for _, other, _ in line.contacts}
+            touching = {neighbor for _, neighbor, _ in line.contacts}
             self.heard.append(_hear_poses(self.channel, touching, self._params))
-            self._found.append(self._alone(line, {0, *self.heard[-1]} & earlier))
+            self._positions.append(self._alone(line, {0, *self.heard[-1]} & earlier))
         else:
             _send_poses(self.channel, self._params)
-            self._found.append(self._placed.join(line))
+            self._positions.append(self._placed.join(line))
         self._lines.append(line)
 
     def _alone(self, line: RobotLine, heard: set[int]) -> Reals:
@@ -290,15 +297,15 @@ class PublishedSwarm:
         swarm = self._swarm_of(capacity=len(heard) + 1)
         for number in sorted(heard):
             pose = self._lines[number].model_copy(update={**_OF_OTHERS, "contacts": []})
-            swarm.join(with_fix(pose, self._found[number], KNOWN_SD * self._unit))
-        contacts = [each for each in line.contacts if each[1] in heard]
-        found: Reals = swarm.join(line.model_copy(update={**_OF_OTHERS, "contacts": contacts}))
-        return found
+            swarm.join(with_fix(pose, self._positions[number], KNOWN_SD * self._unit))
+        contacts = [contact for contact in line.contacts if contact[1] in heard]
+        center: Reals = swarm.join(line.model_copy(update={**_OF_OTHERS, "contacts": contacts}))
+        return center
 
     @property
     def positions(self) -> Reals:
         """Estimated centers in join order [log unit], shape (n, 3)."""
-        return np.array(self._found).reshape(-1, 3)
+        return np.array(self._positions).reshape(-1, 3)
 
     @property
     def sent(self) -> Ints:
@@ -340,7 +347,8 @@ def _hear_poses(channel: Channel, touching: set[int], params: DistributedParams)
 
 def _send_poses(channel: Channel, params: DistributedParams) -> None:
     """Count the poses that robots send as the last one joins: all, or those that it reaches."""
-    pose, joiner = HEADER + pose_bytes(params.bits, with_orientation=True), len(channel.sent) - 1
+    pose = HEADER + pose_bytes(params.bits, with_orientation=True)
+    joiner = len(channel.sent) - 1
     if params.undocked_repulsion and params.poses != "asked":
         channel.broadcast(pose)
         return
@@ -367,7 +375,7 @@ def algorithm_1(
     if params.misses_poses:
         return _with_losses(log, head, lines, params)
     settings = params.published
-    [found] = methods.localize_batch([log], [settings])
+    [estimate] = methods.localize_batch([log], [settings])
     robots = log.robot_count
     channel = Channel(params, lambda _, message: message)
     pose = HEADER + pose_bytes(params.bits, with_orientation=True)
@@ -382,8 +390,8 @@ def algorithm_1(
     hears_all = params.undocked_repulsion and params.radio_reach is None
     heard_of = np.full(robots, robots) if hears_all else 1 + channel.degree
     memory = heard_of * (pose - HEADER)
-    traffic = channel.traffic(memory, _operations(log, settings, found.steps))
-    return replace(found, traffic=traffic)
+    traffic = channel.traffic(memory, _operations(log, settings, estimate.steps))
+    return replace(estimate, traffic=traffic)
 
 
 def _with_losses(
@@ -393,16 +401,18 @@ def _with_losses(
     swarm = PublishedSwarm(head, params)
     for line in lines:
         swarm.join(line)
-    settings, position = params.published, swarm.positions
+    settings = params.published
+    position = swarm.positions
     rows = measure(log, ["contacts", "anchors"])
-    untied, gap = disconnected(rows), rows.residual(position / log.dock_radius)
-    found = assess(log, settings.cues, position / log.dock_radius, is_guess=untied)
+    untied = disconnected(rows)
+    gap = rows.residual(position / log.dock_radius)
+    verdicts = assess(log, settings.used_cues, position / log.dock_radius, is_guess=untied)
     pose = pose_bytes(params.bits, with_orientation=True)
     memory = np.array([1 + len(heard) for heard in swarm.heard]) * pose
     return Estimate(
         robot_id=log.robot_id,
         position=position,
-        **found.fields(untied, log.dock_radius),
+        **verdicts.fields(untied, log.dock_radius),
         iteration=np.array([len(lines)]),
         trace=position[None],
         residual=rms(gap[None]) * log.dock_radius,
@@ -417,7 +427,9 @@ def _follows(rounds: BackPropagation, joined: int, robots: int) -> bool:
 
 def _operations(log: SensingLog, params: VirtualForceParams, steps: Ints | None) -> Reals:
     """Count the operations of each robot, shape (N,); for Eq. (2) it looks at all docks."""
-    taken = np.full(log.robot_count, params.iterations) if steps is None else steps
+    taken = steps
+    if taken is None:
+        taken = np.full(log.robot_count, params.iterations)
     docks = len(log.dock_offset_body)
     # Only robots that have joined before are heard.
     pairs = docks**2 * np.arange(log.robot_count) * params.undocked_repulsion

@@ -14,7 +14,7 @@ from tiswarm.base.sections import NameOf, SendsPlugins
 from tiswarm.localization.settings import (
     BackPropagation,
     ChiSquareParams,
-    DocksNamed,
+    CuesOfNamedDocks,
     VirtualForceParams,
 )
 
@@ -48,7 +48,7 @@ _OF_SCHEME = {
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class DistributedParams(DocksNamed, ChiSquareParams, SendsPlugins):  # type: ignore[misc]
+class DistributedParams(ChiSquareParams, SendsPlugins):
     """What robots send each other to find out where they are, and by which channel.
 
     A robot computes from its own rows and from what it was sent. By default several robots solve,
@@ -61,6 +61,9 @@ class DistributedParams(DocksNamed, ChiSquareParams, SendsPlugins):  # type: ign
 
     method: Literal["distributed"] = "distributed"
     """Name of the method."""
+
+    cues: CuesOfNamedDocks = CuesOfNamedDocks()
+    """Cues in use, each of them on or off; all contacts name their docks."""
 
     solve_yaw: Literal[False] = False
     """No bias of yaw is solved for."""
@@ -204,9 +207,9 @@ class DistributedParams(DocksNamed, ChiSquareParams, SendsPlugins):  # type: ign
         )
 
     @property
-    def cues(self) -> tuple[str, ...]:
+    def used_cues(self) -> tuple[str, ...]:
         """What of the log is used; Algorithm 1 knows fewer cues."""
-        return self.published.cues if self.scheme == "algorithm-1" else super().cues
+        return self.published.used_cues if self.scheme == "algorithm-1" else super().used_cues
 
     def seconds(self, robots: int) -> float:
         """Estimate the processor time of robots that localize themselves [s]."""

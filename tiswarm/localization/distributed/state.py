@@ -59,7 +59,10 @@ class PeerState:
         self.watchers: set[int] = set()
         """Robots that rely on hearing of it when this one moves."""
         self.hosted: tuple[int, bytes] | None = None
-        """The robot that another keeper may have to solve for, and its line."""
+        """The robot that another keeper may have to solve for, and its line.
+
+        It stays when that robot is placed: every `Full` that a host hears answers its last task.
+        """
         self.kept: set[int] = set()
         """Robots that this one solved for."""
         self.solved = 0

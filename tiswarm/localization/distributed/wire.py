@@ -56,8 +56,11 @@ _RANGE = 5
 _SD = 8
 """Bits of a standard deviation."""
 
-_LEAST_SD, _MOST_SD = 1e-3, 1e3
-"""Range of standard deviations, in logarithmic steps [R]."""
+_LEAST_SD = 1e-3
+"""Least standard deviation that is sent [R]; steps up to the greatest are logarithmic."""
+
+_MOST_SD = 1e3
+"""Greatest standard deviation that is sent [R]."""
 
 _MOST_TURN = 8.0
 """Range of turns [standard deviations]."""
@@ -106,7 +109,8 @@ class Writer:
     def __init__(self, bits: int | None) -> None:
         """Begin; each real number takes so many bits, and is exact if None."""
         self.bits = bits
-        self._value, self._length = 1, 0
+        self._value = 1
+        self._length = 0
 
     def number(self, value: int, bits: int) -> None:
         """Append a whole number of so many bits."""
@@ -142,17 +146,18 @@ class Reader:
     def __init__(self, content: bytes, bits: int | None) -> None:
         """Begin; each real number takes so many bits, and is exact if None."""
         self.bits = bits
-        self._value, self._left = int.from_bytes(content, "big"), 8 * len(content)
+        self._value = int.from_bytes(content, "big")
+        self._unread = 8 * len(content)  # bits
 
     def number(self, bits: int) -> int:
         """Take a whole number of so many bits."""
-        self._left -= bits
-        return self._value >> self._left & (1 << bits) - 1
+        self._unread -= bits
+        return self._value >> self._unread & (1 << bits) - 1
 
     @property
     def rest(self) -> bytes:
         """Bytes after the one that was read last."""
-        whole = self._left // 8
+        whole = self._unread // 8
         return (self._value & (1 << 8 * whole) - 1).to_bytes(whole, "big")
 
     def reals(self, count: int, limit: float, bits: int | None = None) -> Reals:
@@ -272,10 +277,11 @@ def write_shift(shift: JointShift, bits: int | None) -> bytes:
 def read_shift(content: bytes, bits: int | None) -> JointShift:
     """Read what `write_shift` wrote."""
     source = Reader(content, bits)
-    found = JointShift(source.number(NUMBER), source.lengths(AXES), read_numbers(source))
-    if not (body := _read_if(source)):
-        return found
-    return found._replace(body=body, joined=_read_if(source), sd=_read_sd(source))
+    shift = JointShift(source.number(NUMBER), source.lengths(AXES), read_numbers(source))
+    body = _read_if(source)
+    if not body:
+        return shift
+    return shift._replace(body=body, joined=_read_if(source), sd=_read_sd(source))
 
 
 def rounded(shift: Reals, bits: int | None) -> Reals:
@@ -339,10 +345,10 @@ def read_candidates(source: Reader) -> Reals:
 
 def write_numbers(to: Writer, numbers: Iterable[int]) -> None:
     """Append numbers of robots, fewer than 256."""
-    every = sorted(numbers)[-(2**COUNT - 1) :]
-    to.number(len(every), COUNT)
-    for each in every:
-        to.number(each, NUMBER)
+    written = sorted(numbers)[-(2**COUNT - 1) :]
+    to.number(len(written), COUNT)
+    for number in written:
+        to.number(number, NUMBER)
 
 
 def read_numbers(source: Reader) -> list[int]:
@@ -410,13 +416,13 @@ def _others(line: RobotLine) -> dict[str, object]:
     def lists(entry: RobotLine | StanceEntry) -> dict[str, object]:
         return {key: getattr(entry, key) for key in names if getattr(entry, key)}
 
-    found = lists(line)
+    entries = lists(line)
     if line.spawn_position is not None:
-        found["spawn_position"] = line.spawn_position
+        entries["spawn_position"] = line.spawn_position
     earlier = [lists(entry) for entry in line.stances or []]
     if any(earlier):
-        found["stances"] = earlier
-    return found
+        entries["stances"] = earlier
+    return entries
 
 
 def _dock_bits(docks: int) -> int:
@@ -445,15 +451,15 @@ def _write_stance(
         to.number(largest, 2)
         smaller = np.delete(parts * np.copysign(1.0, parts[largest]), largest)
         to.reals(smaller, _CORNER, _fewer(to.bits, _ANGLE))
-    own = sorted(entry.contacts)
-    for item in stays:
-        to.number(item in own, 1)
-    fresh = [item for item in own if item not in stays]
+    contacts = sorted(entry.contacts)
+    for contact in stays:
+        to.number(contact in contacts, 1)
+    fresh = [contact for contact in contacts if contact not in stays]
     to.number(len(fresh), COUNT)
-    for dock, other, its in fresh:
+    for dock, neighbor, neighbor_dock in fresh:
         to.number(dock, _dock_bits(docks))
-        to.number(other, NUMBER)
-        to.number(its, _dock_bits(docks))
+        to.number(neighbor, NUMBER)
+        to.number(neighbor_dock, _dock_bits(docks))
     ground = entry.ground_docks or []
     for dock in range(docks):
         to.number(dock in ground, 1)

@@ -21,7 +21,7 @@ from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture import CONVERGENCE
 from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.mixture.verdict import Evidence, extent, judge, misfit_by_robot, widened
-from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams
+from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams, Cues
 from tiswarm.measurements.model import Measurements, are_known
 from tiswarm.measurements.turns import Turns
 from tiswarm.records.estimate import MOST_WITHIN, Convergence
@@ -138,9 +138,9 @@ def assess(
         the minimum. Beyond `LARGE` robots the estimate itself is taken for it. Outliers are None
         unless noise explains that, and all other measurements.
     """
-    chosen = {cue: cue in cues for cue in SWITCHES}
+    chosen = Cues(**{cue: cue in cues for cue in SWITCHES})
     is_large = log.robot_count > LARGE
-    params = ChiSquareParams(**chosen, solve_yaw=yaw is not None or not is_large)
+    params = ChiSquareParams(cues=chosen, solve_yaw=yaw is not None or not is_large)
     problem = pose_problem(log, params)
     posed = Posed(log, params, problem)
     counts = ~is_guess[problem.rows.robot]

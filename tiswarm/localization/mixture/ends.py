@@ -43,7 +43,7 @@ class Posed:
             self.log,
             rows,
             yaw_precision=self.problem.yaw_precision,
-            non_overlap=non_overlap and self.params.non_overlap,
+            non_overlap=non_overlap and self.params.cues.non_overlap,
             moves=self.problem.moves,
             **options,
         )

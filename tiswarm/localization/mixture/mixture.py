@@ -297,7 +297,7 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
     best = minima[0]
     rows = fit.problem.rows.select(inlier).associated(best.configuration, best.yaw)
     further = (MIXTURE.tempered * fit.annealed.sigma) ** 2
-    parts = PartImages(fit.log, rows, further, non_overlap=fit.params.non_overlap)
+    parts = PartImages(fit.log, rows, further, non_overlap=fit.params.cues.non_overlap)
     accepted = list(minima)
     tried_places = [solution.configuration for solution in minima]
     waiting: list[tuple[float, int, Reals, Reals]] = []

@@ -8,7 +8,7 @@ one value while its robot flips is an outlier without a search. Lengths in R.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,6 +24,7 @@ from tiswarm.localization.mixture import OUTLIER_ROBOTS
 from tiswarm.localization.mixture.ends import Fit, Posed
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.verdict import gains_without, widened
+from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.odometry import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted
@@ -69,7 +70,8 @@ def without_outlier_robots(fit: Fit, estimate: Estimate) -> Estimate:
     if trial is None:
         return estimate
     posed = trial.posed
-    chains = anneal([posed.log], [posed.params], [posed.problem])[0]
+    params = cast("JointParams", posed.params)  # a fit is of chains
+    chains = anneal([posed.log], [params], [posed.problem])[0]
     again = mixed(Fit.of(posed, trial.annealed.joined(chains)))
     before = estimate.convergence
     after = again.convergence

@@ -17,7 +17,7 @@ from tiswarm.compute.lang import (
     Reals3,
     Ref,
     ti,
-)  # fmt: skip
+)
 from tiswarm.compute.math_kernels import part_at, vector_at, vector_in
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.online.settings import CANDIDATES
@@ -62,7 +62,7 @@ class RowValue(Columns):
     TAIL = 3
     """Part of this arm that the final orientation turns [R]."""
 
-    OTHER_ARM = 3
+    NEIGHBOR_ARM = 3
     """From the center of the other robot to its dock [R]."""
 
     VALUE = 1
@@ -177,11 +177,13 @@ loss_beyond = ti.func(equations.loss_beyond)
 def undone(arm, turn):
     """Turn an arm by the rotation vector `-turn`."""
     square = turn.norm_sqr()
-    sine, cosine = 1.0 - square / 6.0, 0.5 - square / 24.0
+    sine = 1.0 - square / 6.0
+    cosine = 0.5 - square / 24.0
     if square > _SMALL:
         angle = ti.sqrt(square)
         # Rodrigues' formula, divided by the angle so that no axis has to be found.
-        sine, cosine = ti.sin(angle) / angle, (1.0 - ti.cos(angle)) / square
+        sine = ti.sin(angle) / angle
+        cosine = (1.0 - ti.cos(angle)) / square
     across = turn.cross(arm)
     return arm - sine * across + cosine * turn.cross(across)
 
@@ -201,15 +203,18 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
     """
     e = table.block[b, BlockStart.ROW] + a
     kind = table.number[e, RowLabel.KIND]
-    own = table.member[table.block[b, BlockStart.MEMBERS]]
-    tail = undone(part_at(table.real, e, RowValue.TAIL), turn_of(own, robots))
+    robot = table.member[table.block[b, BlockStart.MEMBERS]]
+    tail = undone(part_at(table.real, e, RowValue.TAIL), turn_of(robot, robots))
     point = at + part_at(table.real, e, RowValue.ARM) + tail - part_at(table.real, e, RowValue.TAIL)
-    its = ti.Vector([0.0, 0.0, 0.0])
-    axis, value = part_at(table.real, e, RowValue.AXIS), table.real[e, RowValue.VALUE]
+    neighbor_arm = ti.Vector([0.0, 0.0, 0.0])
+    axis = part_at(table.real, e, RowValue.AXIS)
+    value = table.real[e, RowValue.VALUE]
     if kind != COORDINATE:
-        other = table.member[table.block[b, BlockStart.MEMBERS] + table.number[e, RowLabel.MEMBER]]
-        its = undone(part_at(table.real, e, RowValue.OTHER_ARM), turn_of(other, robots))
-        point -= part_at(robots.state, other, RobotState.POSITION) + its
+        member = table.block[b, BlockStart.MEMBERS] + table.number[e, RowLabel.MEMBER]
+        neighbor = table.member[member]
+        sensed_arm = part_at(table.real, e, RowValue.NEIGHBOR_ARM)
+        neighbor_arm = undone(sensed_arm, turn_of(neighbor, robots))
+        point -= part_at(robots.state, neighbor, RobotState.POSITION) + neighbor_arm
     residual = missed_along(point, axis, value)
     if kind < OFFSET:
         # A distance measures along the line between its ends, which moves with the robots.
@@ -219,7 +224,7 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
         scratch.row[a, RowState.DIRECTION + c] = axis[c]
     scratch.row[a, RowState.RESIDUAL] = residual
     scratch.row[a, RowState.WIDENED] = table.real[e, RowValue.OWN_VARIANCE]
-    return tail, its
+    return tail, neighbor_arm
 
 
 @ti.func
@@ -262,12 +267,12 @@ def factor_covariance(b, noise: Ref, table: Ref, scratch: Ref):
         way = part_at(scratch.row, a, RowState.DIRECTION)
         for k in range(a + 1):
             # d N e, less the part that earlier columns of the factor explain.
-            its = part_at(scratch.row, k, RowState.DIRECTION)
+            way_k = part_at(scratch.row, k, RowState.DIRECTION)
             total = 0.0
             for c in ti.static(range(AXES)):
-                here = start + ((AXES * a + c) * rows + k) * AXES
-                through = ti.Vector([noise[here], noise[here + 1], noise[here + 2]])
-                total += way[c] * through.dot(its)
+                n = start + ((AXES * a + c) * rows + k) * AXES
+                through = ti.Vector([noise[n], noise[n + 1], noise[n + 2]])
+                total += way[c] * through.dot(way_k)
             if a == k:
                 total += scratch.row[a, RowState.WIDENED]
             for c in range(k):
@@ -289,7 +294,7 @@ def whiten(u, rows, scratch: Ref):
 
 
 @ti.func
-def overlap_of(robot, dock, other, its, apart, robots: Ref):
+def overlap_of(robot, dock, neighbor, neighbor_dock, apart, robots: Ref):
     """How far docks that are apart by a vector reach into each other [R]; 0 if they touch.
 
     Docks in contact are nearer than D as often as farther.
@@ -297,11 +302,17 @@ def overlap_of(robot, dock, other, its, apart, robots: Ref):
     deep = -missed_distance(apart, SPACING, 1)[0]
     if deep > 0.0:
         # The later robot lists a contact.
-        later, first, earlier, second = robot, dock, other, its
-        if robot < other:
-            later, first, earlier, second = other, its, robot, dock
+        later = robot
+        later_dock = dock
+        earlier = neighbor
+        earlier_dock = neighbor_dock
+        if robot < neighbor:
+            later = neighbor
+            later_dock = neighbor_dock
+            earlier = robot
+            earlier_dock = dock
         for t in range(robots.touch_start[later], robots.touch_start[later + 1]):
-            is_dock = robots.touch[t, 0] == first and robots.touch[t, 2] == second
+            is_dock = robots.touch[t, 0] == later_dock and robots.touch[t, 2] == earlier_dock
             if is_dock and robots.touch[t, 1] == earlier:
                 deep = 0.0
     return deep
@@ -364,25 +375,29 @@ def _store_turns(u, a, robot, way, arm, robots: Ref, scratch: Ref):
 
 
 @ti.func
-def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, scratch: Ref):
+def _fill_values(
+    b, a, values, tail, neighbor_arm, table: Ref, robots: Ref, column: Ref, scratch: Ref
+):
     """Write the derivatives of row a of block b, and its residual."""
     for u in range(values):
         scratch.value[u, a] = 0.0
-    e, start = table.block[b, BlockStart.ROW] + a, table.block[b, BlockStart.MEMBERS]
-    way, own = part_at(scratch.row, a, RowState.DIRECTION), table.member[start]
+    e = table.block[b, BlockStart.ROW] + a
+    start = table.block[b, BlockStart.MEMBERS]
+    way = part_at(scratch.row, a, RowState.DIRECTION)
+    robot = table.member[start]
     slot = _slot_of(b, 0, table, column)
     if slot >= 0:
         _store(slot, a, way, scratch)
-        _store_turns(slot + AXES, a, own, way, tail, robots, scratch)
+        _store_turns(slot + AXES, a, robot, way, tail, robots, scratch)
     # Two robots that stay share their error, as far as both have it.
-    stays = robots.state[own, RobotState.STAYS]
+    stays = robots.state[robot, RobotState.STAYS]
     if table.number[e, RowLabel.KIND] != COORDINATE:
-        other = table.member[start + table.number[e, RowLabel.MEMBER]]
+        neighbor = table.member[start + table.number[e, RowLabel.MEMBER]]
         slot = _slot_of(b, table.number[e, RowLabel.MEMBER], table, column)
         if slot >= 0:
             _store(slot, a, -way, scratch)
-            _store_turns(slot + AXES, a, other, -way, its, robots, scratch)
-        stays -= robots.state[other, RobotState.STAYS]
+            _store_turns(slot + AXES, a, neighbor, -way, neighbor_arm, robots, scratch)
+        stays -= robots.state[neighbor, RobotState.STAYS]
     _store(values - _SHARED - 1, a, stays * way, scratch)
     scratch.value[values - 1, a] = scratch.row[a, RowState.RESIDUAL]
 
@@ -399,7 +414,8 @@ def _add_products(rows, values, scratch: Ref, total_out: Ref):
                     total[k] += scratch.value[u, a] * scratch.value[ti.min(4 * part + k, u), a]
             for k in ti.static(range(4)):
                 if 4 * part + k <= u:
-                    first, second = scratch.place[u], scratch.place[4 * part + k]
+                    first = scratch.place[u]
+                    second = scratch.place[4 * part + k]
                     total_out[ti.max(first, second), ti.min(first, second)] += total[k]
 
 
@@ -418,14 +434,24 @@ def _fill_side(used, robot, pull, arm, moving, robots: Ref, column: Ref, scratch
 
 
 @ti.func
-def _add_overlap(robot, other, arm, its, apart, moving, robots: Ref, column: Ref,
-                 scratch: Ref, total_out: Ref):  # fmt: skip
+def _add_overlap(
+    robot,
+    neighbor,
+    arm,
+    neighbor_arm,
+    apart,
+    moving,
+    robots: Ref,
+    column: Ref,
+    scratch: Ref,
+    total_out: Ref,
+):
     """Add the overlap of two docks at the ends of arms that are apart by a vector."""
     missed, slope = missed_distance(apart, SPACING, 1)
     way = slope * apart / OVERLAP_SD
     used = _fill_side(0, robot, way, arm, moving, robots, column, scratch)
-    used = _fill_side(used, other, -way, its, moving, robots, column, scratch)
-    stays = robots.state[robot, RobotState.STAYS] - robots.state[other, RobotState.STAYS]
+    used = _fill_side(used, neighbor, -way, neighbor_arm, moving, robots, column, scratch)
+    stays = robots.state[robot, RobotState.STAYS] - robots.state[neighbor, RobotState.STAYS]
     _store(used, 0, stays * way, scratch)
     scratch.value[used + _SHARED, 0] = missed / OVERLAP_SD
     for c in range(_SHARED + 1):
@@ -441,21 +467,39 @@ def _note_overlap(k, deep, overlap_out: Ref):
 
 
 @ti.func
-def _add_overlaps(robot, other, moving, robots: Ref, column: Ref, scratch: Ref, total_out: Ref,
-                  overlap_out: Ref):  # fmt: skip
+def _add_overlaps(
+    robot,
+    neighbor,
+    moving,
+    robots: Ref,
+    column: Ref,
+    scratch: Ref,
+    total_out: Ref,
+    overlap_out: Ref,
+):
     """Add the overlaps of docks of two robots that do not touch."""
-    between = center_of(robot, robots) - center_of(other, robots)
+    between = center_of(robot, robots) - center_of(neighbor, robots)
     for dock in range(robots.arm.shape[1]):
         arm = dock_arm(robot, dock, robots)
-        for its in range(robots.arm.shape[1]):
-            other_arm = dock_arm(other, its, robots)
-            apart = between + arm - other_arm
-            deep = overlap_of(robot, dock, other, its, apart, robots)
+        for neighbor_dock in range(robots.arm.shape[1]):
+            neighbor_arm = dock_arm(neighbor, neighbor_dock, robots)
+            apart = between + arm - neighbor_arm
+            deep = overlap_of(robot, dock, neighbor, neighbor_dock, apart, robots)
             if deep > 0.0 and deep < SPACING:
-                _add_overlap(robot, other, arm, other_arm, apart, moving, robots, column,
-                             scratch, total_out)  # fmt: skip
+                _add_overlap(
+                    robot,
+                    neighbor,
+                    arm,
+                    neighbor_arm,
+                    apart,
+                    moving,
+                    robots,
+                    column,
+                    scratch,
+                    total_out,
+                )
                 _note_overlap(column[robot], deep, overlap_out)
-                _note_overlap(column[other], deep, overlap_out)
+                _note_overlap(column[neighbor], deep, overlap_out)
 
 
 @ti.kernel
@@ -486,15 +530,16 @@ def sum_equations(
     scratch = ti.static(Scratch(covariance, row, value, place))
     ti.loop_config(serialize=True)
     for b in range(block.shape[0] - 1):
-        moving, blocks = mover.shape[0], block.shape[0] - 1
+        moving = mover.shape[0]
+        blocks = block.shape[0] - 1
         if b == 0:
             square_out[blocks] = 0.0
         rows = block[b + 1, BlockStart.ROW] - block[b, BlockStart.ROW]
         at = center_of(member[block[b, BlockStart.MEMBERS]], robots)
         values = _number_places(b, moving, table, column, scratch)
         for a in range(rows):
-            tail, its = measure_row(b, a, at, table, robots, scratch)
-            _fill_values(b, a, values, tail, its, table, robots, column, scratch)
+            tail, neighbor_arm = measure_row(b, a, at, table, robots, scratch)
+            _fill_values(b, a, values, tail, neighbor_arm, table, robots, column, scratch)
         excess = 0.0
         if robust_square > 0.0:
             excess = give_way(b, robust_square, table, scratch)
@@ -510,16 +555,18 @@ def sum_equations(
     ti.loop_config(serialize=True)
     for k in range(mover.shape[0] * non_overlap):
         robot = mover[k]
-        here = center_of(robot, robots)
-        for other in range(state.shape[0]):
+        center = center_of(robot, robots)
+        moving = mover.shape[0]
+        for neighbor in range(state.shape[0]):
             # A pair that may both move is listed once.
-            is_listed = other != robot and (other < robot or column[other] < 0)
+            is_listed = neighbor != robot and (neighbor < robot or column[neighbor] < 0)
             # Docks of robots that have left are in nobody's way.
-            gone = state[robot, RobotState.GONE] + state[other, RobotState.GONE]
+            gone = state[robot, RobotState.GONE] + state[neighbor, RobotState.GONE]
             is_listed = is_listed and gone == 0.0
-            if is_listed and (here - center_of(other, robots)).norm_sqr() < reach * reach:
-                _add_overlaps(robot, other, mover.shape[0], robots, column, scratch, total_out,
-                              overlap_out)  # fmt: skip
+            if is_listed and (center - center_of(neighbor, robots)).norm_sqr() < reach * reach:
+                _add_overlaps(
+                    robot, neighbor, moving, robots, column, scratch, total_out, overlap_out
+                )
 
 
 @ti.func
@@ -543,14 +590,14 @@ def _sum_at(at, noise: Ref, table: Ref, robots: Ref, scratch: Ref, total_out: Re
 @ti.func
 def _step(total: Ref):
     """Solve for the damped step to the minimum [R]."""
-    known = ti.Matrix.zero(ti.f64, AXES, AXES)
+    information = ti.Matrix.zero(ti.f64, AXES, AXES)
     slope = ti.Vector([0.0, 0.0, 0.0])
     for u in ti.static(range(AXES)):
         for v in ti.static(range(AXES)):
-            known[u, v] = total[max(u, v), min(u, v)]
-        known[u, u] += CANDIDATES.damping
+            information[u, v] = total[max(u, v), min(u, v)]
+        information[u, u] += CANDIDATES.damping
         slope[u] = total[AXES, u]
-    return -(known.inverse() @ slope)
+    return -(information.inverse() @ slope)
 
 
 @ti.func
@@ -558,31 +605,32 @@ def _merged(count, place_out: Ref):
     """Keep the first of places that are close to each other; return how many these are."""
     kept = 0
     for n in range(count):
-        here = vector_at(place_out, n)
+        candidate = vector_at(place_out, n)
         is_new = True
         for k in range(kept):
-            if (here - vector_at(place_out, k)).norm() < CANDIDATES.alike:
+            if (candidate - vector_at(place_out, k)).norm() < CANDIDATES.merge_distance:
                 is_new = False
         if is_new:
             for c in ti.static(range(AXES)):
-                place_out[kept, c] = here[c]
+                place_out[kept, c] = candidate[c]
             kept += 1
     return kept
 
 
 @ti.func
-def _overlaps_at(at, own, reach, robots: Ref):
-    """Sum the squares of overlaps of robot `own` at a place, in variances."""
+def _overlaps_at(at, robot, reach, robots: Ref):
+    """Sum the squares of overlaps of a robot at a place, in variances."""
     total = 0.0
-    for other in range(robots.state.shape[0]):
-        between = at - center_of(other, robots)
-        is_there = other != own and robots.state[other, RobotState.GONE] == 0.0
-        if is_there and between.norm_sqr() < reach * reach:
-            for its in range(robots.arm.shape[1]):
-                apart = between - dock_arm(other, its, robots)
+    for neighbor in range(robots.state.shape[0]):
+        between = at - center_of(neighbor, robots)
+        is_present = neighbor != robot and robots.state[neighbor, RobotState.GONE] == 0.0
+        if is_present and between.norm_sqr() < reach * reach:
+            for neighbor_dock in range(robots.arm.shape[1]):
+                apart = between - dock_arm(neighbor, neighbor_dock, robots)
                 for dock in range(robots.arm.shape[1]):
-                    away = apart + dock_arm(own, dock, robots)
-                    total += (overlap_of(own, dock, other, its, away, robots) / OVERLAP_SD) ** 2
+                    away = apart + dock_arm(robot, dock, robots)
+                    deep = overlap_of(robot, dock, neighbor, neighbor_dock, away, robots)
+                    total += (deep / OVERLAP_SD) ** 2
     return total
 
 
@@ -609,8 +657,10 @@ def descend(
     scratch = ti.static(Scratch(covariance, row, value, place))
     ti.loop_config(serialize=True)
     for once in range(1):
-        own, count = member[once], place_out.shape[0]
-        taken, farthest = 0, CANDIDATES.settled
+        robot = member[once]
+        count = place_out.shape[0]
+        taken = 0
+        farthest = CANDIDATES.settled
         while taken < CANDIDATES.rounds and farthest >= CANDIDATES.settled:
             farthest = 0.0
             # Each start goes on by itself: a merge drops starts, and moves none.
@@ -633,5 +683,5 @@ def descend(
             _sum_at(at, noise, table, robots, scratch, total_out)
             cost_out[n] = total_out[AXES, AXES]
             if non_overlap:
-                cost_out[n] += _overlaps_at(at, own, reach, robots)
+                cost_out[n] += _overlaps_at(at, robot, reach, robots)
         count_out[0] = count

@@ -61,8 +61,8 @@ def measured(log: SensingLog, members: Ints, params: ChiSquareParams) -> Joiner:
     """
     log = centered(log)
     rows, _ = chosen_rows(log, params, Odometry(log))
-    earlier, its, _, own = log.contacts.T.tolist()
-    touching = {*zip(own, members[earlier].tolist(), its, strict=True)}
+    earlier, earlier_dock, _, dock = log.contacts.T.tolist()
+    touching = {*zip(dock, members[earlier].tolist(), earlier_dock, strict=True)}
     return Joiner(block_of(rows, members), touching)
 
 
@@ -97,7 +97,8 @@ class LocalLayers:
 
     def append(self, robot: Joiner) -> None:
         """Make room for a robot that is nowhere yet."""
-        number, (block, touching) = len(self.blocks), robot
+        number = len(self.blocks)
+        block, touching = robot
         self.blocks.append(block)
         self._touching.append(touching)
         self._sharing.append(set())
@@ -106,20 +107,25 @@ class LocalLayers:
             self._sharing[partner].add(number)
             self._sharing[number].add(partner)
         zero = np.zeros((1, AXES))
-        self.state = State(*(np.concatenate([each, zero]) for each in self.state[:2]))
+        self.state = State(
+            np.concatenate([self.state.position, zero]),
+            np.concatenate([self.state.turn, zero]),
+        )
         self.shift = np.concatenate([self.shift, zero])
         self.sd = np.append(self.sd, 0.0)
         self._shapes = self._shapes.with_robot(block.arm, block.turn_sd, touching)
 
     def with_other(self, robots: Mapping[int, Joiner]) -> "LocalLayers":
         """Return layers in which some robots sensed something else; all are where they were."""
-        found = LocalLayers(self._shapes.arm.shape[1], self._params)
+        layers = LocalLayers(self._shapes.arm.shape[1], self._params)
         for number, before in enumerate(map(Joiner, self.blocks, self._touching)):
-            found.append(robots.get(number, before))
-        found.places, found.state = self.places, self.state
-        found.shift, found.sd = self.shift, self.sd
-        found.gone.update(self.gone)
-        return found
+            layers.append(robots.get(number, before))
+        layers.places = self.places
+        layers.state = self.state
+        layers.shift = self.shift
+        layers.sd = self.sd
+        layers.gone.update(self.gone)
+        return layers
 
     def place(self, number: int) -> Reals:
         """Find the likely places of a robot that joined.
@@ -127,14 +133,15 @@ class LocalLayers:
         Without partners it is where its coordinates say, or if these leave that open, where the
         last one is.
         """
-        block, position = self.blocks[number], self.state.position
+        block = self.blocks[number]
+        position = self.state.position
         if not len(block.rows.other):
             return _by_coordinates(block, position[number - 1])[None]
-        found, cost = candidates(
-            block, self.state, self._shapes, non_overlap=self._params.non_overlap
+        places, cost = candidates(
+            block, self.state, self._shapes, non_overlap=self._params.cues.non_overlap
         )
-        self.places[number] = found - position[block.partners].mean(axis=0)
-        likely: Reals = found[cost <= cost[0] + CANDIDATES.likely]
+        self.places[number] = places - position[block.partners].mean(axis=0)
+        likely: Reals = places[cost <= cost[0] + CANDIDATES.likely]
         return likely
 
     def solve_near(self, number: int, places: Reals | None = None) -> bool:
@@ -145,11 +152,14 @@ class LocalLayers:
             places: Where it may be [R], shape (k, 3); where it is if None. The state is that of the
                 likeliest one, and what is reported is the mean.
         """
-        near, is_new = self.near(number, NEIGHBORS.most), places is not None
-        position, turn = self.state[:2]
+        near = self.near(number, NEIGHBORS.most)
+        position = self.state.position
+        turn = self.state.turn
         # Each solution has an array of its own: the best one may be where steps begin.
-        starts = np.tile(position, (len(places) if places is not None else 1, 1, 1))
-        if places is not None:
+        if places is None:
+            starts = position[None].copy()
+        else:
+            starts = np.tile(position, (len(places), 1, 1))
             starts[:, number] = places
         self.state = State(starts[0], turn)
         if not self.blocks_about(near):  # nothing says where it is
@@ -157,20 +167,21 @@ class LocalLayers:
             return False
         problem = self.neighborhood(near)
         # Robots nearby may give way to one place more than to another.
-        found = [problem.refine(State(start, turn)) for start in starts]
-        state, linear, weight = self._weighed(found, number)
-        spread = 0.0
-        if surprised := self._is_surprise(problem, linear, number):
+        minima = [problem.refine(State(start, turn)) for start in starts]
+        state, linear, weight = self._weighed(minima, number)
+        between_variance = 0.0
+        surprised = self._is_surprise(problem, linear, number)
+        if surprised:
             state, linear = self._exchanged(problem, state, linear, number)
             surprised = self._is_surprise(problem, linear, number)
-        elif is_new:
-            at = np.array([each.position[number] for each, _ in found])
-            mean, square = moments(weight, at)
+        elif places is not None:
+            centers = np.array([minimum.position[number] for minimum, _ in minima])
+            mean, square = moments(weight, centers)
             self.shift[number] = mean - state.position[number]
-            spread = float(square)
+            between_variance = float(square)
         self.state = state
-        self._revise_means(near, linear.sd(), number, is_new=is_new)
-        self.sd[number] = np.hypot(self.sd[number], np.sqrt(spread))
+        self._revise_means(near, linear.sd(), number, is_new=places is not None)
+        self.sd[number] = np.hypot(self.sd[number], np.sqrt(between_variance))
         return surprised
 
     def loose_near(self, number: int) -> Ints:
@@ -190,15 +201,18 @@ class LocalLayers:
             number: The robot.
             loose: Robots near it that may turn, ascending, shape (k,).
         """
-        position, near = self.state.position, self.near(number, NEIGHBORS.most)
-        if not (turns := turns_at(rows, position, loose)):
+        position = self.state.position
+        near = self.near(number, NEIGHBORS.most)
+        turns = turns_at(rows, position, loose)
+        if not turns:
             return
         square = turns.off(position, self.mean)[near]
         held = turns.motions(position).reshape(len(position), AXES, -1)[near]
         far = np.repeat(extent(self.mean)[near], AXES)
         linear = self.neighborhood(near).linearized(self.state)
-        own = linear.sd(far**-2.0, held.reshape(len(far), -1))
-        self.sd[near] = np.where(square > 0.0, np.sqrt(square + own**2), self.sd[near])
+        sd_without_turns = linear.sd(far**-2.0, held.reshape(len(far), -1))
+        turned_sd = np.sqrt(square + sd_without_turns**2)
+        self.sd[near] = np.where(square > 0.0, turned_sd, self.sd[near])
 
     def _revise_means(self, near: Ints, sd: Reals, number: int, *, is_new: bool) -> None:
         """Set the sd of robots nearby, and shift means as far as likely states still differ."""
@@ -233,7 +247,7 @@ class LocalLayers:
             self.sd,
             shapes=self._shapes,
             robust_sd=ROBUST_SD if self._params.robust else None,
-            non_overlap=self._params.non_overlap,
+            non_overlap=self._params.cues.non_overlap,
         )
 
     def near(self, number: int, most: int | None = None) -> Ints:
@@ -243,7 +257,8 @@ class LocalLayers:
             number: The robot.
             most: Number of robots at most; as many as there are if None.
         """
-        near, ring = {number: None}, [number]
+        near: dict[int, None] = {number: None}
+        ring = [number]
         for _ in range(2):
             further = self.with_partners(ring) - near.keys()
             # If not all may move, those nearest in steps do.
@@ -257,15 +272,16 @@ class LocalLayers:
         return chosen.union(*(self._sharing[robot] for robot in chosen))
 
     def _weighed(
-        self, found: list[tuple[State, NearLinear]], number: int
+        self, minima: list[tuple[State, NearLinear]], number: int
     ) -> tuple[State, NearLinear, Reals]:
         """Choose the likeliest of the places of a robot, and weigh all, shape (k,)."""
         block = self.blocks[number]
-        score = np.zeros(len(found))
-        if len(found) > 1:
-            for k, (state, linear) in enumerate(found):
+        score = np.zeros(len(minima))
+        if len(minima) > 1:
+            for k, (state, linear) in enumerate(minima):
                 score[k] = linear.cost - extension(block, state, state.position[number, None])[0]
-        return *found[int(score.argmin())], boltzmann_weights(score)
+        state, linear = minima[int(score.argmin())]
+        return state, linear, boltzmann_weights(score)
 
     def blocks_about(self, robots: Ints) -> list[Block]:
         """List the blocks with rows about some robots."""
@@ -277,7 +293,8 @@ class LocalLayers:
 
     def _is_surprise(self, problem: NearCost, linear: NearLinear, number: int) -> bool:
         """Judge whether chance explains the rows and the overlaps of a robot."""
-        if not (rows := len(self.blocks[number])):
+        rows = len(self.blocks[number])
+        if not rows:
             return False
         square, overlap = problem.missed(linear, number)
         chance = rows + NEIGHBORS.surprise_sd * (chi_square_sd(rows) + 1.0)
@@ -295,14 +312,17 @@ class LocalLayers:
             for place in self.places[robot]:
                 if tried == NEIGHBORS.tried:
                     return state, linear
-                position, turn = state.position.copy(), state.turn.copy()
+                position = state.position.copy()
+                turn = state.turn.copy()
                 if np.linalg.norm(touched + place - position[robot]) < SPACING / 2.0:
                     continue
-                position[robot], turn[robot] = touched + place, 0.0
-                other, there = problem.refine(State(position, turn))
+                position[robot] = touched + place
+                turn[robot] = 0.0
+                trial, trial_linear = problem.refine(State(position, turn))
                 tried += 1
-                if there.cost < linear.cost - NEIGHBORS.gain:
-                    state, linear = other, there
+                if trial_linear.cost < linear.cost - NEIGHBORS.gain:
+                    state = trial
+                    linear = trial_linear
                     # The mean was that of places which have lost.
                     self.shift[robot] = 0.0
                     break
@@ -342,7 +362,7 @@ def refuse_line(line: RobotLine) -> None:
     if line.orientation_wxyz is None:
         problem = "null follows from the lines of later robots, too; choose method joint"
         raise InputError(problem, key="orientation_wxyz")
-    for key in {cue.key for cue in CUES if cue.unless_found}:
+    for key in {cue.key for cue in CUES if not cue.names_docks}:
         if any(getattr(entry, key) for entry in (line, *(line.stances or []))):
             remedy = f"leave {key} out, or choose joint"
             raise InputError(f"online cannot find docks that are unknown; {remedy}", key=key)

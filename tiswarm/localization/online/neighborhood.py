@@ -164,7 +164,7 @@ class Block:
 
     def with_final_noise(self) -> Reals:
         """Return `noise` with that of the robot's final orientation, shape (m, 3, m, 3)."""
-        tail = self.real[:, RowValue.TAIL : RowValue.OTHER_ARM]
+        tail = self.real[:, RowValue.TAIL : RowValue.NEIGHBOR_ARM]
         return self.noise + _products(_turns(tail, self.turn_sd)[:, :, None])
 
 
@@ -176,7 +176,8 @@ def block_of(rows: Measurements, members: Ints) -> Block:
             origin.
         members: Index of each robot in the whole structure, shape (M,).
     """
-    odometry, last = rows.odometry, rows.robots - 1
+    odometry = rows.odometry
+    last = rows.robots - 1
     # Where other robots were measured to be is in the blocks of their own.
     rows = rows.select((rows.robot == last) & (rows.robot > 0))
     row, stance, part = rows.noisy_arms()[0]
@@ -185,7 +186,9 @@ def block_of(rows: Measurements, members: Ints) -> Block:
     tail = np.zeros((len(rows), AXES))
     tail[row[is_final]] = part[is_final]
     sd = odometry.turn_sd[:, [0, 0, 1]]
-    row, stance, part = row[~is_final], stance[~is_final], part[~is_final]
+    row = row[~is_final]
+    stance = stance[~is_final]
+    part = part[~is_final]
     # Three columns for each earlier stance, whose turn is in all rows sensed before it.
     which, column = np.unique(stance, return_inverse=True)
     turns = np.zeros((len(rows), AXES, len(which), AXES))
@@ -206,24 +209,32 @@ def block_of(rows: Measurements, members: Ints) -> Block:
 
 def _columns(rows: Measurements, place: Ints, tail: Reals) -> tuple[NDArray[np.int32], Reals]:
     """Write rows as `Table` has them; the other robot of each pair has a place among partners."""
-    d, o, p = rows.distances, rows.offsets, rows.places
-    offsets, every = len(o.stance), np.arange(len(rows))
-    kind = np.repeat([DISTANCE, OFFSET, COORDINATE], [len(d.stance), offsets, len(p.stance)])
-    kind[: len(d.stance)] = np.where(d.is_hinge, HINGE, DISTANCE)
+    distances = len(rows.distances.stance)
+    offsets = len(rows.offsets.stance)
+    coordinates = len(rows.places.stance)
+    row_number = np.arange(len(rows))
+    kind = np.repeat([DISTANCE, OFFSET, COORDINATE], [distances, offsets, coordinates])
+    kind[:distances] = np.where(rows.distances.is_hinge, HINGE, DISTANCE)
     # The three rows of a vector are one measurement.
-    part = np.where(kind == OFFSET, (every - len(d.stance)) % AXES, 0)
-    alone = np.zeros((len(p.stance), AXES))
+    part = np.where(kind == OFFSET, (row_number - distances) % AXES, 0)
+    no_arm = np.zeros((coordinates, AXES))
     number = RowLabel.pack(
         KIND=kind,
-        MEMBER=np.concatenate([1 + place, alone[:, 0].astype(np.int64)]),
-        FIRST=every - part,
+        MEMBER=np.concatenate([1 + place, np.zeros(coordinates, np.int64)]),
+        FIRST=row_number - part,
     ).astype(np.int32)
     real = RowValue.pack(
-        AXIS=np.concatenate([np.zeros((len(d.stance), AXES)), o.axis, p.direction]),
+        AXIS=np.concatenate(
+            [
+                np.zeros((distances, AXES)),
+                rows.offsets.axis,
+                rows.places.direction,
+            ]
+        ),
         ARM=rows.arm,
         TAIL=tail,
-        OTHER_ARM=np.concatenate([rows.other_arm, alone]),
-        VALUE=np.concatenate([d.length, np.zeros(offsets), p.value]),
+        NEIGHBOR_ARM=np.concatenate([rows.other_arm, no_arm]),
+        VALUE=np.concatenate([rows.distances.length, np.zeros(offsets), rows.places.value]),
         OWN_VARIANCE=rows.own_variance,
         VARIANCE=rows.variance(),
     )
@@ -239,17 +250,22 @@ def _turns(part: Reals, sd: Reals) -> Reals:
 def _products(turns: Reals) -> Reals:
     """Multiply derivatives by all turns, shape (m, 3, turns, 3), in pairs, (m, 3, m, 3)."""
     rows = len(turns)
-    flat = turns.reshape(AXES * rows, turns[0].size // AXES if rows else 0)
+    columns = 0
+    if rows:
+        columns = turns[0].size // AXES
+    flat = turns.reshape(AXES * rows, columns)
     return (flat @ flat.T).reshape(rows, AXES, rows, AXES)
 
 
 def table_of(blocks: list[Block]) -> Table:
     """Put the rows of blocks one after the other, as kernels take them."""
-    member = [[b.members[-1:], b.partners] for b in blocks]
+    member: list[Ints] = []
+    for block in blocks:
+        member += [block.members[-1:], block.partners]
     size = [(len(b), b.noise.size, 1 + len(b.about)) for b in blocks]
     return Table(
         block=np.cumsum([(0, 0, 0), *size], axis=0, dtype=np.int32),
-        member=np.concatenate([each for pair in member for each in pair]).astype(np.int32),
+        member=np.concatenate(member).astype(np.int32),
         number=np.concatenate([b.number for b in blocks]),
         real=np.concatenate([b.real for b in blocks]),
         noise=np.concatenate([b.noise.ravel() for b in blocks]),
@@ -298,7 +314,7 @@ class NearLinear:
     """Whether the first robot is the anchor, which only turns."""
 
     def _factor(self, damping: Reals | float, held: Reals | None = None) -> Reals:
-        """Damp shifts, hold the anchor, and factor what is known: all turns, then all shifts.
+        """Damp shifts, hold the anchor, and factor the information: all turns, then all shifts.
 
         Args:
             damping: Precision that each coordinate has beside its rows [R^-2], shape (3 K,).
@@ -308,19 +324,20 @@ class NearLinear:
             The lower Cholesky factor, shape (6 K, 6 K).
         """
         count = len(self.slope) // 2
-        known = np.roll(self.information, count, axis=(0, 1))
+        information = np.roll(self.information, count, axis=(0, 1))
         shifts = np.arange(count, 2 * count)
-        known[shifts, shifts] += damping
+        information[shifts, shifts] += damping
         if held is not None:
-            known[count:, count:] += _HELD**-2.0 * (held @ held.T)
+            information[count:, count:] += _HELD**-2.0 * (held @ held.T)
         if self.holds_anchor:
             # The anchor stays where it is, but its orientation is as noisy as any.
             anchor = shifts[:AXES]
-            known[anchor] = known[:, anchor] = 0.0
-            known[anchor, anchor] = 1.0
+            information[anchor] = 0.0
+            information[:, anchor] = 0.0
+            information[anchor, anchor] = 1.0
         # Symmetric: its transpose is the same matrix in the order that needs no copy.
         factor: Reals
-        factor, trouble = _LAPACK.dpotrf(known.T, lower=1, overwrite_a=1)
+        factor, trouble = _LAPACK.dpotrf(information.T, lower=1, overwrite_a=1)
         if trouble:
             raise np.linalg.LinAlgError("the information of a neighborhood is not positive")
         return factor
@@ -359,10 +376,10 @@ class NearLinear:
         half, _ = _LAPACK.dtrtrs(factor, others, lower=1)
         inverse, _ = _LAPACK.dtrtri(factor[count:, count:], lower=1)
         inverse = np.tril(inverse)
-        own = (inverse**2).sum(axis=0)
+        row_variance = (inverse**2).sum(axis=0)
         # A neighborhood hangs on robots that are wrong themselves, and by much the same.
         shared = inverse.T @ half[count:]
-        square = own + (shared**2).sum(axis=1)
+        square = row_variance + (shared**2).sum(axis=1)
         if self.holds_anchor:
             square[:AXES] = 0.0
         sd: Reals = np.sqrt(square.reshape(-1, AXES).sum(axis=1))
@@ -401,10 +418,13 @@ class NearCost(Cost[NearLinear]):
             robust_sd: Width of Cauchy's loss in standard deviations; squares count if None.
             non_overlap: Whether docks that do not touch must not overlap.
         """
-        self.moving, self.shapes = moving, shapes
-        self.robust_sd, self.non_overlap = robust_sd, non_overlap
+        self.moving = moving
+        self.shapes = shapes
+        self.robust_sd = robust_sd
+        self.non_overlap = non_overlap
         self.number = {int(block.members[-1]): k for k, block in enumerate(rows)}
-        self.table, self._scratch = table_of(rows), scratch_for(rows)
+        self.table = table_of(rows)
+        self._scratch = scratch_for(rows)
         self._column = np.full(len(shapes.arm), -1, np.int32)
         self._column[moving] = np.arange(len(moving))
         # Three axes share the variance.
@@ -412,9 +432,11 @@ class NearCost(Cost[NearLinear]):
 
     def linearized(self, state: State) -> NearLinear:
         """Linearize the cost at a state."""
-        moving, count = self.moving.astype(np.int32), _PARTS * len(self.moving)
+        moving = self.moving.astype(np.int32)
+        count = _PARTS * len(moving)
         total = np.zeros((count + AXES + 1, count + AXES + 1))
-        square, overlap = np.empty(len(self.number) + 1), np.zeros(len(moving))
+        square = np.empty(len(self.number) + 1)
+        overlap = np.zeros(len(moving))
         sum_equations(
             (self.robust_sd or 0.0) ** 2, int(self.non_overlap), self.shapes.reach,
             *self.table, *robots_at(state, self.shapes, self._stays), *self._scratch,
@@ -442,7 +464,8 @@ class NearCost(Cost[NearLinear]):
         """Step robots that may move, and their turns."""
         shift, turn = linear.step(radius)
         shift = shortened(shift, NEIGHBORS.longest_step)
-        position, turned = state.position.copy(), state.turn.copy()
+        position = state.position.copy()
+        turned = state.turn.copy()
         position[self.moving] += shift
         turned[self.moving] += turn
         step = np.concatenate([shift.ravel(), turn.ravel()])
@@ -472,13 +495,14 @@ def candidates(
     robots.state[block.members[-1], RobotState.TURN : RobotState.TURN_SD] = 0.0
     table = table_of([block])._replace(noise=block.with_final_noise().ravel())
     place = _starts(block, state)
-    cost, count = np.empty(len(place)), np.empty(1, np.int32)
+    cost = np.empty(len(place))
+    count = np.empty(1, np.int32)
     descend(
         int(non_overlap), shapes.reach, *table, *robots, *scratch_for([block]),
         np.empty((AXES + 1, AXES + 1)), place, cost, count,
     )  # fmt: skip
-    ends, square = place[: count[0]], cost[: count[0]]
-    return _distinct(ends, square - extension(block, state, ends))
+    ends = place[: count[0]]
+    return _distinct(ends, cost[: count[0]] - extension(block, state, ends))
 
 
 def extension(block: Block, state: State, place: Reals) -> Reals:
@@ -492,7 +516,8 @@ def extension(block: Block, state: State, place: Reals) -> Reals:
 def _sphere(count: int) -> Reals:
     """Spread points evenly over the unit sphere, along a golden spiral, shape (count, 3)."""
     number = np.arange(count) + 0.5
-    z, angle = 1.0 - 2.0 * number / count, _GOLDEN * number
+    z = 1.0 - 2.0 * number / count
+    angle = _GOLDEN * number
     level = np.sqrt(1.0 - z**2)
     return np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
 
@@ -510,9 +535,11 @@ def _starts(block: Block, state: State) -> Reals:
     sharpest = int(block.real[:pairs, RowValue.VARIANCE].argmin())
     row = block.real[sharpest]
     at = state.position[block.members[block.rows.other[sharpest]]]
-    center = at + row[RowValue.OTHER_ARM : RowValue.VALUE] - row[RowValue.ARM : RowValue.TAIL]
+    center = at + row[RowValue.NEIGHBOR_ARM : RowValue.VALUE] - row[RowValue.ARM : RowValue.TAIL]
     # A vector has the distance, too: that of two docks in contact.
-    radius = row[RowValue.VALUE] if block.number[sharpest, RowLabel.KIND] < OFFSET else SPACING
+    radius = SPACING
+    if block.number[sharpest, RowLabel.KIND] < OFFSET:
+        radius = row[RowValue.VALUE]
     start: Reals = center + radius * SPHERE
     return start
 
@@ -520,11 +547,11 @@ def _starts(block: Block, state: State) -> Reals:
 def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
     """Keep the best of ends that are close, as far as their costs let them be candidates."""
 
-    def alike(n: int, kept: list[int]) -> Bools:
+    def is_close(n: int, kept: list[int]) -> Bools:
         apart = np.linalg.norm(place[kept] - place[n], axis=1)
         return np.asarray(apart <= CANDIDATES.distinct)
 
     order = np.argsort(cost, kind="stable")
     likely = order[~(cost[order] > cost[order[0]] + CANDIDATES.worst)]
-    kept = [group[0] for group in grouped(likely, alike)][: CANDIDATES.most]
+    kept = [group[0] for group in grouped(likely, is_close)][: CANDIDATES.most]
     return place[kept], cost[kept]

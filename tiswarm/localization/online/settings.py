@@ -12,14 +12,14 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from tiswarm.base.params import STRICT
-from tiswarm.localization.settings import ChiSquareParams, DocksNamed, JointParams
+from tiswarm.localization.settings import ChiSquareParams, CuesOfNamedDocks, JointParams
 
 _JOIN_S = 0.07
 """Processor time of a join [s]."""
 
 
 @checked_dataclass(frozen=True, kw_only=True, config=STRICT)
-class OnlineParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
+class OnlineParams(ChiSquareParams):
     """What a tracker does at a join, beside solving for the robots near the one that joined."""
 
     module: ClassVar = "tiswarm.localization.online.tracker"
@@ -27,6 +27,9 @@ class OnlineParams(DocksNamed, ChiSquareParams):  # type: ignore[misc]
 
     method: Literal["online"] = "online"
     """Name of the method."""
+
+    cues: CuesOfNamedDocks = CuesOfNamedDocks()
+    """Cues in use, each of them on or off; all contacts name their docks."""
 
     solve_yaw: Literal[False] = False
     """No bias of yaw is solved for."""
@@ -102,7 +105,7 @@ class CandidateSettings:
     merge_every: int = 3
     """Steps after which starts that have come close go on as one [1]."""
 
-    alike: float = 0.1
+    merge_distance: float = 0.1
     """Distance up to which they are close [R]."""
 
     damping: float = 1.0

@@ -55,6 +55,7 @@ from tiswarm.localization.online.neighborhood import NearCost
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS, TIMES, OnlineParams
 from tiswarm.localization.settings import ChiSquareParams, JointParams, MethodParams
 from tiswarm.measurements.equations import AXES
+from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import at_line, decode
 from tiswarm.records.messages import counted
@@ -75,8 +76,8 @@ _MOVED = 1e-3
 _SURER = 5e-3
 """Change of a standard deviation, relative to what was last said, that is said [1]."""
 
-_ALIKE = 1.0
-"""Difference of costs up to which two solutions fit alike [1]."""
+_COST_TOLERANCE = 1.0
+"""Difference of costs up to which two solutions fit equally well [1]."""
 
 _ANNEALER = ("chains", "steps", "hold_steps", "start_sigma")
 """Settings that annealings from the present estimate take from those of `online`."""
@@ -131,7 +132,8 @@ class Tracker:
         head = parse_header(header)
         refuse_header(head)
         self._params = chosen
-        self._unit, self._anchor = head.dock_radius, np.array(head.anchor_position)
+        self._unit = head.dock_radius
+        self._anchor = np.array(head.anchor_position)
         self._builder = SensingLogBuilder(head)
         self._layers = LocalLayers(len(head.dock_offsets), chosen)
         self._annealed_at = 1
@@ -178,7 +180,9 @@ class Tracker:
             return self.leave(entry.robot)
         if entry.event == "release":
             return self.release(entry.robot, entry.contacts)
-        return self._updated(entry) if entry.event == "replace" else self._joined(entry)
+        if entry.event == "replace":
+            return self._updated(entry)
+        return self._joined(entry)
 
     @backend.exclusive()
     def join(self, robot: Line | RobotLine) -> Change:
@@ -261,18 +265,18 @@ class Tracker:
         backend.processor()
         whole = self.log
         log = centered(whole)
-        found = (
-            annealed_estimate(log, self._params, self._layers.state)
-            if final
-            else self._present(log)
-        )
-        return uncentered(found, whole)
+        if final:
+            estimate = annealed_estimate(log, self._params, self._layers.state)
+        else:
+            estimate = self._present(log)
+        return uncentered(estimate, whole)
 
     def _present(self, log: SensingLog) -> Estimate:
         """Make an estimate of the present state, relative to the anchor."""
         problem = pose_problem(log, self._params)
-        position, sd = self._layers.mean, self._layers.sd
-        verdicts = assess(log, self._params.cues, position, is_guess=problem.untied, sd=sd)
+        position = self._layers.mean
+        sd = self._layers.sd
+        verdicts = assess(log, self._params.used_cues, position, is_guess=problem.untied, sd=sd)
         verdicts = self._challenged(log, verdicts, ~problem.untied)
         gap = problem.residual(position, np.zeros(len(position)))
         return Estimate(
@@ -284,7 +288,7 @@ class Tracker:
             residual=rms(gap[None]) * self._unit,
         )
 
-    def _challenged(self, log: SensingLog, found: Assessment, is_tied: Bools) -> Assessment:
+    def _challenged(self, log: SensingLog, verdicts: Assessment, is_tied: Bools) -> Assessment:
         """Search a small structure without a start before a good verdict on where it is.
 
         Robots whose rows fit at several places may all fit in the wrong ones, and no chi-square
@@ -292,12 +296,12 @@ class Tracker:
         """
         is_ambiguous = any(len(places) > 1 for places in self._layers.places)
         is_small = len(self._builder.numbers) <= TIMES.searched
-        if not (is_ambiguous and is_small and found.convergence.converged):
-            return found
+        if not (is_ambiguous and is_small and verdicts.convergence.converged):
+            return verdicts
         away = elsewhere(log, self._params, self._layers.mean, self._layers.sd) & is_tied
         if not away.any():
-            return found
-        return found.doubted(f"a search puts {counted(int(away.sum()), 'robot')} elsewhere")
+            return verdicts
+        return verdicts.doubted(f"a search puts {counted(int(away.sum()), 'robot')} elsewhere")
 
     def _joined(self, line: RobotLine) -> Change:
         """Add a robot, and solve for what is near."""
@@ -341,21 +345,24 @@ class Tracker:
             return False
         self._annealed_at = len(self._builder.numbers)
         log = centered(self.log)
-        found = reannealed(log, self._params, self._layers.state, moves=self._due())
-        self._layers.state, self._layers.shift, self._layers.sd = found
+        annealed = reannealed(log, self._params, self._layers.state, moves=self._due())
+        self._layers.state, self._layers.shift, self._layers.sd = annealed
         self._solved.clear()
         is_small = len(self._builder.numbers) <= TIMES.searched
         if is_small and self._surprising() - self._outliers:
-            found = reannealed(log, self._params, self._layers.state, anew=True)
-            self._layers.state, self._layers.shift, self._layers.sd = found
+            annealed = reannealed(log, self._params, self._layers.state, anew=True)
+            self._layers.state, self._layers.shift, self._layers.sd = annealed
         # What a search has left is wrong in itself: no later join asks for another search.
-        self._outliers = self._surprising() if is_small else set()
+        self._outliers = set()
+        if is_small:
+            self._outliers = self._surprising()
         return True
 
     def _widen(self, numbers: list[int]) -> None:
         """Set the sd of robots near some that are free to turn."""
         for number in numbers:
-            if len(loose := self._layers.loose_near(number)):
+            loose = self._layers.loose_near(number)
+            if len(loose):
                 rows = pose_problem(centered(self.log), self._params).rows
                 self._layers.widen(rows, number, loose)
 
@@ -376,8 +383,8 @@ class Tracker:
 
     def _surprising(self) -> set[int]:
         """Find the robots whose rows chance does not explain."""
-        every = np.arange(len(self._builder.numbers))
-        return {*np.flatnonzero(self._layers.surprising(every)).tolist()}
+        robots = np.arange(len(self._builder.numbers))
+        return {*np.flatnonzero(self._layers.surprising(robots)).tolist()}
 
     def _measured(self, number: int) -> Joiner:
         """Measure the rows of a robot."""
@@ -399,9 +406,9 @@ class Tracker:
 
     def _change(self, before: Reals, *, annealed: bool) -> Change:
         """Say who moved since these positions, shape (n, 3), or is surer than was said."""
-        known, sd = len(before), self._layers.sd
+        sd = self._layers.sd
         moved = np.full(len(sd), np.nan)
-        moved[:known] = np.linalg.norm(self._layers.mean[:known] - before, axis=1)
+        moved[: len(before)] = np.linalg.norm(self._layers.mean[: len(before)] - before, axis=1)
         said = np.append(self._said, sd[len(self._said) :])
         # NaN, of a robot that joined, counts as moved.
         chosen = ~(moved <= _MOVED) | (np.abs(sd - said) > _SURER * said)
@@ -438,45 +445,68 @@ def reannealed(
         of that [R], shape (N,).
     """
     fit = fitted(log, params, state, moves)
-    problem, ends, robust_sd = fit.problem, ranked(fit), ROBUST_SD if params.robust else None
+    problem = fit.problem
+    ends = ranked(fit)
+    robust_sd = ROBUST_SD if params.robust else None
     yaw = np.zeros(log.robot_count)
     best = int(ends.cost.argmin())
     cost = fit.cost(problem.rows, robust_sd=robust_sd)
     # Chains may all end higher than where they began, which is near a minimum already.
-    found = [
+    minima = [
         # Turns of earlier stances follow from those of final ones in a step.
         cost.refine(cost.at(set_apart(problem, state.position), yaw, state.turn), 0),
         cost.refine(cost.at(ends.position[best], yaw, state.turn), TIMES.rounds),
     ]
     if anew:
         start = _searched(log, params).solutions[0].position / log.dock_radius
-        found.append(cost.refine(cost.at(start, yaw), TIMES.rounds))
-    there, least = min(found, key=lambda each: each[1].cost)
+        minima.append(cost.refine(cost.at(start, yaw), TIMES.rounds))
+    best_state, best_linear = min(minima, key=lambda minimum: minimum[1].cost)
     # Robots that stayed give way in a step that all take.
-    whole = WholeCost(log, problem.rows, robust_sd=robust_sd, non_overlap=params.non_overlap)
-    settled = whole.at(there.position, yaw, there.turn, there.earlier)
+    whole = WholeCost(log, problem.rows, robust_sd=robust_sd, non_overlap=params.cues.non_overlap)
+    settled = whole.at(best_state.position, yaw, best_state.turn, best_state.earlier)
     linear = whole.linearized(settled)
-    own = linear.variance(draws=TIMES.draws)  # its factors serve the step, too
-    own = np.minimum(own, extent(settled.position) ** 2)
+    within = linear.variance(draws=TIMES.draws)  # its factors serve the step, too
+    within = np.minimum(within, extent(settled.position) ** 2)
     trial, _ = whole.moved(settled, linear, np.inf)
     if whole.linearized(trial).cost <= linear.cost:
         settled = trial
     placed, square = place_disconnected(settled.position[None], problem)
     # Ends are minima of a cost whose errors are independent: where they are is not where the cost
     # is least, but where they differ, several places are likely.
-    apart = ends.position - ends.position[best] + found[1][0].position - there.position
-    apart[np.linalg.norm(apart, axis=2) <= np.sqrt(own)] = 0.0
+    annealed_state, annealed_linear = minima[1]
+    apart = ends.position - ends.position[best] + annealed_state.position - best_state.position
+    apart[np.linalg.norm(apart, axis=2) <= np.sqrt(within)] = 0.0
     mean, between = moments(ends.weight, apart)
     # Chains that ended far above the best minimum say nothing about it.
-    counts = ~problem.untied & (found[1][1].cost <= least.cost + CANDIDATES.likely)
+    counts = ~problem.untied & (annealed_linear.cost <= best_linear.cost + CANDIDATES.likely)
     shift = np.where(counts[:, None], mean, 0.0)
-    square = own + np.where(counts, between, square[0])
-    loose = _loose(linear, placed[0]) if problem.rows.is_central.any() else np.empty(0, np.int64)
-    if len(loose) and (turns := turns_at(problem.rows, placed[0], loose)):
-        turned = turns.off(placed[0], placed[0] + shift)
-        own = linear.variance(turns.motions(placed[0]), TIMES.draws)
-        square = np.where(turned > 0.0, turned + own, square)
+    square = within + np.where(counts, between, square[0])
+    if problem.rows.is_central.any():
+        square = _with_turns(linear, problem.rows, placed[0], shift, square)
     return State(placed[0], settled.turn), shift, np.sqrt(square)
+
+
+def _with_turns(
+    linear: Linear, rows: Measurements, position: Reals, shift: Reals, square: Reals
+) -> Reals:
+    """Replace the variance of robots that turn freely: a circle is far from its tangent.
+
+    Args:
+        linear: Cost near the state.
+        rows: Measurements.
+        position: Where robots are [R], shape (N, 3).
+        shift: From there to the mean of likely states [R], shape (N, 3).
+        square: Variance of each position [R^2], shape (N,).
+    """
+    loose = _loose(linear, position)
+    if not len(loose):
+        return square
+    turns = turns_at(rows, position, loose)
+    if not turns:
+        return square
+    turned = turns.off(position, position + shift)
+    variance_without_turns = linear.variance(turns.motions(position), TIMES.draws)
+    return np.where(turned > 0.0, turned + variance_without_turns, square)
 
 
 def _loose(linear: Linear, position: Reals) -> Ints:
@@ -486,8 +516,8 @@ def _loose(linear: Linear, position: Reals) -> Ints:
     numbers, is large along it: the variance of a motion that is resisted.
     """
     draw = np.zeros((len(linear.precision), TIMES.draws))
-    each = np.arange(linear.shifts)[:, None]
-    draw[: linear.shifts] = normal(0, "loose", each, np.arange(TIMES.draws))
+    coordinate = np.arange(linear.shifts)[:, None]
+    draw[: linear.shifts] = normal(0, "loose", coordinate, np.arange(TIMES.draws))
     shift = linear.undamped.solve(draw)[: linear.shifts].reshape(-1, AXES, TIMES.draws)
     variance = np.sqrt((shift**2).sum(axis=1).mean(axis=1))
     far = extent(position)[linear.moves]
@@ -512,19 +542,21 @@ def annealed_estimate(log: SensingLog, params: OnlineParams, state: State) -> Es
     is_whole = not (estimate.disconnected & ~fit.problem.untied).any()
     if estimate.convergence is None or (estimate.convergence.trusted and is_whole):
         return estimate
-    other = _searched(log, params)
-    is_trusted = other.convergence is not None and other.convergence.trusted
-    is_better = is_trusted and _cost_of(other, fit) <= _cost_of(estimate, fit) + _ALIKE
-    return other if is_better else estimate
+    searched = _searched(log, params)
+    is_trusted = searched.convergence is not None and searched.convergence.trusted
+    if is_trusted and _cost_of(searched, fit) <= _cost_of(estimate, fit) + _COST_TOLERANCE:
+        return searched
+    return estimate
 
 
 def _cost_of(estimate: Estimate, posed: Posed) -> float:
     """Compute the least cost near the likeliest solution of an estimate."""
-    rows, robust_sd = posed.problem.rows, ROBUST_SD if posed.params.robust else None
+    robust_sd = ROBUST_SD if posed.params.robust else None
     position = estimate.solutions[0].position / posed.log.dock_radius
-    start = set_apart(posed.problem, position), np.zeros(len(position))
-    cost = posed.cost(rows, robust_sd=robust_sd)
-    return cost.refine(cost.at(*start), REFINEMENT.rounds)[1].cost
+    cost = posed.cost(posed.problem.rows, robust_sd=robust_sd)
+    start = cost.at(set_apart(posed.problem, position), np.zeros(len(position)))
+    _, linear = cost.refine(start, REFINEMENT.rounds)
+    return linear.cost
 
 
 def elsewhere(log: SensingLog, params: OnlineParams, position: Reals, sd: Reals) -> Bools:
@@ -583,7 +615,7 @@ def localize(
         raise InputError(shared, key="connections")
     header, robots = lines_of(log)
     tracker = Tracker(header, params)
-    every = np.unique(np.linspace(1, len(robots), _FRAMES).astype(np.int64))
+    framed = np.unique(np.linspace(1, len(robots), _FRAMES).astype(np.int64))
     at_join = np.empty((len(robots), 3))
     frames = []
     for count, line in enumerate(robots, start=1):
@@ -591,18 +623,18 @@ def localize(
         for robot in log.robot_id[log.gone[log.left_after == count]].tolist():
             tracker.leave(robot)
         at_join[count - 1] = tracker.positions[-1]
-        if count in every:
+        if count in framed:
             frames.append(tracker.positions)
         on_progress(count / len(robots))
-    found = tracker.estimate(final=True)
-    trace = np.array([[*frame, *at_join[len(frame) :]] for frame in [*frames, found.position]])
+    estimate = tracker.estimate(final=True)
+    trace = np.array([[*frame, *at_join[len(frame) :]] for frame in [*frames, estimate.position]])
     problem = pose_problem(log, params)
     gap = problem.residual(trace / log.dock_radius, np.zeros(trace.shape[:2]))
     last = len(robots) + 1  # the final answer comes after all joins
     return replace(
-        found,
+        estimate,
         at_join=at_join,
-        iteration=np.append(every, last),
+        iteration=np.append(framed, last),
         trace=trace,
         residual=rms(gap) * log.dock_radius,
     )
@@ -659,9 +691,12 @@ def _answered(
 def _changed(change: Change) -> dict[str, object]:
     """Write a change as JSON values; a robot that joined has null in place of a way."""
     columns = zip(
-        change.robot.tolist(), change.position.tolist(), change.moved.tolist(), change.sd.tolist(),
+        change.robot.tolist(),
+        change.position.tolist(),
+        change.moved.tolist(),
+        change.sd.tolist(),
         strict=True,
-    )  # fmt: skip
+    )
     return {
         "annealed": change.annealed,
         "moved": [

@@ -374,11 +374,13 @@ def localize(
         Its estimate. The residual is the root mean square over contacts, ranges, and the components
         of measured offsets. Verdicts are on located robots.
     """
-    rows = measure(log, params.cues)
-    placed = place(log, rows, non_overlap=params.non_overlap, in_join_order=params.order == "join")
+    rows = measure(log, params.used_cues)
+    placed = place(
+        log, rows, non_overlap=params.cues.non_overlap, in_join_order=params.order == "join"
+    )
     position, unit_length = placed.position, log.dock_radius
     is_guess = np.logical_not(placed.is_located)
-    found = assess(log, params.cues, position, is_guess=is_guess, sd=placed.sd)
+    found = assess(log, params.used_cues, position, is_guess=is_guess, sd=placed.sd)
     gap = rows.residual(position)[: len(rows.other)]
     return Estimate(
         robot_id=log.robot_id,

@@ -46,9 +46,9 @@ def localize(
     posed = Posed(log, params, pose_problem(log, params))
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     rows = measure(
-        log, [cue for cue in params.cues if cue not in DOCKS_UNKNOWN], precision=precision
+        log, [cue for cue in params.used_cues if cue not in DOCKS_UNKNOWN], precision=precision
     )
-    placed = place(log, rows, non_overlap=params.non_overlap)
+    placed = place(log, rows, non_overlap=params.cues.non_overlap)
     position = set_apart(posed.problem, placed.position)
     ends = [
         settled(posed, start, 0.0, params.rounds)

@@ -6,7 +6,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
-from tiswarm.localization.settings import ChiSquareParams, CueParams, DocksNamed
+from tiswarm.localization.settings import ChiSquareParams, CueParams, CuesOfNamedDocks
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -27,7 +27,7 @@ class LeastSquaresParams(ChiSquareParams):
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class HopByHopParams(DocksNamed, CueParams):  # type: ignore[misc]
+class HopByHopParams(CueParams):
     """Order in which robots solve for their own positions, each once.
 
     Weights follow from the noise that the log states. Non-overlap decides between mirror images.
@@ -37,6 +37,9 @@ class HopByHopParams(DocksNamed, CueParams):  # type: ignore[misc]
 
     method: Literal["hop-by-hop"] = "hop-by-hop"
     """Name of the method."""
+
+    cues: CuesOfNamedDocks = CuesOfNamedDocks()
+    """Cues in use, each of them on or off; all contacts name their docks."""
 
     order: Literal["hops", "join"] = "hops"
     """hops: a robot follows once its measurements of the world and of located robots, whether these

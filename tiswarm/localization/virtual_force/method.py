@@ -120,7 +120,7 @@ def localize_batch(
         scaled = trace.position[:, a:b] * log.dock_radius
         steps = trace.step_length[:, a:b] * log.dock_radius
         untied = disconnected(measure(log, ["contacts", "anchors"]))
-        found = assess(log, p.cues, trace.position[-1, a:b], is_guess=untied)
+        found = assess(log, p.used_cues, trace.position[-1, a:b], is_guess=untied)
         estimates.append(
             Estimate(
                 robot_id=log.robot_id,
@@ -450,7 +450,7 @@ def _stepped(
     estimates = []
     for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True):
         untied = disconnected(measure(log, ["contacts", "anchors"]))
-        found = assess(log, params.cues, trace[-1][a:b], is_guess=untied)
+        found = assess(log, params.used_cues, trace[-1][a:b], is_guess=untied)
         moves = np.array([np.sqrt(np.mean(step[a:b] ** 2)) for step in moved])
         estimates.append(
             Estimate(

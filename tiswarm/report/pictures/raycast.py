@@ -335,11 +335,11 @@ def _surroundings(scene: Scene, centers: Reals) -> Bools:
 
 
 def _draw(
-    scenes: list[Scene], tracer: Callable[[Scene], Trace], part: Ints | None = None
+    scenes: list[Scene], tracer: Callable[[Scene], Trace], chosen: Ints | None = None
 ) -> list[Pixels]:
     """Draw scenes that differ by colors alone, each of shape (height, width, 4).
 
-    Of a part of the pixels, colors have the shape (n, 4).
+    Of `chosen` pixels, by index, colors have the shape (n, 4).
     """
     scene = scenes[0]
     colors = np.array([scene.color for scene in scenes])
@@ -348,17 +348,17 @@ def _draw(
     height = scene.camera.height
     row, column = np.indices((height, width), dtype=np.float32).reshape(2, -1)
     corner = np.column_stack([column, row])
-    drawn = np.arange(len(corner)) if part is None else part
+    drawn = np.arange(len(corner)) if chosen is None else chosen
     color, seen = _cast(layers, colors, corner[drawn] + np.float32(0.5))
     whole = np.full(len(corner), _FACES.min() - 1)
     whole[drawn] = seen
     edge = np.flatnonzero(_edges(whole.reshape(height, width)).ravel()[drawn])
-    places = _SUBPIXELS if len(edge) < _MANY_EDGES * len(seen) else _SUBPIXELS[::2]
-    finer = [_cast(layers, colors, corner[drawn[edge]] + place)[0] for place in places]
+    offsets = _SUBPIXELS if len(edge) < _MANY_EDGES * len(seen) else _SUBPIXELS[::2]
+    finer = [_cast(layers, colors, corner[drawn[edge]] + offset)[0] for offset in offsets]
     color[:, edge] = np.mean(finer, axis=0)
     color[..., :3] /= np.maximum(color[..., 3:], np.float32(1e-6))
     pictures = [np.round(255.0 * np.minimum(shades, 1.0)).astype(np.uint8) for shades in color]
-    if part is None:
+    if chosen is None:
         return [picture.reshape(height, width, 4) for picture in pictures]
     return pictures
 
@@ -499,7 +499,7 @@ def taichi_tracer(scene: Scene) -> Trace:
     middle = (camera.width / 2.0, camera.height / 2.0)
     tiles = (_TILE, -(-camera.width // _TILE), 0.0)
     lens = np.array([[camera.pixels_per_slope, *middle], tiles], np.float32)
-    capsules = [part.astype(np.float32) for part in (start, end, scene.radius, nearest)]
+    capsules = [values.astype(np.float32) for values in (start, end, scene.radius, nearest)]
 
     def trace(pixels: Array32, _direction: Array32) -> tuple[Array32, Ints]:
         depth = np.empty(len(pixels), np.float32)
@@ -531,8 +531,8 @@ def _sort_into_tiles(
     ]
     middle = np.array([camera.width, camera.height]) / 2.0
     down = np.array([1.0, -1.0]) * camera.pixels_per_slope
-    places = np.array([middle + down * slope for slope in slopes])[:, order]
-    corners = np.array([places.min(axis=0), places.max(axis=0)]) // _TILE
+    pixels = np.array([middle + down * slope for slope in slopes])[:, order]
+    corners = np.array([pixels.min(axis=0), pixels.max(axis=0)]) // _TILE
     first, last = np.clip(corners, 0, [columns - 1, rows - 1]).astype(np.int64)
     wide, tall = (last - first + 1).T
     count = wide * tall

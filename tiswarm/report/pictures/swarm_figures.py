@@ -101,7 +101,7 @@ def _traffic_painters(run: RunData) -> dict[str, figure_style.Painter]:
     return {"traffic": draw_traffic} if sent is not None and sent.notna().any() else {}
 
 
-def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
+def draw_traffic(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw RMSE against the bytes that a robot sends, a panel for each point of the sweep.
 
     Names have those conditions that no other beats in both, joined by a line, and as many others as
@@ -116,7 +116,7 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     columns = figure_style.columns_of(len(groups))
     rows = -(-len(groups) // columns)
     height = 1.0 + (6.0 / columns if columns > 1 else 3.0) * rows
-    panels = figure_style.Panels(height, len(groups), columns, share="xy", most=most)
+    panels = figure_style.Panels(height, len(groups), columns, share="xy", max_width=max_width)
     for axes, ((title, cases), front) in panels.paired_with(zip(groups, fronts, strict=True)):
         axes.plot(*np.array(list(front.values())).reshape(-1, 2).T, color="0.8", linewidth=0.8)
         means = cases.groupby("condition")[[_SENT, _ERROR]].mean()
@@ -139,9 +139,8 @@ def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     unnamed = {label: artist for label, artist in panels.entries().items() if label not in names}
     if unnamed:
         panels.legend(entries=unnamed)
-    omitted = len(points) - len(groups)
-    note = f"{counted(omitted, 'more panel')} not drawn" if omitted else ""
-    figure = panels.finish(note, run.note)
+    more = figure_style.omission_note(len(points) - len(groups), "panel", "not drawn")
+    figure = panels.finish(more, run.note)
     # Names keep apart on paper, so panels need their final size.
     figure_style.lay_out(figure)
     for axes in panels.axes:
@@ -221,8 +220,8 @@ def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
     ]
     taken = np.array(boxes).reshape(-1, 2, 2)
     offsets = label_offsets(points, sizes, np.array([low, high]), taken)
-    places = axes.transData.inverted().transform(points / points_per_pixel)
-    for (marker, label), at, offset in zip(drawn, places, offsets, strict=True):
+    anchors = axes.transData.inverted().transform(points / points_per_pixel)
+    for (marker, label), at, offset in zip(drawn, anchors, offsets, strict=True):
         axes.annotate(
             label,
             at,
@@ -322,7 +321,7 @@ def _joining_painters(run: RunData) -> dict[str, figure_style.Painter]:
     return {"joining": draw_joining} if len(sizes) > 1 and _at_join(run) else {}
 
 
-def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
+def draw_joining(run: RunData, max_width: float = np.inf) -> "Figure":
     """Draw the RMSE of the last robots against the number of robots by then.
 
     Each kind of structure has a panel, with a line for each condition. Of a method that places
@@ -334,7 +333,7 @@ def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
     sizes = sorted({case.robots for case in done})
     online = _at_join(run)
     last = max(sizes[0] // _SHARE, 1)
-    panels = figure_style.Panels(3.2, len(kinds), len(kinds), share="y", most=most)
+    panels = figure_style.Panels(3.2, len(kinds), len(kinds), share="y", max_width=max_width)
     drawn = []
     for axes, kind in panels.paired_with(kinds):
         for index, name in enumerate(names):
@@ -386,9 +385,6 @@ _SCORE_HEIGHT = 5.2
 _MOST_MARKS = 300
 """Robots up to which each error has a mark, and positions have large ones."""
 
-_VIEWS = {"from the side": (0, 2), "from above": (0, 1)}
-"""Axes of each view, across and upward."""
-
 
 def write_score(
     path: Path,
@@ -412,9 +408,9 @@ def draw_score(true: Reals, estimated: Reals, errors: Mapping[str, Reals], unit:
         unit: Unit of lengths.
     """
     figure = figure_style.new_figure(figure_style.PAGE_WIDTH, _SCORE_HEIGHT)
-    grid = figure.add_gridspec(2, len(_VIEWS), height_ratios=[1, 2])
+    grid = figure.add_gridspec(2, len(figure_style.VIEWS), height_ratios=[1, 2])
     _draw_errors(figure.add_subplot(grid[0, :]), errors, unit)
-    for column, (title, view) in enumerate(_VIEWS.items()):
+    for column, (title, view) in enumerate(figure_style.VIEWS.items()):
         axes = figure.add_subplot(grid[1, column])
         _draw_view(axes, true[:, view], estimated[:, view])
         across, upward = (f"{'xyz'[axis]} [{unit}]" for axis in view)
