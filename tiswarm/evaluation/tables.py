@@ -197,7 +197,7 @@ def by_join(history: History) -> pd.DataFrame:
     sent = [walk.belief[3] for walk in walks if len(walk.belief)]
     sent_bytes = {"sent_B": sent} if np.isfinite(sent).any() else {}
     overhang: Reals | float = np.nan
-    if not terrain.is_plane:
+    if terrain.has_edge:
         overhang = _standing(x, history, np.mean) - terrain.left_edge
     return pd.DataFrame(
         {

@@ -489,7 +489,7 @@ def _ground(world: World, connectors: list[str]) -> str:
         grid = _node(
             "ElevationGrid", xDimension=str(surface.height.shape[0]),
             yDimension=str(surface.height.shape[1]), xSpacing=cell, ySpacing=cell,
-            height=f"[ {exact_text(world.unit * surface.height.T)} ]",
+            height=f"[ {exact_text((world.unit * surface.height.T).ravel())} ]",
         )  # fmt: skip
         solids.append((world.unit * np.array([*surface.corner, 0.0]), grid, None))
     radius = repr(world.unit * EDGE_RADIUS)

@@ -1,0 +1,116 @@
+"""Ground by functions of users, in a file of their own."""
+
+import numpy as np
+import pytest
+
+from tiswarm.base import plugins
+from tiswarm.base.errors import InputError
+from tiswarm.base.robot import RobotGeometry
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.world.growth import grow
+from tiswarm.world.params import structure_ground
+
+WAVES = '''
+import tiswarm
+from tiswarm import ti
+
+
+@tiswarm.terrain("waves")
+@ti.func
+def waves(point):
+    return (point[2] - ti.sin(0.5 * point[0])) / 1.12
+
+
+@tiswarm.terrain("cone")
+class Cone:
+    height: float = 10.0
+    """Height [R]."""
+
+    def distance(self):
+        height = self.height
+
+        @ti.func
+        def cone(point):
+            around = ti.sqrt(point[0] ** 2 + point[1] ** 2)
+            return (around + point[2] - height) / 2**0.5
+
+        return cone
+'''
+
+
+@pytest.fixture(autouse=True)
+def _forget():
+    """Forget the plug-ins of each test."""
+    yield
+    plugins.forget()
+
+
+@pytest.fixture
+def load(tmp_path):
+    """Load a file of a user, and return the settings of a structure on some ground."""
+
+    def loaded(source, terrain):
+        file = tmp_path / "own.py"
+        file.write_text(source)
+        plugins.load_plugins([file])
+        section = {"kind": "tower", "terrain": terrain}
+        given = {"name": "ground", "structure": section, "localization": {"method": "joint"}}
+        return load_scenario(given).structure
+
+    return loaded
+
+
+def test_robots_grow_on_a_function_of_a_user(load):
+    """Its bodies have places and settings as all others, and unite with them."""
+    params = load(WAVES, [{"kind": "waves"}, {"kind": "cone", "position": [3.0, 0.0, -4.0]}])
+
+    [history] = grow(params, robots=6, seeds=[0], robot=RobotGeometry())
+
+    ground = structure_ground(params)
+    place = np.array([[3.0, 0.0, 8.0], [20.0, 5.0, 4.0]])
+    expected = [(8.0 + 4.0 - 10.0) / 2**0.5, (4.0 - np.sin(10.0)) / 1.12]
+    np.testing.assert_allclose(ground.distance(place), expected, atol=1e-12)
+    assert ground.body_at(place).tolist() == [1, 0]
+    assert len(history.edge_docks)
+
+
+def test_a_setting_of_a_user_is_checked_as_any_other(load):
+    """A key that the class lacks is a mistake."""
+    with pytest.raises(InputError, match=r"terrain\[0\].hight: unknown key; did you mean height"):
+        load(WAVES, {"kind": "cone", "hight": 3.0})
+
+
+def test_a_function_that_does_not_compile_is_a_line_with_its_place(load):
+    """The file and the line of the function."""
+    source = WAVES.replace("ti.sin(0.5 * point[0])", "no_such_name")
+    params = load(source, {"kind": "waves"})
+
+    with pytest.raises(InputError) as caught:
+        structure_ground(params).distance(np.zeros((1, 3)))
+
+    assert caught.value.path.name == "own.py"
+    assert caught.value.line == 9
+
+
+def test_a_function_of_python_is_no_ground(load):
+    """Kernels could not call it."""
+    source = WAVES.replace('@tiswarm.terrain("waves")\n@ti.func\n', '@tiswarm.terrain("waves")\n')
+
+    with pytest.raises(InputError, match=r"waves is no function that ti.func decorates"):
+        load(source, {"kind": "waves"})
+
+
+def test_a_class_needs_a_distance(load):
+    """It says what the ground is."""
+    source = WAVES.replace("def distance", "def depth")
+
+    with pytest.raises(InputError, match=r"cone lacks distance; define it"):
+        load(source, {"kind": "cone"})
+
+
+def test_a_distance_that_grows_by_less_than_the_way_is_refused(load):
+    """A Lipschitz constant below 1 belongs to no ground."""
+    source = WAVES.replace('terrain("waves")', 'terrain("waves", lipschitz=0.5)')
+
+    with pytest.raises(InputError, match=r"lipschitz of 0.5 for waves; give 1 or more"):
+        load(source, {"kind": "waves"})
