@@ -114,9 +114,9 @@ class Ties(NamedTuple):
 
         Each robot has a row of infinite variance, too, so that no sum over its rows is empty.
         """
-        d, robots, count = rows.distances, rows.robots, len(rows.other)
-        i, j, robot = rows.robot[:count], rows.other, rows.robot[count:]
-        shift, variance = rows.other_arm - rows.arm[:count], rows.variance()
+        d, robots, count = rows.distances, rows.robots, len(rows.neighbor)
+        i, j, robot = rows.robot[:count], rows.neighbor, rows.robot[count:]
+        shift, variance = rows.neighbor_arm - rows.arm[:count], rows.variance()
         owner = np.concatenate([i, j, robot, np.arange(robots)])
         nothing = np.zeros((robots, 3))
         normal = np.concatenate([np.zeros((len(d.length), 3)), rows.offsets.axis])
@@ -381,7 +381,7 @@ def localize(
     position, unit_length = placed.position, log.dock_radius
     is_guess = np.logical_not(placed.is_located)
     found = assess(log, params.used_cues, position, is_guess=is_guess, sd=placed.sd)
-    gap = rows.residual(position)[: len(rows.other)]
+    gap = rows.residual(position)[: len(rows.neighbor)]
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit_length,

@@ -268,7 +268,7 @@ def advise(
                 Advice(
                     kind=kind,
                     robot=int(one.robot[0]),
-                    contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
+                    contact=one.sensed_contacts[0, 2:].tolist() if len(one.neighbor) else [],
                     floppy_modes=int(modes[chosen]),
                     determined=question.determined([one]),
                     rmse_before=float(rmse[0]),
@@ -334,7 +334,7 @@ def advise_together(
             Advice(
                 kind=question.candidates[kind].kind,
                 robot=int(one.robot[0]),
-                contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
+                contact=one.sensed_contacts[0, 2:].tolist() if len(one.neighbor) else [],
                 floppy_modes=removed - modes,
                 determined=np.setdiff1d(determined, already_determined),
                 rmse_before=float(rmse[0]),
