@@ -245,7 +245,7 @@ class _CaseRunner:
                 settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,
                 on_progress=advance, **by,
             )  # fmt: skip
-        self.used.add(Used("grow", backend.processor(), rounding=numerics.here()))
+        self.used.add(Used("grow", backend.processor(), rounding=numerics.current()))
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs[first[seed].name]["grow"]
             if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
@@ -297,7 +297,7 @@ class _CaseRunner:
         ]
         error = running.force_error(max(farthest))
         stage = f"localize by {chosen[0].title}"
-        self.used.add(Used(stage, running, error, numerics.here()))
+        self.used.add(Used(stage, running, error, numerics.current()))
         return estimates
 
     def _store(
@@ -307,7 +307,7 @@ class _CaseRunner:
         found = evaluate(history, log, estimate, case.settings.localization.used_cues)
         record = _record(case, "done", history.ended, found.scores)
         running = methods.start_for(case.settings.localization)
-        on = f"{running}, numerics {numerics.here().key}"
+        on = f"{running}, numerics {numerics.current().key}"
         record = replace(record, measurements=found.measurements, computed_on=on)
         if estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)
