@@ -2,7 +2,8 @@
 
     python -m benchmarks.sensitivity                          # all numbers, eight structures a kind
     python -m benchmarks.sensitivity joint --structures 4     # those of `joint` alone
-    python -m benchmarks.sensitivity growth --out docs/notes
+    python -m benchmarks.sensitivity growth --out reports
+    python -m benchmarks.sensitivity --page docs/notes/sensitivity.md   # of the tables in reports
 
 Structures are training ones, seeds 1000 and on: results are reported of others, so this table may
 be used to choose a number. One that changes no byte at half and at twice its value, on any log,
@@ -39,6 +40,8 @@ from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.params import CantileverParams, GrowthParams, TowerParams
+
+Row = dict[str, object]
 
 FIRST_SEED = 1000
 ROBOTS = 40
@@ -206,8 +209,8 @@ def located(
     return compute
 
 
-def of_joint(count: int) -> pd.DataFrame:
-    """Tabulate what each number of `joint` does."""
+def of_joint(count: int) -> Iterator[Row]:
+    """Yield what each number of `joint` does."""
     histories = [*structures(TowerParams(), count), *structures(CantileverParams(), count)]
     logs = [observe(history, params) for params in SENSES.values() for history in histories]
     truth = [history.position for _ in SENSES for history in histories]
@@ -217,12 +220,11 @@ def of_joint(count: int) -> pd.DataFrame:
     plain = JointParams()
     resolved = {"chains": plain.chains_for(ROBOTS), "steps": plain.steps_for(ROBOTS)}
     numbers = [*constants(), *settings(plain, "JointParams", **resolved)]
-    return tabulated(numbers, lambda params: compute(params).beside(usual))
+    yield from rows_of(numbers, lambda params: compute(params).beside(usual))
 
 
-def of_growth(count: int) -> pd.DataFrame:
-    """Tabulate what each number of growth does."""
-    parts = []
+def of_growth(count: int) -> Iterator[Row]:
+    """Yield what each number of growth does."""
     for kind in (TowerParams(), CantileverParams()):
         usual = _built(structures(kind, count))
 
@@ -231,8 +233,7 @@ def of_growth(count: int) -> pd.DataFrame:
             changed = (100.0 * (built / usual - 1.0)).round(1)
             return {"bytes": "same" if built.equals(usual) else "other", **changed.to_dict()}
 
-        parts.append(tabulated([*settings(kind, type(kind).__name__)], beside))
-    return pd.concat(parts, ignore_index=True)
+        yield from rows_of([*settings(kind, type(kind).__name__)], beside)
 
 
 def _built(histories: Sequence[History]) -> "pd.Series[float]":
@@ -247,24 +248,78 @@ def _built(histories: Sequence[History]) -> "pd.Series[float]":
     )
 
 
-def tabulated(
-    numbers: Sequence[Number], beside: Callable[[Any], dict[str, object]]
-) -> pd.DataFrame:
-    """Call a function with each number at each factor: a row each."""
-    rows = []
+def rows_of(numbers: Sequence[Number], beside: Callable[[Any], dict[str, object]]) -> Iterator[Row]:
+    """Call a function with each number at each factor, and yield a row each.
+
+    A number that has no half or no double, as 0 has none, is not tried there.
+    """
     for place, number in enumerate(numbers):
+        verdicts = []
         for factor in FACTORS:
             value = number.at(factor)
-            row = {"group": number.group, "name": number.name, "value": number.value}
+            row: Row = {"group": number.group, "name": number.name, "value": number.value}
             row |= {"factor": factor, "tried": value}
             try:
-                row |= number.call(value, beside)
-            except (ValidationError, ValueError) as error:
-                row["bytes"] = f"refused: {' '.join(str(error).split())[:80]}"
-            rows.append(row)
+                row |= {"bytes": ""} if value == number.value else number.call(value, beside)
+            except (ValidationError, ValueError):
+                row["bytes"] = "refused"
+            verdicts.append(row["bytes"] or "not tried")
+            yield row
         done = f"{place + 1} of {len(numbers)}: {number.group}.{number.name}"
-        print(done, rows[-2].get("bytes"), rows[-1].get("bytes"), file=sys.stderr, flush=True)
-    return pd.DataFrame(rows)
+        print(done, *verdicts, file=sys.stderr, flush=True)
+
+
+MEASURES: Mapping[str, Mapping[str, str]] = {
+    "growth": {
+        "height_percent": "height",
+        "reach_percent": "reach",
+        "load_percent": "load",
+        "flips_percent": "flips",
+    },
+    "joint": {"rmse_percent": "RMSE", "sd_percent": "sd"},
+}
+"""Columns of each table that its page shows, and their words."""
+
+BEGIN = "<!-- tables: python -m benchmarks.sensitivity --page -->"
+END = "<!-- end of tables -->"
+
+
+def page_tables(folder: Path) -> str:
+    """Write the tables of a folder as Markdown, a row a number."""
+    parts = []
+    for name, measures in MEASURES.items():
+        path = folder / f"sensitivity-{name}.csv"
+        if not path.exists():
+            continue
+        table = pd.read_csv(path, keep_default_na=False)
+        lines = [
+            f"## {name.capitalize()}",
+            "",
+            f"Changes of {', '.join(measures.values())} [%].",
+            "",
+            "| number | value | at half | at twice |",
+            "|---|---|---|---|",
+        ]
+        for (group, number), rows in table.groupby(["group", "name"], sort=False):
+            cells = [_cell(row, measures) for _, row in rows.sort_values("factor").iterrows()]
+            value = f"{float(rows['value'].iloc[0]):.4g}"
+            lines.append(f"| `{group}.{number}` | {value} | {' | '.join(cells)} |")
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def _cell(row: "pd.Series[Any]", measures: Mapping[str, str]) -> str:
+    """Write what a number does at one value: the changes, or why there are none."""
+    if row["bytes"] == "other":
+        return ", ".join(f"{float(row[column]):+.1f}" for column in measures)
+    return {"same": "same bytes", "refused": "refused"}.get(str(row["bytes"]), "not tried")
+
+
+def write_page(page: Path, folder: Path) -> None:
+    """Replace the tables of a page by those of a folder; the text around them stays."""
+    before, _, rest = page.read_text().partition(BEGIN)
+    after = rest.partition(END)[2]
+    page.write_text(f"{before}{BEGIN}\n\n{page_tables(folder)}\n\n{END}{after}")
 
 
 def main() -> None:
@@ -274,13 +329,20 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", choices=[*parts, []], help="both if none is named")
     parser.add_argument("--structures", type=int, default=8, help="of each kind")
     parser.add_argument("--out", type=Path, default=Path("reports"), help="folder of the tables")
+    parser.add_argument("--page", type=Path, help="write the tables of that folder on this page")
     asked = parser.parse_args()
+    if asked.page:
+        write_page(asked.page, asked.out)
+        return
     backend.start()
     for name in asked.parts or parts:
-        table = parts[name](asked.structures)
         path = asked.out / f"sensitivity-{name}.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
-        table.to_csv(path, index=False, lineterminator="\n")
+        rows: list[Row] = []
+        for row in parts[name](asked.structures):
+            rows.append(row)  # a run that ends early leaves those that it has
+            table = pd.DataFrame(rows)
+            table.to_csv(path, index=False, lineterminator="\n")
         same = table.groupby(["group", "name"], sort=False)["bytes"].agg(set) == {"same"}
         print(f"{path}: of {len(same)} numbers, {int(same.sum())} change nothing:")
         print(*(f"  {group}.{number}" for group, number in same.index[same]), sep="\n")

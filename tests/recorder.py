@@ -15,7 +15,7 @@ class Recorder(Progress):
         """Keep one line."""
         self.lines.append(text)
 
-    def task(self, name, total, note=lambda: ""):
+    def task(self, name, total, note=lambda: "", done=0):
         """Keep the name of a task."""
         self.tasks.append(name)
-        return super().task(name, total, note)
+        return super().task(name, total, note, done)

@@ -61,6 +61,23 @@ def test_lines_come_before_the_first_step_is_done(capsys, monkeypatch):
     ]
 
 
+def test_steps_of_an_earlier_run_count_but_took_no_time(capsys, monkeypatch):
+    """A run that goes on from its stored cases takes as long for each of the others."""
+    clock = itertools.count(0.0, 60.0)
+    monkeypatch.setattr(console.time, "perf_counter", lambda: next(clock))
+
+    with console.ConsoleProgress().task("cases", 64, done=60) as advance:
+        for steps in (0, 1, 1, 2):
+            advance(steps)
+
+    assert capsys.readouterr().err.splitlines() == [
+        "cases: 60 of 64",
+        "cases: 61 of 64, about 360 s left",
+        "cases: 62 of 64, about 180 s left",
+        "cases: 64 in 300.0 s",
+    ]
+
+
 def test_the_time_left_is_named_once_a_twentieth_is_done(capsys, monkeypatch):
     """The first steps compile kernels: they make hours of minutes."""
     clock = itertools.count(0.0, 60.0)

@@ -62,8 +62,9 @@ def test_rows_list_connected_docks_and_every_near_one_once(monkeypatch, on_card,
     near = cKDTree(dock).query_pairs(2.5, output_type="ndarray")
     near = near[near[:, 0] // 3 != near[:, 1] // 3]
     pairs = np.concatenate([contacts[:, [0, 2]] * 3 + contacts[:, [1, 3]], near])
-    first, at = np.unique(np.sort(pairs, axis=1), axis=0, return_index=True)
-    flag = at < len(contacts)
+    number = np.sort(pairs, axis=1) @ [len(dock), 1]  # sorted in a tenth of the time of rows
+    at = np.unique(number, return_index=True)[1]
+    first, flag = np.sort(pairs[at], axis=1), at < len(contacts)
     expected = np.concatenate([np.c_[first, flag], np.c_[first[:, ::-1], flag]])
     np.testing.assert_array_equal(in_order(listed(lists)), in_order(expected))
 
@@ -79,5 +80,6 @@ def listed(lists):
 
 
 def in_order(table):
-    """Sort the rows of a table."""
-    return table[np.lexsort(table.T[::-1])]
+    """Sort the rows of a table of whole numbers from 0, each row as one number of 64 bits."""
+    least = np.cumprod([1, *(table.max(axis=0, initial=0)[:0:-1] + 1)])[::-1]
+    return table[np.argsort(table @ least)]

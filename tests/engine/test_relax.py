@@ -1,16 +1,20 @@
 """The swarm step against the equations written out, and laws that hold for any structure."""
 
+import inspect
+from typing import get_type_hints
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tests.oracle import swarm_step
 from tiswarm import relax
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.base.robot import RobotGeometry
+from tiswarm.base.robot import Robot, RobotGeometry
 from tiswarm.compute import backend, neighbor_list
 from tiswarm.engine import relax as engine
 from tiswarm.engine import stepping
@@ -200,6 +204,7 @@ both_small = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.program(precision="f32")
 @both_small
 def test_single_precision_is_as_good_far_from_the_origin(monkeypatch, small):
     """Forces 2,000 R away are within the stated error, which is that of a swarm at the origin."""
@@ -262,6 +267,7 @@ def test_robots_that_come_back_from_beyond_the_numbers_are_right(small, monkeypa
     assert found.largest_move[0] == pytest.approx(1_252.815, rel=1e-5)
 
 
+@pytest.mark.program(precision="f32")
 @both_small
 @settings(max_examples=40)
 @given(
@@ -303,7 +309,10 @@ def test_a_step_in_single_precision_is_within_its_stated_error(
 
 
 @both_small
-@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize(
+    "precision",
+    [pytest.param("f32", marks=pytest.mark.program(precision="f32")), "f64"],
+)
 def test_a_swarm_outlasts_steps_that_were_too_strong(small, precision, monkeypatch):
     """Steps that outgrow the numbers, or diverge, leave no trace in later ones."""
     monkeypatch.setattr(engine, "SMALL", small)
@@ -323,6 +332,7 @@ def test_a_swarm_outlasts_steps_that_were_too_strong(small, precision, monkeypat
     np.testing.assert_array_equal(here.position, found.position)
 
 
+@pytest.mark.program(precision="f32")
 def test_a_swarm_that_leaves_what_single_precision_resolves_says_so():
     """It names the way out, and in f64 the same steps are taken."""
     pair = [[0, 0, 0], [0.3, 0, 0]], [[1, 0, 0, 0]] * 2, [[0, 0, 1, 0]]
@@ -384,6 +394,17 @@ def test_what_makes_no_sense_is_refused(change, message):
     with pytest.raises(InputError, match=message) as caught:
         relax(**(arguments | change))
     assert "\n" not in str(caught.value)
+
+
+def test_the_signature_is_short_and_has_all_types():
+    """Notebooks show it above the help; spelled out, its unions fill a screen."""
+    signature = inspect.signature(relax)
+    hints = get_type_hints(relax)
+
+    assert len(str(signature)) < 600
+    assert set(hints) == {*signature.parameters, "return"}
+    assert hints["ramp"].__value__ == ArrayLike | None
+    assert hints["robot"] is Robot
 
 
 def test_too_large_a_swarm_is_refused_before_memory_is_taken(monkeypatch):

@@ -407,6 +407,39 @@ def test_what_python_would_run_once_is_refused(function, problem):
         pull_of(function)
 
 
+def asserts(distance):
+    assert distance > 5.0, "too near"
+    return distance
+
+
+@ti.func
+def asserts_too(distance):
+    if distance > 1.0:
+        assert False  # noqa: B011, PT015 - as users may
+    return distance
+
+
+def calls_what_asserts(distance):
+    return asserts_too(distance)
+
+
+@pytest.mark.parametrize(
+    ("function", "line", "condition"),
+    [
+        (asserts, 'assert distance > 5.0, "too near"', "distance > 5.0"),
+        (calls_what_asserts, "assert False  #", "False"),
+    ],
+)
+def test_an_assertion_that_a_kernel_would_leave_out_is_refused(function, line, condition):
+    """Kernels have assertions only where the library debugs; elsewhere they would never fail."""
+    text = Path(__file__).read_text().splitlines()
+    number = next(n for n, content in enumerate(text, 1) if line in content)
+    problem = f"assert is left out of kernels; .* unless {condition}"
+
+    with pytest.raises(InputError, match=f"^{__file__}:{number}: .*{problem}"):
+        pull_of(function)
+
+
 # --- decorators ------------------------------------------------------------------------------
 
 

@@ -10,7 +10,6 @@ import pytest
 from tests.localization.test_problem import true_yaw
 from tests.structures import NOISY, grown
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.chains.problem import pose_problem
@@ -104,10 +103,10 @@ def test_company_names_and_order_do_not_change_a_byte(towers):
     assert together[2].yaw.tobytes() == alone[2].yaw.tobytes() == reverse[2].yaw.tobytes()
 
 
+@pytest.mark.program(precision="f32")
 def test_single_precision_is_precise_enough(towers):
     """Other bits make other chains, but robots are found."""
     log = observe(towers[0], SensingParams())
-    backend.start(precision="f32")
 
     estimate = localize(log, dataclasses.replace(SHORT, steps=1000))
 

@@ -22,7 +22,7 @@ from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.study.navigation import _parts
+from tiswarm.study.navigation import _sides
 from tiswarm.world.growth import grow
 from tiswarm.world.params import CantileverParams, TowerParams
 
@@ -249,7 +249,7 @@ def test_robots_that_navigate_know_the_places_of_all_anchors(parted):
     """Anchors are one part, which has one frame; without them each founder has its own."""
     log = observe(parted, SensingParams())
 
-    together, apart = _parts(parted, log), _parts(replace(parted, anchors=1), log)
+    together, apart = _sides(parted, log), _sides(replace(parted, anchors=1), log)
 
     assert [part.robots.tolist() for part in together] == [[*range(24)]]
     assert len(apart) == 3

@@ -136,11 +136,13 @@ def test_company_does_not_change_a_byte(towers, monkeypatch):
     assert sum(shares) == pytest.approx(2 * len(logs))
 
 
+@pytest.mark.program(precision="f32")
 def test_company_does_not_change_a_byte_in_f32(towers):
     """Nor where a structure of the batch is so far away that it has a coarser unit."""
     logs = [observe(history, SensingParams()) for history in towers[:2]]
     height = np.where(np.arange(logs[1].robot_count) == 9, 5_000.0, logs[1].flip_height)
     logs[1] = dataclasses.replace(logs[1], flip_height=height)
+    backend.start(precision="f64")
     in_f64 = localize(logs[0], SHORT)
     backend.start(precision="f32")
 

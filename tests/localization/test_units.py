@@ -74,7 +74,10 @@ def _in_unit(log: SensingLog, scale: float) -> SensingLog:
     )
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
+@pytest.mark.parametrize(
+    "precision",
+    ["f64", pytest.param("f32", marks=pytest.mark.program(precision="f32"))],
+)
 @pytest.mark.parametrize("params", METHODS, ids=lambda p: p.method)
 def test_an_anchor_far_from_the_origin_costs_no_precision(log, params, precision):
     """Map coordinates in meters with docks of 2 cm are 2e8 dock radii."""

@@ -261,11 +261,18 @@ METHODS = {
 SHARED = "; readings of one pair share an error: state it as a source with shared_sd"
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    ("name", "readings"),
+    [
+        *((name, 40) for name in METHODS if name != "online"),
+        ("online", 12),
+        pytest.param("online", 40, marks=pytest.mark.trial),
+    ],
+)
 @pytest.mark.parametrize(("error", "fault"), [(none, ""), (of_each_pair, "all rows")])
-def test_an_error_that_readings_share_is_no_noise(name, error, fault):
+def test_an_error_that_readings_share_is_no_noise(name, readings, error, fault):
     """However often a pair is read: of 1,560 readings, 18 means say whether it is there."""
-    log = ranging(40, error)
+    log = ranging(readings, error)
 
     found = localize(log, METHODS[name]).convergence
 

@@ -17,8 +17,10 @@ from tiswarm.app.inspection import Findings
 from tiswarm.app.logs import Log
 from tiswarm.base.progress import Progress
 from tiswarm.cli import main
+from tiswarm.measurements.advice.further import AdviceTable
 from tiswarm.measurements.observability import observability
 from tiswarm.records.estimate import MOST_WITHIN, Convergence, Estimate, Solution
+from tiswarm.records.messages import MISSING
 from tiswarm.records.outputs import Outputs
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.pictures import pictures
@@ -377,6 +379,20 @@ def test_what_to_measure_next_is_a_table(log, estimate, tmp_path):
     assert "What to measure next" in with_it
     assert "height of robot 3" in with_it
     assert "What to measure next" not in without
+
+
+def test_advice_may_lack_numbers(log, estimate, tmp_path):
+    """Of a damaged log some expected errors are not finite; the page shows a dash for these."""
+    row = {"rank": "1", "further measurement": "height of robot 3", "robots determined": "2"}
+    advice = AdviceTable([row, {**row, "rank": "2", "expected RMSE [mm]": "1.5"}])
+
+    text, _ = _page(tmp_path, log, estimate, advice=advice)
+
+    assert "<td>2</td>" in text
+    _, _, table = text.partition("What to measure next")
+    assert f"<td>{MISSING}</td>" in table
+    assert "<td>1.5</td>" in table
+    assert [line.split()[-1] for line in str(advice).splitlines()] == ["[mm]", MISSING, "1.5"]
 
 
 def test_pictures_show_what_is_known(log, estimate, true):

@@ -14,6 +14,7 @@ from tests.browser import probe
 from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
+from tiswarm.records.messages import MISSING
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import page as page_module
 from tiswarm.report import swarm_view
@@ -137,6 +138,21 @@ def test_a_damaged_figure_is_refused_by_name(run_folder):
 
     with pytest.raises(InputError, match=r"convergence\.svg: is no SVG picture"):
         show_pictures(run_folder / "figures")
+
+
+@pytest.mark.parametrize("suffix", ["png", "gif", "webp"])
+def test_a_picture_beside_the_figures_needs_no_svg(run_folder, suffix):
+    """Users put pictures of their own there; the page shows them, and a redraw keeps them."""
+    draw_figures(load_run(run_folder), Progress())
+    picture = run_folder / "figures" / f"my-setup.{suffix}"
+    Image.new("RGB", (40, 20)).save(picture)
+
+    shown = show_pictures(run_folder / "figures")
+
+    (setup,) = [drawing for drawing in shown if "my-setup" in drawing.file]
+    assert setup.source.startswith("data:image/")
+    assert (setup.width, setup.height) == (40, 20)
+    assert setup.caption == "my-setup"
 
 
 @pytest.mark.parametrize("name", ["scenario.yaml", "table.csv"])
@@ -605,6 +621,22 @@ def test_paper_has_the_first_rows_of_a_long_table(tmp_path):
     assert (seen["shown"], seen["note"]) == (45, 0)
     assert (paper["shown"], paper["note"]) == (40, 1)
     assert "On paper: the first 40 of 45 rows." in html
+
+
+@pytest.mark.parametrize("missing", [float("nan"), None, pd.NA, "nan", ""])
+def test_a_number_that_is_missing_is_a_dash(missing):
+    """Tables join rows of several sources, and some lack a number; the page failed at these."""
+    frame = pd.DataFrame({"condition": ["joint", "nan"], "RMSE [R]": [missing, "1.5 ± 0.1"]})
+    table = PageTable(frame=frame, words=["condition"], title="Accuracy")
+
+    page = Page(name="laws", result="", headline=table).html()
+    text = console_text(table)
+    csv = paper_text(table, "csv")
+
+    assert f"<td>{MISSING}</td>" in page
+    assert '<td class="text">nan</td>' in page
+    assert text.splitlines()[-2].split() == ["joint", MISSING]
+    assert csv == "condition,RMSE [R]\njoint,\nnan,1.5 ± 0.1\n"
 
 
 def test_latex_prints_each_letter_of_a_label():

@@ -1,6 +1,7 @@
 """Every point of the sweep under every condition, by a name fit for a folder."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -13,7 +14,8 @@ from tiswarm.base.params import STRICT
 from tiswarm.localization.settings import JointParams, MethodParams, VirtualForceParams
 from tiswarm.records.run_folder import MAX_VARIANT_NAME
 from tiswarm.scenario.expansion import find_mistakes, load_scenario, plan, variants
-from tiswarm.scenario.model import Scenario, dump_scenario
+from tiswarm.scenario.model import Scenario, dump_scenario, from_plain, to_plain
+from tiswarm.scenario.yaml_source import shipped_scenarios
 from tiswarm.world.params import TowerParams
 
 
@@ -55,6 +57,31 @@ def test_conditions_run_at_every_point_of_the_sweep():
         "robots=20,structure.goal_height=6.5,baseline",
         "robots=20,structure.goal_height=6.5,no-z",
     ]
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_variants_are_as_if_checked_as_a_whole(name):
+    """Only sections that a variant changes are checked anew, which must make no difference."""
+    for variant in variants(load_scenario(Path(name))):
+        assert from_plain(to_plain(variant.settings)) == variant.settings
+
+
+@pytest.mark.parametrize(
+    "sweep",
+    [
+        {"seeds": (4, [1, 2])},
+        {"structure": ({"kind": "tower"}, {"kind": "bridge", "gap": 8})},
+        {"localization": ({"method": "joint", "steps": 9}, {"method": "online"})},
+        {"robot.shape": ("triangle", "tetrahedron")},
+        {"sensing.tilt_noise_deg": (0, 1.5)},
+    ],
+    ids=lambda sweep: next(iter(sweep)),
+)
+def test_values_of_any_type_are_as_if_checked_as_a_whole(sweep):
+    """Lists of a file are tuples of a scenario, and whole numbers may be real."""
+    for variant in variants(scenario(sweep=sweep)):
+        assert from_plain(to_plain(variant.settings)) == variant.settings
+        assert isinstance(variant.settings.seed_list, tuple)
 
 
 def test_keys_of_one_entry_change_together():

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tiswarm.base.errors import InputError
 from tiswarm.cli import main
 from tiswarm.localization.settings import Cues, VirtualForceParams
+from tiswarm.scenario import expansion
 from tiswarm.scenario.expansion import find_mistakes, load_scenario, variants
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams
@@ -332,6 +333,94 @@ def test_a_bad_item_does_not_make_its_list_too_short(scenario):
     mistakes = find_mistakes(scenario(f"{SMALL}seeds: [-1]\n"))
 
     assert [mistake.key for mistake in mistakes] == ["seeds[0]"]
+
+
+def test_of_many_mistakes_twenty_are_listed(scenario, monkeypatch):
+    """A file of something else has thousands; each costs time, and nobody reads them."""
+    explained = []
+    monkeypatch.setattr(
+        "tiswarm.scenario.validation.explain", lambda *error: explained.append(error) or "is wrong"
+    )
+    path = scenario(SMALL + "".join(f"key{number}: 1\n" for number in range(500)))
+
+    mistakes = find_mistakes(path)
+
+    assert [error.line for error in mistakes[:20]] == [*range(3, 23)]
+    assert str(mistakes[20]) == (
+        f"{path}: has more than 20 mistakes; correct those that are listed first"
+    )
+    assert len(mistakes) == 21
+    assert len(explained) < 50  # checks of parts explain some again
+
+
+def test_conditions_with_mistakes_are_checked_up_to_the_twentieth(scenario, monkeypatch):
+    """Each condition is a whole scenario to check."""
+    built = count_scenarios(monkeypatch)
+    wrong = "".join(f"  c{number}: {{localization.key{number}: 1}}\n" for number in range(500))
+
+    mistakes = find_mistakes(scenario(f"{SMALL}conditions:\n{wrong}"))
+
+    assert [error.key for error in mistakes[:2]] == [
+        "conditions.c0.localization.key0", "conditions.c1.localization.key1"
+    ]  # fmt: skip
+    assert len(mistakes) == 21
+    assert len(built) < 50
+
+
+def count_scenarios(monkeypatch):
+    """Return a list that gets an entry whenever a whole scenario is checked."""
+    built = []
+    check = expansion.from_plain
+    monkeypatch.setattr(
+        expansion, "from_plain", lambda data: built.append(data["name"]) or check(data)
+    )
+    return built
+
+
+def test_a_mistake_of_all_variants_ends_their_checks(scenario, monkeypatch):
+    """One wrong condition makes a mistake at each point of the sweep."""
+    built = count_scenarios(monkeypatch)
+    points = [*range(5, 3005)]
+
+    mistakes = find_mistakes(
+        scenario(f"{SMALL}conditions: {{a: {{localization.key: 1}}}}\nsweep: {{robots: {points}}}")
+    )
+
+    assert [error.key for error in mistakes] == ["conditions.a.localization.key"]
+    assert len(built) < 1100
+
+
+@pytest.mark.parametrize("key", ["robots", "structure.goal_height", "localization.iterations"])
+def test_a_sweep_checks_only_what_it_changes(scenario, monkeypatch, key):
+    """Else checks of thousands of values, all of them right, take seconds."""
+    built = count_scenarios(monkeypatch)
+    text = f"{SMALL}sweep: {{{key}: {[*range(5, 105)]}}}"
+
+    points = variants(load_scenario(scenario(text)))
+
+    assert len(points) == 100
+    assert len(built) < 10
+
+
+@pytest.mark.parametrize("count", [20, 100])
+def test_a_list_of_right_values_may_be_meant_as_a_sweep(scenario, monkeypatch, count):
+    """The option says so for any number of values, and checks few of them in the whole scenario."""
+    built = count_scenarios(monkeypatch)
+    values = [*range(5, 5 + count)]
+
+    (mistake,) = find_mistakes(scenario(SMALL), [f"robots={values}"])
+
+    assert "; to sweep robots, give --set 'sweep={robots: [5, 6, 7" in mistake.problem
+    assert len(built) < 70
+
+
+def test_a_long_list_with_a_wrong_value_is_no_sweep(scenario):
+    """Advice that leads to another mistake helps nobody."""
+    values = [*range(5, 105), -1]
+
+    (mistake,) = find_mistakes(scenario(SMALL), [f"robots={values}"])
+
+    assert "to sweep" not in mistake.problem
 
 
 def test_a_misspelled_key_is_the_only_mistake():

@@ -17,7 +17,7 @@ from tiswarm.base.errors import CasesFailedError, EnvironmentTroubleError, Input
 from tiswarm.base.progress import Progress, ignore
 from tiswarm.compute import backend
 from tiswarm.scenario.expansion import load_scenario, plan
-from tiswarm.study import Execution, runner
+from tiswarm.study import Execution, executors, runner
 
 SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")
 QUIET = Progress()
@@ -28,14 +28,14 @@ class _Watcher(Recorder):
 
     def __init__(self) -> None:
         super().__init__()
-        self.total, self.steps, self.beside = 0, [], set()
+        self.total, self.done, self.steps, self.beside = 0, 0, [], set()
 
     @contextmanager
-    def task(self, name, total, note=lambda: ""):
+    def task(self, name, total, note=lambda: "", done=0):
         if name != "cases":
             yield ignore
             return
-        self.total = total
+        self.total, self.done = total, done
         yield lambda steps: self.steps.append((steps, note())) if steps else self.beside.add(note())
 
 
@@ -92,6 +92,55 @@ def test_cases_are_reported_wherever_they_are_computed(
         assert {note for _, note in watcher.steps} == {""}
 
 
+@pytest.mark.parametrize(
+    "execution",
+    [{}, pytest.param({"workers": 2}, marks=pytest.mark.trial)],
+    ids=["here", "workers"],
+)
+def test_cases_count_as_they_are_stored_beside_those_of_an_earlier_run(tmp_path, execution):
+    """Users saw `0 of 64` while 18 cases were stored: cases to do were counted, and by jobs."""
+    run_tower(tmp_path, SMALL, shard=(1, 2))
+    watcher = _Watcher()
+
+    run_tower(tmp_path, SMALL, progress=watcher, **execution)
+
+    assert (watcher.done, watcher.total) == (4, 8)
+    assert sum(steps for steps, _ in watcher.steps) == 4
+    if not execution:
+        assert [steps for steps, _ in watcher.steps] == [1, 1, 1, 1]
+
+
+def test_stages_name_their_condition_and_point(tmp_path):
+    """A study of days says which of its cases take so long."""
+    recorder = Recorder()
+
+    run_tower(tmp_path, ("sweep={robots: [4, 5]}", *SMALL[1:]), progress=recorder)
+
+    assert "grow (robots=4,a and 1 more)" in recorder.tasks
+    assert "localize (robots=5,b)" in recorder.tasks
+
+
+def test_cases_of_a_job_that_is_split_count_once(tmp_path, monkeypatch):
+    """A case that fails lets the others of its job be computed again."""
+    fail = executors.run_job
+    broken = []
+
+    def break_once(job, *arguments, **options):
+        outcome = fail(job, *arguments, **options)
+        if not broken:
+            broken.append(job)
+            raise ValueError("broken")
+        return outcome
+
+    monkeypatch.setattr(executors, "run_job", break_once)
+    watcher = _Watcher()
+
+    run_tower(tmp_path, SMALL, progress=watcher)
+
+    assert min(steps for steps, _ in watcher.steps) < 0
+    assert sum(steps for steps, _ in watcher.steps) == 8
+
+
 @pytest.mark.trial
 def test_processes_report_what_they_do_before_a_job_ends(tmp_path):
     """Cases of large jobs end after minutes: users saw `0 of 1100` until then."""
@@ -99,7 +148,7 @@ def test_processes_report_what_they_do_before_a_job_ends(tmp_path):
 
     run_tower(tmp_path, SMALL, progress=watcher, workers=1)
 
-    assert any(re.fullmatch(r"[a-z ]+ \d+ of \d+", note) for note in watcher.beside)
+    assert any(re.fullmatch(r"[a-z ]+( \(.+\))? \d+ of \d+", note) for note in watcher.beside)
 
 
 def test_each_process_begins_with_one_structure(whole):

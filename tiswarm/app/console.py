@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -49,32 +50,34 @@ class ConsoleProgress(Progress):
             self.console.print(text, markup=False)
 
     @contextmanager
-    def task(self, name: str, total: int, note: Note = lambda: "") -> Iterator[Advance]:
+    def task(
+        self, name: str, total: int, note: Note = lambda: "", done: int = 0
+    ) -> Iterator[Advance]:
         """Show a task while the block runs; the block calls the result with the steps just done."""
         if self.quiet or total == 0:
             yield ignore
             return
-        begun = time.perf_counter()
+        steps = _Steps(total=total, before=done, begun_s=time.perf_counter())
         if self.cell:
-            yield self.cell.bar(name, total, begun, note)
+            yield self.cell.bar(name, steps, note)
         elif self.console.is_terminal:
-            with self._bar(name, total, begun, note) as advance:
+            with self._bar(name, steps, note) as advance:
                 yield advance
         else:
-            yield self._lines(name, total, begun, note)
+            yield self._lines(name, steps, note)
         noted = ", ".join(filter(None, (f"{name}: {total}", note())))
-        self.info(f"{noted} in {time.perf_counter() - begun:.1f} s")
+        self.info(f"{noted} in {time.perf_counter() - steps.begun_s:.1f} s")
 
-    def _lines(self, name: str, total: int, begun: float, note: Note) -> Advance:
+    def _lines(self, name: str, steps: "_Steps", note: Note) -> Advance:
         def show(done: float, remaining: str) -> None:
             about = f"about {remaining}" if remaining else ""
-            words = (f"{name}: {done:.0f} of {total}", note(), about)
+            words = (f"{name}: {done:.0f} of {steps.total}", note(), about)
             self.info(", ".join(filter(None, words)))
 
-        return _paced(show, total, begun, _LINE_EVERY_S)
+        return _paced(show, steps, _LINE_EVERY_S)
 
     @contextmanager
-    def _bar(self, name: str, total: int, begun: float, note: Note) -> Iterator[Advance]:
+    def _bar(self, name: str, steps: "_Steps", note: Note) -> Iterator[Advance]:
         """Add a bar below those of the tasks that this one runs within."""
         is_outermost = self.bars is None
         if self.bars is None:
@@ -89,13 +92,13 @@ class ConsoleProgress(Progress):
             )
             self.bars.start()
         bars = self.bars
-        task = bars.add_task(name, total=total, beside="")
+        task = bars.add_task(name, total=steps.total, completed=steps.before, beside="")
 
         def show(done: float, remaining: str) -> None:
             bars.update(task, completed=done, beside=", ".join(filter(None, (note(), remaining))))
 
         try:
-            yield _paced(show, total, begun, 0.0)
+            yield _paced(show, steps, 0.0)
         finally:
             bars.remove_task(task)
             if is_outermost:
@@ -124,31 +127,42 @@ class _Cell:
         else:
             self.handle.update(content, raw=True)
 
-    def bar(self, name: str, total: int, begun: float, note: Note) -> Advance:
+    def bar(self, name: str, steps: "_Steps", note: Note) -> Advance:
         """Show a bar, and return what moves it."""
 
         def show(done: float, remaining: str) -> None:
-            filled = "#" * int(_BAR * done / total)
-            words = ", ".join(filter(None, (f"{done:.0f} of {total}", note(), remaining)))
+            filled = "#" * int(_BAR * done / steps.total)
+            words = ", ".join(filter(None, (f"{done:.0f} of {steps.total}", note(), remaining)))
             self.show(f"{name} [{filled:.<{_BAR}}] {words}")
 
-        show(0.0, "")
-        return _paced(show, total, begun, _CELL_EVERY_S)
+        show(steps.before, "")
+        return _paced(show, steps, _CELL_EVERY_S)
 
 
-def _paced(show: Callable[[float, str], None], total: int, begun: float, every_s: float) -> Advance:
+@dataclass(frozen=True, kw_only=True)
+class _Steps:
+    """The steps of a task, and when it began."""
+
+    total: int
+    before: int  # steps that were done before the task began
+    begun_s: float  # by `time.perf_counter`
+
+
+def _paced(show: Callable[[float, str], None], steps: _Steps, every_s: float) -> Advance:
     """Return what shows the steps done every so long, and the time left from a twentieth on."""
+    to_do = steps.total - steps.before
     done = 0.0
-    shown = begun
+    shown_s = steps.begun_s
 
-    def advance(steps: float) -> None:
-        nonlocal done, shown
-        done += steps
-        now = time.perf_counter()
-        if now - shown >= every_s and done < total:
-            remaining_s = (now - begun) * (total - done) / max(done, total / 20)
-            show(done, f"{remaining_s:.0f} s left" if done >= total / 20 else "")
-            shown = now
+    def advance(just_done: float) -> None:
+        nonlocal done, shown_s
+        done += just_done
+        now_s = time.perf_counter()
+        if now_s - shown_s >= every_s and done < to_do:
+            is_known = done >= to_do / 20
+            left_s = (now_s - steps.begun_s) * (to_do - done) / max(done, to_do / 20)
+            show(steps.before + done, f"{left_s:.0f} s left" if is_known else "")
+            shown_s = now_s
 
     return advance
 

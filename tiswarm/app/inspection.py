@@ -216,10 +216,13 @@ def _inspect_log(path: Path) -> Inspection:
 
 def _inspect_scenario(source: Path | dict[str, Any], overrides: Sequence[str]) -> Inspection:
     # slow to import
-    from tiswarm.scenario.expansion import find_mistakes, load_scenario  # noqa: PLC0415
+    from tiswarm.scenario.expansion import examine, in_file_order  # noqa: PLC0415
     from tiswarm.study.forecast import forecast  # noqa: PLC0415
 
-    mistakes = find_mistakes(source, overrides)
-    if mistakes:
-        return Inspection(mistakes)
-    return Inspection(summary=str(forecast(load_scenario(source, overrides))))
+    try:
+        scenario, mistakes = examine(source, overrides)
+    except InputError as error:
+        return Inspection([error])
+    if scenario is None or mistakes:
+        return Inspection(in_file_order(mistakes))
+    return Inspection(summary=str(forecast(scenario)))

@@ -21,10 +21,17 @@ class Progress:
         name: str,  # noqa: ARG002 - for those that show it
         total: int,  # noqa: ARG002
         note: Note = lambda: "",  # noqa: ARG002
+        done: int = 0,  # noqa: ARG002
     ) -> AbstractContextManager[Advance]:
         """Start a task of `total` steps; the block calls the result with the steps just done.
 
         A task may run within the block of another one.
+
+        Args:
+            name: What is done.
+            total: Steps in all.
+            note: What to show beside the steps.
+            done: Steps that were done before, and say nothing of the time that others take.
         """
         return nullcontext(ignore)
 

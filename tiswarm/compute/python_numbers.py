@@ -8,7 +8,7 @@ bits there, on processors and on the cards of CUDA and AMD.
 
 Operators have the values of Python. Where the library would end the process, a value is NaN or the
 line is an error: negative powers of whole numbers, division by 0, truth values of real numbers,
-None, indices beyond a vector.
+None, indices beyond a vector. So is `assert`, which kernels leave out.
 
 A function without the decorator `ti.func` is run once, by Python, as the kernel is traced. There
 each `if` on a number of the kernel would be true. So a call of one is an error, too, and so is one
@@ -100,6 +100,7 @@ def install() -> None:
     _replace(transformer, "build_AugAssign", _checked_augmented)
     _replace(transformer, "build_Return", _checked_return)
     _replace(transformer, "build_range_for", _checked_range)
+    _replace(transformer, "build_Assert", _refused_assert)
     _replace(_library("impl"), "subscript", _subscript)
     _replace(transformer, "build_Subscript", _read_entry)
     _replace(_library("impl"), "ti_bool", _truth_of)
@@ -544,6 +545,16 @@ def _checked_range(original: Callable[..., Any], context: _Foreign, node: ast.Fo
                 f"{ast.unparse(end)} is real, and ends a range; use int({ast.unparse(end)})"
             )
     return built
+
+
+def _refused_assert(original: Callable[..., Any], context: _Foreign, node: ast.Assert) -> _Foreign:
+    """Refuse `assert`, which kernels leave out unless the library debugs."""
+    if _number_of_call(context) < 0:
+        return original(context, node)
+    raise _RefusalError(
+        "assert is left out of kernels; check parameters before the call, or return ti.math.nan "
+        f"unless {ast.unparse(node.test)}"
+    )
 
 
 def _checked_return(original: Callable[..., Any], context: _Foreign, node: ast.Return) -> _Foreign:

@@ -20,6 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tiswarm.base.aliases import (
+    Array,
+    Gain,
+    Length,
+    Parameters,
+    PerRobot,
+    PerStep,
+    UserFunction,
+)
 from tiswarm.base.errors import InputError, did_you_mean, warn
 from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.robot import Robot
@@ -60,27 +69,27 @@ _MOST_STEPS = 2**31 - 1
 
 # Quoted types are named by `help`, which would spell them out.
 def relax(
-    position: "ArrayLike",
-    orientation_wxyz: "ArrayLike",
-    contacts: "ArrayLike",
+    position: Array,
+    orientation_wxyz: Array,
+    contacts: Array,
     *,
-    robot: Robot,
+    robot: "Robot",
     steps: int,
-    attraction_gain: float | None = None,
-    repulsion_gain: float | None = None,
-    ramp: "ArrayLike | None" = None,
-    height: "ArrayLike | None" = None,
+    attraction_gain: Gain = None,
+    repulsion_gain: Gain = None,
+    ramp: PerStep = None,
+    height: PerRobot = None,
     height_gain: float = 0.0,
-    max_step: float | None = None,
-    force: "Callable[..., Any] | None" = None,
-    integrator: "Callable[..., Any] | None" = None,
-    parameters: "Mapping[str, ArrayLike] | None" = None,
-    cutoff: float | None = None,
-    mobility: "ArrayLike | None" = None,
+    max_step: Length = None,
+    force: UserFunction = None,
+    integrator: UserFunction = None,
+    parameters: Parameters = None,
+    cutoff: Length = None,
+    mobility: PerRobot = None,
     seed: int = 0,
     first_step: int = 0,
-    last_step: "ArrayLike | None" = None,
-    structure: "ArrayLike | None" = None,
+    last_step: PerRobot = None,
+    structure: PerRobot = None,
     precision: "AnyPrecision" = "auto",
     arch: "AnyArch" = "cpu",
     threads: int | None = None,

@@ -86,6 +86,10 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+MISSING = "\N{EN DASH}"
+"""What tables for people show in place of a number that is not known."""
+
+
 def percent(share: float) -> str:
     """Write a share in percent, without the sign; one that is nearly all is less than 100.
 

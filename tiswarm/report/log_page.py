@@ -184,7 +184,7 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[PageTable]:
     if rows:
         words = ["further measurement", "robots determined"]
         note = "One further measurement would constrain the swarm as follows."
-        if IMAGES_APART in rows[0]:
+        if any(IMAGES_APART in row for row in rows):
             note += (
                 " Images apart: difference of the measurement between solutions 1 and 2, in "
                 "standard deviations of what is expected; 5 or more exclude one of them."

@@ -5,6 +5,7 @@ Figures are SVG in the colors of the page, renders are WebP.
 
 import base64
 import io
+import os
 import re
 import warnings
 from collections.abc import Iterator, Sequence
@@ -139,9 +140,12 @@ def _order(path: Path) -> tuple[int, str]:
 
 
 def _shown(path: Path) -> Shown:
-    """Read a picture, of a figure the SVG beside it, without its caption."""
+    """Read a picture, of a figure the SVG beside it, without its caption.
+
+    Pictures that users put beside figures may have no SVG.
+    """
     vector = path.with_suffix(".svg")
-    if path.parent.name == "figures":
+    if path.parent.name == "figures" and os.path.lexists(vector):
         drawing, width = _drawn(vector, _read(vector))
         column = path.with_name(f"{path.stem}{NARROW}.svg")
         narrow = _drawn(column, _read(column))[0] if column.exists() else ""

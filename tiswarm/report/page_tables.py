@@ -5,6 +5,7 @@ import re
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,7 +31,7 @@ from tiswarm.records.measures import (
     Measure,
     plugin_headings,
 )
-from tiswarm.records.messages import counted, three_digits
+from tiswarm.records.messages import MISSING, counted, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.run_data import measured_words, with_points
 
@@ -53,13 +54,32 @@ _PUBLISHED = {
 
 @dataclass(frozen=True, kw_only=True)
 class PageTable:
-    """A table of the page."""
+    """A table of the page.
 
-    frame: pd.DataFrame  # formatted cells, all of them text
+    A number that is missing is an empty text in `frame`, and a dash for readers.
+    """
+
+    frame: pd.DataFrame  # formatted cells; all of them are text once the table is made
     words: Collection[str]  # columns of words, which are aligned left; the others contain numbers
     title: str = ""
     note: str = ""
     is_first: bool = False  # whether readers see it without a click
+
+    def __post_init__(self) -> None:
+        """Make a text of each cell; that of a number that is missing is empty."""
+        texts = {name: self._texts(str(name), cells) for name, cells in self.frame.items()}
+        object.__setattr__(self, "frame", pd.DataFrame(texts, index=self.frame.index))
+
+    def _texts(self, name: str, cells: "pd.Series[Any]") -> "pd.Series[str]":
+        texts = cells.astype(object).where(cells.notna(), "").map(str)
+        return texts if name in self.words else texts.replace("nan", "")
+
+    @property
+    def shown(self) -> pd.DataFrame:
+        """Cells of the columns that are shown, with a dash for each number that is missing."""
+        frame = self.frame[self.columns]
+        numbers = [name for name in frame if name not in self.words]
+        return frame.assign(**{str(name): frame[name].replace("", MISSING) for name in numbers})
 
     @property
     def is_grouped(self) -> bool:
@@ -75,7 +95,7 @@ class PageTable:
     def groups(self) -> list[tuple[str, list[list[str]]]]:
         """Cells of all rows, below the point that they share; that is empty without one."""
         points = self.frame[POINT] if self.is_grouped else pd.Series("", self.frame.index)
-        groups = self.frame[self.columns].groupby(points, sort=False)
+        groups = self.shown.groupby(points, sort=False)
         return [(str(point), rows.to_numpy().tolist()) for point, rows in groups]
 
 
@@ -125,7 +145,7 @@ def console_text(table: PageTable, width: int = 100) -> str:
 
     The point of a sweep stands once, in a line above its conditions.
     """
-    frame = table.frame[table.columns]
+    frame = table.shown
     cells = [[*map(str, frame)], *frame.to_numpy().tolist()]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
 
@@ -532,6 +552,8 @@ def _number(value: float, sign: str = "") -> str:
     """Write a number with three significant digits, a whole one without decimals."""
     if math.isnan(value):
         return ""
+    if math.isinf(value):
+        return str(value)
     plus = sign if value > 0.0 else ""
     whole = value == round(value) or abs(value) >= 1000.0  # noqa: PLR2004 - all digits before the point
     return plus + (f"{value:.0f}" if whole else three_digits(value))

@@ -6,12 +6,14 @@ A variant is one point of the sweep under one condition, a case one of its seeds
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from pydantic import ValidationError
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.plugins import load_plugins
@@ -19,10 +21,11 @@ from tiswarm.base.registry import Registered, contents
 from tiswarm.records.messages import Part, dotted
 from tiswarm.records.run_folder import LABEL, variant_name
 from tiswarm.scenario.labels import swept_keys, without_label
-from tiswarm.scenario.model import Scenario, from_plain, to_plain
+from tiswarm.scenario.model import ADAPTER, Scenario, from_plain, to_plain
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     DISCRIMINATORS,
+    MOST_MISTAKES,
     SAME_KEYS,
     Mistake,
     Plain,
@@ -36,6 +39,12 @@ from tiswarm.scenario.validation import (
 from tiswarm.scenario.yaml_source import NOWHERE, YamlSource, find_scenario, read_yaml
 
 _MAX_VARIANTS = 10_000
+
+_MAX_FAILURES = 1000
+"""Variants with mistakes after which no others are built: many have the same mistake."""
+
+_FEW_VALUES = 20
+"""Longest list of values that are checked one by one within the whole scenario."""
 
 _Sweep = Mapping[str, Sequence[Any]]
 
@@ -67,22 +76,31 @@ def load_scenario(file_or_data: Path | Plain, overrides: Sequence[str] = ()) -> 
     Raises:
         InputError: for the first wrong key, or else the first mistake, with the number of others.
     """
-    scenario, mistakes = _examine(file_or_data, overrides)
+    scenario, mistakes = examine(file_or_data, overrides)
     if scenario is not None and not mistakes:
         return scenario
+    if len(mistakes) > MOST_MISTAKES:
+        raise first_of(mistakes[:MOST_MISTAKES], " at least; check lists these")
     raise first_of(mistakes, "; check lists all")
 
 
 def find_mistakes(file_or_data: Path | Plain, overrides: Sequence[str] = ()) -> list[InputError]:
-    """List all mistakes in a scenario in file order, those in options last.
+    """List the mistakes in a scenario in file order, those in options last.
 
-    Of mistakes in one place, wrong keys come first.
+    Of mistakes in one place, wrong keys come first. Of more than MOST_MISTAKES, the last entry says
+    that there are others.
     """
     try:
-        errors = _examine(file_or_data, overrides)[1]
-        return sorted(errors, key=lambda error: (error.line is None, error.line))
+        _, mistakes = examine(file_or_data, overrides)
     except InputError as error:
         return [error]
+    return in_file_order(mistakes)
+
+
+def in_file_order(mistakes: Sequence[InputError]) -> list[InputError]:
+    """Sort mistakes that `examine` returned by line, those in options last."""
+    listed = sorted(mistakes[:MOST_MISTAKES], key=lambda error: (error.line is None, error.line))
+    return [*listed, *mistakes[MOST_MISTAKES:]]
 
 
 def variants(scenario: Scenario) -> list[Variant]:
@@ -90,16 +108,28 @@ def variants(scenario: Scenario) -> list[Variant]:
 
     A wrong condition or swept value raises InputError; scenarios from files have none.
     """
-    expanded, mistakes = _expand(to_plain(scenario), scenario.conditions, scenario.sweep)
+    expanded, mistakes = _expand(scenario, scenario.conditions, scenario.sweep)
     if mistakes:
         raise InputError(mistakes[0].problem, key=dotted(mistakes[0].path))
     return expanded
 
 
-def _examine(
-    file_or_data: Path | Plain, overrides: Sequence[str]
+def examine(
+    file_or_data: Path | Plain, overrides: Sequence[str] = ()
 ) -> tuple[Scenario | None, list[InputError]]:
-    """Check a scenario, and list all mistakes: wrong keys first, options last of either."""
+    """Check a scenario, and list its mistakes: wrong keys first, options last of either.
+
+    Args:
+        file_or_data: As for `load_scenario`.
+        overrides: As for `load_scenario`.
+
+    Returns:
+        The scenario, None if it has a mistake outside its conditions and its sweep. Its mistakes;
+        of more than MOST_MISTAKES, an entry after these says that there are others.
+
+    Raises:
+        InputError: the file cannot be read as a mapping.
+    """
     load_plugins()
     path = find_scenario(file_or_data) if isinstance(file_or_data, Path) else None
     source = read_yaml(path) if path else YamlSource(deepcopy(file_or_data), {(): NOWHERE})
@@ -126,11 +156,14 @@ def _examine(
             for key in setting.values:
                 sweep.pop(key, None)
     outcome = from_plain(data)
-    mistakes = _mistakes(data) or ([] if swept else _swept_over(data))
+    mistakes = _mistakes(data, outcome) or ([] if swept else _swept_over(data))
     mistakes = [_with_sweep(mistake, data, settings) for mistake in mistakes]
     placed = [(mistake.about_key, _placed(mistake, path, source, settings)) for mistake in mistakes]
     placed.sort(key=lambda entry: (not entry[0], entry[1].line is None, entry[1].line))
     errors = [*(error for _, error in placed), *unread]
+    if len(errors) > MOST_MISTAKES:
+        problem = f"has more than {MOST_MISTAKES} mistakes; correct those that are listed first"
+        errors = [*errors[:MOST_MISTAKES], InputError(problem, path=path)]
     return (outcome if isinstance(outcome, Scenario) else None), errors
 
 
@@ -142,11 +175,10 @@ def _with_sweep(mistake: Mistake, data: Plain, settings: Sequence[Setting]) -> M
             values = setting.value
     if mistake.about_key or not isinstance(values, list) or not values:
         return mistake
-    for value in values:
-        single = deepcopy(data)
-        set_key(single, [str(part) for part in mistake.path], value)
-        if any(problem.path == mistake.path for problem in _mistakes(single)):
-            return mistake
+    single = deepcopy(data)
+    set_key(single, [str(part) for part in mistake.path], None)  # copies without the list are short
+    if not all(_is_right(value, mistake.path, single, len(values)) for value in values):
+        return mistake
     key = dotted(mistake.path)
     text = json.dumps(values).replace('"', "")
     sweep = data.get("sweep")
@@ -158,19 +190,36 @@ def _with_sweep(mistake: Mistake, data: Plain, settings: Sequence[Setting]) -> M
     return mistake._replace(problem=f"{mistake.problem}; to sweep {key}, give --set '{option}'")
 
 
+def _is_right(value: object, path: tuple[Part, ...], data: Plain, count: int) -> bool:
+    """Whether one of `count` values is right at a path of some data; one of many, in its section.
+
+    A section is checked in a fraction of the time that the scenario needs with all variants.
+    """
+    keys = [str(part) for part in path]
+    section = keys[0]
+    if count > _FEW_VALUES:
+        alone = {section: deepcopy(data.get(section))}
+        if not set_key(alone, keys, value) and _checked_section(section, alone[section]):
+            return True
+    single = deepcopy(data)
+    set_key(single, keys, value)
+    return all(problem.path != path for problem in _mistakes(single, from_plain(single)))
+
+
 def _swept_over(data: Plain) -> list[Mistake]:
     """List the values of a valid scenario that its sweep replaces at every point.
 
     A value at its default has no effect either, but files of runs have all defaults.
     """
     mistakes = []
+    defaults = _default_of(data) if data.get("sweep") else {}
     for key in itertools.chain.from_iterable(map(swept_keys, data.get("sweep", {}))):
         section, *rest = key.split(".")
         selects = rest == [DISCRIMINATORS.get(section)]
         value = _value_at(data, key)
         if selects or value is None or isinstance(value, dict):
             continue
-        if value != _value_at(_default_of(data), key):
+        if value != _value_at(defaults, key):
             problem = f"has no effect, as sweep sets {key}; leave out or set sweep={{{key}: [...]}}"
             mistakes.append(Mistake((section, *rest), problem, about_key=True))
     return mistakes
@@ -195,10 +244,16 @@ def _value_at(data: Plain, key: str) -> object:
     return value
 
 
-def _mistakes(data: Plain) -> list[Mistake]:
-    """List all mistakes; conditions and swept values of bad sections are not checked."""
-    outcome = from_plain(data)
+def _mistakes(data: Plain, outcome: Scenario | list[Mistake]) -> list[Mistake]:
+    """List the mistakes of some data; conditions and swept values of bad sections are not checked.
+
+    Args:
+        data: A scenario as plain data.
+        outcome: What `from_plain` makes of it.
+    """
     mistakes = [] if isinstance(outcome, Scenario) else outcome
+    if len(mistakes) > MOST_MISTAKES:
+        return mistakes
     bad = {part for mistake in mistakes for part in mistake.path[:1]}
 
     def good(entries: Mapping[str, Any]) -> dict[str, Any]:
@@ -208,7 +263,7 @@ def _mistakes(data: Plain) -> list[Mistake]:
     if not isinstance(scenario, Scenario):
         return mistakes
     conditions = {name: good(entries) for name, entries in scenario.conditions.items()}
-    return [*mistakes, *_expand(to_plain(scenario), conditions, good(scenario.sweep))[1]]
+    return [*mistakes, *_expand(scenario, conditions, good(scenario.sweep))[1]]
 
 
 def _placed(
@@ -244,9 +299,13 @@ class _ChangedKey(NamedTuple):
 
 
 def _expand(
-    base: Plain, conditions: Mapping[str, Mapping[str, Any]], sweep: _Sweep
+    scenario: Scenario, conditions: Mapping[str, Mapping[str, Any]], sweep: _Sweep
 ) -> tuple[list[Variant], list[Mistake]]:
-    """Build the variants of a valid scenario, and list mistakes in its conditions and sweep."""
+    """Build the variants of a valid scenario, and list mistakes in its conditions and sweep.
+
+    No variants follow once there are more than MOST_MISTAKES mistakes, or _MAX_FAILURES variants
+    with mistakes.
+    """
     count = math.prod(map(len, sweep.values())) * len(conditions)
     if count > _MAX_VARIANTS:
         problem = f"makes {count} cases; {_MAX_VARIANTS} is the most: give fewer values"
@@ -254,7 +313,8 @@ def _expand(
     malformed = _malformed(sweep)
     if malformed:
         return [], malformed
-    base = {key: value for key, value in base.items() if key not in {"conditions", "sweep"}}
+    base = _Base.of(scenario)
+    failures = 0
     by_folder: dict[str, Variant] = {}
     mistakes: dict[Mistake, None] = {}
     points = itertools.product(*(list(_rows(entry, values)) for entry, values in sweep.items()))
@@ -271,6 +331,7 @@ def _expand(
         outcome = _apply(base, changes, label)
         if not isinstance(outcome, Scenario):
             mistakes.update(dict.fromkeys(outcome))
+            failures += 1
         elif label.casefold() in by_folder:
             problem = f"two cases would have the name {label}; rename a condition or a value"
             mistakes[Mistake(("sweep" if sweep else "conditions",), problem)] = None
@@ -278,6 +339,8 @@ def _expand(
             by_folder[label.casefold()] = Variant(
                 label=label, condition=condition, point=point, settings=outcome
             )
+        if len(mistakes) > MOST_MISTAKES or failures == _MAX_FAILURES:
+            break
     return list(by_folder.values()), list(mistakes)
 
 
@@ -300,12 +363,15 @@ def _malformed(sweep: _Sweep) -> list[Mistake]:
     seen: set[str] = set()
     for entry, values in sweep.items():
         keys = swept_keys(entry)
-        repeated = [key for n, key in enumerate(keys) if key in seen or key in keys[:n]]
+        repeated = []
+        for key in keys:
+            if key in seen:
+                repeated.append(key)
+            seen.add(key)
         if repeated:
             key = repeated[0]
             problem = f"{key} is swept already; keep one, or set sweep={{{key}: [...]}}"
             mistakes.append(Mistake(("sweep", entry), problem))
-        seen.update(keys)
         problem = f"should be a row of {len(keys)} values, one for each key of {entry}"
         mistakes += [
             Mistake(("sweep", entry, place), problem)
@@ -315,9 +381,60 @@ def _malformed(sweep: _Sweep) -> list[Mistake]:
     return mistakes
 
 
-def _apply(base: Plain, changes: Sequence[_ChangedKey], label: str) -> Scenario | list[Mistake]:
+@dataclass(frozen=True, kw_only=True)
+class _Base:
+    """What the variants of a scenario change: it without its conditions and its sweep."""
+
+    plain: Plain  # as plain data
+    checked: Mapping[str, Any]  # each field, checked
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "_Base":
+        """Take the fields of a scenario that variants have."""
+        plain = to_plain(scenario)
+        names = [f.name for f in fields(scenario) if f.name not in {"conditions", "sweep"}]
+        return cls(
+            plain={name: plain[name] for name in names if name in plain},
+            checked={name: getattr(scenario, name) for name in names},
+        )
+
+    def with_sections(self, data: Plain, changed: Collection[str]) -> Scenario | None:
+        """Build a scenario and check the changed sections of some data; None at a mistake."""
+        values = dict(self.checked)
+        for name in changed:
+            values[name] = data[name]
+            if isinstance(data[name], dict | list):
+                scenario = _checked_section(name, data[name])
+                if scenario is None:
+                    return None
+                values[name] = getattr(scenario, name)
+        try:
+            return Scenario(**values)
+        except ValidationError:
+            return None
+
+
+def _checked_section(name: str, section: object) -> Scenario | None:
+    """Return a scenario with nothing but a section of some data; None if it has a mistake."""
+    return _checked_json(name, json.dumps(section), contents())
+
+
+@lru_cache(maxsize=_MAX_VARIANTS)
+def _checked_json(name: str, section: str, _plugins: tuple[Registered, ...]) -> Scenario | None:
+    sections = {key: json.dumps(value) for key, value in _MINIMAL.items()}
+    sections[name] = section
+    entries = ", ".join(f'"{key}": {text}' for key, text in sections.items())
+    try:
+        return ADAPTER.validate_json(f"{{{entries}}}")
+    except ValidationError:
+        return None
+
+
+def _apply(base: _Base, changes: Sequence[_ChangedKey], label: str) -> Scenario | list[Mistake]:
     """Apply whole sections first, then keys that select settings, then the settings."""
-    data = deepcopy(base)
+    data = dict(base.plain)
+    changed = {change.path[0] for change in changes}
+    data.update({name: deepcopy(data[name]) for name in changed if name in data})
     dropped = []
     changes = sorted(changes, key=lambda change: (len(change.path) > 1, not change.selects))
     for change in changes:
@@ -328,7 +445,7 @@ def _apply(base: Plain, changes: Sequence[_ChangedKey], label: str) -> Scenario 
         problem = set_key(data, change.path, change.value)
         if problem:
             return [Mistake(change.source, problem)]
-    outcome = from_plain(data)
+    outcome = base.with_sections(data, changed) or from_plain(data)
     if isinstance(outcome, Scenario):
         return dropped or outcome
     return [_attribute(mistake, changes, label) for mistake in outcome]

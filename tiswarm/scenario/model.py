@@ -5,6 +5,7 @@ Each section is defined in the room that uses it.
 
 import json
 import re
+from collections import Counter
 from dataclasses import field
 from hashlib import sha256
 from typing import Annotated, Any, Literal, TypeVar
@@ -71,10 +72,11 @@ def _labeled(conditions: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]
 
 
 def _check_labels(labels: list[Any], named: str) -> None:
+    counts = Counter(label for label in labels if isinstance(label, str))
     for label in labels:
         if not (isinstance(label, str) and label.isprintable() and 1 <= len(label) <= _LONGEST):
             raise ValueError(f"label {label!r}: give a text of 1 to {_LONGEST} letters")
-        if labels.count(label) > 1:
+        if counts[label] > 1:
             raise ValueError(f"two {named} have the label {label}; give each its own")
 
 

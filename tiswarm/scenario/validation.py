@@ -41,6 +41,9 @@ SAME_KEYS = ("sensing",)
 CONDITION_SECTIONS = ("localization", "sensing")
 """Sections that conditions change."""
 
+MOST_MISTAKES = 20
+"""Mistakes of a scenario that are listed; of more, the list says that there are others."""
+
 _METHOD = ("localization", "method")
 _KIND = ("structure", "kind")
 _RULE = ("structure", "rule", "name")
@@ -96,13 +99,21 @@ _LOCALIZATION = TypeAdapter(_LocalizationSection)
 
 
 def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mistake]:
-    """Build an object from plain data, or list every mistake in it."""
+    """Build an object from plain data, or list the mistakes in it.
+
+    Of more than MOST_MISTAKES, the list has one beyond these, and wrong keys come first.
+    """
     try:
         # Only from JSON does strict validation accept lists for tuples.
         return adapter.validate_json(json.dumps(data))
     except ValidationError as invalid:
         errors = invalid.errors(include_url=False)
-        return [_mistake(error, adapter, data) for error in errors if not _follows(error, errors)]
+        if len(errors) > MOST_MISTAKES:
+            errors.sort(key=lambda error: error["type"] not in UNKNOWN_KEY)
+        causes = (error for error in errors if not _follows(error, errors))
+        return [
+            _mistake(error, adapter, data) for error in itertools.islice(causes, MOST_MISTAKES + 1)
+        ]
 
 
 def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:

@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.base.process import child_command
-from tiswarm.base.progress import Advance, Note, Progress
+from tiswarm.base.progress import Advance, Note, Progress, ignore
 from tiswarm.compute import backend, kernel_cache
 from tiswarm.scenario.model import Scenario
-from tiswarm.study.runner import Job, Outcome, run_job
+from tiswarm.study.runner import Job, OnStored, Outcome, run_job
 
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job
 END_S = 10.0  # time that an idle process has to store its kernels and end
@@ -94,7 +94,7 @@ class _CrashError(_JobError):
 class Executor(NamedTuple):
     """Starts jobs, `width` at the same time, each with so many CPU threads; all if None."""
 
-    submit: Callable[[Job], "Future[Outcome]"]
+    submit: Callable[[Job, OnStored], "Future[Outcome]"]
     width: int
     threads: int | None
 
@@ -124,7 +124,9 @@ def open_executor(
         with connected(execution.scheduler) as (remote, width):
             try:
                 yield Executor(
-                    lambda job: remote.submit(_run_in_process, job, limit), width, threads or 1
+                    lambda job, _on_stored: remote.submit(_run_in_process, job, limit),
+                    width,
+                    threads or 1,
                 )
             finally:
                 _end_all()  # processes of a cluster within this process
@@ -134,19 +136,23 @@ def open_executor(
             try:
                 job_threads = max(1, (threads or backend.available_threads()) // width)
                 yield Executor(
-                    lambda job: waiting.submit(_run_in_process, job, limit), width, job_threads
+                    lambda job, on_stored: waiting.submit(_run_in_process, job, limit, on_stored),
+                    width,
+                    job_threads,
                 )
             finally:
                 waiting.shutdown(wait=False, cancel_futures=True)
                 _end_all()
     else:
-        yield Executor(lambda job: _run_in_this_process(job, progress), 1, threads)
+        yield Executor(
+            lambda job, on_stored: _run_in_this_process(job, progress, on_stored), 1, threads
+        )
 
 
-def _run_in_this_process(job: Job, progress: Progress) -> "Future[Outcome]":
+def _run_in_this_process(job: Job, progress: Progress, on_stored: OnStored) -> "Future[Outcome]":
     done: Future[Outcome] = Future()
     try:
-        done.set_result(run_job(job, progress))
+        done.set_result(run_job(job, progress, on_stored=on_stored))
     except Exception as error:  # noqa: BLE001 - the caller raises it from the future
         done.set_exception(error)
     return done
@@ -165,23 +171,23 @@ _ending = threading.Event()  # set once processes of this run are to end
 _of_thread = threading.local()
 
 
-def _run_in_process(job: Job, limit_s: float | None) -> Outcome:
+def _run_in_process(job: Job, limit_s: float | None, on_stored: OnStored = ignore) -> Outcome:
     """Run a job in another process; where machine code crashes it, once more with new kernels."""
     try:
-        return _attempt(job, limit_s)
+        return _attempt(job, limit_s, on_stored)
     except _CrashError as crash:
         if not kernel_cache.clear(Path(backend.current().cache)):
             raise
         sys.stderr.write(f"tiswarm: warning: {crash}; kernel cache cleared, trying once more\n")
-        return _attempt(job, limit_s)
+        return _attempt(job, limit_s, on_stored)
 
 
-def _attempt(job: Job, limit_s: float | None) -> Outcome:
+def _attempt(job: Job, limit_s: float | None, on_stored: OnStored) -> Outcome:
     """Run a job in the process of this thread, which is replaced after any failure."""
     process: _Process = getattr(_of_thread, "process", None) or _Process()
     _of_thread.process = None
     try:
-        outcome = process.run(job, limit_s)
+        outcome = process.run(job, limit_s, on_stored)
     except BaseException:
         process.end()
         raise
@@ -195,6 +201,12 @@ class _Stage(str):
     __slots__ = ()
 
 
+class _Stored(NamedTuple):
+    """Cases that a process has just stored."""
+
+    cases: float
+
+
 class _Sent(Progress):
     """Sends the stages of a job to the process that waits for it."""
 
@@ -202,17 +214,23 @@ class _Sent(Progress):
         self.send = send
 
     @contextmanager
-    def task(self, name: str, total: int, note: Note = lambda: "") -> Iterator[Advance]:  # noqa: ARG002
-        done = 0.0
+    def task(
+        self,
+        name: str,
+        total: int,
+        note: Note = lambda: "",  # noqa: ARG002 - the stages of a job have none
+        done: int = 0,
+    ) -> Iterator[Advance]:
+        so_far = float(done)
         sent_s = -math.inf
 
         def advance(steps: float) -> None:
-            nonlocal done, sent_s
-            done += steps
+            nonlocal so_far, sent_s
+            so_far += steps
             now_s = time.monotonic()
             if now_s - sent_s >= _STAGE_EVERY_S:
                 sent_s = now_s
-                self.send(_Stage(f"{name} {done:.0f} of {total}"))
+                self.send(_Stage(f"{name} {so_far:.0f} of {total}"))
 
         advance(0.0)
         yield advance
@@ -239,7 +257,7 @@ class _Process:
         if _ending.is_set():
             self.end()
 
-    def run(self, job: Job, limit_s: float | None) -> Outcome:
+    def run(self, job: Job, limit_s: float | None, on_stored: OnStored) -> Outcome:
         """Run a job, unless it takes longer than allowed for all of its cases."""
         self.is_idle = False
         with suppress(OSError):  # the process has ended; receiving finds out why
@@ -247,7 +265,8 @@ class _Process:
         message = self._receive(START_S, "its process did not start within {:g} s; run it again")
         if message == _READY:
             total_s = None if limit_s is None else limit_s * len(job.cases)
-            message = self._receive(total_s, "took longer than {:g} s; raise --case-limit")
+            problem = "took longer than {:g} s; raise --case-limit"
+            message = self._receive(total_s, problem, on_stored)
         self.stage = ""
         if isinstance(message, TiswarmError):
             raise message
@@ -272,16 +291,19 @@ class _Process:
             self.connection.close()
             self.output.close()
 
-    def _receive(self, limit_s: float | None, problem: str) -> object:
+    def _receive(self, limit_s: float | None, problem: str, on_stored: OnStored = ignore) -> object:
         end_s = math.inf if limit_s is None else time.monotonic() + limit_s
         try:
             while True:
                 remaining_s = end_s - time.monotonic()
                 if self.connection.poll(max(0.0, min(_LONGEST_POLL_S, remaining_s))):
                     message = self.connection.recv()
-                    if not isinstance(message, _Stage):
+                    if isinstance(message, _Stage):
+                        self.stage = message
+                    elif isinstance(message, _Stored):
+                        on_stored(message.cases)
+                    else:
                         return message
-                    self.stage = message
                 elif remaining_s <= _LONGEST_POLL_S:
                     raise _JobError(problem.format(limit_s))
         except (EOFError, OSError) as error:
@@ -320,7 +342,12 @@ def main(descriptor: int, parent: int) -> None:
             message: Outcome | TiswarmError | str
             try:
                 progress = _Sent(connection.send)
-                message = run_job(job, progress, on_ready=lambda: connection.send(_READY))
+                message = run_job(
+                    job,
+                    progress,
+                    on_ready=lambda: connection.send(_READY),
+                    on_stored=lambda cases: connection.send(_Stored(cases)),
+                )
             except TiswarmError as error:
                 message = error
             except Exception as error:  # noqa: BLE001 - the parent decides what to do

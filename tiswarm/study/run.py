@@ -4,17 +4,19 @@ Any executor computes the jobs; their progress is shown.
 """
 
 import shlex
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, groupby
 from pathlib import Path
+from threading import Lock
 
 from tiswarm.base import errors
 from tiswarm.base.params import AnyArch, Arch
 from tiswarm.base.plugins import PluginError
-from tiswarm.base.progress import Progress
+from tiswarm.base.progress import Advance, Progress, ignore
 from tiswarm.localization import methods
 from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import Group, Plan, plan
@@ -87,19 +89,25 @@ def run(
         measures.try_on(stored.values())
         if missing:
             folder.reopen(progress, computes=execution.scheduler is None)
-            for workers, alike in groupby(missing, lambda group: group[0].settings.workers):
-                here = replace(execution, workers=workers) if workers else execution
-                with open_executor(here, threads, progress) as executor:
-                    jobs = batch(
-                        [*alike], folder, arch=running, threads=executor.threads,
-                        width=executor.width,
-                        alone=here.case_limit_s is not None,  # to find the one that hangs
-                    )  # fmt: skip
-                    if measures.is_due:
-                        jobs = first_alone(jobs)
-                    outcomes += compute(
-                        jobs, executor, progress, fail_fast=here.fail_fast, check=measures.try_on
-                    )
+            # A user can watch the cases from now on, wherever they are computed.
+            progress.info(f"to watch: tiswarm view --live {shlex.quote(str(folder.path))}")
+            ended = _CaseCount()
+            total = sum(map(len, mine))
+            with progress.task("cases", total, ended.note, len(stored)) as ended.advance:
+                for workers, groups in groupby(missing, lambda group: group[0].settings.workers):
+                    place = replace(execution, workers=workers) if workers else execution
+                    with open_executor(place, threads, progress) as executor:
+                        jobs = batch(
+                            [*groups], folder, arch=running, threads=executor.threads,
+                            width=executor.width,
+                            alone=place.case_limit_s is not None,  # to find the one that hangs
+                        )  # fmt: skip
+                        if measures.is_due:
+                            jobs = first_alone(jobs)
+                        outcomes += compute(
+                            jobs, executor, ended, progress, fail_fast=place.fail_fast,
+                            check=measures.try_on,
+                        )  # fmt: skip
         computed = {record.case: record for outcome in outcomes for record in outcome.records}
         records = stored | computed
         others = folder.read_cases([case for case in whole.cases if case.name not in records])
@@ -175,9 +183,41 @@ _BEAT_S = 1.0
 """Longest time between two looks at the jobs, so that progress lines come while none ends."""
 
 
+class _CaseCount:
+    """Counts the cases of a study as they end, also those of jobs that still run.
+
+    Threads of an executor report these.
+    """
+
+    def __init__(self) -> None:
+        self.advance: Advance = ignore
+        self.failed = 0
+        self.executor: Executor | None = None
+        self._lock = Lock()
+        self._stored: Counter[int] = Counter()  # cases of running jobs that are stored, by job
+
+    def note(self) -> str:
+        """Return how many cases failed, and what a process does."""
+        failed = f"{self.failed} failed" if self.failed else ""
+        stage = self.executor.stage if self.executor else ""
+        return ", ".join(filter(None, (failed, stage)))
+
+    def store(self, job: Job, cases: float) -> None:
+        """Count cases that a running job has just stored."""
+        with self._lock:
+            self._stored[id(job)] += round(cases)
+            self.advance(cases)
+
+    def end(self, job: Job, cases: int) -> None:
+        """Count the cases of a job that has ended; none if they are to be computed again."""
+        with self._lock:
+            self.advance(cases - self._stored.pop(id(job), 0))
+
+
 def compute(
     jobs: Sequence[Job],
     executor: Executor,
+    count: _CaseCount,
     progress: Progress,
     *,
     fail_fast: bool = False,
@@ -185,8 +225,8 @@ def compute(
 ) -> list[Outcome]:
     """Compute jobs; one that fails is split until the failing case is alone.
 
-    `progress` receives a task whose steps are cases, with the number of those that failed and what
-    a process does. `check` is called with the records of each job, and may end the study.
+    `count` receives each case that ends. `check` is called with the records of each job, and may
+    end the study.
 
     Raises:
         CasesFailedError: a case failed, and `fail_fast` stops at failures.
@@ -194,36 +234,30 @@ def compute(
     """
     waiting = deque(jobs)
     running: dict[Future[Outcome], Job] = {}
-    found: list[Outcome] = []
-    failed = 0
-    # A user can watch the cases from now on, wherever they are computed.
-    progress.info(f"to watch: tiswarm view --live {shlex.quote(str(jobs[0].folder.path))}")
-    total = sum(len(job.cases) for job in jobs)
-    with progress.task(
-        "cases", total,
-        lambda: ", ".join(filter(None, (f"{failed} failed" * (failed > 0), executor.stage))),
-    ) as advance:  # fmt: skip
-        while waiting or running:
-            while waiting and len(running) < executor.width:
-                job = waiting.popleft()
-                running[executor.submit(job)] = job
-            for future in wait(running, _BEAT_S, FIRST_COMPLETED).done:
-                job = running.pop(future)
-                outcome = _outcome(future, job)
-                if outcome is None:
-                    waiting.extendleft(reversed(job.halves))
-                    continue
-                failures = _report(outcome.records, progress)
-                if failures and fail_fast:
-                    first = failures[0]
-                    msg = f"stopped, for a case failed: {first.case}: {first.reason}"
-                    raise errors.CasesFailedError(msg)
-                check(outcome.records)
-                found.append(outcome)
-                failed += len(failures)
-                advance(len(outcome.records))
-            advance(0.0)
-    return found
+    outcomes: list[Outcome] = []
+    count.executor = executor
+    while waiting or running:
+        while waiting and len(running) < executor.width:
+            job = waiting.popleft()
+            running[executor.submit(job, partial(count.store, job))] = job
+        for future in wait(running, _BEAT_S, FIRST_COMPLETED).done:
+            job = running.pop(future)
+            outcome = _outcome(future, job)
+            if outcome is None:
+                count.end(job, 0)
+                waiting.extendleft(reversed(job.halves))
+                continue
+            failures = _report(outcome.records, progress)
+            if failures and fail_fast:
+                first = failures[0]
+                msg = f"stopped, for a case failed: {first.case}: {first.reason}"
+                raise errors.CasesFailedError(msg)
+            check(outcome.records)
+            outcomes.append(outcome)
+            count.failed += len(failures)
+            count.end(job, len(outcome.records))
+        count.advance(0.0)
+    return outcomes
 
 
 def _outcome(future: "Future[Outcome]", job: Job) -> Outcome | None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tiswarm.base.params import AnyPrecision, Arch
 from tiswarm.base.process import naming_shortage
-from tiswarm.base.progress import Advance, Progress
+from tiswarm.base.progress import Advance, Progress, ignore
 from tiswarm.base.registry import get, registered
 from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Backend
@@ -125,9 +125,25 @@ class Outcome(NamedTuple):
     used: Collection[Used]
 
 
-def run_job(job: Job, progress: Progress, on_ready: Callable[[], None] = lambda: None) -> Outcome:
-    """Compute and store the cases of a job; call `on_ready` once its kernels are compiled."""
-    runner = _CaseRunner(job, progress)
+OnStored = Advance
+"""Receives the number of cases that were just stored."""
+
+
+def run_job(
+    job: Job,
+    progress: Progress,
+    on_ready: Callable[[], None] = lambda: None,
+    on_stored: OnStored = ignore,
+) -> Outcome:
+    """Compute and store the cases of a job.
+
+    Args:
+        job: Cases, and where to store them.
+        progress: Receives the stages of the job.
+        on_ready: Called once the kernels of the job are compiled.
+        on_stored: Called whenever cases are stored.
+    """
+    runner = _CaseRunner(job, progress, on_stored)
     with naming_shortage():
         runner.warm_up()
         on_ready()
@@ -146,9 +162,10 @@ _compiled: dict[str, Backend] = {}
 class _CaseRunner:
     """Computes the cases of a job stage by stage, and measures the cost of each stage."""
 
-    def __init__(self, job: Job, progress: Progress) -> None:
+    def __init__(self, job: Job, progress: Progress, on_stored: OnStored) -> None:
         self.job = job
         self.progress = progress
+        self.on_stored = on_stored
         self.costs = Costs()
         self.used: set[Used] = set()
         self._sample: History | None = None
@@ -169,6 +186,7 @@ class _CaseRunner:
         """Compute and store all cases; return their records."""
         histories = self._grow()
         valid, records = self._store_invalid(histories)
+        self.on_stored(len(records))
         logs = self._sense(valid, histories)
         for cases in _batches(valid, logs):
             sensed = [logs[case.name] for case in cases]
@@ -177,6 +195,7 @@ class _CaseRunner:
                 for case, log, estimate in zip(cases, sensed, estimates, strict=True):
                     records.append(self._store(case, histories[case.seed], log, estimate))
                     advance(1)
+                    self.on_stored(1)
             for case in cases:
                 self.job.folder.store_cost(case.name, self.costs[case.name])
         return records
@@ -187,7 +206,7 @@ class _CaseRunner:
     ) -> Iterator[Advance]:
         """Report and measure a stage of `total` steps, by default one for each case."""
         shared = self.costs.stage(name, [case.name for case in cases])
-        with shared, self.progress.task(name, total or len(cases)) as advance:
+        with shared, self.progress.task(name + _where(cases), total or len(cases)) as advance:
             yield advance
 
     def _warm_up_growth(self) -> None:
@@ -319,6 +338,25 @@ class _CaseRunner:
             tables=found.tables,
             cost=self.costs[case.name],
         )
+
+
+_LONGEST_WHERE = 60
+"""Letters of a condition and its point beside the name of a stage."""
+
+
+def _where(cases: Sequence[Case]) -> str:
+    """Name condition and point of some cases, the first of several, in parentheses.
+
+    A study of one condition without a sweep has nothing to name.
+    """
+    labels = list(dict.fromkeys(case.variant.label for case in cases))
+    if not labels or labels == ["baseline"]:
+        return ""
+    first, *others = labels
+    if len(first) > _LONGEST_WHERE:
+        first = f"{first[:_LONGEST_WHERE]}..."
+    more = f" and {len(others)} more" if others else ""
+    return f" ({first}{more})"
 
 
 def _shortened(params: LocalizationParams) -> LocalizationParams:

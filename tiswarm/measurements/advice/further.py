@@ -28,7 +28,7 @@ from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions,
 from tiswarm.measurements.turns import Turns
 from tiswarm.measurements.verdicts import IMAGES_APART, named
 from tiswarm.records.estimate import Estimate, Solution
-from tiswarm.records.messages import counted
+from tiswarm.records.messages import MISSING, counted
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
 
 if TYPE_CHECKING:
@@ -443,7 +443,8 @@ class AdviceTable(tuple[Mapping[str, str], ...]):  # noqa: SLOT001 - it has attr
         if not self:
             nothing = "no further contact, height or position would help"
             return f"{nothing}, or there are too many robots or loops"
-        columns = [[heading, *(row[heading] for row in self)] for heading in self[0]]
+        headings = dict.fromkeys(heading for row in self for heading in row)
+        columns = [[heading, *(row.get(heading, MISSING) for row in self)] for heading in headings]
         widths = [max(map(len, column)) for column in columns]
         lines = zip(*columns, strict=True)
         return "\n".join("  ".join(map(str.ljust, cells, widths)).rstrip() for cells in lines)
