@@ -110,8 +110,10 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals
         raise InputError(problem) from error
     if array.size == 0:
         array = array.reshape(0, *(int(length) for length in shape[1:]))
-    lengths = [len(array) if isinstance(n, str) else n for n in shape] if array.ndim else []
-    if array.shape != tuple(lengths) or not array.ndim:
+    has_shape = array.ndim == len(shape) and all(
+        isinstance(length, str) or array.shape[axis] == length for axis, length in enumerate(shape)
+    )
+    if not has_shape:
         raise InputError(f"{name} has shape {array.shape}; expected {expected}")
     return array
 

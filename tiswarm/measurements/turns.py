@@ -139,7 +139,8 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
         is_placed |= among is not None and ~among
         if rows.robots > _MOST_ROBOTS or not rows.is_central.any():
             return cls(turns)
-        near[of_pair, rows.neighbor] = near[rows.neighbor, of_pair] = True
+        near[of_pair, rows.neighbor] = True
+        near[rows.neighbor, of_pair] = True
         for members in _sets(near, np.flatnonzero(~is_placed & ~disconnected(rows))):
             moves = np.isin(np.arange(rows.robots), members)
             about = np.flatnonzero(near[members].any(axis=0) & ~moves)

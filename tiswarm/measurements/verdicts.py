@@ -332,9 +332,10 @@ def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
         for cue in reversed(CUES)
     }
     for row in estimate.outlier_contacts.tolist():
-        robot, stance, own_dock, partner, dock = row
+        robot, stance, dock, neighbor, neighbor_dock = row
         cue = next(cue for cue, rows in pairs.items() if tuple(row) in rows or cue is CUES[0])
-        yield robot, stance, cue.key, cue.item.format(own=own_dock, other=name[partner], dock=dock)
+        item = cue.item.format(dock=dock, neighbor=name[neighbor], neighbor_dock=neighbor_dock)
+        yield robot, stance, cue.key, item
 
 
 def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:

@@ -396,8 +396,10 @@ def _ranges(log: SensingLog, odometry: Odometry, pair: Images) -> _Candidates:
     change = np.abs(second - first)
     (i, j) = log.ranges[:, :2].astype(np.int64).T
     change[first > log.ranges[:, 2].max() / log.dock_radius] = 0.0
-    change[i, j] = change[j, i] = 0.0
-    change[log.gone] = change[:, log.gone] = 0.0
+    change[i, j] = 0.0
+    change[j, i] = 0.0
+    change[log.gone] = 0.0
+    change[:, log.gone] = 0.0
     robot = np.arange(len(change))
     partner = change.argmax(axis=1)
     later = np.maximum(robot, partner)
