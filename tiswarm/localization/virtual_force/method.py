@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
@@ -452,23 +452,45 @@ def _stepped(
         trace.append(now.position)
         moved.append(np.linalg.norm(swarm.state.last_step, axis=1))
         on_progress(after / steps)
-    estimates = []
-    for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True):
-        untied = disconnected(measure(log, ["contacts", "anchors"]))
-        assessment = assess(log, params.used_cues, trace[-1][a:b], is_guess=untied)
-        moves = np.array([np.sqrt(np.mean(step[a:b] ** 2)) for step in moved])
-        estimates.append(
-            Estimate(
-                robot_id=log.robot_id,
-                position=trace[-1][a:b] * log.dock_radius,
-                **assessment.fields(untied, log.dock_radius),
-                iteration=frames,
-                trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
-                residual=moves * log.dock_radius,
-                steps=np.where(is_anchor[a:b], 0, steps),
-            )
-        )
-    return estimates
+    centers = np.array(trace)
+    lengths = np.array(moved)
+    step_count = np.where(is_anchor, 0, steps)
+    return [
+        _estimate_of(log, params, frames, centers[:, a:b], lengths[:, a:b], step_count[a:b])
+        for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True)
+    ]
+
+
+def _estimate_of(
+    log: SensingLog,
+    params: VirtualForceParams,
+    frames: Ints,
+    center: Reals,
+    step_length: Reals,
+    steps: Ints,
+) -> Estimate:
+    """Assess where the robots of a structure ended, and describe the way.
+
+    Args:
+        log: What they sensed.
+        params: Settings of the method.
+        frames: Step of each frame, shape (F,).
+        center: Centers in each frame [R], shape (F, N, 3).
+        step_length: Length of the last step in each frame [R], shape (F, N).
+        steps: Steps of each robot, shape (N,).
+    """
+    untied = disconnected(measure(log, ["contacts", "anchors"]))
+    assessment = assess(log, params.used_cues, center[-1], is_guess=untied)
+    moves = np.array([np.sqrt(np.mean(lengths**2)) for lengths in step_length])
+    return Estimate(
+        robot_id=log.robot_id,
+        position=center[-1] * log.dock_radius,
+        **assessment.fields(untied, log.dock_radius),
+        iteration=frames,
+        trace=center * log.dock_radius,
+        residual=moves * log.dock_radius,
+        steps=steps,
+    )
 
 
 def _chained(log: SensingLog, is_planar: Bools) -> Reals:
