@@ -91,6 +91,6 @@ def test_commands_run_from_top_to_bottom(clone, page):
     assert done.returncode == 0, done.stderr[-2000:]
     assert "failed:" not in done.stderr
     assert len(typed) > 10
-    assert "open reports/tower-680250d6/report.html" in done.stdout
-    assert (clone / "reports" / "tower-680250d6" / "report.html").is_file()
+    assert "open reports/tower-70e9f7c1/report.html" in done.stdout
+    assert (clone / "reports" / "tower-70e9f7c1" / "report.html").is_file()
     assert _git(clone, "ls-files", "--others", "--modified", "--exclude-standard") == ""
