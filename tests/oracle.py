@@ -276,7 +276,7 @@ def _distances(known, position, turn):
     """Robots of each distance, horizontal arms, vector between the docks, and docks of a touch."""
     level = np.array([1.0, 1.0, 0.0])
     for row in np.flatnonzero(~known.is_offset):
-        i, j, docks = known.robot[row], known.other[row], ()
+        i, j, docks = known.robot[row], known.neighbor[row], ()
         own, its = (np.append(arm, 0.0) for arm in np.split(known.lever[row], 2))
         own = own + np.array([0.0, 0.0, known.shift[row, 2]])
         if row in known.rows.touch:
@@ -288,7 +288,7 @@ def _distances(known, position, turn):
 def _nearest_docks(rows, row, position, turn):
     """Docks of a touch whose distance is nearest to D, earlier robot first; arms as sensed."""
     walks, d = rows.odometry, rows.distances
-    i, j, every = rows.robot[row], rows.other[row], range(rows.odometry.arm.shape[1])
+    i, j, every = rows.robot[row], rows.neighbor[row], range(rows.odometry.arm.shape[1])
     best = np.inf, None
     for a in every if d.dock[row] < 0 else [d.dock[row]]:
         for b in every if d.other_dock[row] < 0 else [d.other_dock[row]]:
@@ -309,12 +309,12 @@ def _offset_slope(known, position, yaw, tolerance, width, robot, coordinate, h=1
         yaw[robot] += 1j * h
     cos, sin, energy = np.cos(yaw), np.sin(yaw), 0.0
     rows = known.rows
-    count, total = len(rows.distances.stance), len(rows.other)
+    count, total = len(rows.distances.stance), len(rows.neighbor)
     turn = [np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
             for c, s in zip(cos, sin, strict=True)]  # fmt: skip
     for row in range(count, total, 3):
-        i, j = rows.robot[row], rows.other[row]
-        seen = turn[i].T @ (position[j] + turn[j] @ rows.other_arm[row] - position[i])
+        i, j = rows.robot[row], rows.neighbor[row]
+        seen = turn[i].T @ (position[j] + turn[j] @ rows.neighbor_arm[row] - position[i])
         off = rows.offsets.axis[row - count : row - count + 3] @ (rows.arm[row] - seen)
         along, *across = known.variance[row : row + 3]
         within = tolerance**2 + np.array([along, np.mean(across), np.mean(across)])

@@ -101,14 +101,14 @@ def _residuals(problem: Problem) -> Iterator[tuple[list[int], Residual]]:
     rows = problem.rows
     width = np.sqrt(rows.variance())
     distances = len(rows.distances.length)
-    for n, (i, j) in enumerate(zip(rows.robot.tolist(), rows.other.tolist(), strict=False)):
-        ends = rows.other_arm[n], rows.arm[n], width[n]
+    for n, (i, j) in enumerate(zip(rows.robot.tolist(), rows.neighbor.tolist(), strict=False)):
+        ends = rows.neighbor_arm[n], rows.arm[n], width[n]
         if n < distances:
             yield [j, i], _distance(*ends, rows.distances.length[n])
         else:
             yield [j, i], _offset(*ends, rows.offsets.axis[n - distances])
     for k, (way, value) in enumerate(zip(rows.places.direction, rows.places.value, strict=True)):
-        n = len(rows.other) + k
+        n = len(rows.neighbor) + k
         yield [int(rows.robot[n])], _coordinate(way, rows.arm[n], value, width[n])
 
 

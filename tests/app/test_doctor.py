@@ -45,7 +45,7 @@ def test_what_decides_the_last_bits_has_a_line_each():
     libraries = ("kernels", "numpy", "blas", "libm")
     assert [each.subject for each in found] == [f"numbers by {name}" for name in libraries]
     assert all(each.works for each in [*found, cache])
-    assert [each.detail for each in found] == list(numerics.here())
+    assert [each.detail for each in found] == list(numerics.current())
     assert (cache.subject, cache.detail) == ("kernel cache", backend.current().cache)
 
 

@@ -10,7 +10,7 @@ from tiswarm.compute.lang import LIBRARY, ti
 
 def test_libraries_that_round_numbers_are_named_with_digests_of_their_values():
     """Two machines with the same text give the same bytes, however much else differs."""
-    found = numerics.here()
+    found = numerics.current()
 
     assert found.kernels.startswith(f"{LIBRARY} ")
     assert "blas" in found.blas
@@ -20,13 +20,13 @@ def test_libraries_that_round_numbers_are_named_with_digests_of_their_values():
 
 def test_the_digest_of_blas_is_that_of_any_number_of_threads():
     """It names the code that was chosen, not how busy the machine is."""
-    numerics.here.cache_clear()
+    numerics.current.cache_clear()
     with threadpool_limits(1):
-        alone = numerics.here()
+        alone = numerics.current()
 
-    numerics.here.cache_clear()
+    numerics.current.cache_clear()
 
-    assert numerics.here() == alone
+    assert numerics.current() == alone
 
 
 def test_linear_algebra_of_other_packages_is_not_named(monkeypatch):
@@ -37,7 +37,7 @@ def test_linear_algebra_of_other_packages_is_not_named(monkeypatch):
     found = [[own], [own, other], [other]]
     monkeypatch.setattr(numerics, "threadpool_info", lambda: found.pop(0))
 
-    names = [numerics.here.__wrapped__().blas.partition(" (")[0] for _ in range(3)]
+    names = [numerics.current.__wrapped__().blas.partition(" (")[0] for _ in range(3)]
 
     assert names == ["numpy openblas 1 Zen", "numpy openblas 1 Zen", "mkl 1 Zen"]
 
@@ -46,7 +46,7 @@ def test_numpy_without_code_for_any_processor_is_named(monkeypatch):
     """Distributions build such a numpy, and no run fails for it."""
     monkeypatch.setattr(numerics.np, "show_config", lambda mode: {"Build Dependencies": {}})
 
-    assert ", baseline (" in numerics.here.__wrapped__().numpy
+    assert ", baseline (" in numerics.current.__wrapped__().numpy
 
 
 def test_llvm_alone_optimizes_kernels_without_checks_of_bounds(monkeypatch):

@@ -56,7 +56,7 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
     )
     known = pose_problem(log, params)
     rows = known.rows
-    short = dataclasses.replace(rows, arm=0.1 * rows.arm, other_arm=0.1 * rows.other_arm)
+    short = dataclasses.replace(rows, arm=0.1 * rows.arm, neighbor_arm=0.1 * rows.neighbor_arm)
     again = dataclasses.replace(known, rows=short)  # nowhere can all of these hold
     annealer = annealer_of([log], [params], [again])
     annealer.advance(1500)
@@ -79,11 +79,11 @@ def test_no_robot_is_farther_from_the_anchor_than_contacts_reach(kind, docks, se
     slow = np.full(10, np.inf)
     slow[0] = 0.0
     for _ in range(10):
-        for i, j, far in zip(known.robot, known.other, longest, strict=True):
+        for i, j, far in zip(known.robot, known.neighbor, longest, strict=True):
             slow[i] = min(slow[i], slow[j] + far)
             slow[j] = min(slow[j], slow[i] + far)
 
-    bound = reach(np.column_stack([known.robot, known.other]), longest, known.part)
+    bound = reach(np.column_stack([known.robot, known.neighbor]), longest, known.part)
 
     tied = np.isfinite(slow)
     np.testing.assert_allclose(bound[tied], slow[tied], rtol=1e-12)
@@ -184,15 +184,15 @@ def test_squares_are_those_of_residuals_in_standard_deviations():
     known = pose_problem(heights, SHORT)
     found = anneal([heights], [SHORT], [known])[0]
 
-    missed, away = np.split(squares(known, found), [len(known.other)], axis=1)
+    missed, away = np.split(squares(known, found), [len(known.neighbor)], axis=1)
 
     square = found.sigma**2
     for chain in range(SHORT.chains):
         x = found.last[chain]
-        gap = np.linalg.norm(x[known.robot] + known.shift - x[known.other], axis=1) - 2.0
+        gap = np.linalg.norm(x[known.robot] + known.shift - x[known.neighbor], axis=1) - 2.0
         np.testing.assert_allclose(missed[chain], gap**2 / (known.variance + square))
         off = x[1:, 2] - truth[1:, 2]
-        variance = known.rows.variance()[len(known.other) :]
+        variance = known.rows.variance()[len(known.neighbor) :]
         np.testing.assert_allclose(away[chain], off**2 / (variance + square))
 
 

@@ -67,7 +67,7 @@ def test_parts_hang_on_one_robot_or_on_two(pairs):
     """They are the components that are left without these, but for that of the anchor."""
     log, _ = ranging([*pairs, (0, 5)], 0)
     rows = pose_problem(log, FINAL).rows
-    pair = np.column_stack([rows.robot[: len(rows.other)], rows.other])
+    pair = np.column_stack([rows.robot[: len(rows.neighbor)], rows.neighbor])
     whole = connected_components(touching(pair, 6), directed=False)[1]
     tied = {robot for robot in range(6) if whole[robot] == whole[0]}
     expected = {frozenset({robot}) for robot in range(1, 6)}
@@ -91,14 +91,14 @@ def test_an_image_meets_all_measurements_as_well_as_the_part_does(seed):
     """Where two distances hold a part in a plane; the image of the image is the part."""
     log, truth = tower(8, seed, SensingParams())
     rows = pose_problem(log, FINAL).rows
-    pairs = len(rows.other)
+    pairs = len(rows.neighbor)
     images = PartImages(log, rows, 0.05**2, non_overlap=False)
     # Docks that are about to touch count as contacts.
     limit = np.abs(rows.residual(truth)).max() + MET
 
     for position, _ in images.of(truth, np.zeros(8)):
         moved = (position != truth).any(axis=1)
-        crossing = moved[rows.robot[:pairs]] != moved[rows.other]
+        crossing = moved[rows.robot[:pairs]] != moved[rows.neighbor]
         known = rows.places.direction[moved[rows.robot[pairs:]]]
         if crossing.sum() > 3 - np.linalg.matrix_rank(known):
             continue  # more distances than two points meet

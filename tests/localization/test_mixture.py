@@ -367,7 +367,7 @@ def test_measurements_that_are_no_inliers_do_not_pull(towers):
     history = towers[0]
     log = observe(history, NOISY)
     known = pose_problem(log, ALL)
-    last = len(known.other) - 1
+    last = len(known.neighbor) - 1
     other_dock = known.rows.distances.other_dock.copy()
     other_dock[last] = (other_dock[last] + 1) % 3
     contacts = log.contacts.copy()
@@ -398,7 +398,7 @@ def test_where_measurements_leave_a_robot_open_its_chains_say_how_far_off_it_is(
     known = pose_problem(log, ALL)
     alone = log.robot_count - 1
     inlier = known.rows.robot != alone
-    inlier[: len(known.rows.other)] &= known.rows.other != alone
+    inlier[: len(known.rows.neighbor)] &= known.rows.neighbor != alone
     sd = np.full(log.robot_count, 0.3)
 
     found = _minimum(log, known, towers[0].position, sd, inlier)

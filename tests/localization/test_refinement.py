@@ -425,7 +425,7 @@ def test_the_robust_cost_is_cauchys_loss_written_out(tall_towers, kind):
     variance = rows.variance() - rows.shared_variance + 0.02**2
     missed = rows.residual(at.position) + np.append(rows.shared_sd * at.shared, 0.0)[rows.source]
     square = missed**2 / variance
-    first, last = len(rows.distances.stance), len(rows.other)
+    first, last = len(rows.distances.stance), len(rows.neighbor)
     loss = sum(_cauchy(each) for each in [*square[:first], *square[last:]])
     loss += sum(_cauchy(square[k : k + 3].sum()) for k in range(first, last, 3))
     assert square.max() > 10.0 * ROBUST_SD**2

@@ -48,6 +48,6 @@ def test_a_dock_that_stays_put_counts_once(towers):
     touches = len(log.contacts) + len(stances.contacts)
     grounds = len(log.ground_docks) + len(stances.ground_docks)
     heights = np.isfinite(log.flip_height).sum()
-    assert 0 < len(rows.other) < touches
+    assert 0 < len(rows.neighbor) < touches
     assert 0 < len(rows.places.value) - heights < grounds
-    assert len(np.unique(rows.sensed_contacts, axis=0)) == len(rows.other)
+    assert len(np.unique(rows.sensed_contacts, axis=0)) == len(rows.neighbor)

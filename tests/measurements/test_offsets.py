@@ -38,7 +38,7 @@ def test_the_true_positions_have_no_residual(towers, rows):
     """Across a contact the residual is 0; along it docks may be 0.02 R farther apart than D."""
     residual = rows.residual(towers[0].position)
 
-    offsets = residual[len(rows.distances.stance) : len(rows.other)].reshape(-1, 3)
+    offsets = residual[len(rows.distances.stance) : len(rows.neighbor)].reshape(-1, 3)
     np.testing.assert_allclose(offsets[:, 1:], 0.0, atol=1e-9)
     np.testing.assert_allclose(offsets[:, 0], 0.0, atol=0.021)
     assert len(offsets) > 100
@@ -83,7 +83,7 @@ def test_a_swarm_seen_from_elsewhere_has_the_same_residuals(log, wxyz, shift):
 def test_a_turn_of_all_robots_about_the_vertical_changes_no_residual(rows, wxyz):
     """Axes along which offsets are measured turn with their robot."""
     angle = float(np.arctan2(wxyz[1], wxyz[0]))
-    offset = slice(len(rows.distances.stance), len(rows.other))
+    offset = slice(len(rows.distances.stance), len(rows.neighbor))
     position = np.random.default_rng(0).normal(size=(30, 3))
 
     turned = Rotation.from_rotvec([0.0, 0.0, angle]).apply(position)
@@ -137,9 +137,9 @@ def test_a_contact_counts_once(log, rows):
     assert not len(rows.distances.stance)
     assert np.array_equal(alone.sensed_contacts, rows.sensed_contacts)
     assert np.array_equal(rows.sensed_contacts[::3], contacts.sensed_contacts)
-    assert 0 < len(without.distances.stance) < len(contacts.other)
+    assert 0 < len(without.distances.stance) < len(contacts.neighbor)
     # A contact whose direction was measured only at the stance before counts there.
-    assert len(np.unique(without.sensed_contacts, axis=0)) == len(contacts.other)
+    assert len(np.unique(without.sensed_contacts, axis=0)) == len(contacts.neighbor)
 
 
 def test_directions_need_no_contacts(log):

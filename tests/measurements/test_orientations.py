@@ -60,7 +60,7 @@ def test_residuals_of_each_chained_robot_balance(towers):
 
     total = np.zeros((30, 3))
     np.add.at(total, links.robot, links.residual)
-    np.subtract.at(total, links.other, links.residual)
+    np.subtract.at(total, links.neighbor, links.residual)
 
     chained = links.is_chained
     assert np.flatnonzero(~chained).tolist() == [0, 11]

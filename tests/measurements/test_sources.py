@@ -82,7 +82,7 @@ def test_variance_is_whole_and_its_parts_are_apart(log, rows):
     np.testing.assert_array_equal(rows.own_variance, unshared.own_variance)
     np.testing.assert_array_equal(rows.shared_variance, shared**2)
     np.testing.assert_allclose(rows.variance(), unshared.variance() + shared**2, atol=1e-11)
-    of_fixes = rows.own_variance[len(rows.other) :][rows.places.dock == CENTER]
+    of_fixes = rows.own_variance[len(rows.neighbor) :][rows.places.dock == CENTER]
     np.testing.assert_allclose(of_fixes, 0.03**2)
 
 
@@ -150,7 +150,7 @@ def test_averages_say_what_repeated_readings_say(towers):
 
     assert len(mean) < 0.8 * len(rows)
     jacobian, center = rows.jacobian(towers[0].position).toarray(), towers[0].position
-    ends = np.column_stack([rows.robot, np.pad(rows.other, (0, len(rows) - len(rows.other)),
+    ends = np.column_stack([rows.robot, np.pad(rows.neighbor, (0, len(rows) - len(rows.neighbor)),
                             constant_values=-1), rows.arm, rows.source])  # fmt: skip
     alike = (ends[:, None] == ends).all(axis=2)
     common = rows.variance() - rows.own_variance

@@ -51,7 +51,7 @@ def test_all_pairs_are_tried(towers, yaw_sd):
     (own, _), (its, _) = rows.touch_arms
     every = [*product(range(3), repeat=2)]
     for chain, row in product(range(2), range(0, len(rows), 5)):
-        i, j = rows.robot[row], rows.other[row]
+        i, j = rows.robot[row], rows.neighbor[row]
         ends = [
             [position[chain, robot] + _turned(arm, yaw[chain, robot]) for arm in arms]
             for robot, arms in ((i, own[row]), (j, its[row]))

@@ -84,7 +84,7 @@ FUNCTIONS = _both_ways(
     ("max", "min"), ("maximum", "minimum"), ("sin", "cos"), ("any", "all"), ("argmax", "argmin"),
     ("floor", "ceil"), ("zeros", "ones"),
 )  # fmt: skip
-ARRAYS = _both_ways(("robot", "other"), ("arm", "other_arm"), ("fmax", "fmin"))
+ARRAYS = _both_ways(("robot", "neighbor"), ("arm", "neighbor_arm"), ("fmax", "fmin"))
 """Names that are mistaken for each other: of functions, and of attributes."""
 
 

@@ -58,15 +58,15 @@ def test_every_value_knows_its_place():
     """Keys and list entries are found by their way; what is missing, by what would hold it."""
     document = parse_yaml("a: 1\nb:\n  c:\n    - 1\n    -\n      d: 2\n")
 
-    assert document.place_of(("a",)) == (1, 1, 4)
-    assert document.place_of(("b",)) == (2, 1, 1)
-    assert document.place_of(("b", "c")) == (3, 3, 3)
-    assert document.place_of(("b", "c", 0)) == (4, 7, 7)
-    assert document.place_of(("b", "c", 1)) == (6, 7, 7)
-    assert document.place_of(("b", "c", 1, "d")) == (6, 7, 10)
-    assert document.place_of(("b", "c", 1, "missing", "deeper")) == (6, 7, 7)
-    assert document.place_of(("a", "missing")) == (1, 1, 1)
-    assert document.place_of(("missing",)) == (1, 1, 1)
+    assert document.position_of(("a",)) == (1, 1, 4)
+    assert document.position_of(("b",)) == (2, 1, 1)
+    assert document.position_of(("b", "c")) == (3, 3, 3)
+    assert document.position_of(("b", "c", 0)) == (4, 7, 7)
+    assert document.position_of(("b", "c", 1)) == (6, 7, 7)
+    assert document.position_of(("b", "c", 1, "d")) == (6, 7, 10)
+    assert document.position_of(("b", "c", 1, "missing", "deeper")) == (6, 7, 7)
+    assert document.position_of(("a", "missing")) == (1, 1, 1)
+    assert document.position_of(("missing",)) == (1, 1, 1)
 
 
 @pytest.mark.parametrize(

@@ -154,8 +154,8 @@ def damaged(tiny_run, tmp_path):
 def test_a_run_that_goes_on_under_other_roundings_says_so(tiny, damaged, monkeypatch):
     """Its bytes are those of two kinds of processor; manifest and cases name both."""
     [own] = json.loads((damaged / "manifest.json").read_text())["numerics"]
-    other = numerics.here()._replace(blas="numpy openblas 0.3.29 SkylakeX (269757)")
-    monkeypatch.setattr(numerics, "here", lambda: other)
+    other = numerics.current()._replace(blas="numpy openblas 0.3.29 SkylakeX (269757)")
+    monkeypatch.setattr(numerics, "current", lambda: other)
     shutil.rmtree(damaged / "cases" / "0-a")
     progress = Recorder()
 

@@ -105,7 +105,7 @@ def name_numerics(_arch: Arch) -> str:
     """Return what decides the last bits of numbers, as JSON."""
     from tiswarm.compute import numerics  # noqa: PLC0415 - the kernel language
 
-    return json.dumps(numerics.here()._asdict())
+    return json.dumps(numerics.current()._asdict())
 
 
 def _lacks_driver(arch: Arch) -> bool:

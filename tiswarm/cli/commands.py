@@ -7,6 +7,7 @@ import typer
 from typer import Argument, Option
 
 from tiswarm.base.params import METHOD, AnyPrecision
+from tiswarm.base.registry import BUILT_IN
 from tiswarm.cli import options
 from tiswarm.cli.options import app
 
@@ -23,8 +24,8 @@ def localize(
     method: Annotated[
         str,
         Option(
-            help="joint (most accurate), virtual-force (the paper's), least-squares, hop-by-hop, "
-            "online, distributed (by messages between robots), or that of a plug-in."
+            help=f"One of {', '.join(BUILT_IN['method'])}, or that of a plug-in; joint is the most "
+            "accurate, virtual-force the paper's."
         ),
     ] = METHOD,
     cues: Annotated[

@@ -101,7 +101,8 @@ def _start_program(cache: Path, **options: Any) -> None:  # noqa: ANN401 - the l
     global _runtime, _cache  # noqa: PLW0603 - the library itself is one per process
     with kernel_cache.sealed(cache):
         pass  # finds damage before the library reads it
-    _cache, _runtime = cache, None
+    _cache = cache
+    _runtime = None
     atexit.register(end)
     with (
         contextlib.redirect_stdout(io.StringIO()),
@@ -174,14 +175,19 @@ def _abandon() -> None:
     record = vars(ti.lang.impl.get_runtime())
     if record[_PROGRAM] is not None:
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(record[_PROGRAM]))  # its end would wait
-    record[_PROGRAM], _runtime, _cache, _is_orphan = None, None, None, True
+    record[_PROGRAM] = None
+    _runtime = None
+    _cache = None
+    _is_orphan = True
 
 
 os.register_at_fork(after_in_child=_abandon)
 
 
-_START_MB, _THREAD_MB = 1550, 10
-"""Address space of a start and a small run, and of each thread; a gigabyte of it is never used."""
+_START_MB = 1550
+"""Address space of a start and a small run; a gigabyte of it is never used."""
+_THREAD_MB = 10
+"""Address space of each thread."""
 _MOST_THREADS = 1024
 """Threads that any machine starts; where one of 40,000 cannot start, the library waits for ever."""
 _BLOCKS = 8
@@ -321,7 +327,8 @@ def start(
         running = _run(choice)
         _chosen.choice = choice
         return running
-    has_vulkan = (card := machine.find_card("vulkan")) is not None and not card.is_software
+    card = machine.find_card("vulkan")
+    has_vulkan = card is not None and not card.is_software
     candidates: tuple[Arch, ...] = ("cuda", "metal", "vulkan")
     for candidate in candidates if has_vulkan else candidates[:2]:
         with contextlib.suppress(EnvironmentTroubleError):
@@ -353,10 +360,12 @@ def _checked(arch: Arch, threads: int | None, precision: AnyPrecision) -> _Choic
         raise InputError(f"unknown backend {arch!r}; choose one of {choices}", argument="arch")
     if threads is not None and threads < 1:
         raise InputError(f"{threads} threads cannot compute; give 1 or more", argument="threads")
-    if threads is not None and threads > (most := max(_MOST_THREADS, available_threads())):
+    most = max(_MOST_THREADS, available_threads())
+    if threads is not None and threads > most:
         raise InputError(f"{threads} threads are too many; give {most} at most", argument="threads")
-    if precision not in (known := get_args(AnyPrecision)):
-        meant = did_you_mean(precision, known) or f"; choose one of {', '.join(known)}"
+    precisions = get_args(AnyPrecision)
+    if precision not in precisions:
+        meant = did_you_mean(precision, precisions) or f"; choose one of {', '.join(precisions)}"
         raise InputError(f"unknown precision {precision!r}{meant}", argument="precision")
     return _Choice(arch, threads, precision)
 
@@ -365,7 +374,8 @@ def _checked(arch: Arch, threads: int | None, precision: AnyPrecision) -> _Choic
 def _run(choice: _Choice) -> Backend:
     """Start a backend, or do nothing where the very same one runs."""
     global _started  # noqa: PLW0603 - the kernel library itself is one per process
-    arch, card = choice.arch, machine.find_card(choice.arch)
+    arch = choice.arch
+    card = machine.find_card(arch)
     precision: Precision = "f64" if arch == "cpu" or (card and card.has_fast_f64) else "f32"
     if choice.precision != "auto":
         precision = choice.precision

@@ -29,7 +29,8 @@ def find_folder(library: str) -> Path:
         EnvironmentTroubleError: no folder can be written.
     """
     folders = [os.environ.get("TI_OFFLINE_CACHE_FILE_PATH"), os.environ.get("XDG_CACHE_HOME")]
-    if home := os.environ.get("HOME"):
+    home = os.environ.get("HOME")
+    if home:
         folders.append(str(Path(home) / ".cache"))
     for folder in filter(None, folders):
         choice = Path(folder) / "tiswarm" / "kernels" / library
@@ -109,8 +110,8 @@ def _fits_seal(folder: Path) -> bool:
 
 def _digest(folder: Path) -> str:
     """Return a digest of the names and contents of all files and folders but the seal."""
-    found = sha256()
+    digest = sha256()
     for path in sorted(set(folder.rglob("*")) - {folder / _SEAL}):  # quadrants has a folder within
         content = b"" if path.is_dir() else path.read_bytes()
-        found.update(f"{path.relative_to(folder)} {len(content)}\n".encode() + content)
-    return found.hexdigest()
+        digest.update(f"{path.relative_to(folder)} {len(content)}\n".encode() + content)
+    return digest.hexdigest()

@@ -80,7 +80,8 @@ def load_library() -> tuple[str, Any]:
         raise EnvironmentTroubleError(problem)
     if "HOME" not in os.environ:  # the library aborts the process at import without one
         os.environ["HOME"] = os.path.expanduser("~").replace("~", "/nonexistent")  # noqa: PTH111
-    trouble, flags = "", sys.getdlopenflags()
+    trouble = ""
+    flags = sys.getdlopenflags()
     notebook = "0" if sys.stdout is sys.__stdout__ else "1"
     for name in filter(find_spec, LIBRARIES if asked is None else (asked,)):
         silent = {f"ENABLE_{name.upper()}_HEADER_PRINT": "0"}
@@ -113,7 +114,8 @@ LIBRARY, ti = load_library()
 
 def _place(context: Any, node: Any) -> str:  # noqa: ANN401 - of the library
     """Name the place of a statement; carets below all of it are a quarter of a kernel's load."""
-    line, source = node.lineno + context.lineno_offset, context.src[node.lineno - 1].strip()
+    line = node.lineno + context.lineno_offset
+    source = context.src[node.lineno - 1].strip()
     return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n{source}\n^\n'
 
 
@@ -201,9 +203,9 @@ class Columns:
 
     def __init_subclass__(cls) -> None:
         """Turn widths into places."""
-        own = {name: width for name, width in vars(cls).items() if name.isupper()}
-        cls._widths = cls._widths | own
-        for name, width in own.items():
+        widths = {name: width for name, width in vars(cls).items() if name.isupper()}
+        cls._widths = cls._widths | widths
+        for name, width in widths.items():
             setattr(cls, name, cls.TOTAL)
             cls.TOTAL += width
 

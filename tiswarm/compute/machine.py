@@ -38,13 +38,16 @@ def _processor() -> str:
 
 
 _SUCCESS = 0
-_CUDA_RATE, _CUDA_MULTIPROCESSORS = 87, 16
-"""CU_DEVICE_ATTRIBUTE_SINGLE_TO_DOUBLE_PRECISION_PERF_RATIO and ..._MULTIPROCESSOR_COUNT."""
+_CUDA_RATE = 87
+"""CU_DEVICE_ATTRIBUTE_SINGLE_TO_DOUBLE_PRECISION_PERF_RATIO."""
+_CUDA_MULTIPROCESSORS = 16
+"""CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT."""
 _HALF_RATE = 2
 
 _PROPERTIES_BYTES = 4096
 """Room for VkPhysicalDeviceProperties: numbers, from the version to the type, then the name."""
-_TYPE_AT, _NAME_AT = 16, 20
+_TYPE_AT = 16
+_NAME_AT = 20
 _IS_PROCESSOR = 4
 """VK_PHYSICAL_DEVICE_TYPE_CPU."""
 _MOST_CARDS = 16
@@ -97,8 +100,11 @@ def find_card(arch: Arch) -> Card | None:
 def free_cuda_memory() -> int | None:
     """Ask how much memory of the first CUDA card is free [B]; None if it cannot be asked."""
     with suppress(OSError, AttributeError):
-        cuda, card = ctypes.CDLL("libcuda.so.1"), ctypes.c_int()
-        context, free, total = ctypes.c_void_p(), ctypes.c_size_t(), ctypes.c_size_t()
+        cuda = ctypes.CDLL("libcuda.so.1")
+        card = ctypes.c_int()
+        context = ctypes.c_void_p()
+        free = ctypes.c_size_t()
+        total = ctypes.c_size_t()
         if cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(card), 0):
             return None
         if cuda.cuDevicePrimaryCtxRetain(ctypes.byref(context), card) != _SUCCESS:
@@ -112,10 +118,12 @@ def free_cuda_memory() -> int | None:
 
 
 def _cuda_card() -> Card | None:
-    cuda, card = ctypes.CDLL("libcuda.so.1"), ctypes.c_int()
+    cuda = ctypes.CDLL("libcuda.so.1")
+    card = ctypes.c_int()
     if cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(card), 0):
         return None
-    name, version = ctypes.create_string_buffer(256), ctypes.c_int()
+    name = ctypes.create_string_buffer(256)
+    version = ctypes.c_int()
     cuda.cuDeviceGetName(name, len(name), card)
     cuda.cuDriverGetVersion(ctypes.byref(version))
     facts = []
@@ -134,18 +142,20 @@ def _cuda_card() -> Card | None:
 
 def _vulkan_card() -> Card | None:
     """Return the first card that is none of software, if there is one, else the software."""
-    vulkan, instance = ctypes.CDLL("libvulkan.so.1"), ctypes.c_void_p()
+    vulkan = ctypes.CDLL("libvulkan.so.1")
+    instance = ctypes.c_void_p()
     wanted = _VulkanInstance(kind=1)
     if vulkan.vkCreateInstance(ctypes.byref(wanted), None, ctypes.byref(instance)) != _SUCCESS:
         return None
-    count, cards = ctypes.c_uint32(_MOST_CARDS), (ctypes.c_void_p * _MOST_CARDS)()
-    vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), cards)
-    found = []
-    for card in cards[: count.value]:
+    count = ctypes.c_uint32(_MOST_CARDS)
+    handles = (ctypes.c_void_p * _MOST_CARDS)()
+    vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
+    cards = []
+    for handle in handles[: count.value]:
         facts = ctypes.create_string_buffer(_PROPERTIES_BYTES)
-        vulkan.vkGetPhysicalDeviceProperties(ctypes.c_void_p(card), facts)
+        vulkan.vkGetPhysicalDeviceProperties(ctypes.c_void_p(handle), facts)
         version, kind = np.frombuffer(facts.raw, np.uint32)[[0, _TYPE_AT // 4]].tolist()
-        found.append(
+        cards.append(
             Card(
                 name=ctypes.string_at(ctypes.byref(facts, _NAME_AT)).decode(errors="replace"),
                 driver=f"Vulkan {version >> 22}.{version >> 12 & 0x3FF}",
@@ -153,4 +163,4 @@ def _vulkan_card() -> Card | None:
             )
         )
     vulkan.vkDestroyInstance(instance, None)
-    return min(found, key=lambda card: card.is_software, default=None)
+    return min(cards, key=lambda card: card.is_software, default=None)

@@ -33,7 +33,8 @@ import numpy as np
 
 from tiswarm.compute.lang import I32, Columns, Float, Ints1, Ints2, Reals1, Ref, Static, ti
 
-_STRIDE_Y, _STRIDE_Z = 1_640_531_527, 1_013_904_223
+_STRIDE_Y = 1_640_531_527
+_STRIDE_Z = 1_013_904_223
 _MIN_BUCKETS = 128
 """Fewest buckets for which the 27 cubes around a point keep apart (and any power of two above)."""
 
@@ -121,13 +122,15 @@ SCAN_BLOCK = 256
 """Numbers that one thread sums up: buckets, then totals of these, then totals of those."""
 _FINE = 6
 """Docks are also placed on a grid of cutoff / 2^_FINE; edges of cells are whole steps of it."""
-_LENGTH_BITS, _WIDTH_BITS = _FINE - 2, _FINE + 1
+_LENGTH_BITS = _FINE - 2
+_WIDTH_BITS = _FINE + 1
 _HALF = (1 << _FINE) + 1
 """Steps from a dock to the sides of a box that holds all near ones; one more, by rounding."""
 _FIELD = 9
 """Bits of steps along an axis. A place packs three such fields, each with a guard bit above it."""
-_EACH = 1 | 1 << _FIELD + 1 | 1 << 2 * (_FIELD + 1)
-_STEPS, _GUARDS = ((1 << _FIELD) - 1) * _EACH, (1 << _FIELD) * _EACH
+_UNITS = 1 | 1 << _FIELD + 1 | 1 << 2 * (_FIELD + 1)
+_STEPS = ((1 << _FIELD) - 1) * _UNITS
+_GUARDS = (1 << _FIELD) * _UNITS
 
 
 class Cells(NamedTuple):
@@ -209,12 +212,15 @@ def sort_bucket(grid: Ref, bucket, cells: Ref):
     first = grid.slot + cells.begin[grid.table + bucket]
     last = grid.slot + cells.begin[grid.table + bucket + 1]
     for slot in range(first + 1, last):
-        m, place = cells.dock[slot], cells.place[slot]
+        m = cells.dock[slot]
+        place = cells.place[slot]
         to = slot
         while to > first and cells.dock[ti.max(to - 1, 0)] > m:
-            cells.dock[to], cells.place[to] = cells.dock[to - 1], cells.place[to - 1]
+            cells.dock[to] = cells.dock[to - 1]
+            cells.place[to] = cells.place[to - 1]
             to -= 1
-        cells.dock[to], cells.place[to] = m, place
+        cells.dock[to] = m
+        cells.place[to] = place
 
 
 @ti.func
@@ -249,7 +255,9 @@ def sort_docks(
         buckets=begin_out.shape[0] - 2, table=0, slot=0,
     )  # fmt: skip
     # Computed here, the bounds of loops need no launch before each loop.
-    buckets, blocks, groups = grid.buckets, block_total_out.shape[0], group_total_out.shape[0]
+    buckets = grid.buckets
+    blocks = block_total_out.shape[0]
+    groups = group_total_out.shape[0]
     for k in range(begin_out.shape[0]):
         begin_out[k] = 0
     for m in range(sorted_dock_out.shape[0]):
@@ -325,7 +333,7 @@ class Rows(NamedTuple):
 def _is_in_box(place, corner):
     """Whether a place is up to 2 _HALF steps beyond another along each axis, three at once."""
     beyond = ((place | _GUARDS) - corner) & _STEPS
-    return ((2 * _HALF * _EACH | _GUARDS) - beyond) & _GUARDS == _GUARDS
+    return ((2 * _HALF * _UNITS | _GUARDS) - beyond) & _GUARDS == _GUARDS
 
 
 @ti.func
@@ -338,47 +346,47 @@ def _find_in_box(grid: Ref, corner, at, past, cells: Ref):
     end = cells.begin[grid.table + grid.buckets]
     first = grid.slot + ti.select(at < end, at, at - end)
     number = ti.min(BLOCK, past - at, ti.select(at < end, end - at, BLOCK))
-    found = 0
+    in_box = 0
     for k in range(BLOCK):
-        found |= ti.cast(_is_in_box(cells.place[first + k], corner), ti.i32) << k
-    return first, number, found & ti.cast((ti.i64(1) << number) - 1, ti.i32)
+        in_box |= ti.cast(_is_in_box(cells.place[first + k], corner), ti.i32) << k
+    return first, number, in_box & ti.cast((ti.i64(1) << number) - 1, ti.i32)
 
 
 @ti.func
-def _is_near(grid: Ref, own: Ref, other, dock: Ref):
+def _is_near(grid: Ref, query: Ref, candidate, dock: Ref):
     """Whether a dock is near, another robot's, and of the same structure."""
-    there = dock_at(dock, own.base, other)
-    apart = ti.Vector([ti.cast(there[c] - own.here[c], float) for c in range(3)])
+    at = dock_at(dock, query.base, candidate)
+    apart = ti.Vector([ti.cast(at[c] - query.at[c], float) for c in range(3)])
     near = apart.norm_sqr() < grid.cutoff * grid.cutoff
-    foreign = (other < grid.earlier * own.robot) | (other >= own.robot + grid.docks)
-    fellow = there[3] == own.here[3]
+    foreign = (candidate < grid.earlier * query.robot) | (candidate >= query.robot + grid.docks)
+    fellow = at[3] == query.at[3]
     return ti.cast(near, ti.i32) & ti.cast(foreign, ti.i32) & ti.cast(fellow, ti.i32)
 
 
 @ti.func
-def _add_found(grid: Ref, own: Ref, first, found, dock: Ref, cells: Ref, rows: Ref, count):
+def _add_from_box(grid: Ref, query: Ref, first, in_box, dock: Ref, cells: Ref, rows: Ref, count):
     """Add to a row those of the docks whose bits are set that are near."""
     # If the place of an entry depended on a distance, later reads would wait for both.
     near = 0
-    while found != 0:
-        bit = ti.math.popcnt((found & -found) - 1)
-        found &= found - 1
-        near |= _is_near(grid, own, cells.dock[first + bit], dock) << bit
+    while in_box != 0:
+        bit = ti.math.popcnt((in_box & -in_box) - 1)
+        in_box &= in_box - 1
+        near |= _is_near(grid, query, cells.dock[first + bit], dock) << bit
     while near != 0:
-        other = cells.dock[first + ti.math.popcnt((near & -near) - 1)]
+        neighbor = cells.dock[first + ti.math.popcnt((near & -near) - 1)]
         near &= near - 1
-        entry = own.row + ti.min(count, own.free) * grid.entry_stride
-        rows.entry[entry] = (other << (grid.own_bits + 1)) | own.number
+        entry = query.row + ti.min(count, query.free) * grid.entry_stride
+        rows.entry[entry] = (neighbor << (grid.own_bits + 1)) | query.number
         count += 1
     return count
 
 
 @ti.func
-def _add_run(grid: Ref, own: Ref, at, past, dock: Ref, cells: Ref, rows: Ref, count):
+def _add_run(grid: Ref, query: Ref, at, past, dock: Ref, cells: Ref, rows: Ref, count):
     """Add to a row those of the sorted docks from `at` to `past` that are near."""
     while at < past:
-        first, number, found = _find_in_box(grid, own.corner, at, past, cells)
-        count = _add_found(grid, own, first, found, dock, cells, rows, count)
+        first, number, in_box = _find_in_box(grid, query.corner, at, past, cells)
+        count = _add_from_box(grid, query, first, in_box, dock, cells, rows, count)
         at += number
     return count
 
@@ -394,16 +402,17 @@ def _run_of(grid: Ref, bucket, length, cells: Ref):
 
 
 @ti.func
-def _add_near(on_card: Static, grid: Ref, own: Ref, dock: Ref, cells: Ref, rows: Ref, count):
-    """Add the docks near an own dock to a row; return how many entries it has then."""
-    step = _steps_of(grid, own.here)
-    # Cells along y and z beside the own one: those on the nearer side.
+def _add_near(on_card: Static, grid: Ref, query: Ref, dock: Ref, cells: Ref, rows: Ref, count):
+    """Add the docks near the query dock to a row; return how many entries it has then."""
+    step = _steps_of(grid, query.at)
+    # Cells along y and z beside that of the query: those on the nearer side.
     side_y = ti.select(step[1] & (1 << _FINE) == 0, -grid.stride_y, grid.stride_y)
     side_z = ti.select(step[2] & (1 << _FINE) == 0, -grid.stride_z, grid.stride_z)
-    left, right = (step[0] - _HALF) >> _LENGTH_BITS, (step[0] + _HALF) >> _LENGTH_BITS
-    length = ti.cast(right - left, ti.i32) + 1
+    first_cell = (step[0] - _HALF) >> _LENGTH_BITS
+    last_cell = (step[0] + _HALF) >> _LENGTH_BITS
+    length = ti.cast(last_cell - first_cell, ti.i32) + 1
     step[0] -= _HALF
-    own_bucket = _bucket_of(grid, step, own.here[3])
+    own_bucket = _bucket_of(grid, step, query.at[3])
     if ti.static(on_card):
         end = cells.begin[grid.table + grid.buckets]
         for column in range(4):
@@ -411,20 +420,24 @@ def _add_near(on_card: Static, grid: Ref, own: Ref, dock: Ref, cells: Ref, rows:
             at, past = _run_of(grid, bucket & (grid.buckets - 1), length, cells)
             while at < past:
                 slot = grid.slot + ti.select(at < end, at, at - end)
-                if _is_in_box(cells.place[slot], own.corner):
-                    count = _add_found(grid, own, slot, 1, dock, cells, rows, count)
+                if _is_in_box(cells.place[slot], query.corner):
+                    count = _add_from_box(grid, query, slot, 1, dock, cells, rows, count)
                 at += 1
     else:
         none = ti.Vector([0, 0, 0, 0])
-        at, past, first, number, found = none, none, none, none, none
+        at = none
+        past = none
+        first = none
+        number = none
+        in_box = none
         # A core reads all four runs before it branches, since it cannot predict how many are near.
         for c in ti.static(range(4)):
             bucket = own_bucket + (c & 1) * side_y + (c >> 1) * side_z
             at[c], past[c] = _run_of(grid, bucket & (grid.buckets - 1), length, cells)
-            first[c], number[c], found[c] = _find_in_box(grid, own.corner, at[c], past[c], cells)
+            first[c], number[c], in_box[c] = _find_in_box(grid, query.corner, at[c], past[c], cells)
         for c in range(4):
-            count = _add_found(grid, own, first[c], found[c], dock, cells, rows, count)
-            count = _add_run(grid, own, at[c] + number[c], past[c], dock, cells, rows, count)
+            count = _add_from_box(grid, query, first[c], in_box[c], dock, cells, rows, count)
+            count = _add_run(grid, query, at[c] + number[c], past[c], dock, cells, rows, count)
     return count
 
 
@@ -434,14 +447,14 @@ def _without_connected(grid: Ref, connected, rows: Ref, place, count):
     flag = 1 << grid.own_bits
     for c in range(connected):
         same = rows.entry[place + c * grid.entry_stride] ^ flag
-        found = -1
+        duplicate = -1
         for e in range(connected, count):
             entry = rows.entry[place + e * grid.entry_stride]
-            found = ti.max(found, ti.select(entry == same, e, -1))
-        if found >= 0:
+            duplicate = ti.max(duplicate, ti.select(entry == same, e, -1))
+        if duplicate >= 0:
             count -= 1
             last = rows.entry[place + count * grid.entry_stride]
-            rows.entry[place + found * grid.entry_stride] = last
+            rows.entry[place + duplicate * grid.entry_stride] = last
     return count
 
 
@@ -470,16 +483,16 @@ def _fill_rows_of(
             count = ti.max(count, read_ahead(base, row * grid.docks, grid.docks, dock))
         robot = row - row % grid.docks if ti.static(on_card) else row * grid.docks
         for number in range(row_docks):
-            here = dock_at(dock, base, row * row_docks + number)
-            own = ti.Struct(
-                here=here, corner=_packed(_steps_of(grid, here) - _HALF), number=number, base=base,
+            place = dock_at(dock, base, row * row_docks + number)
+            query = ti.Struct(
+                at=place, corner=_packed(_steps_of(grid, place) - _HALF), number=number, base=base,
                 robot=robot, row=at, free=free,
             )  # fmt: skip
             if is_sorted:
-                count = _add_near(on_card, grid, own, dock, cells, rows, count)
+                count = _add_near(on_card, grid, query, dock, cells, rows, count)
             else:
                 later = (ti.Vector([row + 1, span[1]]) - span[0]) * grid.docks
-                count = _add_run(grid, own, later[0], later[1], dock, cells, rows, count)
+                count = _add_run(grid, query, later[0], later[1], dock, cells, rows, count)
         if count <= free:
             count = _without_connected(grid, connected, rows, at, count)
         rows.first[row] = at

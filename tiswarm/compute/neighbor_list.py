@@ -47,16 +47,19 @@ def hash_strides(extent: Reals, cutoff: float, buckets: int) -> tuple[int, int]:
     # A run, or a neighbor on either side, extends beyond the box.
     padding = np.array([kernels.LONGEST_RUN + 1, 3, 3])
     cells = np.ceil(extent / edge) + padding
-    while (excess := cells.prod() / buckets) > 1.0 and (cells > padding).any():
+    excess = cells.prod() / buckets
+    while excess > 1.0 and (cells > padding).any():
         widest = np.argmax(np.where(cells > padding, cells * edge, 0.0))
         cells[widest] = max(padding[widest], np.floor(cells[widest] / min(excess, 2.0)))
+        excess = cells.prod() / buckets
     stride_y = int(cells[0]) | 1
     return stride_y, (stride_y * int(cells[1])) | 1
 
 
 def _layout(position: Reals, bounds: Ints, *, docks: int, reach: float, cutoff: float) -> Ints:
     """Lay out the tables: columns FIRST to STRIDE_Z of each structure, shape (S, 6)."""
-    rows, at = [], 0
+    rows = []
+    at = 0
     for first, last in pairwise(bounds):
         buckets = max(FEWEST_BUCKETS, 1 << (docks * int(last - first) - 1).bit_length())
         extent = np.ptp(position[first:last], axis=0) + 2.0 * reach
@@ -101,11 +104,13 @@ class NeighborList:
             InputError: where there are more docks than an entry can number.
         """
         self.memory = memory
-        self.robots = robots = len(position)
+        robots = len(position)
+        self.robots = robots
         self.docks = docks
         self.cutoff = cutoff / (unit or 1.0)
         self.on_card = memory.running.on_card
-        self.row_docks = row_docks = 1 if self.on_card else docks
+        row_docks = 1 if self.on_card else docks
+        self.row_docks = row_docks
         self.row_count = robots * docks // row_docks
         self.own_bits = (row_docks - 1).bit_length()
         self.run = 1 if self.on_card else _RUN
@@ -146,10 +151,11 @@ class NeighborList:
             First entry of each row, shape (rows + 1,), and entries, shape (2 C,).
         """
         robot, dock, other_robot, other_dock = contacts.T
-        one, other = robot * self.docks + dock, other_robot * self.docks + other_dock
-        row, own = np.divmod(np.concatenate([one, other]), self.row_docks)
+        first = robot * self.docks + dock
+        second = other_robot * self.docks + other_dock
+        row, dock_of_row = np.divmod(np.concatenate([first, second]), self.row_docks)
         bits = self.own_bits
-        entry = (np.concatenate([other, one]) << (bits + 1)) | (1 << bits) | own
+        entry = (np.concatenate([second, first]) << (bits + 1)) | (1 << bits) | dock_of_row
         start = np.bincount(row, minlength=self.row_count).cumsum()
         # One sort by row and then by entry: forces add up in the same order each time.
         by_row = np.sort((row << 32) | entry) & MOST_ITEMS
@@ -200,7 +206,8 @@ class NeighborList:
     def _share_room(self) -> None:
         """Share the room for entries among structures, by their robots."""
         table = self.memory.download(self.structure)
-        first, end = table[:, StructureTable.FIRST], table[:, StructureTable.END]
+        first = table[:, StructureTable.FIRST]
+        end = table[:, StructureTable.END]
         table[:, StructureTable.ROW] = first * self.capacity + np.arange(len(table))
         table[:, StructureTable.ROOM] = (end - first) * self.capacity
         self.memory.refill(self.structure, table)

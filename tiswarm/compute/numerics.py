@@ -57,7 +57,7 @@ class Numerics(NamedTuple):
 
 
 @cache
-def here() -> Numerics:
+def current() -> Numerics:
     """Examine what rounds numbers in this process."""
     latest = (simd_features() or ["baseline"])[-1]
     libc = " ".join(platform.libc_ver()).strip() or platform.system()
@@ -69,10 +69,14 @@ def here() -> Numerics:
     )
 
 
-def difference(other: Mapping[str, str]) -> str:
+def difference(recorded: Mapping[str, str]) -> str:
     """Name what another machine, or this one at another time, rounded numbers by, and what here."""
-    pairs = ((name, other.get(name, own), own) for name, own in here()._asdict().items())
-    return "; ".join(f"{name} {there}, here {own}" for name, there, own in pairs if there != own)
+    differences = []
+    for name, library in current()._asdict().items():
+        recorded_library = recorded.get(name, library)
+        if recorded_library != library:
+            differences.append(f"{name} {recorded_library}, here {library}")
+    return "; ".join(differences)
 
 
 def _llvm() -> str:
@@ -84,11 +88,13 @@ def _target() -> str:
     """Name the processor as LLVM distinguishes them: by vendor, family, model and features."""
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
-        said = {key.strip(): value.strip() for key, _, value in (x.partition(":") for x in lines)}
-        if "vendor_id" in said:
-            names = said["vendor_id"], "family", said.get("cpu family"), "model", said.get("model")
-            features = {*said.get("flags", "").split()}
-            return " ".join(filter(None, [*names, *(n for n in _FEATURES if n in features)]))
+        entries = (line.partition(":") for line in lines)
+        facts = {key.strip(): value.strip() for key, _, value in entries}
+        if "vendor_id" in facts:
+            family = facts.get("cpu family")
+            names = [facts["vendor_id"], "family", family, "model", facts.get("model")]
+            flags = {*facts.get("flags", "").split()}
+            return " ".join(filter(None, [*names, *(n for n in _FEATURES if n in flags)]))
     return platform.processor() or platform.machine()
 
 
@@ -100,14 +106,16 @@ def simd_features() -> list[str]:
 
 def _blas() -> str:
     """Name the kernels of BLAS that numpy and scipy loaded."""
-    found: dict[str, list[str]] = {"numpy": [], "scipy": [], "": []}
-    for each in threadpool_info():
-        if each["user_api"] == "blas":
-            of = next((name for name in found if name and f"{name}.libs" in each["filepath"]), "")
-            parts = [of, each["internal_api"], each["version"], each.get("architecture")]
-            found[of].append(" ".join(str(part) for part in parts if part))
+    by_owner: dict[str, list[str]] = {"numpy": [], "scipy": [], "": []}
+    for pool in threadpool_info():
+        if pool["user_api"] != "blas":
+            continue
+        owners = (name for name in by_owner if name and f"{name}.libs" in pool["filepath"])
+        owner = next(owners, "")
+        parts = [owner, pool["internal_api"], pool["version"], pool.get("architecture")]
+        by_owner[owner].append(" ".join(str(part) for part in parts if part))
     # Other packages of this process may have loaded one of their own, which rounds nothing here.
-    named = sorted(found["numpy"] + found["scipy"]) or sorted(found[""])
+    named = sorted(by_owner["numpy"] + by_owner["scipy"]) or sorted(by_owner[""])
     return ", ".join(named) or "unknown"
 
 
@@ -143,7 +151,7 @@ def _by_blas() -> list[object]:
 
 
 def _digest(*values: object) -> str:
-    flat = np.concatenate([np.ravel(np.asarray(each, np.float64)) for each in values])
+    flat = np.concatenate([np.ravel(np.asarray(value, np.float64)) for value in values])
     return sha256(flat.tobytes()).hexdigest()[:_DIGITS]
 
 
@@ -155,11 +163,13 @@ def fast_arithmetic(*, ignores_nan: bool) -> Iterator[None]:
     but may differ between kinds of processors.
     """
     config = ti.lang.impl.current_cfg()
-    config.fast_math, config.cfg_optimization = ignores_nan, True
+    config.fast_math = ignores_nan
+    config.cfg_optimization = True
     try:
         yield
     finally:
-        config.fast_math = config.cfg_optimization = False
+        config.fast_math = False
+        config.cfg_optimization = False
 
 
 @contextmanager

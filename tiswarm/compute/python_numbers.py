@@ -111,7 +111,8 @@ def install() -> None:
         if getattr(ti, name, None) is before:  # a second name of the same function
             setattr(ti, name, getattr(_library("ops"), name))
     if LIBRARY == "taichi":
-        utilities, kernels = _library("ast.ast_transformer_utils"), _library("kernel_impl")
+        utilities = _library("ast.ast_transformer_utils")
+        kernels = _library("kernel_impl")
         _replace(utilities.ASTTransformerContext, "create_variable", _created)
         _replace(kernels.Func, "__call__", _called)
         _replace(kernels.Kernel, "materialize", _materialized)
@@ -145,7 +146,8 @@ def _materialized(
     if is_of_user(kernel.func):
         return original(kernel, *arguments, **options)
     trace = _KernelTrace()
-    before, _trace = _trace, trace
+    before = _trace
+    _trace = trace
     try:
         while True:
             try:
@@ -235,7 +237,8 @@ def _read_name(original: Callable[..., Any], context: _Foreign, node: ast.Name) 
     """Read a name; whole numbers of 32 bits, such as counters of loops, have 64 from there on."""
     value = original(context, node)
     if isinstance(node.ctx, ast.Load) and _number_of_call(context) >= 0 and _is_short(value):
-        node.ptr = value = ti.cast(value, _whole_type())  # type: ignore[attr-defined]
+        value = ti.cast(value, _whole_type())
+        node.ptr = value  # type: ignore[attr-defined]
     return value
 
 
@@ -300,7 +303,8 @@ def _floor_division(
     """
     if not _are_whole_of_user(dividend, divisor):
         return original(dividend, divisor)
-    dividend, divisor = _counted(dividend), _counted(divisor)
+    dividend = _counted(dividend)
+    divisor = _counted(divisor)
     if isinstance(divisor, int):
         return _rounded_down(dividend, _nonzero(divisor))
     # The least whole number has no negative: processors end the process there, too.
@@ -328,7 +332,8 @@ def _remainder(original: Callable[..., Any], dividend: _Foreign, divisor: _Forei
     """Return the remainder of `_floor_division`."""
     if not _are_whole_of_user(dividend, divisor):
         return original(dividend, divisor)
-    dividend, divisor = _counted(dividend), _counted(divisor)
+    dividend = _counted(dividend)
+    divisor = _counted(divisor)
     return dividend - divisor * (dividend // divisor)
 
 
@@ -374,7 +379,8 @@ def _power(original: Callable[..., Any], base: _Foreign, exponent: _Foreign) -> 
     """Raise a number to a power; that of whole numbers is real where it may be a fraction."""
     if not _is_of_user():
         return original(base, exponent)
-    base, exponent = _counted(base), _counted(exponent)
+    base = _counted(base)
+    exponent = _counted(exponent)
     if not _is_whole_exponent(exponent) and _are_whole_of_user(base, exponent):
         # The library ends the process for a negative exponent.
         base = float(base) if isinstance(base, int) else ti.cast(base, _real_type())
@@ -506,14 +512,14 @@ def _checked_augmented(
     original: Callable[..., Any], context: _Foreign, node: ast.AugAssign
 ) -> _Foreign:
     """Assign what an operation returns, as `_checked_assignment`."""
-    found = original(context, node)
+    built = original(context, node)
     if _number_of_call(context) < 0:
-        return found
+        return built
     operand: _Foreign = node.value
     target: _Foreign = node.target
     is_real = _makes_real(type(node.op).__name__, operand.ptr)
     _require_room(context, node.target, target.ptr, 0.5 if is_real else operand.ptr)
-    return found
+    return built
 
 
 def _makes_real(operation: str, operand: _Foreign) -> bool:
@@ -531,14 +537,14 @@ def _checked_range(original: Callable[..., Any], context: _Foreign, node: ast.Fo
         return original(context, node)
     with warnings.catch_warnings():  # of whole numbers of 64 bits
         warnings.filterwarnings("ignore", "Casting range_for boundary values")
-        found = original(context, node)
+        built = original(context, node)
     loop: _Foreign = node.iter
     for end in loop.args:
         if _is_real(end.ptr):
             raise _RefusalError(
                 f"{ast.unparse(end)} is real, and ends a range; use int({ast.unparse(end)})"
             )
-    return found
+    return built
 
 
 def _refused_assert(original: Callable[..., Any], context: _Foreign, node: ast.Assert) -> _Foreign:
@@ -553,7 +559,7 @@ def _refused_assert(original: Callable[..., Any], context: _Foreign, node: ast.A
 
 def _checked_return(original: Callable[..., Any], context: _Foreign, node: ast.Return) -> _Foreign:
     """Return a value, unless an annotation would cut it."""
-    found = original(context, node)
+    built = original(context, node)
     if _number_of_call(context) >= 0 and node.value is not None and context.func.return_type:
         value: _Foreign = node.value
         whole = [_is_whole_type(kind) for kind in _sequence(context.func.return_type)]
@@ -561,7 +567,7 @@ def _checked_return(original: Callable[..., Any], context: _Foreign, node: ast.R
         if any(w and r for w, r in zip(whole, real, strict=False)):
             problem = "the return value is whole by its annotation, but real; annotate float"
             raise _RefusalError(problem)
-    return found
+    return built
 
 
 def _check_arguments(

@@ -263,27 +263,28 @@ class MovingSwarm(PreparedSwarm):
         self._follow_functions()
         start = self._checked_start(steps, options)
         numbers = self.law.numbers(dict(parameters or {}), steps)
-        given = {name: options.get(f"{name}_gain") for name in FREE.names}
-        for name, gain in given.items():
+        gains = {name: options.get(f"{name}_gain") for name in FREE.names}
+        for name, gain in gains.items():
             if gain is not None and self.dynamics.has_force and not self.law.askers.get(name):
                 problem = f"your force does not ask for {name}; leave the gain out"
                 raise InputError(problem, argument=f"{name}_gain")
         for name, asker in self.law.askers.items():
-            lacks = ramp is None or given.get(name, 0.0) is None
+            lacks = ramp is None or gains.get(name, 0.0) is None
             if name in _WEIGHTED and name not in numbers and lacks:
-                gain = f"{name}_gain and ramp" if name in given else "ramp"
+                remedy = f"{name}_gain and ramp" if name in gains else "ramp"
                 if asker is None:
-                    gain += ", or a force of yours"
-                raise _error(f"needs {name}; give {gain}", asker)
-        self.moves, kept = np.zeros(0), self.state
+                    remedy += ", or a force of yours"
+                raise _error(f"needs {name}; give {remedy}", asker)
+        self.moves = np.zeros(0)
+        state_before = self.state
         try:
             with _mistakes_named(self.law):
-                found = super().relax(
+                result = super().relax(
                     steps=steps, parameters=numbers, ramp=ramp, seed=seed, **options
                 )
         finally:  # a robot that NaN would move stays, so that steps may end well
-            self._refuse_nan(kept, start)
-        return replace(found, force_error=np.nan) if self.dynamics.is_cut else found
+            self._refuse_nan(state_before, start)
+        return replace(result, force_error=np.nan) if self.dynamics.is_cut else result
 
     def _checked_start(self, steps: int, options: Mapping[str, Any]) -> RelaxState:
         """Return where the robots start.
@@ -318,20 +319,22 @@ class MovingSwarm(PreparedSwarm):
         if self.stepper is not None:
             self.stepper.dynamics = self.dynamics
 
-    def _refuse_nan(self, kept: RelaxState, start: RelaxState) -> None:
+    def _refuse_nan(self, state_before: RelaxState, start: RelaxState) -> None:
         """Name the function that returned NaN, unless the forces diverged before."""
         lost = np.argwhere(np.isclose(self.moves[:, None], np.sqrt([NAN_OF_FORCE, NAN_OF_STEP])))
         for step, which in lost[:1]:
             if start.places.is_resolved(self.moves[:step]):
-                self.state = kept
+                self.state = state_before
                 # A force is the first function, an integrator the last.
-                function, kind = self.law.functions[-which], ("force", "integrator")[which]
-                code, name = function.__code__, function.__name__
-                raise InputError(
-                    f"{kind} `{name}` returned NaN at step {start.taken + step}; "
-                    "guard it against 0 / 0 and roots of negative numbers",
-                    path=Path(code.co_filename), line=code.co_firstlineno,
-                ) from None  # fmt: skip
+                function = self.law.functions[-which]
+                kind = ("force", "integrator")[which]
+                code = function.__code__
+                problem = (
+                    f"{kind} `{function.__name__}` returned NaN at step {start.taken + step}; "
+                    "guard it against 0 / 0 and roots of negative numbers"
+                )
+                path = Path(code.co_filename)
+                raise InputError(problem, path=path, line=code.co_firstlineno) from None
 
 
 class _Law(NamedTuple):
@@ -367,11 +370,11 @@ class _Law(NamedTuple):
                 raise InputError(problem, argument="parameters") from None
             if not is_finite:
                 raise InputError(f"{name} is not finite; correct it", argument="parameters")
-        found = {**self.defaults, **parameters}
+        numbers = {**self.defaults, **parameters}
         for name, asker in self.askers.items():
-            if asker is not None and name not in found and name not in _WEIGHTED:
+            if asker is not None and name not in numbers and name not in _WEIGHTED:
                 raise _error(f"needs {name}; give it in `parameters`", asker)
-        return found
+        return numbers
 
 
 def _chosen(
@@ -383,7 +386,8 @@ def _chosen(
         return _Law(ours, (), dict.fromkeys(ours.names), {})
     pull = None if force is None else _checked(force, "force", FORCE)
     move = None if integrator is None else _checked(integrator, "integrator", INTEGRATOR)
-    return _compiled(pull, move, ours, tuple(reads(each) for each in (pull, move) if each))
+    read_values = tuple(reads(function) for function in (pull, move) if function)
+    return _compiled(pull, move, ours, read_values)
 
 
 @cache  # kernels are compiled anew for each new function, and for each change of what it reads
@@ -399,9 +403,9 @@ def _compiled(
     askers: dict[str, FunctionType | None] = dict.fromkeys(ours.names if is_ours else ())
     defaults: dict[str, float] = {}
     asks = set() if integrator is not None else set(ours.asks)
-    for function, known in ((force, FORCE), (integrator, INTEGRATOR)):
+    for function, engine_names in ((force, FORCE), (integrator, INTEGRATOR)):
         for name, argument in _arguments(function).items():
-            if name in known:
+            if name in engine_names:
                 asks.update(_ARRAYS.get(name, ()))
                 continue
             askers[name] = askers.get(name) or function
@@ -441,19 +445,22 @@ def _caller(kind: str, function: FunctionType, names: tuple[str, ...]) -> object
         function.__code__, function.__globals__, function.__name__, None, function.__closure__
     )
     called = ti.func(bare)
-    takes, count = tuple(_arguments(function)), Numbers.TOTAL + len(names)
+    argument_names = tuple(_arguments(function))
+    count = Numbers.TOTAL + len(names)
 
-    def evaluate(known: Mapping[str, Callable[[], object]], *number: object) -> tuple[object]:
+    def evaluate(of_engine: Mapping[str, Callable[[], object]], *number: object) -> tuple[object]:
         columns = dict(zip(names, number[Numbers.TOTAL :], strict=True))
-        given: dict[str, Callable[[], object]] = {
-            **known, "spacing": lambda: number[Numbers.SPACING]
-        }  # fmt: skip
-        value = called(*[given[n]() if n in given else columns[n] for n in takes])
+        computed: dict[str, Callable[[], object]] = {
+            **of_engine,
+            "spacing": lambda: number[Numbers.SPACING],
+        }
+        value = called(*[computed[n]() if n in computed else columns[n] for n in argument_names])
         is_scalar = isinstance(value, (Real, ti.lang.expr.Expr)) and not is_vector(value)
         is_three = is_vector(value) and tuple(value.get_shape()) == (3,)
         if not (is_three or (is_scalar and kind == "force")):
-            other = ", or a number" if kind == "force" else ""
-            raise ValueError(f"{function.__name__} has to return a vector of three numbers{other}")
+            alternative = ", or a number" if kind == "force" else ""
+            problem = f"{function.__name__} has to return a vector of three numbers{alternative}"
+            raise ValueError(problem)
         return (value,)
 
     def pull(offset, distance, connected, number):  # noqa: ANN001, ANN202 - of kernels
@@ -461,10 +468,12 @@ def _caller(kind: str, function: FunctionType, names: tuple[str, ...]) -> object
             evaluate(_of_pair(offset, distance, connected), *[number[c] for c in range(count)])
         )[0]
 
-    def integrate(force, here, robot, t, unit, robots: Ref, number):  # noqa: ANN001, ANN202
+    def integrate(force, center, robot, t, unit, robots: Ref, number):  # noqa: ANN001, ANN202
         return ti.static(
             evaluate(
-                _of_motion(force, here, robot, t, unit, robots, [number[c] for c in range(count)]),
+                _of_motion(
+                    force, center, robot, t, unit, robots, [number[c] for c in range(count)]
+                ),
                 *[number[c] for c in range(count)],
             )
         )[0]
@@ -484,14 +493,19 @@ def _of_pair(
 
 
 def _of_motion(
-    force: object, here: object, robot: Any, t: Any, unit: object, robots: Any,  # noqa: ANN401
+    force: object,
+    center: object,
+    robot: Any,  # noqa: ANN401 - an expression of a kernel, as the two below
+    t: Any,  # noqa: ANN401
+    unit: object,
+    robots: Any,  # noqa: ANN401
     number: list[object],
-) -> dict[str, Callable[[], object]]:  # fmt: skip
+) -> dict[str, Callable[[], object]]:
     """Return by name what computes what an integrator may ask for."""
     origin = number[Numbers.ORIGIN : Numbers.ORIGIN + 3]
     return {
         "force": lambda: force,
-        "position": lambda: kernels.place_of(here, unit, *origin, robots),
+        "position": lambda: kernels.place_of(center, unit, *origin, robots),
         "last_step": lambda: vector_at(robots.last_step, robot),
         "mobility": lambda: vector_at(robots.mobility, robot),
         "noise": lambda: kernels.noise_of(robots, robot, t),
@@ -501,7 +515,9 @@ def _of_motion(
     }
 
 
-def _checked(function: Callable[..., Any], kind: str, known: tuple[str, ...]) -> FunctionType:
+def _checked(
+    function: Callable[..., Any], kind: str, engine_names: tuple[str, ...]
+) -> FunctionType:
     """Return the function that a decorator may hide."""
     bare = undecorated(function)
     if not isinstance(bare, FunctionType) or bare.__name__ == "<lambda>":
@@ -513,9 +529,9 @@ def _checked(function: Callable[..., Any], kind: str, known: tuple[str, ...]) ->
     for name, argument in _arguments(bare).items():
         if argument.kind is not argument.POSITIONAL_OR_KEYWORD:
             raise _error(f"takes {argument}; name each argument", bare)
-        if name in {*FORCE, *INTEGRATOR} - {*known}:
-            other = "an integrator" if kind == "force" else "a force"
-            raise _error(f"cannot ask for {name}; only {other} can", bare)
+        if name in {*FORCE, *INTEGRATOR} - {*engine_names}:
+            asker = "an integrator" if kind == "force" else "a force"
+            raise _error(f"cannot ask for {name}; only {asker} can", bare)
     try:
         inspect.getsource(bare)
     except (OSError, TypeError):

@@ -45,8 +45,10 @@ WALL = 3.0 * 2.0**28
 """Largest whole number of a center; two docks' numbers then differ by one that fits in 32 bits."""
 OUT_OF_REACH = 1e36
 """Squared step that stands for one beyond the WALL, or too long for its square to fit in an f32."""
-NAN_OF_FORCE, NAN_OF_STEP = 1e38, 1e37
-"""Squared steps that stand for NaN of a user's force and integrator."""
+NAN_OF_FORCE = 1e38
+"""Squared step that stands for NaN of a user's force."""
+NAN_OF_STEP = 1e37
+"""Squared step that stands for NaN of a user's integrator."""
 _LONGEST_F32 = 1e18
 
 
@@ -115,9 +117,9 @@ def in_length(difference, unit, places: Ref):
 
 
 @ti.func
-def place_of(here, unit, x, y, z, robots: Ref):
+def place_of(center, unit, x, y, z, robots: Ref):
     """Convert the numbers of a center to its place; the origin is at x, y, z."""
-    return ti.Vector([x, y, z]) + in_length(here, unit, robots.position)
+    return ti.Vector([x, y, z]) + in_length(center, unit, robots.position)
 
 
 @ti.func
@@ -129,12 +131,13 @@ def number_of(robots: Ref, at):
 @ti.func
 def noise_of(robots: Ref, robot, t):
     """Draw three standard normal numbers, a hash of seed, robot and step, by Box and Muller."""
-    own = mixed(ti.cast(robots.number[0], ti.u64)) ^ ti.cast(robots.number[2 + robot], ti.u64)
-    key = mixed(own) + mixed(ti.cast(robots.number[1] + t, ti.u64))
+    stream = mixed(ti.cast(robots.number[0], ti.u64)) ^ ti.cast(robots.number[2 + robot], ti.u64)
+    key = mixed(stream) + mixed(ti.cast(robots.number[1] + t, ti.u64))
     share = ti.Vector([0.0, 0.0, 0.0, 0.0])
     for k in ti.static(range(4)):
         share[k] = (ti.cast(mixed(key + ti.u64(k << 20)), float) + 0.5) / 2.0**32
-    radius, turn = ti.sqrt(-2.0 * ti.log(share[0])), 2.0 * ti.math.pi * share[1]
+    radius = ti.sqrt(-2.0 * ti.log(share[0]))
+    turn = 2.0 * ti.math.pi * share[1]
     last = ti.sqrt(-2.0 * ti.log(share[2])) * ti.cos(2.0 * ti.math.pi * share[3])
     return ti.Vector([radius * ti.cos(turn), radius * ti.sin(turn), last])
 
@@ -171,7 +174,8 @@ def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
         F = -B (1 - a) (d - D)^4 u    otherwise
     """
     distance = offset.norm()
-    attraction, repulsion = attraction_gain * ramp, repulsion_gain * (1.0 - ramp)
+    attraction = attraction_gain * ramp
+    repulsion = repulsion_gain * (1.0 - ramp)
     pull = attract_or_repel(distance, True, spacing, attraction, repulsion)
     return pull / ti.max(distance, _TINY) * offset
 
@@ -224,7 +228,8 @@ class Dynamics:
 @ti.func
 def pull_freely(_offset, distance, connected, number):
     """Compute the magnitude of Eqs. (1) and (2), from the columns of `Numbers` and FREE."""
-    attraction, repulsion = number[Numbers.TOTAL], number[Numbers.TOTAL + 1]
+    attraction = number[Numbers.TOTAL]
+    repulsion = number[Numbers.TOTAL + 1]
     return attract_or_repel(distance, connected, number[Numbers.SPACING], attraction, repulsion)
 
 
@@ -237,13 +242,13 @@ def part_connected(offset, distance, connected, number):
 
 
 @ti.func
-def follow_force(force, _here, _robot, _t, _unit, _robots: Ref, _number):
+def follow_force(force, _center, _robot, _t, _unit, _robots: Ref, _number):
     """Take the force on a robot as its step t, from where its center is, in numbers of a unit."""
     return force
 
 
 @ti.func
-def follow_guide(force, _here, robot, _t, _unit, robots: Ref, number):
+def follow_guide(force, _center, robot, _t, _unit, robots: Ref, number):
     """Scale the force by the robot's mobility and add momentum; return that, the step."""
     for c in ti.static(range(3)):
         force[c] *= robots.mobility[robot, c]
@@ -274,9 +279,9 @@ def _add_row(
     first = rows.first[row]
     for e in range(rows.count[row]):
         entry = rows.entry[first + e * grid.entry_stride]
-        own = base + 4 * (row * row_docks + (entry & (flag - 1)))
-        other = base + 4 * (entry >> (grid.own_bits + 1))
-        apart = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
+        at = base + 4 * (row * row_docks + (entry & (flag - 1)))
+        neighbor_at = base + 4 * (entry >> (grid.own_bits + 1))
+        apart = ti.Vector([robots.dock[neighbor_at + c] - robots.dock[at + c] for c in range(3)])
         offset = in_length(apart, grid.unit, robots.dock)
         distance = offset.norm()
         connected = (entry & flag) != 0
@@ -319,14 +324,13 @@ def step_robot(
     count = ti.static(Numbers.TOTAL + len(dynamics.names))
     number = ti.Vector([numbers[t, c] for c in range(count)])
     force = _force_on_robot(on_card, dynamics, grid, number, base, robot, rows, robots)
-    here = vector_at(robots.position, robot)
-    if (
-        number[Numbers.HEIGHT_GAIN] > 0.0
-    ):  # nested, since the language evaluates both sides of an `and`
+    center = vector_at(robots.position, robot)
+    # Nested, since the language evaluates both sides of an `and`.
+    if number[Numbers.HEIGHT_GAIN] > 0.0:
         if robots.height[robot] != UNKNOWN:
-            rise = in_length(robots.height[robot] - here[2], grid.unit, robots.height)
+            rise = in_length(robots.height[robot] - center[2], grid.unit, robots.height)
             force[2] += number[Numbers.HEIGHT_GAIN] * rise
-    wanted = dynamics.integrate(force, here, robot, t, grid.unit, robots, number)
+    wanted = dynamics.integrate(force, center, robot, t, grid.unit, robots, number)
     lost = 0.0
     if ti.static(dynamics.has_integrator):
         lost = ti.select(ti.math.isnan(wanted.norm_sqr()), NAN_OF_STEP, lost)
@@ -340,21 +344,21 @@ def step_robot(
             step[c] = ti.select(lost > 0.0, 0.0, step[c])
     strayed = 0.0
     for c in ti.static(range(3)):
-        here[c] += _in_places(step[c], grid.unit, robots.position)
+        center[c] += _in_places(step[c], grid.unit, robots.position)
         if ti.static(holds_integers(robots.position)):
-            beyond = ti.abs(here[c]) >= int(WALL) or ti.abs(step[c]) >= WALL * grid.unit
+            beyond = ti.abs(center[c]) >= int(WALL) or ti.abs(step[c]) >= WALL * grid.unit
             if beyond or ti.abs(wanted[c]) > _LONGEST_F32:
                 square = OUT_OF_REACH
-            here[c] = ti.max(-int(WALL), ti.min(here[c], int(WALL)))
-        robots.position[robot, c] = here[c]
-        moved = here[c] - robots.reference[robot, c]
+            center[c] = ti.max(-int(WALL), ti.min(center[c], int(WALL)))
+        robots.position[robot, c] = center[c]
+        moved = center[c] - robots.reference[robot, c]
         strayed += in_length(moved, grid.unit, robots.position) ** 2
         if ti.static("last_step" in dynamics.asks):
             robots.last_step[robot, c] = step[c]
     for m in range(robot * grid.docks, (robot + 1) * grid.docks):
         for c in ti.static(range(3)):
             arm = _in_places(robots.arm[m, c], grid.unit, robots.dock)
-            robots.dock[next_base + 4 * m + c] = here[c] + arm
+            robots.dock[next_base + 4 * m + c] = center[c] + arm
     return square, strayed
 
 
@@ -510,7 +514,8 @@ def relax_structures(
     half = dock_out.shape[0] // 2
     for s, idle in ti.ndrange(table.shape[0], GRAIN):
         if idle == 0:
-            first, end = table[s, StructureTable.FIRST], table[s, StructureTable.END]
+            first = table[s, StructureTable.FIRST]
+            end = table[s, StructureTable.END]
             grid = ti.Struct(
                 docks=docks, own_bits=own_bits, earlier=1, cutoff=cutoff, slot=first * docks,
                 table=table[s, StructureTable.TABLE], buckets=table[s, StructureTable.BUCKETS],

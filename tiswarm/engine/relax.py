@@ -115,20 +115,22 @@ class PreparedSwarm:
         makes the swarm guided; 0 fixes a coordinate. `dynamics` replace those of free and guided
         swarms, and `cutoff` D. `running` is a backend that runs already.
         """
-        self.swarm = swarm = Swarm.check(
+        swarm = Swarm.check(
             position, orientation_wxyz, contacts, robot=robot, height=height, mobility=mobility,
             structure=structure,
         )  # fmt: skip
+        self.swarm = swarm
         self.cutoff = swarm.spacing if cutoff is None else cutoff
         self.dynamics = dynamics or (FREE if mobility is None else GUIDED)
         if running is None:
             running = backend.start(arch, threads=threads, precision=precision)
         self.running = running
-        self.first = self.state = RelaxState(
+        self.first = RelaxState(
             places=self._choose_places(),
             position=swarm.position,
             last_step=np.zeros(swarm.position.shape),
         )
+        self.state = self.first
         self.stepper = None
         if len(swarm.position):
             largest = np.bincount(swarm.structure).max()
@@ -139,7 +141,8 @@ class PreparedSwarm:
 
     def _choose_places(self) -> Places:
         """Choose what numbers centers have, as long as the swarm does not outgrow them."""
-        swarm, precision = self.swarm, self.running.precision
+        swarm = self.swarm
+        precision = self.running.precision
         places = Places(origin=np.zeros(3), unit=None, spacing=swarm.spacing)
         if precision == "f32" and len(swarm.position):
             places = Places.choose(
@@ -250,17 +253,18 @@ class PreparedSwarm:
                 weighted[name] = share.astype(real) * real(gain)
         return {} if ramp is None else weighted
 
-    def _tabulate(self, given: Mapping[str, ArrayLike], steps: int) -> Reals:
+    def _tabulate(self, columns: Mapping[str, ArrayLike], steps: int) -> Reals:
         """Tabulate `Numbers` and those of the dynamics, shape (steps, columns)."""
         names = self.dynamics.names
         numbers: Reals = np.zeros((steps, Numbers.TOTAL + len(names)))
-        numbers[:, Numbers.SPACING], numbers[:, Numbers.CUTOFF] = self.swarm.spacing, self.cutoff
-        numbers[:, Numbers.HEIGHT_GAIN] = given["height_gain"]
-        numbers[:, Numbers.MAX_STEP] = given["max_step"]
+        numbers[:, Numbers.SPACING] = self.swarm.spacing
+        numbers[:, Numbers.CUTOFF] = self.cutoff
+        numbers[:, Numbers.HEIGHT_GAIN] = columns["height_gain"]
+        numbers[:, Numbers.MAX_STEP] = columns["max_step"]
         for column, name in enumerate(names, Numbers.TOTAL):
-            if name not in given:
+            if name not in columns:
                 raise InputError(f"forces need {name}; give {name}_gain and ramp")
-            numbers[:, column] = given[name]
+            numbers[:, column] = columns[name]
         return numbers
 
     def _result(self, moves: Reals, builds: int, farthest: float) -> RelaxResult:

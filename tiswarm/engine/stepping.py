@@ -110,21 +110,23 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals
         raise InputError(problem) from error
     if array.size == 0:
         array = array.reshape(0, *(int(length) for length in shape[1:]))
-    wanted = tuple(len(array) if isinstance(n, str) else n for n in shape) if array.ndim else None
-    if array.shape != wanted:
+    has_shape = array.ndim == len(shape) and all(
+        isinstance(length, str) or array.shape[axis] == length for axis, length in enumerate(shape)
+    )
+    if not has_shape:
         raise InputError(f"{name} has shape {array.shape}; expected {expected}")
     return array
 
 
 def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
     """Contacts between docks that exist, of different robots of one structure, each once."""
-    given = _shaped("contacts", contacts, ("C", 4))
-    odd = given[~(np.abs(given) < MOST_ITEMS) | (given != np.rint(given))]
+    table = _shaped("contacts", contacts, ("C", 4))
+    odd = table[~(np.abs(table) < MOST_ITEMS) | (table != np.rint(table))]
     if odd.size:
         raise InputError(f"contacts holds {odd[0]:g}; give whole numbers: robot, dock, robot, dock")
-    rows = given.astype(np.int64)
+    rows = table.astype(np.int64)
     first, second = rows[:, [0, 2]].T
-    beyond = (rows < 0) | (rows >= np.array([len(structure), docks] * 2))
+    beyond = (rows < 0) | (rows >= np.array([len(structure), docks, len(structure), docks]))
     wrong = beyond.any(axis=1) | (first == second)
     if not wrong.any():
         wrong = structure[first] != structure[second]
@@ -134,11 +136,14 @@ def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
             f"two of the {len(structure)} robots in one structure"
         )
     # One number a pair sorts far faster than rows of four do.
-    one, other = first * docks + rows[:, 1], second * docks + rows[:, 3]
+    first_dock = first * docks + rows[:, 1]
+    second_dock = second * docks + rows[:, 3]
     most = len(structure) * docks
-    pair = np.unique(np.minimum(one, other) * most + np.maximum(one, other))
-    one, other = np.divmod(pair, most)
-    return np.column_stack([one // docks, one % docks, other // docks, other % docks])
+    pair = np.unique(
+        np.minimum(first_dock, second_dock) * most + np.maximum(first_dock, second_dock)
+    )
+    low, high = np.divmod(pair, most)
+    return np.column_stack([low // docks, low % docks, high // docks, high % docks])
 
 
 _SMALLEST = 32.0
@@ -166,8 +171,8 @@ class Places:
     @classmethod
     def choose(cls, center: Reals, height: Reals, *, reach: float, spacing: float) -> "Places":
         """Choose the unit for centers, shape (N, 3), and heights that robots are pulled toward."""
-        known = height[np.isfinite(height)]
-        z = np.concatenate([center[:, 2], known])
+        targets = height[np.isfinite(height)]
+        z = np.concatenate([center[:, 2], targets])
         # Robots move to their heights: the box has to hold these, too.
         low, high = ([*edge(center[:, :2], axis=0), edge(z)] for edge in (np.min, np.max))
         half = np.subtract(high, low).max() / 2.0
@@ -207,8 +212,10 @@ class Places:
         return self.unit is not None and bool(moves.max() > 0.5 * np.sqrt(OUT_OF_REACH))
 
 
-_STEPS, _STEPS_ON_CARD = 4, 16
-"""Most steps of a call. On a card Python needs longer for a call than the card for its steps; rows
+_STEPS = 4
+"""Most steps of a call on a processor."""
+_STEPS_ON_CARD = 16
+"""Most steps of a call on a card. Python needs longer for a call than the card for its steps; rows
 serve some 13, and the card skips the rest."""
 _CALLS = 2
 """Calls on a processor between two questions whether rows are stale."""
@@ -296,14 +303,18 @@ class Stepper:
             InputError: there are more docks than can be numbered.
             EnvironmentTroubleError: they do not fit into memory.
         """
-        robots, docks = len(swarm.position), len(swarm.dock_offset_body)
+        robots = len(swarm.position)
+        docks = len(swarm.dock_offset_body)
         self.ignores_nan = not (dynamics.has_force or dynamics.has_integrator)
-        self.dynamics, skin = dynamics, dynamics.skin * (swarm.spacing / cutoff) ** 0.5
+        self.dynamics = dynamics
+        skin = dynamics.skin * (swarm.spacing / cutoff) ** 0.5
         self.reach = (1.0 + skin) * cutoff
         # Two robots that approach each other share the skin.
         self.stray_limit = 0.5 * skin * cutoff
-        self.by_structure, self.places = by_structure, places
-        self.order = order = morton_order(swarm.position, swarm.structure)
+        self.by_structure = by_structure
+        self.places = places
+        order = morton_order(swarm.position, swarm.structure)
+        self.order = order
         self.start = np.concatenate([[0], np.bincount(swarm.structure).cumsum()])
         self.target = swarm.height[order] if len(swarm.height) == robots else swarm.height
         per_robot = _bytes_of_robot(running.dtype, docks, guided=bool(dynamics.asks))
@@ -311,7 +322,8 @@ class Stepper:
         contacts = swarm.contacts.copy()
         # The inverse of the order: from the caller's numbers to those on the device.
         contacts[:, [0, 2]] = np.argsort(order)[contacts[:, [0, 2]]]
-        self.memory = memory = Allocator(running, on_host=by_structure)
+        memory = Allocator(running, on_host=by_structure)
+        self.memory = memory
         self.neighbors = NeighborList(
             memory, swarm.position[order], contacts,
             docks=docks, reach=swarm.reach, cutoff=self.reach,
@@ -334,8 +346,8 @@ class Stepper:
         self.numbers = memory.reals(1, Numbers.TOTAL + len(dynamics.names))
         seldom = memory.for_few_launches()
         self.structure = seldom.upload(swarm.structure[order])
-        turns, body = swarm.orientation_wxyz[order], swarm.dock_offset_body
-        kernels.turn_docks(seldom.upload(turns), seldom.upload(body), self.robots.arm)
+        turns = seldom.upload(swarm.orientation_wxyz[order])
+        kernels.turn_docks(turns, seldom.upload(swarm.dock_offset_body), self.robots.arm)
 
     def take_steps(self, state: RelaxState, numbers: Reals, seed: int) -> tuple[Reals, int]:
         """Take a step for each row of numbers.
@@ -348,11 +360,13 @@ class Stepper:
         Returns:
             Longest step of any robot, shape (T,), and how often rows were made.
         """
-        self.places = places = state.places
+        places = state.places
+        self.places = places
         # Rows are searched in numbers, not in lengths.
         self.neighbors.cutoff = self.reach / places.scale
         numbers[:, Numbers.ORIGIN : Numbers.ORIGIN + 3] = places.origin
-        robots, refill = self.robots, self.memory.refill
+        robots = self.robots
+        refill = self.memory.refill
         start = state.position[self.order]
         take = self._by_structure if self.by_structure else self._all_at_once
         while True:
@@ -365,8 +379,9 @@ class Stepper:
             kernels.place_docks(
                 places.scale, self.structure, robots.position, robots.arm, robots.dock
             )
-            if found := take(numbers):
-                return found
+            moves_and_builds = take(numbers)
+            if moves_and_builds is not None:
+                return moves_and_builds
 
     def state(self, taken: int) -> RelaxState:
         """Read where the robots are after the steps that were taken last, `taken` in all."""
@@ -389,15 +404,19 @@ class Stepper:
 
     def _all_at_once(self, numbers: Reals) -> tuple[Reals, int]:
         """Step by step, each with all threads; make rows anew where they are stale."""
-        neighbors, robots, control = self.neighbors, self.robots, self.control
+        neighbors = self.neighbors
+        robots = self.robots
+        control = self.control
         steps = len(numbers)
         if self.moves.shape[0] != steps:
             self.moves = self.memory.reals(steps)
             self.numbers = self.memory.reals(*numbers.shape)
         self.memory.refill(self.numbers, numbers)
         # Docks are held twice: a step reads one half and writes the other.
-        taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
+        half = robots.dock.shape[0] // 2
         most, calls = (_STEPS_ON_CARD, 1) if neighbors.on_card else (_STEPS, _CALLS)
+        builds_before = neighbors.builds
+        taken = 0
         control.fill(0)
         while taken < steps:
             neighbors.build(robots.dock, taken % 2 * half)
@@ -411,7 +430,8 @@ class Stepper:
                             self.stray_limit, self.places.scale, t, self.numbers,
                             *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
-                before, taken = taken, int(control[Control.TAKEN])
+                before = taken
+                taken = int(control[Control.TAKEN])
                 # Fresh rows always allow a step, unless the device did not run the kernel.
                 if taken == before:
                     raise backend.faulty_driver()
@@ -420,7 +440,8 @@ class Stepper:
 
     def _by_structure(self, numbers: Reals) -> tuple[Reals, int] | None:
         """All steps of a structure on one thread; None if a row was too short, which is now not."""
-        neighbors, structures = self.neighbors, len(self.start) - 1
+        neighbors = self.neighbors
+        structures = len(self.start) - 1
         moves = self.memory.reals(structures, len(numbers))
         with numerics.fast_arithmetic(ignores_nan=self.ignores_nan):
             kernels.relax_structures(
@@ -429,7 +450,8 @@ class Stepper:
                 neighbors.structure, *neighbors.cells, *neighbors.connections, *neighbors.rows,
                 *self.robots, moves,
             )  # fmt: skip
-        if (entries := neighbors.fullest()) > neighbors.capacity:
+        entries = neighbors.fullest()
+        if entries > neighbors.capacity:
             neighbors.make_room(entries)
             return None
         builds = int(neighbors.structure[:, StructureTable.BUILDS].max())
@@ -438,10 +460,8 @@ class Stepper:
 
 def _bytes_of_robot(dtype: type[np.floating[Any]], docks: int, *, guided: bool) -> int:
     """Count the memory of a robot in arrays of numbers and of integers [B]."""
-    numbers, integers = (
-        (5 if guided else 3) * 3 + docks * (3 + 2 * 4),
-        docks * (2 + 16 + 16) + 12,
-    )
+    numbers = (5 if guided else 3) * 3 + docks * (3 + 2 * 4)
+    integers = docks * (2 + 16 + 16) + 12
     return numbers * np.dtype(dtype).itemsize + 4 * integers
 
 

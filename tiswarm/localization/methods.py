@@ -365,7 +365,7 @@ def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:
 
     rows = measure(log, cues)
     untied, center = disconnected(rows), position / log.dock_radius
-    gap = rows.residual(center)[: len(rows.other)]
+    gap = rows.residual(center)[: len(rows.neighbor)]
     return Estimate(
         robot_id=log.robot_id,
         position=position,

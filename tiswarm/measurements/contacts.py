@@ -55,7 +55,7 @@ def touching(pair: AnyInts, robots: int) -> coo_matrix:
 
 def connected_parts(rows: Measurements) -> NDArray[np.int32]:
     """Number the parts of the swarm that measured distances connect, shape (N,)."""
-    pair = np.column_stack([rows.robot[: len(rows.other)], rows.other])
+    pair = np.column_stack([rows.robot[: len(rows.neighbor)], rows.neighbor])
     _, part = connected_components(touching(pair, rows.robots), directed=False)
     return part
 
@@ -76,7 +76,7 @@ def untied_directions(rows: Measurements) -> Reals:
         Projector onto these directions, 0 for robots of parts that are tied, shape (N, 3, 3).
     """
     part = connected_parts(rows)
-    of_row = part[rows.robot[len(rows.other) :]]
+    of_row = part[rows.robot[len(rows.neighbor) :]]
     span = spans(of_row, rows.places.direction, part.max() + 1)
     square, axis = np.linalg.eigh(span)
     # An eigenvalue that rounding explains counts as 0.

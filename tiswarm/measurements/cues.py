@@ -239,8 +239,8 @@ class Cue:
     """Key of the log."""
 
     item: str = ""
-    """What a row is, of `other` robot, `own` dock and `dock` of the other, or `along` an axis, `at`
-    a coordinate."""
+    """What a row is, of the robot's `dock`, its `neighbor` and `neighbor_dock`, or `along` an axis,
+    `at` a coordinate."""
 
     names_docks: bool = True
     """Whether its rows name the docks that they are of, or need none; only methods that find docks
@@ -249,7 +249,8 @@ class Cue:
 
 CUES: list[Cue] = [
     Cue(
-        name="contacts", rows=_contacts, key="contacts", item="contact [{own}, {other}, {dock}]",
+        name="contacts", rows=_contacts,
+        key="contacts", item="contact [{dock}, {neighbor}, {neighbor_dock}]",
         has_switch=True,
         words="contacts", said=0,
     ),
@@ -271,7 +272,7 @@ CUES: list[Cue] = [
     ),
     Cue(
         name=WALKED, rows=_walk_contacts,
-        key="contacts", item="contact [{own}, {other}, {dock}]",
+        key="contacts", item="contact [{dock}, {neighbor}, {neighbor_dock}]",
         has_switch=True,
         words="contacts on the way", said=11,
     ),
@@ -296,25 +297,25 @@ CUES: list[Cue] = [
         words="fixes", said=5,
     ),
     Cue(
-        name="ranges", rows=_ranges, key="ranges", item="range to robot {other}",
+        name="ranges", rows=_ranges, key="ranges", item="range to robot {neighbor}",
         has_switch=True,
         words="ranges", said=4,
     ),
     Cue(
         name="directions", rows=_directions,
-        key="directions", item="direction of contact [{own}, {other}, {dock}]",
+        key="directions", item="direction of contact [{dock}, {neighbor}, {neighbor_dock}]",
         has_switch=True,
         words="directions of contacts", said=2,
     ),
     Cue(
-        name="touches", rows=_touches, key="touches", item="touch of robot {other}",
+        name="touches", rows=_touches, key="touches", item="touch of robot {neighbor}",
         has_switch=True,
         words="contacts of unknown docks", said=1,
         names_docks=False,
     ),
     Cue(
         name="displacements", rows=_displacements,
-        key="displacements", item="displacement to robot {other}",
+        key="displacements", item="displacement to robot {neighbor}",
         has_switch=True,
         words="displacements", said=3,
     ),

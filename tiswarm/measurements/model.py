@@ -290,14 +290,14 @@ class Measurements:
     robot: Ints
     """Robot of each row, shape (E,)."""
 
-    other: Ints
-    """The other robot of each pair, shape (P,)."""
+    neighbor: Ints
+    """Neighbor that the robot of each pair measures, shape (P,)."""
 
     arm: Reals
     """T = 1: from the robot's final center to its dock, or to the end of its vector [R], (E, 3)."""
 
-    other_arm: Reals
-    """From the other robot's final center to its dock [R], shape (P, 3)."""
+    neighbor_arm: Reals
+    """From the neighbor's final center to its dock [R], shape (P, 3)."""
 
     shared_sd: Reals
     """Standard deviation of the error that all rows of a source share [R], shape (sources,)."""
@@ -331,9 +331,9 @@ class Measurements:
             offsets=o,
             places=p,
             robot=odometry.owner[stance],
-            other=odometry.owner[other_stance],
+            neighbor=odometry.owner[other_stance],
             arm=odometry.arms(stance, dock)[0] + beyond,
-            other_arm=odometry.arms(other_stance, other_dock)[0],
+            neighbor_arm=odometry.arms(other_stance, other_dock)[0],
             shared_sd=shared_sd,
         )
 
@@ -355,7 +355,7 @@ class Measurements:
     @property
     def is_central(self) -> Bools:
         """Which distances are between centers, and turn with their robots, shape (C,)."""
-        arms = (self.arm[: len(self.distances.stance)], self.other_arm)
+        arms = (self.arm[: len(self.distances.stance)], self.neighbor_arm)
         is_central: Bools = ~np.any([arm[: len(arms[0])].any(axis=1) for arm in arms], axis=0)
         return is_central & ~self.distances.is_hinge
 
@@ -379,17 +379,17 @@ class Measurements:
 
         Shape (P, 5); the rows of a vector are alike.
         """
-        robot = self.robot[: len(self.other)]
+        robot = self.robot[: len(self.neighbor)]
         stance, dock, _ = ends(self.distances, self.offsets)
         other_dock = other_ends(self.distances, self.offsets)[1]
         at = stance - self.odometry.first[robot]
-        return np.column_stack([robot, at, dock, self.other, other_dock])
+        return np.column_stack([robot, at, dock, self.neighbor, other_dock])
 
     @property
     def sensed_places(self) -> Ints:
         """Robot, its stance, and dock or CENTER of each coordinate, shape (K, 3)."""
         p = self.places
-        robot = self.robot[len(self.other) :]
+        robot = self.robot[len(self.neighbor) :]
         return np.column_stack([robot, p.stance - self.odometry.first[robot], p.dock])
 
     @property
@@ -420,7 +420,7 @@ class Measurements:
     @property
     def vector_rows(self) -> slice:
         """Rows of `offsets` among all: three of each vector, one after another."""
-        return slice(len(self.distances.stance), len(self.other))
+        return slice(len(self.distances.stance), len(self.neighbor))
 
     def any_of_vector(self, flag: Bools) -> Bools:
         """Extend flags of rows, shape (E,), to all three rows of their vectors."""
@@ -440,22 +440,22 @@ class Measurements:
         if not np.array_equal(self.any_of_vector(chosen), chosen):
             message = "the three rows of a vector are one measurement; choose all or none"
             raise ValueError(message)
-        tables = np.split(chosen, [len(self.distances.stance), len(self.other)])
+        tables = np.split(chosen, [len(self.distances.stance), len(self.neighbor)])
         return self.ordered(*map(np.flatnonzero, tables))
 
     def ordered(self, distance: Ints, offset: Ints, place: Ints) -> "Measurements":
         """Keep these rows of each table in this order."""
         pair = np.concatenate([distance, len(self.distances.stance) + offset])
-        row = np.concatenate([pair, len(self.other) + place])
+        row = np.concatenate([pair, len(self.neighbor) + place])
         return replace(
             self,
             distances=Distances._make(column[distance] for column in self.distances),
             offsets=Offsets._make(column[offset] for column in self.offsets),
             places=Coordinates._make(column[place] for column in self.places),
             robot=self.robot[row],
-            other=self.other[pair],
+            neighbor=self.neighbor[pair],
             arm=self.arm[row],
-            other_arm=self.other_arm[pair],
+            neighbor_arm=self.neighbor_arm[pair],
         )
 
     @property
@@ -471,7 +471,7 @@ class Measurements:
             for key in (read, along)
         )
         alone = np.arange(len(o.stance)) + len(pair)
-        return np.concatenate([pair, alone, place + len(self.other)])
+        return np.concatenate([pair, alone, place + len(self.neighbor)])
 
     def averaged(self, *, as_precise_as_one: bool = False) -> "Measurements":
         """Replace readings of the same quantity by the same source by their weighted mean.
@@ -505,8 +505,8 @@ class Measurements:
     def noisy_arms(self) -> tuple[tuple[Ints, Ints, Reals], tuple[Ints, Ints, Reals]]:
         """Split the arms of all rows, and the other arms, as `Odometry.noisy_arms` does."""
         arm_ends = ends(self.distances, self.offsets, self.places)
-        other_arm_ends = other_ends(self.distances, self.offsets)
-        return self.odometry.noisy_arms(*arm_ends), self.odometry.noisy_arms(*other_arm_ends)
+        neighbor_arm_ends = other_ends(self.distances, self.offsets)
+        return self.odometry.noisy_arms(*arm_ends), self.odometry.noisy_arms(*neighbor_arm_ends)
 
     def variance(self) -> Reals:
         """Sum each row's variances: its own, that of its source, and the noise of orientations.
@@ -550,11 +550,11 @@ class Measurements:
         Returns:
             Vectors [R], shape (..., P, 3).
         """
-        i = self.robot[: len(self.other)]
-        j = self.other
+        i = self.robot[: len(self.neighbor)]
+        j = self.neighbor
         arm = turned(self.arm[: len(j)], None if yaw is None else yaw[..., i])
-        other_arm = turned(self.other_arm, None if yaw is None else yaw[..., j])
-        apart: Reals = position[..., i, :] + (arm - other_arm) - position[..., j, :]
+        neighbor_arm = turned(self.neighbor_arm, None if yaw is None else yaw[..., j])
+        apart: Reals = position[..., i, :] + (arm - neighbor_arm) - position[..., j, :]
         if len(self.touch):
             apart[..., self.touch, :] = self._nearest_docks(position, yaw)[0]
         return apart
@@ -588,21 +588,22 @@ class Measurements:
         """
         touch = self.touch
         i = self.robot[touch]
-        j = self.other[touch]
-        (arms, _), (other_arms, _) = self.touch_arms
+        j = self.neighbor[touch]
+        (arms, _), (neighbor_arms, _) = self.touch_arms
         between = position[..., i, :] - position[..., j, :]
         turned_arms = [
             turned(arm, None if yaw is None else yaw[..., i]) for arm in arms.swapaxes(0, 1)
         ]
         other_turned_arms = [
-            turned(arm, None if yaw is None else yaw[..., j]) for arm in other_arms.swapaxes(0, 1)
+            turned(arm, None if yaw is None else yaw[..., j])
+            for arm in neighbor_arms.swapaxes(0, 1)
         ]
         apart = np.empty_like(between)
         pair = np.zeros(between.shape[:-1], np.int64)
         least = np.full(pair.shape, np.inf)
         # One pair of docks at a time: all at once would take docks^2 times the memory.
-        for number, (arm, other_arm) in enumerate(product(turned_arms, other_turned_arms)):
-            vector = between + arm - other_arm
+        for number, (arm, neighbor_arm) in enumerate(product(turned_arms, other_turned_arms)):
+            vector = between + arm - neighbor_arm
             off = np.abs(np.linalg.norm(vector, axis=-1) - self.distances.length[touch])
             is_nearer = off < least
             least = np.where(is_nearer, off, least)
@@ -612,8 +613,8 @@ class Measurements:
 
     def points(self, position: Reals, yaw: Reals | None = None) -> Reals:
         """Compute the points whose coordinates `places` measures [R], shape (..., K, 3)."""
-        robot = self.robot[len(self.other) :]
-        arm = turned(self.arm[len(self.other) :], None if yaw is None else yaw[..., robot])
+        robot = self.robot[len(self.neighbor) :]
+        arm = turned(self.arm[len(self.neighbor) :], None if yaw is None else yaw[..., robot])
         points: Reals = position[..., robot, :] + arm
         return points
 
@@ -625,7 +626,7 @@ class Measurements:
 
     def axes(self, yaw: Reals | None = None) -> Reals:
         """Compute the unit vectors along which `offsets` measures, shape (..., O, 3)."""
-        robot = self.robot[len(self.distances.stance) : len(self.other)]
+        robot = self.robot[len(self.distances.stance) : len(self.neighbor)]
         return turned(self.offsets.axis, None if yaw is None else yaw[..., robot])
 
     def residual(self, position: Reals, yaw: Reals | None = None) -> Reals:
@@ -673,17 +674,17 @@ class Measurements:
             Derivatives by x, y and z of each center [1], then by each yaw [R], shape (E, 4 N).
         """
         direction = self.linearized(position, yaw)[1]
-        count = len(self.other)
+        count = len(self.neighbor)
         i = self.robot
-        j = self.other
+        j = self.neighbor
         arm = turned(self.arm, None if yaw is None else yaw[i]).copy()
-        other_arm = turned(self.other_arm, None if yaw is None else yaw[j])
+        neighbor_arm = turned(self.neighbor_arm, None if yaw is None else yaw[j])
         # A vector turns with its axes: the derivative is that of an arm to the other dock.
         offset = slice(len(self.distances.stance), count)
-        arm[offset] = position[j[offset]] + other_arm[offset] - position[i[offset]]
+        arm[offset] = position[j[offset]] + neighbor_arm[offset] - position[i[offset]]
         toward = direction[:count]
         of_turn = -slope_by_turn(components(direction), components(arm))[2]
-        of_other_turn = -slope_by_turn(components(toward), components(other_arm))[2]
+        of_other_turn = -slope_by_turn(components(toward), components(neighbor_arm))[2]
         every = np.arange(len(i))
         axis = np.arange(AXES)
         thrice = np.repeat(every, AXES)
@@ -738,7 +739,7 @@ def inconsistent_places(rows: Measurements, variance: Reals | None = None) -> Bo
     Returns:
         Rows that disagree with the one that most rows agree with, shape (E,); distances never do.
     """
-    contacts = len(rows.other)
+    contacts = len(rows.neighbor)
     inconsistent = np.zeros(len(rows), np.bool_)
     robot = rows.robot[contacts:]
     direction = rows.places.direction

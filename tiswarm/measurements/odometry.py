@@ -52,7 +52,7 @@ class Connections(NamedTuple):
     robot: Ints
     """Robot that sensed each, shape (Q,)."""
 
-    other: Ints
+    neighbor: Ints
     """Robot that it sensed, shape (Q,)."""
 
     residual: Reals
@@ -117,7 +117,7 @@ def _averaged(log: SensingLog, is_chained: Bools) -> tuple[Reals, Reals]:
     weight = links.sd**-2.0
     sign = np.repeat([1.0, -1.0], count)
     row = np.tile(np.arange(count), 2)
-    ends = np.concatenate([links.robot, links.other])
+    ends = np.concatenate([links.robot, links.neighbor])
     change: csc_array = csc_array((sign, (row, ends)), shape=(count, robots))
     hold = np.where(is_chained, 0.0, _HELD * weight)
     information = csc_array(weight * (change.T @ change) + diags_array(hold))

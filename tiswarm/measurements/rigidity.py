@@ -125,7 +125,7 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
     world = rows.robots
     places = len(rows.places.value)
     # The world holds the anchor in all directions, and each measured coordinate in one.
-    first = np.concatenate([rows.other, np.full(places + _SHIFTS, world)])
+    first = np.concatenate([rows.neighbor, np.full(places + _SHIFTS, world)])
     second = np.concatenate([rows.robot, np.zeros(_SHIFTS, np.int64)])
     way = np.concatenate([direction, np.eye(_SHIFTS, dof)])
     count = len(center)
@@ -167,7 +167,9 @@ def common_motions(
     moves = part == part[0]
     moves[0] = False
     # A row resists where one of its ends moves with the body and the other does not.
-    moves_partner = np.concatenate([moves[rows.other], np.zeros(len(rows.places.value), np.bool_)])
+    moves_partner = np.concatenate(
+        [moves[rows.neighbor], np.zeros(len(rows.places.value), np.bool_)]
+    )
     resisted = direction[moves[rows.robot] != moves_partner]
     dof = direction.shape[1]
     return dof - int(np.linalg.matrix_rank(resisted, tol=_UNNOTICED)) if moves.any() else 0
@@ -267,7 +269,7 @@ def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further
     world = rows.robots
     dof = bodies.dof
     direction = _directions(rows, position, yaw_unknown=dof > _SHIFTS)
-    partner = np.concatenate([rows.other, np.full(len(rows.places.value), world)])
+    partner = np.concatenate([rows.neighbor, np.full(len(rows.places.value), world)])
     matrix = np.zeros((len(rows), bodies.size, dof))
     for sign, robot in ((1.0, rows.robot), (-1.0, partner)):
         body = bodies.of_robot[robot]
@@ -276,7 +278,7 @@ def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further
             way = way @ _from(bodies.center[body])
         matrix[np.arange(len(rows)), body] += way[:, 0]
     free = np.delete(matrix, bodies.fixed, axis=1).reshape(len(rows), -1)
-    turns = direction[len(rows.other) :, _SHIFTS:]
+    turns = direction[len(rows.neighbor) :, _SHIFTS:]
     return Further(free, bool(turns.any()))
 
 

@@ -127,19 +127,20 @@ class Turns(tuple[Turn, ...]):  # noqa: SLOT001 - it has no attributes
         part = connected_parts(rows)
         near = np.zeros((rows.robots, rows.robots), np.bool_)
         tied = part == part[0]
-        of_pair = rows.robot[: len(rows.other)]
-        measured = spans(rows.robot[len(rows.other) :], rows.places.direction, rows.robots)
+        of_pair = rows.robot[: len(rows.neighbor)]
+        measured = spans(rows.robot[len(rows.neighbor) :], rows.places.direction, rows.robots)
         is_placed = np.linalg.matrix_rank(measured, hermitian=True) == AXES
         is_placed[0] = True
         frame = free_frame(rows, position, tied & (among is None))
         # Nothing of the world but the anchor is known, and robots that move have a shape.
         is_frame = bool(frame.names) and not (is_placed & tied)[1:].any()
-        is_frame &= bool((tied[of_pair] & (of_pair > 0) & (rows.other > 0)).any())
+        is_frame &= bool((tied[of_pair] & (of_pair > 0) & (rows.neighbor > 0)).any())
         turns = [frame._replace(is_frame=True)] if is_frame else []
         is_placed |= among is not None and ~among
         if rows.robots > _MOST_ROBOTS or not rows.is_central.any():
             return cls(turns)
-        near[of_pair, rows.other] = near[rows.other, of_pair] = True
+        near[of_pair, rows.neighbor] = True
+        near[rows.neighbor, of_pair] = True
         for members in _sets(near, np.flatnonzero(~is_placed & ~disconnected(rows))):
             moves = np.isin(np.arange(rows.robots), members)
             about = np.flatnonzero(near[members].any(axis=0) & ~moves)
@@ -255,7 +256,7 @@ def _sets(near: Bools, robots: Ints) -> list[Ints]:
 def _turn_about(rows: Measurements, position: Reals, moves: Bools, about: Ints) -> Turn:
     """Find how robots are free to turn about those that they share rows with."""
     touched = moves[rows.robot]
-    touched[: len(rows.other)] |= moves[rows.other]
+    touched[: len(rows.neighbor)] |= moves[rows.neighbor]
     rows = rows.select(touched).averaged()
     if len(about) == 1:
         return free_frame(rows, position, moves, int(about[0]))
@@ -308,7 +309,7 @@ def _least_squares(rows: Measurements, position: Reals, turn: Turn) -> Reals:
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     entries = []
     number = np.arange(count)[:, None, None]
-    for robot, slope in ((rows.robot, way), (rows.other, -way[:, : len(rows.other)])):
+    for robot, slope in ((rows.robot, way), (rows.neighbor, -way[:, : len(rows.neighbor)])):
         row = np.flatnonzero(turn.moves[robot])
         place = (AXES * column[robot[row], None] + np.arange(AXES)) + size * number
         line = row[:, None] + len(rows) * number

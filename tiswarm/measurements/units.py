@@ -91,7 +91,7 @@ class Lengths(NamedTuple):
     robot: Ints
     """Robot whose line has each, shape (n,)."""
 
-    other: Ints
+    origin: Ints
     """The other robot, or the anchor, from which coordinates are counted, shape (n,)."""
 
     size: Reals
@@ -106,7 +106,7 @@ class Lengths(NamedTuple):
     def described(self, log: SensingLog, row: int) -> str:
         """Write a length in the log's unit, and where it leads."""
         where = (
-            f"to robot {log.robot_id[self.other[row]]}" if self.is_of_pair else "from the anchor"
+            f"to robot {log.robot_id[self.origin[row]]}" if self.is_of_pair else "from the anchor"
         )
         return f"{self.size[row] * log.dock_radius:.4g} {log.length_unit} {where}"
 
@@ -208,23 +208,23 @@ def _bounds(log: SensingLog, walks: Odometry, columns: dict[str, Lengths]) -> di
         By key, the greatest distance of the two robots of each length [R], shape (n,).
     """
     rows = measure(log, ["contacts", "walk_contacts", "touches", "directions"], odometry=walks)
-    arms = np.linalg.norm(rows.arm[: len(rows.other)], axis=1)
-    arms += np.linalg.norm(rows.other_arm, axis=1)
+    arms = np.linalg.norm(rows.arm[: len(rows.neighbor)], axis=1)
+    arms += np.linalg.norm(rows.neighbor_arm, axis=1)
     offset = np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius
     unknown = (rows.sensed_contacts[:, [2, 4]] == UNKNOWN).sum(axis=1)
     longest = SPACING + arms + offset * unknown
-    pair = np.sort(np.column_stack([rows.robot[: len(rows.other)], rows.other]), axis=1)
+    pair = np.sort(np.column_stack([rows.robot[: len(rows.neighbor)], rows.neighbor]), axis=1)
     order = np.argsort(longest, kind="stable")
     pair, first = np.unique(pair[order], axis=0, return_index=True)
     graph = coo_array((longest[order][first], tuple(pair.T)), shape=(log.robot_count,) * 2)
-    starts = np.unique(np.concatenate([column.other for column in columns.values()]))
+    starts = np.unique(np.concatenate([column.origin for column in columns.values()]))
     starts = starts[:: len(starts) // _MOST_STARTS + 1]
     away = dijkstra(graph, directed=False, indices=starts)
     away[away == 0.0] = inf  # of the robot itself
     bounds = {}
     for key, column in columns.items():
-        place = np.minimum(np.searchsorted(starts, column.other), len(starts) - 1)
-        is_start = starts[place] == column.other
+        place = np.minimum(np.searchsorted(starts, column.origin), len(starts) - 1)
+        is_start = starts[place] == column.origin
         bounds[key] = np.where(is_start, away[place, column.robot], inf)
     return bounds
 
@@ -249,7 +249,7 @@ def _header(log: SensingLog, walks: Odometry) -> Iterator[Slip]:
 
 def _heights_by(rows: Measurements) -> dict[int, tuple[float, float]]:
     """Compute the height of each robot's center and its variance, from vertical places [R]."""
-    value = rows.places.value - rows.arm[len(rows.other) :, 2]
+    value = rows.places.value - rows.arm[len(rows.neighbor) :, 2]
     measured = zip(rows.robot.tolist(), value.tolist(), rows.variance().tolist(), strict=True)
     return {robot: (z, variance) for robot, z, variance in measured}
 
@@ -312,7 +312,7 @@ def contradictions(log: SensingLog) -> list[Contradiction]:
 def _by_height(log: SensingLog) -> Iterator[tuple[int, str]]:
     """Contacts of robots whose flips took them to heights too different."""
     rows = measure(log, ["contacts", "height"])
-    contacts = len(rows.other)
+    contacts = len(rows.neighbor)
     variance = rows.variance()
     height = np.full(log.robot_count, np.nan)
     spread = np.zeros(log.robot_count)
@@ -322,7 +322,7 @@ def _by_height(log: SensingLog) -> Iterator[tuple[int, str]]:
     height[0] = log.anchor_position[2] / log.dock_radius
     spread[0] = 0.0
     robot = rows.robot[:contacts]
-    partner = rows.other
+    partner = rows.neighbor
     slack = (
         ALLOWED_SD * np.sqrt(spread[robot] + spread[partner] + variance[:contacts]) + _ALLOWED_GAP
     )
@@ -343,13 +343,15 @@ def _by_chain(log: SensingLog, rows: Measurements) -> Iterator[tuple[int, str]]:
     between = defaultdict(list)
     of_joiner = defaultdict(list)
     for row, (joiner, earlier) in enumerate(
-        zip(rows.robot.tolist(), rows.other.tolist(), strict=True)
+        zip(rows.robot.tolist(), rows.neighbor.tolist(), strict=True)
     ):
         between[earlier, joiner].append(row)
         of_joiner[joiner].append(row)
     for joiner, contact_rows in of_joiner.items():
-        for one, two in combinations(sorted(contact_rows, key=lambda row: int(rows.other[row])), 2):
-            first, second = rows.other[[one, two]].tolist()
+        for one, two in combinations(
+            sorted(contact_rows, key=lambda row: int(rows.neighbor[row])), 2
+        ):
+            first, second = rows.neighbor[[one, two]].tolist()
             closing = [[]] if first == second else [[row] for row in between[first, second]]
             for third in closing:
                 gap = np.linalg.norm(fixed[one] - fixed[two] - fixed[third].sum(axis=0))
@@ -361,7 +363,7 @@ def _by_chain(log: SensingLog, rows: Measurements) -> Iterator[tuple[int, str]]:
 
 def _fixed_part(rows: Measurements) -> Reals:
     """Arm of the robot's dock less that of the other's, shape (C, 3)."""
-    fixed: Reals = rows.arm[: len(rows.other)] - rows.other_arm
+    fixed: Reals = rows.arm[: len(rows.neighbor)] - rows.neighbor_arm
     return fixed
 
 
@@ -371,6 +373,6 @@ def _names(log: SensingLog, rows: Measurements, chosen: list[int]) -> str:
     d = rows.distances
     return " and ".join(
         f"robot {name[rows.robot[row]]}'s contact "
-        f"[{d.dock[row]}, {name[rows.other[row]]}, {d.other_dock[row]}]"
+        f"[{d.dock[row]}, {name[rows.neighbor[row]]}, {d.other_dock[row]}]"
         for row in chosen
     )

@@ -308,9 +308,9 @@ def _carriers(estimate: Estimate) -> Ints:
 def _beyond_reach(log: SensingLog, estimate: Estimate) -> Ints:
     """Find robots where no chain of their contacts ends."""
     rows = measure(log, ["contacts"])
-    arms = np.linalg.norm([rows.arm, rows.other_arm], axis=2).sum(axis=0)
+    arms = np.linalg.norm([rows.arm, rows.neighbor_arm], axis=2).sum(axis=0)
     part = connected_parts(rows)
-    bound = reach(np.column_stack([rows.robot, rows.other]), SPACING + arms, part)
+    bound = reach(np.column_stack([rows.robot, rows.neighbor]), SPACING + arms, part)
     first = np.unique(part, return_index=True)[1][part]
     away = np.linalg.norm(estimate.position - estimate.position[first], axis=1)
     return np.flatnonzero(away > _STRETCH * bound * log.dock_radius)
@@ -332,9 +332,10 @@ def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
         for cue in reversed(CUES)
     }
     for row in estimate.outlier_contacts.tolist():
-        robot, stance, own_dock, partner, dock = row
+        robot, stance, dock, neighbor, neighbor_dock = row
         cue = next(cue for cue, rows in pairs.items() if tuple(row) in rows or cue is CUES[0])
-        yield robot, stance, cue.key, cue.item.format(own=own_dock, other=name[partner], dock=dock)
+        item = cue.item.format(dock=dock, neighbor=name[neighbor], neighbor_dock=neighbor_dock)
+        yield robot, stance, cue.key, item
 
 
 def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
@@ -348,7 +349,7 @@ def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
     listed: dict[tuple[int, ...], list[tuple[float, str, str]]] = {}
     for cue in CUES:
         rows = measured.rows([cue.name, WALKED] if cue.walked else [cue.name])
-        count = len(rows.other)
+        count = len(rows.neighbor)
         missed = np.abs(rows.residual(center, estimate.yaw)) / np.sqrt(rows.variance())
         for point, axis, value, off in zip(
             rows.sensed_places.tolist(), rows.places.direction, rows.places.value,

@@ -138,7 +138,7 @@ def examine(
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
         if path and path.suffix == ".csv":
             problem += ", or give a table to tiswarm import"
-        raise InputError(problem, path=path, line=source.place_of(()).line)
+        raise InputError(problem, path=path, line=source.position_of(()).line)
     settings: list[Setting] = []
     unread: list[InputError] = []
     for text in overrides:
@@ -274,10 +274,10 @@ def _placed(
         return error
     if path is None:
         return InputError(mistake.problem, key=dotted(mistake.path))
-    place = source.place_of(mistake.path)
-    column = place.column if mistake.about_key else place.value_column
+    position = source.position_of(mistake.path)
+    column = position.column if mistake.about_key else position.value_column
     return InputError(
-        mistake.problem, path=path, line=place.line, column=column, key=dotted(mistake.path)
+        mistake.problem, path=path, line=position.line, column=column, key=dotted(mistake.path)
     )
 
 

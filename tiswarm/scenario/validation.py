@@ -299,8 +299,11 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> Mis
         return Mistake(_METHOD, problem)
     problem = explain(error, _allowed(path, adapter, data))
     is_name_of_rule = path == _RULE[:2] and error["type"] == "literal_error"
-    if (path in {_METHOD, _KIND, _RULE} or is_name_of_rule) and not problem.endswith("?"):
-        problem += ", or one of a plug-in that you load (--plugin FILE)"
+    if path in {_METHOD, _KIND, _RULE} or is_name_of_rule:
+        if problem.endswith("?"):
+            problem += " or load the plug-in that has it (--plugin FILE)"
+        else:
+            problem += ", or one of a plug-in that you load (--plugin FILE)"
     moved = _MOVED.get(path, ()) if about_key else ()
     if moved:
         new_key = dotted(moved if adapter is not _LOCALIZATION else moved[1:])

@@ -1,4 +1,4 @@
-"""YAML files: the scenarios that come with the package, and text to plain data with each place.
+"""YAML files: the scenarios that come with the package, and text to plain data with each position.
 
 Scalars follow the core schema of YAML 1.2: `1e-3` is a number; `no`, `on` and `12:30` are text;
 `010` is ten. Beyond that schema, `1e3` is the whole number 1000. Anchors, aliases, tags and very
@@ -35,7 +35,7 @@ _CONSTRUCTORS: dict[str, Callable[[str], object]] = {
 exponent are exact, as all below 2^53."""
 
 
-class Place(NamedTuple):
+class SourcePosition(NamedTuple):
     """Where a key or a list entry starts, and its value; all counted from 1."""
 
     line: int
@@ -43,24 +43,24 @@ class Place(NamedTuple):
     value_column: int  # of the key if the value starts on another line
 
 
-NOWHERE = Place(0, 0, 0)
-"""Place of data that comes from no file."""
+NOWHERE = SourcePosition(0, 0, 0)
+"""Position of data that comes from no file."""
 
 
 @dataclass(frozen=True)
 class YamlSource:
-    """Plain data and the places it comes from."""
+    """Plain data and where in a file it comes from."""
 
     data: Any  # dicts with text keys, lists, text, numbers, booleans and None
-    places: dict[tuple[Part, ...], Place]  # of each key and list entry, by its path
+    positions: dict[tuple[Part, ...], SourcePosition]  # of each key and list entry, by its path
 
-    def place_of(self, path: Sequence[Part]) -> Place:
-        """Return the place of a value, or of the section that lacks it."""
+    def position_of(self, path: Sequence[Part]) -> SourcePosition:
+        """Return the position of a value, or of the section that lacks it."""
         parts = tuple(path)
-        while parts not in self.places:
+        while parts not in self.positions:
             parts = parts[:-1]
-        place = self.places[parts]
-        return place if parts == tuple(path) else place._replace(value_column=place.column)
+        position = self.positions[parts]
+        return position if parts == tuple(path) else position._replace(value_column=position.column)
 
 
 def read_yaml(path: Path) -> YamlSource:
@@ -81,16 +81,16 @@ def parse_yaml(text: str, path: Path | None = None) -> YamlSource:
 
     Text that is empty or not YAML as scenarios use it raises InputError.
     """
-    places: dict[tuple[Part, ...], Place] = {(): Place(1, 1, 1)}
+    positions: dict[tuple[Part, ...], SourcePosition] = {(): SourcePosition(1, 1, 1)}
     try:
         root = _compose(text)
-        data = _value(root, (), places)
+        data = _value(root, (), positions)
     except InputError as error:
         line, column = (None, None) if path is None else (error.line, error.column)
         raise InputError(
             error.problem, path=path, line=line, column=column, key=error.key
         ) from error
-    return YamlSource(data, places)
+    return YamlSource(data, positions)
 
 
 def plain_scalar(text: str) -> object:
@@ -161,12 +161,12 @@ def _syntax(error: yaml.MarkedYAMLError) -> str:
 
 
 def _value(
-    node: yaml.Node, path: tuple[Part, ...], places: dict[tuple[Part, ...], Place]
+    node: yaml.Node, path: tuple[Part, ...], positions: dict[tuple[Part, ...], SourcePosition]
 ) -> object:
-    """Convert a node to plain data, and note its places."""
-    places.setdefault(path, _place(node, node))
+    """Convert a node to plain data, and note its positions."""
+    positions.setdefault(path, _position(node, node))
     if isinstance(node, yaml.SequenceNode):
-        return [_value(entry, (*path, n), places) for n, entry in enumerate(node.value)]
+        return [_value(entry, (*path, n), positions) for n, entry in enumerate(node.value)]
     if not isinstance(node, yaml.MappingNode):
         text = _text(node, path)
         is_plain = isinstance(node, yaml.ScalarNode) and node.style is None
@@ -179,10 +179,10 @@ def _value(
         key = _text(key_node, path)
         key_path = (*path, key)
         if key in entries:
-            problem = f"the key stands on line {places[key_path].line} too; keep one"
+            problem = f"the key stands on line {positions[key_path].line} too; keep one"
             raise _mistake(problem, key_node.start_mark, key_path)
-        places[key_path] = _place(key_node, value_node)
-        entries[key] = _value(value_node, key_path, places)
+        positions[key_path] = _position(key_node, value_node)
+        entries[key] = _value(value_node, key_path, positions)
     return entries
 
 
@@ -194,11 +194,11 @@ def _text(node: yaml.Node, path: tuple[Part, ...]) -> str:
     return text
 
 
-def _place(key: yaml.Node, value: yaml.Node) -> Place:
+def _position(key: yaml.Node, value: yaml.Node) -> SourcePosition:
     start = key.start_mark
     end = value.start_mark
     value_column = end.column if end.line == start.line else start.column
-    return Place(start.line + 1, start.column + 1, value_column + 1)
+    return SourcePosition(start.line + 1, start.column + 1, value_column + 1)
 
 
 def _mistake(problem: str, mark: yaml.Mark, path: tuple[Part, ...] = ()) -> InputError:

@@ -26,7 +26,7 @@ from tiswarm.study.runner import Job, Outcome, batch, failure, first_alone
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.study.tables import MeasureTrial, write_tables
 
-_HERE = Execution()
+_LOCAL = Execution()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +44,9 @@ class RunResult:
         """How many cases failed, and why the first of them did; empty if none failed."""
         if not self.failed:
             return ""
-        many, first = counted(len(self.failed), "case"), self.failed[0]
-        return f"{many} failed, the first: {first.case}: {first.reason}"
+        first = self.failed[0]
+        cases = counted(len(self.failed), "case")
+        return f"{cases} failed, the first: {first.case}: {first.reason}"
 
 
 def run(
@@ -55,7 +56,7 @@ def run(
     progress: Progress,
     arch: AnyArch = "cpu",
     threads: int | None = None,
-    execution: Execution = _HERE,
+    execution: Execution = _LOCAL,
     overwrite: bool = False,
 ) -> RunResult:
     """Compute every case that is not yet stored, then write the tables.
@@ -79,11 +80,11 @@ def run(
     whole = plan(scenario)
     running = _start_device(whole, arch, threads, execution, progress)
     number, count = execution.shard
-    mine = whole.structures[number - 1 :: count]
+    of_shard = whole.structures[number - 1 :: count]
     part = "" if count == 1 else f"{number}-of-{count}"
     with RunFolder.opened(scenario, parent, progress, part, overwrite=overwrite) as folder:
-        stored = _read_stored(mine, folder, progress)
-        missing = _without(mine, stored)
+        stored = _read_stored(of_shard, folder, progress)
+        missing = _without(of_shard, stored)
         outcomes: list[Outcome] = []
         measures = MeasureTrial(folder.path)
         measures.try_on(stored.values())
@@ -92,22 +93,29 @@ def run(
             # A user can watch the cases from now on, wherever they are computed.
             progress.info(f"to watch: tiswarm view --live {shlex.quote(str(folder.path))}")
             ended = _CaseCount()
-            total = sum(map(len, mine))
+            total = sum(map(len, of_shard))
             with progress.task("cases", total, ended.note, len(stored)) as ended.advance:
                 for workers, groups in groupby(missing, lambda group: group[0].settings.workers):
                     place = replace(execution, workers=workers) if workers else execution
                     with open_executor(place, threads, progress) as executor:
                         jobs = batch(
-                            [*groups], folder, arch=running, threads=executor.threads,
+                            [*groups],
+                            folder,
+                            arch=running,
+                            threads=executor.threads,
                             width=executor.width,
                             alone=place.case_limit_s is not None,  # to find the one that hangs
-                        )  # fmt: skip
+                        )
                         if measures.is_due:
                             jobs = first_alone(jobs)
                         outcomes += compute(
-                            jobs, executor, ended, progress, fail_fast=place.fail_fast,
+                            jobs,
+                            executor,
+                            ended,
+                            progress,
+                            fail_fast=place.fail_fast,
                             check=measures.try_on,
-                        )  # fmt: skip
+                        )
         computed = {record.case: record for outcome in outcomes for record in outcome.records}
         records = stored | computed
         others = folder.read_cases([case for case in whole.cases if case.name not in records])
@@ -126,18 +134,19 @@ def run(
 
 
 def _read_stored(
-    mine: Sequence[Group], folder: RunFolder, progress: Progress
+    structures: Sequence[Group], folder: RunFolder, progress: Progress
 ) -> dict[str, CaseRecord]:
     """Read finished cases by name, and report how many are kept and how many are outdated."""
-    cases = [case for group in mine for case in group]
+    cases = [case for group in structures for case in group]
     stored = [record for record in folder.read_cases(cases).values() if record.is_done]
     current = {record.case: record for record in stored if record.is_current}
-    if found := len(current):
-        progress.info(f"{found} of {len(cases)} cases are already stored")
-    if outdated := len(stored) - found:
+    if current:
+        progress.info(f"{len(current)} of {len(cases)} cases are already stored")
+    outdated = len(stored) - len(current)
+    if outdated:
         were, them = ("was", "it") if outdated == 1 else ("were", "them")
-        many = counted(outdated, "case")
-        progress.info(f"{many} {were} computed by other code; computing {them} again")
+        counted_cases = counted(outdated, "case")
+        progress.info(f"{counted_cases} {were} computed by other code; computing {them} again")
     return current
 
 
@@ -165,18 +174,21 @@ def _start_device(
             methods.require_use(used, arch, settings.precision)
         return arch
     require_cores(points)
-    found = arch
-    for own, each, precision in sorted(
-        {(p.arch or "", p.threads or 0, p.precision) for p in points}
-    ):
-        alike = [p.localization for p in points if (p.arch or "") == own]
+    chosen = arch
+    wanted = {(p.arch or "", p.threads or 0, p.precision) for p in points}
+    for point_arch, point_threads, precision in sorted(wanted):
+        methods_of_arch = [p.localization for p in points if (p.arch or "") == point_arch]
         running = methods.start_device(
-            alike, own or arch, threads=each or threads, precision=precision
+            methods_of_arch,
+            point_arch or arch,
+            threads=point_threads or threads,
+            precision=precision,
         )
-        found = found if own else running.arch
+        if not point_arch:
+            chosen = running.arch
     if arch != "cpu":
         progress.info(methods.where(used, running))
-    return running.arch if found == "auto" else found
+    return running.arch if chosen == "auto" else chosen
 
 
 _BEAT_S = 1.0

@@ -56,7 +56,8 @@ class Job:
     @property
     def halves(self) -> "list[Job]":
         """The job in two parts, split between structures if it has several."""
-        if middle := len(self.structures) // 2:
+        middle = len(self.structures) // 2
+        if middle:
             parts = [self.structures[:middle], self.structures[middle:]]
         else:
             [group] = self.structures
@@ -83,24 +84,28 @@ def batch(
         robots = sum(group[0].settings.robots for group in structures)
         robots_at_once = min(ROBOTS_AT_ONCE, robots // (_JOBS_EACH * width) + 1)
     jobs: list[list[Group]] = []
-    for _, alike in groupby(structures, key=lambda group: group[0].structure_key[:-1]):
+    for _, same_kind in groupby(structures, key=lambda group: group[0].structure_key[:-1]):
         gathered: list[Group] = []
         robots = 0
-        for group in alike:
+        for group in same_kind:
             gathered.append(group)
             robots += group[0].settings.robots
             starts = width > 1 and len(jobs) < width  # small jobs are soon stored
             if alone or starts or robots >= robots_at_once:
                 jobs.append(gathered)
-                gathered, robots = [], 0
-        jobs += [gathered] if gathered else []
+                gathered = []
+                robots = 0
+        if gathered:
+            jobs.append(gathered)
     return [
         Job(
-            structures=job, folder=folder, arch=arch,
+            structures=job,
+            folder=folder,
+            arch=arch,
             threads=job[0][0].settings.threads or threads,
         )
         for job in jobs
-    ]  # fmt: skip
+    ]
 
 
 def first_alone(jobs: Sequence[Job]) -> list[Job]:
@@ -115,8 +120,10 @@ def first_alone(jobs: Sequence[Job]) -> list[Job]:
 KEPT_FROM_S = 10.0
 """Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
 
-SAMPLE_ROBOTS, SAMPLE_SEED = 4, 2**31 - 1
-"""Size and seed of the structure that warms up the kernels."""
+SAMPLE_ROBOTS = 4
+"""Size of the structure that warms up the kernels."""
+SAMPLE_SEED = 2**31 - 1
+"""Seed of the structure that warms up the kernels."""
 
 
 class Outcome(NamedTuple):
@@ -179,8 +186,8 @@ class _CaseRunner:
         """
         with self.progress.task("prepare kernels", int(not _compiled)) as advance:
             self._warm_up_growth()
-            for _, alike in groupby(sorted(self.job.cases, key=_device), key=_device):
-                self._warm_up_methods(list(alike))
+            for _, cases in groupby(sorted(self.job.cases, key=_device), key=_device):
+                self._warm_up_methods(list(cases))
             advance(1)
 
     def run(self) -> list[CaseRecord]:
@@ -222,9 +229,8 @@ class _CaseRunner:
                 structure = replace(structure, rule=get("rule", "reactive-build")())
             with suppress(Exception):  # a case that cannot be computed says why itself
                 [self._sample] = grow(
-                    structure, robots=SAMPLE_ROBOTS, seeds=[SAMPLE_SEED],
-                    robot=settings.robot,
-                )  # fmt: skip
+                    structure, robots=SAMPLE_ROBOTS, seeds=[SAMPLE_SEED], robot=settings.robot
+                )
             self._sampled_on = running
 
     def _warm_up_methods(self, cases: Sequence[Case]) -> None:
@@ -257,15 +263,19 @@ class _CaseRunner:
         if not seeds:
             return histories
         self._warm_up_growth()
-        by = {}
+        navigation = {}
         if settings.structure.navigate_by != "truth":
-            by = navigate(settings)
+            navigation = navigate(settings)
         with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
             grown = grow(
-                settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,
-                on_progress=advance, **by,
-            )  # fmt: skip
-        self.used.add(Used("grow", backend.processor(), rounding=numerics.here()))
+                settings.structure,
+                robots=settings.robots,
+                seeds=seeds,
+                robot=settings.robot,
+                on_progress=advance,
+                **navigation,
+            )
+        self.used.add(Used("grow", backend.processor(), rounding=numerics.current()))
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs[first[seed].name]["grow"]
             if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
@@ -276,15 +286,18 @@ class _CaseRunner:
         """Read the structures that an earlier run grew, with their cost."""
         histories = {}
         for seed, case in {case.seed: case for case in self.job.cases}.items():
-            if found := self.job.folder.read_structure(case):
-                histories[seed], share = found
-                self.costs.add("grow", [c.name for c in self.job.cases if c.seed == seed], share)
-                self.progress.info(f"seed {seed}: its structure was grown by an earlier run")
+            stored = self.job.folder.read_structure(case)
+            if stored is None:
+                continue
+            histories[seed], share = stored
+            self.costs.add("grow", [c.name for c in self.job.cases if c.seed == seed], share)
+            self.progress.info(f"seed {seed}: its structure was grown by an earlier run")
         return histories
 
     def _store_invalid(self, histories: dict[int, History]) -> tuple[list[Case], list[CaseRecord]]:
         """Store cases whose structure is invalid as failed; return the others, and the records."""
-        cases, faults = self.job.cases, {}
+        cases = self.job.cases
+        faults = {}
         gap = cases[0].settings.structure.climb.contact_gap
         for seed, history in histories.items():
             if history.robot_count > 1:
@@ -317,26 +330,26 @@ class _CaseRunner:
         ]
         error = running.force_error(max(farthest))
         stage = f"localize by {chosen[0].title}"
-        self.used.add(Used(stage, running, error, numerics.here()))
+        self.used.add(Used(stage, running, error, numerics.current()))
         return estimates
 
     def _store(
         self, case: Case, history: History, log: SensingLog, estimate: Estimate
     ) -> CaseRecord:
         """Evaluate and store one case."""
-        found = evaluate(history, log, estimate, case.settings.localization.used_cues)
-        record = _record(case, "done", history.ended, found.scores)
+        evaluation = evaluate(history, log, estimate, case.settings.localization.used_cues)
+        record = _record(case, "done", history.ended, evaluation.scores)
         running = methods.start_for(case.settings.localization)
-        on = f"{running}, numerics {numerics.here().key}"
-        record = replace(record, measurements=found.measurements, computed_on=on)
+        on = f"{running}, numerics {numerics.current().key}"
+        record = replace(record, measurements=evaluation.measurements, computed_on=on)
         if estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)
         return self.job.folder.store(
             record,
-            truth=found.truth,
+            truth=evaluation.truth,
             log=log,
             estimate=estimate,
-            tables=found.tables,
+            tables=evaluation.tables,
             cost=self.costs[case.name],
             surface=ground_surface(history),
         )

@@ -367,7 +367,7 @@ class RunFolder:
             computes: Whether this machine computes cases, or others alone.
         """
         earlier = self._manifest()
-        new_facts = [numerics.here().facts] if computes else []
+        new_facts = [numerics.current().facts] if computes else []
         stored_facts = [facts for facts in earlier.numerics if facts not in new_facts]
         remove(self.path / "report.html")
         rounding = (*stored_facts, *new_facts)

@@ -25,7 +25,7 @@ CONTENTS = [
     messages.Place.of({2: b"there", 5: b"here"}),
     messages.Moved([1, 2]),
     messages.Child([0]),
-    messages.Walk([0], 4000, 7),
+    messages.ReviewWalk([0], 4000, 7),
     messages.Walking([0]),
     messages.Branch([6], b"shift"),
     messages.Shift([6, 7], b"shift"),

@@ -88,7 +88,7 @@ def _information(log, center):
     rows = measure(replace(log, noise=noise), CUES)
     jacobian = rows.jacobian(center).toarray()
     matrix = jacobian.T @ np.diag(1.0 / rows.variance()) @ jacobian
-    for i, j, length in zip(rows.robot, rows.other, rows.distances.length, strict=False):
+    for i, j, length in zip(rows.robot, rows.neighbor, rows.distances.length, strict=False):
         for axis in range(3):
             bond = np.zeros(4 * robots)
             bond[[3 * i + axis, 3 * j + axis]] = 1.0, -1.0

@@ -419,7 +419,7 @@ def _contact_arrays(
     """
     size = [len(v.moves) for v in views]
     robot = _in_memory([v.links.robot for v in views], size, order)
-    partner = _in_memory([v.links.other for v in views], size, order)
+    partner = _in_memory([v.links.neighbor for v in views], size, order)
     links = Links(*map(np.concatenate, zip(*(v.links for v in views), strict=True)))
     touch = np.full((2, len(robot)), -1)
     touch[:, links.is_touch] = np.arange(2 * len(links.candidates)).reshape(2, -1)

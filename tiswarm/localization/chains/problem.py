@@ -138,7 +138,7 @@ def measured_planes(rows: Measurements, variance: Reals, *, is_solved: bool) -> 
         variance: Variance of each [R^2], shape (E,).
         is_solved: Whether yaw is solved for.
     """
-    links = len(rows.other)
+    links = len(rows.neighbor)
     direction = rows.places.direction
     arm = rows.arm[links:]
     # A turn about the vertical changes no height: walks of heights need not turn.
@@ -212,7 +212,7 @@ class Problem:
     @property
     def known(self) -> Bools:
         """Coordinates that never give way, shape (E,)."""
-        return are_known(self.rows.variance(), len(self.rows.other))
+        return are_known(self.rows.variance(), len(self.rows.neighbor))
 
     @property
     def untied(self) -> Bools:
@@ -236,13 +236,13 @@ class Problem:
         rows = self.rows.averaged(as_precise_as_one=True)
         if len(rows) == len(self.rows):
             return self
-        return replace(self, rows=rows, variance=rows.variance()[: len(rows.other)])
+        return replace(self, rows=rows, variance=rows.variance()[: len(rows.neighbor)])
 
     @property
     def link(self) -> Ints:
         """First row of each link, shape (C,)."""
         distances = len(self.rows.distances.stance)
-        rows = len(self.rows.other)
+        rows = len(self.rows.neighbor)
         return np.concatenate([np.arange(distances), np.arange(distances, rows, 3)])
 
     @property
@@ -262,14 +262,14 @@ class Problem:
         return self.rows.robot[self.link]
 
     @property
-    def other(self) -> Ints:
+    def neighbor(self) -> Ints:
         """Robot that it sensed, which joined earlier, shape (C,)."""
-        return self.rows.other[self.link]
+        return self.rows.neighbor[self.link]
 
     @property
     def pair(self) -> Ints:
         """Robots of each link, shape (C, 2)."""
-        return np.column_stack([self.robot, self.other])
+        return np.column_stack([self.robot, self.neighbor])
 
     @property
     def is_final(self) -> Bools:
@@ -295,15 +295,15 @@ class Problem:
     @property
     def shift(self) -> Reals:
         """Arm of the robot's dock, and its vector, less the arm of the other's [R], (C, 3)."""
-        shift: Reals = self.rows.arm[self.link] - self.rows.other_arm[self.link]
+        shift: Reals = self.rows.arm[self.link] - self.rows.neighbor_arm[self.link]
         return shift
 
     @property
     def lever(self) -> Reals:
         """Horizontal arms, the robot's x and y with its vector, and the other's [R], (C, 4)."""
         arm = self.rows.arm[self.link]
-        other_arm = self.rows.other_arm[self.link]
-        return np.column_stack([arm[:, :2], other_arm[:, :2]])
+        neighbor_arm = self.rows.neighbor_arm[self.link]
+        return np.column_stack([arm[:, :2], neighbor_arm[:, :2]])
 
     def by_link(self, square: Reals) -> Reals:
         """Sum squares, shape (..., P), over the rows of each link, shape (..., C)."""
@@ -349,7 +349,7 @@ class Problem:
             Distances less what was measured, D for docks that touch, and the components of offsets
             [R], shape (..., P).
         """
-        return self.rows.residual(position, yaw)[..., : len(self.rows.other)]
+        return self.rows.residual(position, yaw)[..., : len(self.rows.neighbor)]
 
     def reach(self, sigma: float = 0.0, inlier: Bools | None = None) -> Reals:
         """Bound the distance of each robot from the first one of its part.
@@ -370,9 +370,9 @@ class Problem:
             level = np.linalg.norm(lever, axis=1) + np.linalg.norm(other_lever, axis=1)
             fixed = np.hypot(level, self.shift[:, 2])
         if len(self.rows.touch):
-            (arms, _), (other_arms, _) = self.rows.touch_arms
+            (arms, _), (neighbor_arms, _) = self.rows.touch_arms
             farthest = np.linalg.norm(arms, axis=2).max(axis=1)
-            other_farthest = np.linalg.norm(other_arms, axis=2).max(axis=1)
+            other_farthest = np.linalg.norm(neighbor_arms, axis=2).max(axis=1)
             fixed[self.is_touch] = farthest + other_farthest
         variance = self.by_link(self.variance)
         longest = fixed + self.length + ALLOWED_SD * np.sqrt(variance + sigma**2)
@@ -416,7 +416,7 @@ def pose_problem(
     problem = Problem(
         rows=rows,
         inconsistent=inconsistent,
-        variance=variance[: len(rows.other)],
+        variance=variance[: len(rows.neighbor)],
         planes=measured_planes(rows, variance, is_solved=is_solved),
         loose=untied_directions(rows),
         part=connected_parts(rows),
@@ -448,7 +448,9 @@ def chosen_rows(
         rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
     variance = rows.variance()
     is_wrong = (
-        inconsistent_places(rows, variance) & params.robust & ~are_known(variance, len(rows.other))
+        inconsistent_places(rows, variance)
+        & params.robust
+        & ~are_known(variance, len(rows.neighbor))
     )
     inconsistent = rows.select(is_wrong)
     rows = rows.select(~is_wrong)
@@ -473,7 +475,7 @@ def _most_precise(rows: Measurements, variance: Reals) -> Bools:
     Returns:
         Rows that are chosen, shape (E,); none is of the anchor alone.
     """
-    contacts = len(rows.other)
+    contacts = len(rows.neighbor)
     coordinate = np.column_stack([rows.robot[contacts:], rows.places.direction])
     _, group = np.unique(coordinate, axis=0, return_inverse=True)
     # By group, then by variance: the first of each group is the most precise.

@@ -113,7 +113,7 @@ class Links(NamedTuple):
     robot: Ints
     """Robot that sensed each, shape (C,)."""
 
-    other: Ints
+    neighbor: Ints
     """Robot that it sensed, its partner, shape (C,)."""
 
     is_final: Bools
@@ -279,7 +279,7 @@ def _links_of(problem: Problem, extension: float) -> Links:
     total = problem.by_link(problem.variance)
     return Links(
         robot=problem.robot,
-        other=problem.other,
+        neighbor=problem.neighbor,
         is_final=problem.is_final & problem.is_present,
         is_offset=is_offset,
         is_touch=problem.is_touch,
@@ -432,8 +432,8 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
     guess = normal(seed, "first guess", robot[:, None], draw)
     across = _across(problem)
     toward = np.concatenate([across, -across])
-    partner = np.concatenate([problem.other, problem.robot])
-    rows = _rows(np.concatenate([problem.robot, problem.other]), log.robot_count)
+    partner = np.concatenate([problem.neighbor, problem.robot])
+    rows = _rows(np.concatenate([problem.robot, problem.neighbor]), log.robot_count)
     is_range = np.tile(~problem.rows.is_contact[problem.link] & ~problem.is_offset, 2)
     length = np.tile(problem.length, 2)
     place, is_measured = problem.sensed_place()
@@ -488,7 +488,7 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
         for i in np.flatnonzero(lost & problem.moves).tolist():
             robot_rows = rows[i]
             # The median: one wrong contact does not take the robot away from all others.
-            met = np.median(centers[problem.other[robot_rows]] - across[robot_rows], axis=0)
+            met = np.median(centers[problem.neighbor[robot_rows]] - across[robot_rows], axis=0)
             centers[i] = np.where(is_measured[i], centers[i], met)
             moved += 1
     return moved

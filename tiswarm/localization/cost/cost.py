@@ -268,14 +268,16 @@ class WholeCost(Cost[Linear]):
         self.non_overlap = non_overlap
         self.hinged = hinged
         self.moving = np.ones(rows.robots, np.bool_) if moves is None else moves
-        of_moving = np.bincount(rows.robot[: len(rows.other)], self.moving[rows.other], rows.robots)
+        of_moving = np.bincount(
+            rows.robot[: len(rows.neighbor)], self.moving[rows.neighbor], rows.robots
+        )
         rows = rows.select((self.moving | (of_moving > 0.0))[rows.robot])
         self.log = log
         self.rows = rows
         self.walks = rows.odometry
         self.links = links
         variance = rows.variance()
-        self.is_known = are_known(variance, len(rows.other))
+        self.is_known = are_known(variance, len(rows.neighbor))
         further_variance = np.where(self.is_known, 0.0, further_variance)
         # Beside a large error of a source, a small one of the row's own is lost to rounding.
         unshared = np.maximum(variance - rows.shared_variance, rows.own_variance)
@@ -283,10 +285,10 @@ class WholeCost(Cost[Linear]):
         self.own_variance = self.variance
         if not are_independent:
             self.own_variance = rows.own_variance + further_variance
-        arms, other_arms = rows.noisy_arms()
-        self.is_own = np.repeat([True, False], [len(arms[0]), len(other_arms[0])])
-        self.row, self.stance = (np.concatenate([arms[k], other_arms[k]]) for k in (0, 1))
-        self.arm = np.concatenate([arms[2], other_arms[2]])
+        arms, neighbor_arms = rows.noisy_arms()
+        self.is_own = np.repeat([True, False], [len(arms[0]), len(neighbor_arms[0])])
+        self.row, self.stance = (np.concatenate([arms[k], neighbor_arms[k]]) for k in (0, 1))
+        self.arm = np.concatenate([arms[2], neighbor_arms[2]])
         self._turn_sd = self.walks.turn_sd[:, [0, 0, 1]]
         self.sd = self._turn_sd[self.stance]
         self.owner = self.walks.owner[self.stance]
@@ -323,16 +325,16 @@ class WholeCost(Cost[Linear]):
         self.column = np.where(is_free, np.cumsum(is_free) - 1, -1)
         self.has_turns = bool(len(self.of_final) or len(self.of_earlier) or yaw_precision)
         every = np.arange(len(rows))
-        pairs = np.arange(len(rows.other))
+        pairs = np.arange(len(rows.neighbor))
         with_source = np.flatnonzero(rows.source >= 0)
         final = self.of_final
         self.of_yaw = np.arange(len(self.row) if yaw_precision else 0)
-        self.of_axis = np.arange(len(rows.distances.stance), len(rows.other))[
+        self.of_axis = np.arange(len(rows.distances.stance), len(rows.neighbor))[
             : None if yaw_precision else 0
         ]
         place = [
             (every, 3 * rows.robot[:, None] + _AXIS),
-            (pairs, 3 * rows.other[:, None] + _AXIS),
+            (pairs, 3 * rows.neighbor[:, None] + _AXIS),
             (self.row[final], 3 * (robots + self.owner[final, None]) + _AXIS),
             (self.row[self.of_yaw], 6 * robots + self.owner[self.of_yaw, None]),
             (self.of_axis, 6 * robots + rows.robot[self.of_axis, None]),
@@ -399,7 +401,7 @@ class WholeCost(Cost[Linear]):
             apart = rows.vectors(state.position)[self.of_axis]
             turning = _by_turns(direction[self.of_axis], apart)[:, 2]
         values = [
-            direction, -direction[: len(self.rows.other)], final, yaw, turning, self.of_source
+            direction, -direction[: len(self.rows.neighbor)], final, yaw, turning, self.of_source
         ]  # fmt: skip
         if len(self.of_source):
             residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
@@ -444,7 +446,7 @@ class WholeCost(Cost[Linear]):
             self.rows,
             offsets=offsets._replace(axis=self.rows.axes(state.yaw)),
             arm=self._summed(arm, self.is_own, size),
-            other_arm=self._summed(arm, ~self.is_own, len(self.rows.other)),
+            neighbor_arm=self._summed(arm, ~self.is_own, len(self.rows.neighbor)),
         )
         return rows, arm
 
@@ -521,9 +523,9 @@ class WholeCost(Cost[Linear]):
         """
         sd = self._turn_sd[self.walks.final]
         turn = state.turn * sd
-        ends = np.stack([links.robot, links.other])
-        residual = links.residual - turn[links.robot] + turn[links.other]
-        slope = np.stack([-sd[links.robot], sd[links.other]])
+        ends = np.stack([links.robot, links.neighbor])
+        residual = links.residual - turn[links.robot] + turn[links.neighbor]
+        slope = np.stack([-sd[links.robot], sd[links.neighbor]])
         return self._differences(residual, self.rows.robots + ends, slope, links.sd)
 
     def _hinges(self, pair: Ints) -> LinearRows:

@@ -115,7 +115,7 @@ def view_near(
         planes=planes,
         plane_robust=np.full(len(planes.robot), robust),
         forest=find_subtrees(
-            np.column_stack([links.robot, links.other]), np.zeros(1, np.int64), robots
+            np.column_stack([links.robot, links.neighbor]), np.zeros(1, np.int64), robots
         ),
         stops=stops,
     )
@@ -148,7 +148,7 @@ def _links_of(blocks: list[Block], table: Table, robots: int) -> Links:
     share = is_final / fewest_contacts(np.column_stack([robot, partner]), is_final, robots)
     return Links(
         robot=robot,
-        other=partner,
+        neighbor=partner,
         is_final=is_final,
         is_offset=is_offset,
         is_touch=np.zeros(len(at), np.bool_),

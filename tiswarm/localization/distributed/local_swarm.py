@@ -279,7 +279,7 @@ class LocalSwarm:
     def is_floating(self, number: int) -> bool:
         """Judge whether the rows of a robot tie it neither to the world nor to one that is held."""
         rows = self.layers.blocks[self._index[number]].rows
-        return not len(rows.other) and rows.places.rank < AXES
+        return not len(rows.neighbor) and rows.places.rank < AXES
 
     def _sd(self, linear: NearLinear, basis: Reals, stays: Bools) -> Reals:
         """Compute the standard deviation of each robot that moved [R], shape (N,).

@@ -11,7 +11,7 @@
 | `Place` | keeper, robots that it solved for | where you are |
 | `Moved` | robot, those that hold its place | what you hold is not current |
 | `Child` | robot, the one that it hangs on | I hang on you |
-| `Walk` | robot, the next of a review | the review comes to you, or returns |
+| `ReviewWalk` | robot, the next of a review | the review comes to you, or returns |
 | `Walking` | robot, the one that it hangs on | the walk is still with me |
 | `Branch` | keeper, first robot of a branch | you and what hangs on you move |
 | `Shift` | robot, those that hang on it | move with me |
@@ -279,7 +279,7 @@ class Place(Content):
 
 
 @dataclass(frozen=True)
-class Walk(Content):
+class ReviewWalk(Content):
     """A walk of a review comes to a robot that hangs on the sender, or returns to its parent."""
 
     kind = "walk"
@@ -364,7 +364,7 @@ KINDS: dict[str, type[Content]] = {
         Place,
         Moved,
         Child,
-        Walk,
+        ReviewWalk,
         Walking,
         Branch,
         Shift,

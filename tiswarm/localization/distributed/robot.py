@@ -48,9 +48,9 @@ from tiswarm.localization.distributed.messages import (
     Lost,
     Moved,
     Place,
+    ReviewWalk,
     Shift,
     Task,
-    Walk,
     Walking,
 )
 from tiswarm.localization.distributed.program import ANSWERS
@@ -269,7 +269,7 @@ def _hear_child(robot: Peer, sender: int, _: Child) -> None:
     robot.children.add(sender)
 
 
-def _hear_walk(robot: Peer, sender: int, walk: Walk) -> None:
+def _hear_walk(robot: Peer, sender: int, walk: ReviewWalk) -> None:
     """Take in a walk that comes or returns; repeat its return where it was not heard."""
     if walk.number != robot.walk.number:
         robot.hang_on(sender)
@@ -282,7 +282,7 @@ def _hear_walk(robot: Peer, sender: int, walk: Walk) -> None:
         if robot.tasks.answers is not None or robot.tasks.visited is not None:
             robot.say(Walking([sender]))
         else:
-            robot.say(Walk([sender], robot.walk.count, robot.walk.number))
+            robot.say(ReviewWalk([sender], robot.walk.count, robot.walk.number))
 
 
 def _hear_walking(robot: Peer, sender: int, _: Walking) -> None:
@@ -335,7 +335,7 @@ _HANDLERS: dict[type[Content], Callable[[Peer, int, Any], Content | None]] = {
     Place: _hear_place,
     Moved: _hear_moved,
     Child: _hear_child,
-    Walk: _hear_walk,
+    ReviewWalk: _hear_walk,
     Walking: _hear_walking,
     Branch: _hear_branch,
     Shift: _hear_shift,

@@ -13,7 +13,7 @@ What has no answer is repeated, and after `retries` times a task goes on without
 from collections.abc import Collection, Generator
 
 from tiswarm.localization.distributed import wire
-from tiswarm.localization.distributed.messages import Answer, Ask, Child, Join, Walk
+from tiswarm.localization.distributed.messages import Answer, Ask, Child, Join, ReviewWalk
 from tiswarm.localization.distributed.solving import (
     place_itself_again,
     place_joiner,
@@ -100,7 +100,7 @@ def take_walk(robot: PeerState, count: int, number: int) -> Task:
     robot.tasks.drop(Return)
     robot.record.span = walk.entered, count
     if robot.parent is not None:
-        robot.say(Walk([robot.parent], count, walk.number))
+        robot.say(ReviewWalk([robot.parent], count, walk.number))
     elif walk.number % 2 == 0:
         yield from take_walk(robot, 0, walk.number + 1)
 
@@ -118,9 +118,9 @@ def _visit(robot: PeerState, child: int) -> Generator[Wait, Event, int]:
         Robots that the walk has come to then.
     """
     while True:
-        robot.say(Walk([child], robot.walk.count, robot.walk.number))
+        robot.say(ReviewWalk([child], robot.walk.count, robot.walk.number))
         event = yield Return(child)
-        if isinstance(event, Heard) and isinstance(event.content, Walk):
+        if isinstance(event, Heard) and isinstance(event.content, ReviewWalk):
             return event.content.count
         if isinstance(event, Timeout) and event.is_last:
             return robot.walk.count

@@ -144,7 +144,7 @@ def assess(
     problem = pose_problem(log, params)
     posed = Posed(log, params, problem)
     counts = ~is_guess[problem.rows.robot]
-    counts[: len(problem.rows.other)] &= ~is_guess[problem.rows.other]
+    counts[: len(problem.rows.neighbor)] &= ~is_guess[problem.rows.neighbor]
     rows = problem.rows.select(counts)
     state = position, np.zeros(log.robot_count) if yaw is None else yaw
     unknowns = 3 * int((~is_guess[1:]).sum())
@@ -270,7 +270,7 @@ def _minimum(
 
 def _outliers(rows: Measurements, square: Reals, variance: Reals) -> Bools:
     """Find outliers by squared residuals in variances (E,); a vector is one measurement, (E,)."""
-    is_missed = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.other))
+    is_missed = (square > CONVERGENCE.outlier_sd**2) & ~are_known(variance, len(rows.neighbor))
     return rows.any_of_vector(is_missed)
 
 

@@ -79,7 +79,7 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
 def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
     """Turn and shift a shape about its anchor to fit measured coordinates, shape (N, 3)."""
     rows = problem.rows
-    links = len(problem.rows.other)
+    links = len(problem.rows.neighbor)
     robot = rows.robot[links:]
     direction = rows.places.direction
     value = -rows.residual(np.tile(anchor, (rows.robots, 1)))[links:]
@@ -112,15 +112,15 @@ class PartImages:
         self._weight = 1.0 / (rows.variance() + further_variance)
         self.parts = hanging_parts(rows)
         """Robots of each part, shape (K, N)."""
-        pairs = len(rows.other)
+        pairs = len(rows.neighbor)
         is_member, is_other_member = (
-            self.parts.take(robots, axis=1) for robots in (rows.robot, rows.other)
+            self.parts.take(robots, axis=1) for robots in (rows.robot, rows.neighbor)
         )
         # How the vector of each row moves with each part: 1, -1, or not at all.
         self._sign = is_member.astype(np.float64)
         self._sign[:, :pairs] -= is_other_member
         is_oriented = np.any(rows.arm, axis=1)
-        is_oriented[:pairs] |= rows.other_arm.any(axis=1)
+        is_oriented[:pairs] |= rows.neighbor_arm.any(axis=1)
         is_oriented[len(rows.distances.stance) : pairs] = True
         is_member[:, :pairs] |= is_other_member
         is_single = self.parts.sum(axis=1) == 1
@@ -176,7 +176,7 @@ class PartImages:
         if not 0 < basis.shape[1] <= count:
             return None
         if not self._is_shifted[number]:
-            ends = self._rows.other[link], self._rows.robot[link]
+            ends = self._rows.neighbor[link], self._rows.robot[link]
             partner = np.where(sign[:count, 0] > 0.0, *ends)
             normal, middle = _plane(position[partner], weight[:count], basis)
             return 2.0 * ((middle - position) @ normal)[:, None] * normal
@@ -221,14 +221,14 @@ def hanging_parts(rows: Measurements) -> Bools:
         Robots of each part, small parts first, shape (K, N).
     """
     robots = rows.robots
-    pairs = len(rows.other)
+    pairs = len(rows.neighbor)
     place = rows.robot[pairs:], rows.places.direction
     information = spans(*place, robots, 1.0 / rows.variance()[pairs:])
     is_world = np.linalg.eigvalsh(information)[:, 0] > MIXTURE.image_fixed**-2
     is_world[0] = True
     # The world is one vertex, that of the anchor.
     vertex = np.where(is_world, 0, np.arange(robots))
-    pair = vertex[np.column_stack([rows.robot[:pairs], rows.other])]
+    pair = vertex[np.column_stack([rows.robot[:pairs], rows.neighbor])]
     near: list[list[int]] = [[] for _ in range(robots)]
     for one, another in np.unique(pair[pair[:, 0] != pair[:, 1]], axis=0).tolist():
         near[one].append(another)

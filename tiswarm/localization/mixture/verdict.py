@@ -202,16 +202,16 @@ def _worst_group(read: _Readings, log: SensingLog) -> str:
     at most as many degrees of freedom as its expectation says, as no part of it is more than one.
     """
     rows = read.rows
-    pairs = len(read.rows.other)
+    pairs = len(read.rows.neighbor)
     name = log.robot_id
     kind = np.full(len(rows), 3)
     kind[:pairs] = np.where(rows.is_contact, rows.is_walked[:pairs], 2)
-    both = np.column_stack([rows.robot[:pairs], rows.other])
+    both = np.column_stack([rows.robot[:pairs], rows.neighbor])
     pair, of_pair = np.unique(both, axis=0, return_inverse=True)
     every = np.arange(len(rows))
     sensed = np.flatnonzero(rows.source >= 0)
     families: list[tuple[Ints, Ints, Callable[[int], str]]] = [
-        (np.append(every, every[:pairs]), np.append(rows.robot, rows.other),
+        (np.append(every, every[:pairs]), np.append(rows.robot, rows.neighbor),
          lambda k: f"the measurements of robot {name[k]}"),
         (every[:pairs], of_pair.ravel(),
          lambda k: "the measurements between robots {} and {}".format(*name[pair[k]])),
@@ -276,7 +276,7 @@ def _trapped(evidence: Evidence, misfits: list[str]) -> Iterator[str]:
 
 def _failures(evidence: Evidence, *, is_explained: bool) -> Iterator[str]:
     """Say why no minimum was found, or not the right one."""
-    links = len(evidence.rows.other)
+    links = len(evidence.rows.neighbor)
     outliers = int(evidence.outlier[:links].sum())
     if evidence.is_guess[1:].all() and len(evidence.is_guess) > 1:
         yield "all positions are guesses"
@@ -331,10 +331,10 @@ def extent(position: Reals) -> Reals:
 
 def misfit_by_robot(rows: Measurements, square: Reals) -> Reals:
     """Sum parts of a chi-square (E,) by robot, half of those of a pair for each, shape (N,)."""
-    pair = 0.5 * square[: len(rows.other)]
+    pair = 0.5 * square[: len(rows.neighbor)]
     misfit = np.zeros(rows.robots)
     np.add.at(misfit, rows.robot, np.concatenate([pair, square[len(pair) :]]))
-    np.add.at(misfit, rows.other, pair)
+    np.add.at(misfit, rows.neighbor, pair)
     return misfit
 
 

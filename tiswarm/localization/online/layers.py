@@ -135,7 +135,7 @@ class LocalLayers:
         """
         block = self.blocks[number]
         position = self.state.position
-        if not len(block.rows.other):
+        if not len(block.rows.neighbor):
             return _by_coordinates(block, position[number - 1])[None]
         places, cost = candidates(
             block, self.state, self._shapes, non_overlap=self._params.cues.non_overlap

@@ -193,7 +193,7 @@ def block_of(rows: Measurements, members: Ints) -> Block:
     which, column = np.unique(stance, return_inverse=True)
     turns = np.zeros((len(rows), AXES, len(which), AXES))
     turns[row, :, column] = _turns(part, sd[stance])
-    about, place = np.unique(rows.other, return_inverse=True)
+    about, place = np.unique(rows.neighbor, return_inverse=True)
     number, real = _columns(rows, place, tail)
     return Block(
         rows=rows,
@@ -233,7 +233,7 @@ def _columns(rows: Measurements, place: Ints, tail: Reals) -> tuple[NDArray[np.i
         ),
         ARM=rows.arm,
         TAIL=tail,
-        NEIGHBOR_ARM=np.concatenate([rows.other_arm, no_arm]),
+        NEIGHBOR_ARM=np.concatenate([rows.neighbor_arm, no_arm]),
         VALUE=np.concatenate([rows.distances.length, np.zeros(offsets), rows.places.value]),
         OWN_VARIANCE=rows.own_variance,
         VARIANCE=rows.variance(),
@@ -531,10 +531,10 @@ def _starts(block: Block, state: State) -> Reals:
 
     Where only vectors are measured, the sphere is that of the sharpest of them.
     """
-    pairs = len(block.rows.other)
+    pairs = len(block.rows.neighbor)
     sharpest = int(block.real[:pairs, RowValue.VARIANCE].argmin())
     row = block.real[sharpest]
-    at = state.position[block.members[block.rows.other[sharpest]]]
+    at = state.position[block.members[block.rows.neighbor[sharpest]]]
     center = at + row[RowValue.NEIGHBOR_ARM : RowValue.VALUE] - row[RowValue.ARM : RowValue.TAIL]
     # A vector has the distance, too: that of two docks in contact.
     radius = SPACING

@@ -114,14 +114,19 @@ class Ties(NamedTuple):
 
         Each robot has a row of infinite variance, too, so that no sum over its rows is empty.
         """
-        d, robots, count = rows.distances, rows.robots, len(rows.other)
-        i, j, robot = rows.robot[:count], rows.other, rows.robot[count:]
-        shift, variance = rows.other_arm - rows.arm[:count], rows.variance()
+        distance = rows.distances.length
+        robots = rows.robots
+        count = len(rows.neighbor)
+        i = rows.robot[:count]
+        j = rows.neighbor
+        robot = rows.robot[count:]
+        shift = rows.neighbor_arm - rows.arm[:count]
+        variance = rows.variance()
         owner = np.concatenate([i, j, robot, np.arange(robots)])
         nothing = np.zeros((robots, 3))
-        normal = np.concatenate([np.zeros((len(d.length), 3)), rows.offsets.axis])
-        reach = np.concatenate([d.length, np.zeros(len(rows.offsets.axis))])
-        sphere = np.arange(count) < len(d.length)
+        normal = np.concatenate([np.zeros((len(distance), 3)), rows.offsets.axis])
+        reach = np.concatenate([distance, np.zeros(len(rows.offsets.axis))])
+        sphere = np.arange(count) < len(distance)
         no_sphere = np.zeros(len(robot) + robots, np.bool_)
         ties = cls(
             robot=owner,
@@ -191,7 +196,8 @@ class Trilateration:
         Returns:
             Coefficients, shape (E, 4), and right sides [R], shape (E,).
         """
-        ties, is_sphere = self.ties, self.ties.is_sphere
+        ties = self.ties
+        is_sphere = ties.is_sphere
         middle = self.middle - self.origin[self.of]
         radius = np.maximum(ties.reach, SPACING)  # dividing by it makes residuals distances
         on_sphere = 0.5 * (ties.reach**2 - (middle**2).sum(axis=1)) / radius
@@ -242,7 +248,8 @@ class Trilateration:
             shape (E, K). At the middle of a sphere the vector is up.
         """
         away = point[self.of] - self.middle[:, None]
-        is_sphere, plane = self.ties.is_sphere[:, None], self.ties.normal[:, None]
+        is_sphere = self.ties.is_sphere[:, None]
+        plane = self.ties.normal[:, None]
         reach = self.ties.reach[:, None]
         on_sphere, slope = missed_distance(components(away), reach, is_hinge=False)
         outward = np.where(slope[..., None] > 0.0, slope[..., None] * away, _UP)
@@ -256,14 +263,17 @@ class Trilateration:
         Returns:
             The best points on the way [R], shape (n, K, 3), and their chi-square, shape (n, K).
         """
-        point, best, least = start, start, np.full(start.shape[:2], np.inf)
+        point = start
+        best = start
+        least = np.full(start.shape[:2], np.inf)
         is_moving = np.ones(start.shape[:2], np.bool_)  # each by itself, in any batch
         for _ in range(_STEPS):
             normal, residual = self.residual(point)
             pull = self.precision[:, None] * residual
             misfit = self.sum(pull * residual)
             is_better = is_moving & (misfit < least)
-            best, least = np.where(is_better[..., None], point, best), np.fmin(misfit, least)
+            best = np.where(is_better[..., None], point, best)
+            least = np.fmin(misfit, least)
             information = self.sum(self.precision[:, None, None, None] * outer(normal))
             damping = _DAMPING * np.trace(information, axis1=2, axis2=3) + _TINY
             slope = self.sum(pull[..., None] * normal)
@@ -300,8 +310,8 @@ class Trilateration:
         of_prior = least[:, None, None] * np.eye(3)
         inverse = inverted(information + of_prior)
         # Rows of infinite variance have no weight; 0 times infinity would be NaN.
-        own = np.where(self.precision > 0.0, self.ties.variance, 0.0) * self.precision
-        noise = self.sum(own[:, None, None] * weighted) + of_prior
+        share = np.where(self.precision > 0.0, self.ties.variance, 0.0) * self.precision
+        noise = self.sum(share[:, None, None] * weighted) + of_prior
         is_tied = self.ties.partner < len(shared) - 1
         tied = (self.precision * is_tied)[:, None, None]
         mean = self.sum(tied * shared[self.ties.partner]) / np.maximum(self.sum(tied), _TINY)
@@ -378,15 +388,16 @@ def localize(
     placed = place(
         log, rows, non_overlap=params.cues.non_overlap, in_join_order=params.order == "join"
     )
-    position, unit_length = placed.position, log.dock_radius
+    position = placed.position
+    unit_length = log.dock_radius
     is_guess = np.logical_not(placed.is_located)
-    found = assess(log, params.used_cues, position, is_guess=is_guess, sd=placed.sd)
-    gap = rows.residual(position)[: len(rows.other)]
+    assessment = assess(log, params.used_cues, position, is_guess=is_guess, sd=placed.sd)
+    gap = rows.residual(position)[: len(rows.neighbor)]
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit_length,
         undetermined=placed.undetermined,
-        **found.fields(disconnected(rows), unit_length),
+        **assessment.fields(disconnected(rows), unit_length),
         iteration=np.zeros(1, np.int64),
         trace=position[None] * unit_length,
         residual=np.array([rms(gap) * unit_length]),
@@ -419,7 +430,8 @@ class _HopByHopSwarm:
     ) -> None:
         """Place the anchor."""
         self.robots = rows.robots
-        self.non_overlap, self.is_gone = non_overlap, log.is_gone
+        self.non_overlap = non_overlap
+        self.is_gone = log.is_gone
         self.part = connected_parts(rows)
         self.docks = rows.odometry.arm[rows.odometry.final]
         self.position = np.zeros((self.robots + 1, 3))
@@ -436,32 +448,33 @@ class _HopByHopSwarm:
 
     def place_in_join_order(self) -> None:
         """Place robots whose earlier partners have been placed, as many as there are at once."""
-        hops = [0] * self.robots
+        hops = [0 for _ in range(self.robots)]
         partner = np.where(self.ties.partner < self.robots, self.ties.partner, 0)
         for i, j in zip(self.ties.robot.tolist(), partner.tolist(), strict=True):
             hops[i] = max(hops[i], hops[j] + 1) if i else 0
         for hop in range(1, max(hops) + 1):
             robots = np.flatnonzero(np.array(hops) == hop)
             self._try(robots)
-            is_known = ~self.undetermined[robots].any(axis=1)
-            self.is_located[robots[is_known]] = self.is_placed[robots[is_known]] = True
-            if not is_known.all():
-                self._guess(robots[~is_known])
+            is_determined = ~self.undetermined[robots].any(axis=1)
+            self._locate(robots[is_determined])
+            if not is_determined.all():
+                self._guess(robots[~is_determined])
 
     def place_by_hops(self) -> None:
         """Place robots as soon as located ones determine their positions; then all others."""
-        robots = waiting = np.flatnonzero(~self.is_placed)
+        waiting = np.flatnonzero(~self.is_placed)
+        robots = waiting
         while robots.size:
             self._try(robots)
-            known = np.flatnonzero(~self.is_placed[:-1] & ~self.undetermined.any(axis=1))
+            determined = np.flatnonzero(~self.is_placed[:-1] & ~self.undetermined.any(axis=1))
             # The sharpest first: what they are placed by is in the errors of all later ones.
-            variance = np.trace(self.covariance[known], axis1=1, axis2=2)
-            known = known[variance <= _SHARP**2 * variance.min(initial=np.inf)]
-            if not known.size and len(robots) == len(waiting):
+            variance = np.trace(self.covariance[determined], axis1=1, axis2=2)
+            located = determined[variance <= _SHARP**2 * variance.min(initial=np.inf)]
+            if not located.size and len(robots) == len(waiting):
                 break
-            self.is_located[known] = self.is_placed[known] = True
+            self._locate(located)
             waiting = np.flatnonzero(~self.is_placed)
-            tied = np.intersect1d(waiting, self.ties.robot[np.isin(self.ties.partner, known)])
+            tied = np.intersect1d(waiting, self.ties.robot[np.isin(self.ties.partner, located)])
             # At last ask all: docks placed since may exclude the mirror image of any robot.
             robots = tied if tied.size else waiting
         while not self.is_placed.all():
@@ -484,6 +497,11 @@ class _HopByHopSwarm:
     def _try(self, robots: Ints) -> None:
         """Compute where robots are by those that are located, and what these leave open."""
         self.undetermined[robots] = self._solve(robots, self.is_located)
+
+    def _locate(self, robots: Ints) -> None:
+        """Keep where robots are, for all that are placed by them."""
+        self.is_located[robots] = True
+        self.is_placed[robots] = True
 
     def _guess(self, robots: Ints) -> None:
         """Place robots by all that are placed."""
@@ -512,16 +530,16 @@ class _HopByHopSwarm:
         if differs.any():
             misfit += self._overlap(robots, point)
             favor = self._extension(rows, point)
-        cost, every = misfit - favor, np.arange(len(robots))
+        cost = misfit - favor
+        every = np.arange(len(robots))
         chosen = cost.argmin(axis=1)
         position = point[every, chosen]
         odds = np.exp(-0.5 * np.minimum(np.abs(cost[:, 1] - cost[:, 0]), _MOST))
         mirrored = (odds / (1.0 + odds))[:, None, None] * outer(apart)
         self.position[robots] = position
-        found = rows.covariance(position, prior, self.shared_covariance)
-        self.covariance[robots], self.shared_covariance[robots] = (
-            each + mirrored for each in found
-        )
+        covariance, shared_covariance = rows.covariance(position, prior, self.shared_covariance)
+        self.covariance[robots] = covariance + mirrored
+        self.shared_covariance[robots] = shared_covariance + mirrored
         is_ambiguous = misfit[every, 1 - chosen] < misfit[every, chosen] + _CERTAIN
         is_open: Bools = is_ambiguous[:, None] & differs
         return is_open | rows.open_axes(position, _INFORMATION * least)
@@ -559,9 +577,9 @@ class _HopByHopSwarm:
         """Compute the chi-square of docks in the way at points (n, K, 3), shape (n, K)."""
         if not self.non_overlap:
             return np.zeros(point.shape[:2])
-        is_there = self.is_placed[:-1] & ~self.is_gone
-        there = (self.position[:-1, None] + self.docks)[is_there].reshape(-1, 3)
+        is_obstacle = self.is_placed[:-1] & ~self.is_gone
+        obstacle = (self.position[:-1, None] + self.docks)[is_obstacle].reshape(-1, 3)
         dock = point[:, :, None] + self.docks[robots][:, None]
-        square: Reals = ((nearest_overlap(dock, there) / OVERLAP_SD) ** 2).sum(axis=2)
+        square: Reals = ((nearest_overlap(dock, obstacle) / OVERLAP_SD) ** 2).sum(axis=2)
         square[self.is_gone[robots]] = 0.0
         return square

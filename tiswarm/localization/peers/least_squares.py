@@ -54,7 +54,8 @@ def localize(
         settled(posed, start, 0.0, params.rounds)
         for start in [*_starts(position, placed.sd, params), *further_starts(posed)]
     ]
-    end, yaw = (np.array([each[k] for each in ends]) for k in (0, 1))
+    end = np.array([center for center, _, _ in ends])
+    yaw = np.array([turn for _, turn, _ in ends])
     still = Annealed(
         mean=end,
         within=np.zeros(end.shape[:2]),

@@ -14,7 +14,9 @@ from tiswarm.compute.math_kernels import vector_at, vector_in
 from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link, relink
 from tiswarm.engine.kernels import capped, dock_pair_force, parting
 
-NO_DOCKS, DOCKS_OF_NEIGHBORS, ALL_DOCKS = 0, 1, 2
+NO_DOCKS = 0
+DOCKS_OF_NEIGHBORS = 1
+ALL_DOCKS = 2
 """Docks that repel each other where they overlap without being connected."""
 
 
@@ -138,13 +140,14 @@ def _connected_force(
     for row in range(measured.contact_start[robot], measured.contact_start[robot + 1]):
         partner = measured.contact[row, 1]
         if partner < placed:
-            own = _dock_at(robots, robot, measured.contact[row, 0])
-            other = _dock_at(robots, base + partner, measured.contact[row, 2])
+            dock = _dock_at(robots, robot, measured.contact[row, 0])
+            partner_dock = _dock_at(robots, base + partner, measured.contact[row, 2])
+            offset = partner_dock - dock
             pull = dock_pair_force(
-                other - own, gains.attraction_gain, gains.repulsion_gain, gains.spacing, ramp
+                offset, gains.attraction_gain, gains.repulsion_gain, gains.spacing, ramp
             )
             stiffness = gains.attraction_gain * ramp
-            pull += attract_inward * parting(other - own, stiffness, gains.spacing)
+            pull += attract_inward * parting(offset, stiffness, gains.spacing)
             force += pull
     return force
 
@@ -159,21 +162,22 @@ def _undocked_force(
     a minus sign, which would pull them together; here it pushes them apart, as the text says.
     """
     docks = robots.dock_offset.shape[1]
-    first, last = measured.contact_start[robot], measured.contact_start[robot + 1]
+    first = measured.contact_start[robot]
+    last = measured.contact_start[robot + 1]
     force = 0.0 * vector_at(robots.position, robot)
     for k in range(docks):
-        own = _dock_at(robots, robot, k)
-        cube = cube_of(own, 1.0 / gains.spacing)
+        dock = _dock_at(robots, robot, k)
+        cube = cube_of(dock, 1.0 / gains.spacing)
         for which in range(27):
             item = first_item(cells, structure, cube, which)
             while item >= 0:
-                other = item // docks
-                offset = _dock_at(robots, base + other, item % docks) - own
-                if offset.norm_sqr() < gains.spacing * gains.spacing and other != robot - base:
+                neighbor = item // docks
+                offset = _dock_at(robots, base + neighbor, item % docks) - dock
+                if offset.norm_sqr() < gains.spacing * gains.spacing and neighbor != robot - base:
                     repels = gains.undocked == ALL_DOCKS
                     connected = False
                     for row in range(first, last):
-                        if measured.contact[row, 1] == other:
+                        if measured.contact[row, 1] == neighbor:
                             repels = True
                             pair = measured.contact[row, 0] == k
                             connected |= pair and measured.contact[row, 2] == item % docks
@@ -220,9 +224,9 @@ def _misfit(gains: Ref, robot, base, measured: Ref, robots: Ref):
     for row in range(measured.contact_start[robot], measured.contact_start[robot + 1]):
         partner = measured.contact[row, 1]
         if partner < robot - base:
-            own = _dock_at(robots, robot, measured.contact[row, 0])
-            other = _dock_at(robots, base + partner, measured.contact[row, 2])
-            total += ((other - own).norm() - gains.spacing) ** 2
+            dock = _dock_at(robots, robot, measured.contact[row, 0])
+            partner_dock = _dock_at(robots, base + partner, measured.contact[row, 2])
+            total += ((partner_dock - dock).norm() - gains.spacing) ** 2
             count += 1
     if not ti.math.isnan(measured.height[robot]):
         total += _height_missing(measured, robot, robots.position[robot, 2]) ** 2
@@ -291,13 +295,14 @@ def _docks_in_cells(robot, measured: Ref, robots: Ref):
 def _move(gains: Ref, robot, base, structure, step, measured: Ref, robots: Ref, cells: Ref):
     """Let a robot that has been placed take a step, its docks in the cell list with it."""
     docks = robots.dock_offset.shape[1]
-    there = vector_at(robots.position, robot) + step  # as rounded, so that docks are found again
+    # As rounded, so that docks are found again.
+    center = vector_at(robots.position, robot) + step
     for k in range(_docks_in_cells(robot, measured, robots)):
         item = (robot - base) * docks + k
         old = cube_of(_dock_at(robots, robot, k), 1.0 / gains.spacing)
-        new = cube_of(there + vector_in(robots.dock_offset, robot, k), 1.0 / gains.spacing)
+        new = cube_of(center + vector_in(robots.dock_offset, robot, k), 1.0 / gains.spacing)
         relink(cells, structure, item, old, new)
-    _write_position(robots, robot, there)
+    _write_position(robots, robot, center)
 
 
 @ti.kernel
@@ -339,17 +344,17 @@ def localize_in_join_order(
             gains = _gains_of(gains_table, s)
             base = start[s]
             for robot in range(base + placed_before[s], start[s + 1]):
-                here = vector_at(position_out, robot)
+                center = vector_at(position_out, robot)
                 if is_anchor[robot] == 0:
-                    here = _initial_position(gains, robot, base, measured, robots)
+                    center = _initial_position(gains, robot, base, measured, robots)
                 moved = 0.0
                 frame = 0
                 taken = 0
                 is_moving = is_anchor[robot] == 0
                 for t in range(iterations + 1):
-                    _write_position(robots, robot, here)
+                    _write_position(robots, robot, center)
                     if t % trace_every == 0 or t == iterations:
-                        _record(trace, frame, robot, here, moved)
+                        _record(trace, frame, robot, center, moved)
                         frame += 1
                     if gains.stop_error > 0.0 and is_moving and taken > 0:
                         misfit = _misfit(gains, robot, base, measured, robots)
@@ -363,7 +368,7 @@ def localize_in_join_order(
                         )  # fmt: skip
                         step = _step_of(gains, robot, force, 1.0, measured, robots)
                         moved = step.norm()
-                        here += step
+                        center += step
                 steps_out[robot] = taken
                 for k in range(_docks_in_cells(robot, measured, robots)):
                     item = (robot - base) * dock_offset.shape[1] + k
@@ -371,8 +376,8 @@ def localize_in_join_order(
                 placed = robot - base + 1
                 if placed % sweep_every == 0 or robot == start[s + 1] - 1:
                     for sweep in range(sweeps):
-                        left = 1.0 - (sweep + 1.0) / sweeps
-                        ramp = 1.0 - gains.sweep_repulsion * left
+                        remaining = 1.0 - (sweep + 1.0) / sweeps
+                        ramp = 1.0 - gains.sweep_repulsion * remaining
                         for j in range(ti.max(base, base + placed - recent), base + placed):
                             force = _virtual_force(
                                 gains, j, base, s, placed, ramp, 1.0, measured, robots, cells
@@ -380,6 +385,6 @@ def localize_in_join_order(
                             share = ti.select(is_anchor[j] == 0, gains.sweep_gain, 0.0)
                             step = _step_of(gains, j, force, share, measured, robots)
                             _move(gains, j, base, s, step, measured, robots, cells)
-                            there = vector_at(position_out, j)
-                            _record(trace, frame + sweep // trace_every, j, there, step.norm())
+                            moved_to = vector_at(position_out, j)
+                            _record(trace, frame + sweep // trace_every, j, moved_to, step.norm())
                             steps_out[j] += 1 - is_anchor[j]

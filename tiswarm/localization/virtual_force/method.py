@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
@@ -82,7 +82,8 @@ def localize_batch(
     """
     if params[0].schedule == "together":
         return _localize_together(logs, params[0], on_progress)
-    iterations, every = params[0].iterations, params[0].trace_every
+    iterations = params[0].iterations
+    every = params[0].trace_every
     rounds = params[0].back_propagation or _NO_SWEEPS
     swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []
     frames = np.array([*range(0, iterations, every), iterations, *(iterations + k for k in swept)])
@@ -92,13 +93,13 @@ def localize_batch(
     height = np.concatenate([_heights(log, p) for log, p in both])
     planar = np.concatenate([_planar(log) for log in logs]).astype(np.int32)
     gone = np.concatenate([log.is_gone for log in logs]).astype(np.int32)
-    known = np.concatenate([log.known_position / log.dock_radius for log in logs])
-    anchors = np.isfinite(known[:, 0]).astype(np.int32)
+    anchor_center = np.concatenate([log.known_position / log.dock_radius for log in logs])
+    is_anchor = np.isfinite(anchor_center[:, 0]).astype(np.int32)
     measured = kernels.LogArrays(
-        *_contacts_by_robot(logs), direction, height, planar, gone, anchors
+        *_contacts_by_robot(logs), direction, height, planar, gone, is_anchor
     )
     # Anchors are known; all others are NaN until the kernel places them.
-    placed = kernels.PlacedRobots(np.concatenate([_offsets(log) for log in logs]), known)
+    placed = kernels.PlacedRobots(np.concatenate([_offsets(log) for log in logs]), anchor_center)
     trace = kernels.Trace.allocate(len(frames), len(placed.position), np.float64)
     recent = rounds.recent or len(placed.position)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
@@ -120,12 +121,12 @@ def localize_batch(
         scaled = trace.position[:, a:b] * log.dock_radius
         steps = trace.step_length[:, a:b] * log.dock_radius
         untied = disconnected(measure(log, ["contacts", "anchors"]))
-        found = assess(log, p.used_cues, trace.position[-1, a:b], is_guess=untied)
+        assessment = assess(log, p.used_cues, trace.position[-1, a:b], is_guess=untied)
         estimates.append(
             Estimate(
                 robot_id=log.robot_id,
                 position=scaled[-1],
-                **found.fields(untied, log.dock_radius),
+                **assessment.fields(untied, log.dock_radius),
                 iteration=frames,
                 trace=scaled,
                 residual=np.sqrt(np.mean(steps**2, axis=1)),
@@ -236,14 +237,16 @@ class Localizer:
             problem = "null follows from the lines of later robots, too; localize the whole log"
             raise InputError(problem, key="orientation_wxyz")
         stance = self._builder.add(line)
-        n, alone = self._count, self._alone(line, stance)
+        n = self._count
+        alone = self._alone(line, stance)
         self._robots.dock_offset[n] = dock_offsets(alone.orientation_wxyz, self._dock_body)[0]
         self._direction[n] = _directions(alone.orientation_wxyz, self._params)[0]
         self._height[n] = _heights(alone, self._params)[0]
         self._is_planar[n] = _planar(alone)[0] and self._is_planar[:n].all()
         # The first anchor is at the origin: far from it, numbers lose digits.
-        known = alone.fixed_position[0] / self._unit if n else np.zeros(3)
-        self._is_anchor[n], self._robots.position[n] = np.isfinite(known[0]), known
+        fixed = alone.fixed_position[0] / self._unit if n else np.zeros(3)
+        self._is_anchor[n] = np.isfinite(fixed[0])
+        self._robots.position[n] = fixed
         self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
         self._count += 1
         placed: Reals = self.positions[n]
@@ -273,7 +276,8 @@ class Localizer:
     @backend.exclusive()
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""
-        count, every = self._count, self._params.iterations
+        count = self._count
+        iterations = self._params.iterations
         self._contact_start[count : count + 2] = 0, len(contact)
         measured = kernels.LogArrays(
             self._contact_start, contact, self._direction, self._height, self._is_planar,
@@ -283,7 +287,7 @@ class Localizer:
         trace = kernels.Trace.allocate(2, capacity, np.float64)
         backend.processor()
         kernels.localize_in_join_order(
-            every, 1, 0, capacity, every, np.array([_gains(self._params)]),
+            iterations, 1, 0, capacity, iterations, np.array([_gains(self._params)]),
             np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,
             *self._cells, *self._robots, *trace,
         )  # fmt: skip
@@ -431,7 +435,8 @@ def _stepped(
     )  # fmt: skip
     frames = np.array([*range(0, steps, -(-steps // _FRAMES)), steps])
     ramp: Reals = np.linspace(1.0 - chosen.repulsion_share, 1.0, steps, dtype=np.float64)
-    trace, moved = [first], [np.zeros(len(first))]
+    trace = [first]
+    moved = [np.zeros(len(first))]
     for before, after in pairwise(frames.tolist()):
         now = swarm.relax(
             attraction_gain=params.attraction_gain,
@@ -447,23 +452,45 @@ def _stepped(
         trace.append(now.position)
         moved.append(np.linalg.norm(swarm.state.last_step, axis=1))
         on_progress(after / steps)
-    estimates = []
-    for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True):
-        untied = disconnected(measure(log, ["contacts", "anchors"]))
-        found = assess(log, params.used_cues, trace[-1][a:b], is_guess=untied)
-        moves = np.array([np.sqrt(np.mean(step[a:b] ** 2)) for step in moved])
-        estimates.append(
-            Estimate(
-                robot_id=log.robot_id,
-                position=trace[-1][a:b] * log.dock_radius,
-                **found.fields(untied, log.dock_radius),
-                iteration=frames,
-                trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
-                residual=moves * log.dock_radius,
-                steps=np.where(is_anchor[a:b], 0, steps),
-            )
-        )
-    return estimates
+    centers = np.array(trace)
+    lengths = np.array(moved)
+    step_count = np.where(is_anchor, 0, steps)
+    return [
+        _estimate_of(log, params, frames, centers[:, a:b], lengths[:, a:b], step_count[a:b])
+        for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True)
+    ]
+
+
+def _estimate_of(
+    log: SensingLog,
+    params: VirtualForceParams,
+    frames: Ints,
+    center: Reals,
+    step_length: Reals,
+    steps: Ints,
+) -> Estimate:
+    """Assess where the robots of a structure ended, and describe the way.
+
+    Args:
+        log: What they sensed.
+        params: Settings of the method.
+        frames: Step of each frame, shape (F,).
+        center: Centers in each frame [R], shape (F, N, 3).
+        step_length: Length of the last step in each frame [R], shape (F, N).
+        steps: Steps of each robot, shape (N,).
+    """
+    untied = disconnected(measure(log, ["contacts", "anchors"]))
+    assessment = assess(log, params.used_cues, center[-1], is_guess=untied)
+    moves = np.array([np.sqrt(np.mean(lengths**2)) for lengths in step_length])
+    return Estimate(
+        robot_id=log.robot_id,
+        position=center[-1] * log.dock_radius,
+        **assessment.fields(untied, log.dock_radius),
+        iteration=frames,
+        trace=center * log.dock_radius,
+        residual=moves * log.dock_radius,
+        steps=steps,
+    )
 
 
 def _chained(log: SensingLog, is_planar: Bools) -> Reals:
@@ -489,17 +516,19 @@ def _chained(log: SensingLog, is_planar: Bools) -> Reals:
     hop = reach(pair, np.ones(len(pair)), part, start)
     # Only contacts that lead away from anchors: each robot follows those nearer to one.
     contact = contact[hop[contact[:, 2]] > hop[contact[:, 0]]]
-    nearer, dock, robot, own = contact[np.lexsort((contact[:, 2], hop[contact[:, 2]]))].T
-    shift = arm[nearer, dock] - arm[robot, own]
+    by_hop = np.lexsort((contact[:, 2], hop[contact[:, 2]]))
+    nearer, nearer_dock, robot, dock = contact[by_hop].T
+    shift = arm[nearer, nearer_dock] - arm[robot, dock]
     across = stand_across(shift)
     # Docks in one place would have no direction to part in.
     across[np.linalg.norm(shift, axis=1) < _TINY] = SPACING * _UP
     levels = np.flatnonzero(np.diff(hop[robot], prepend=0.0, append=np.inf))
     for begin, end in pairwise(levels.tolist()):
         met = position[nearer[begin:end]] + across[begin:end]
-        each = np.flatnonzero(np.diff(robot[begin:end], prepend=-1))
-        count = np.diff(each, append=end - begin)
-        position[robot[begin + each]] = np.add.reduceat(met, each) / count[:, None]
+        first_rows = np.flatnonzero(np.diff(robot[begin:end], prepend=-1))
+        count = np.diff(first_rows, append=end - begin)
+        total = np.add.reduceat(met, first_rows)
+        position[robot[begin + first_rows]] = total / count[:, None]
     by_part = untied[np.argsort(part[untied], kind="stable")]
     members = np.split(by_part, np.flatnonzero(np.diff(part[by_part])) + 1) if untied.size else []
     # In join order: the robot that a part starts above may be of another such part.

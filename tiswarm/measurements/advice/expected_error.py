@@ -90,7 +90,7 @@ class Posterior:
         measured = jacobian.T @ diags_array(1.0 / rows.variance()) @ jacobian
         distances = len(rows.distances.length)
         i = rows.robot[:distances]
-        j = rows.other[:distances]
+        j = rows.neighbor[:distances]
         ends = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
         weight = np.tile(3.0 / np.maximum(rows.distances.length, SPACING) ** 2, 4)
         turns = np.zeros(self.robots) if turning is None else turning

@@ -268,7 +268,7 @@ def advise(
                 Advice(
                     kind=kind,
                     robot=int(one.robot[0]),
-                    contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
+                    contact=one.sensed_contacts[0, 2:].tolist() if len(one.neighbor) else [],
                     floppy_modes=int(modes[chosen]),
                     determined=question.determined([one]),
                     rmse_before=float(rmse[0]),
@@ -334,7 +334,7 @@ def advise_together(
             Advice(
                 kind=question.candidates[kind].kind,
                 robot=int(one.robot[0]),
-                contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
+                contact=one.sensed_contacts[0, 2:].tolist() if len(one.neighbor) else [],
                 floppy_modes=removed - modes,
                 determined=np.setdiff1d(determined, already_determined),
                 rmse_before=float(rmse[0]),
@@ -396,8 +396,10 @@ def _ranges(log: SensingLog, odometry: Odometry, pair: Images) -> _Candidates:
     change = np.abs(second - first)
     (i, j) = log.ranges[:, :2].astype(np.int64).T
     change[first > log.ranges[:, 2].max() / log.dock_radius] = 0.0
-    change[i, j] = change[j, i] = 0.0
-    change[log.gone] = change[:, log.gone] = 0.0
+    change[i, j] = 0.0
+    change[j, i] = 0.0
+    change[log.gone] = 0.0
+    change[:, log.gone] = 0.0
     robot = np.arange(len(change))
     partner = change.argmax(axis=1)
     later = np.maximum(robot, partner)

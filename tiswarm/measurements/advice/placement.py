@@ -74,7 +74,7 @@ def _steps(
     contacts = measured.rows(("contacts",))
     draw = np.random.default_rng(0)
     arms = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
-    partner = int(contacts.other[robot_contacts[0]])
+    partner = int(contacts.neighbor[robot_contacts[0]])
     # Any of its docks, whose places are known, and any of ours, turned at random: all within reach.
     partner_dock = position[partner] + arms[partner, draw.integers(arms.shape[1], size=_DRAWS)]
     reach = np.linalg.norm(log.dock_offset_body, axis=1) / log.dock_radius
@@ -86,12 +86,12 @@ def _steps(
     )
     yield Narrowed("orientation", partner_dock + apart - arms[robot, dock])
     first, *further_contacts = robot_contacts
-    center = position[partner] + contacts.other_arm[first] - contacts.arm[first]
+    center = position[partner] + contacts.neighbor_arm[first] - contacts.arm[first]
     remaining = center + apart
     yield Narrowed(_docks(measured, first), remaining)
     for row in further_contacts:
-        partner_of_row = int(contacts.other[row])
-        end = position[partner_of_row] + contacts.other_arm[row] - contacts.arm[row]
+        partner_of_row = int(contacts.neighbor[row])
+        end = position[partner_of_row] + contacts.neighbor_arm[row] - contacts.arm[row]
         off = np.linalg.norm(remaining - end, axis=1) - contacts.distances.length[row]
         missed = np.linalg.norm(position[robot] - end) - contacts.distances.length[row]
         # Noise must not exclude the estimate itself, so the band is wider by what that misses.
@@ -99,10 +99,10 @@ def _steps(
         yield Narrowed(_docks(measured, row), remaining)
     for cue in _FIXED_PLACES:
         rows = measured.rows((cue,))
-        of_robot = np.flatnonzero(rows.robot[len(rows.other) :] == robot)
+        of_robot = np.flatnonzero(rows.robot[len(rows.neighbor) :] == robot)
         for row in of_robot:
             normal = rows.places.direction[row]
-            arm = rows.arm[len(rows.other) + row]
+            arm = rows.arm[len(rows.neighbor) + row]
             value = rows.places.value[row] - normal @ arm
             missed = normal @ position[robot] - value
             remaining = remaining[abs(remaining @ normal - value) <= _WIDTH + abs(missed)]
@@ -116,7 +116,7 @@ def _docks(measured: Measured, row: int) -> str:
     contacts = measured.rows(("contacts",))
     dock = contacts.distances.dock[row]
     partner_dock = contacts.distances.other_dock[row]
-    return f"dock {dock} to {partner_dock} of robot {measured.log.robot_id[contacts.other[row]]}"
+    return f"dock {dock} to {partner_dock} of robot {measured.log.robot_id[contacts.neighbor[row]]}"
 
 
 def _directions(draw: np.random.Generator) -> Reals:
