@@ -153,9 +153,6 @@ class Laws(NamedTuple):
     is_flat: bool = True
     """Whether the ground has a closed form, a plane or slabs, and no bodies."""
 
-    lipschitz: float = 1.0
-    """Largest change of the distance to the ground over that of the point [1]."""
-
     has_zones: bool = False
     """Whether there are zones that robots may not enter."""
 
@@ -165,13 +162,12 @@ class Site(NamedTuple):
 
     ground: Ground
     is_flat: bool
-    lipschitz: float
     has_zones: bool
 
 
 def site_of(ground: Reals1, laws: Laws) -> Site:
     """Bundle what says where the ground is."""
-    return Site(Ground(ground, laws.users), laws.is_flat, laws.lipschitz, laws.has_zones)
+    return Site(Ground(ground, laws.users), laws.is_flat, laws.has_zones)
 
 
 class Obstacles(NamedTuple):
@@ -392,12 +388,20 @@ def contact_angles(limits: Ref, first, aim, arm, axis, pivot, obstacles: Ref, mo
         k += 1
     if ti.static(not obstacles.site.is_flat):
         # The search costs much more than that for docks, which often rules a way out.
-        for way in ti.static(range(2)):
-            if first[way] > 0.0:
-                first[way] = arc_angle(
-                    middle, across, (1.0 - 2.0 * way) * onward, 0.5 * limits.spacing,
-                    obstacles.site.lipschitz, first[way], obstacles.site.ground,
-                )  # fmt: skip
+        for way in range(2):  # not unrolled: the compiler takes long for the distance
+            sense = 1.0 - 2.0 * way
+            angle = ti.select(way == 0, first[0], first[1])
+            if angle > 0.0:
+                angle = arc_angle(
+                    middle,
+                    across,
+                    sense * onward,
+                    0.5 * limits.spacing,
+                    angle,
+                    obstacles.site.ground,
+                )
+            first[0] = ti.select(way == 0, angle, first[0])
+            first[1] = ti.select(way == 0, first[1], angle)
     return first
 
 
