@@ -87,13 +87,6 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     spawn = flips.spawn_position(history, params)
     orientation[is_mute] = np.nan
     spawn[is_mute] = np.nan
-    ground_z = None
-    ground_form = None
-    if params.senses("ground_docks"):
-        # Docks on flat ground alone are listed: that one stands on other ground says no height.
-        ground_form = history.terrain.form
-        if ground_form is None:
-            ground_z = history.ground_z
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         gone=np.flatnonzero(history.is_gone),
@@ -102,8 +95,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         dock_offset_body=history.robot.dock_offset_body,
         anchor_position=history.walks[0].center[-1],
         orientation_wxyz=orientation,
-        ground_z=ground_z,
-        ground_form=ground_form,
+        **_ground(history, params),
         flip_height=height if params.senses("heights") else np.full_like(height, np.nan),
         spawn_position=spawn,
         stances=_stances(history, sensed, length, lists) if params.senses("stances") else None,
@@ -112,6 +104,16 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         source_sd=np.array([*params.sources.values()], np.float64),
         **final,
     )
+
+
+def _ground(history: History, params: SensingParams) -> dict[str, Any]:
+    """Return what a log states of the ground: the height of a flat one, or that it is not flat."""
+    if not params.senses("ground_docks"):
+        return {}
+    if history.terrain.form is not None:
+        # No dock on it is listed, for none has a known height.
+        return {"ground_form": history.terrain.form}
+    return {"ground_z": history.ground_z}
 
 
 def _stances(history: History, sensed: Reals, length: Ints, lists: _Lists) -> Stances:

@@ -498,6 +498,15 @@ def enters(limits: Ref, site: Ref, body: Ref, center, q):
 
 
 @ti.func
+def may_end(limits: Ref, site: Ref, climbers: Ref, walks: Ref, mover, stance, center, q):
+    """Whether a flip may end at a pose: where the walk has not been, and in no zone."""
+    is_allowed = not revisits(limits, walks, mover, stance, center)
+    if ti.static(site.has_zones):
+        is_allowed = is_allowed and not enters(limits, site, climbers.dock_offset_body, center, q)
+    return is_allowed
+
+
+@ti.func
 def _across(arm):
     """Find the unit vector across `arm` nearest to the body's z axis, or x for an arm along z."""
     size = arm.norm_sqr()
@@ -608,6 +617,21 @@ def flipped(axis, way, angle, q):
 
 
 @ti.func
+def _aim(limits: Ref, hinge, axis, goal, nearest, laws: Ref):
+    """Return what a flip about an axis gains, and has to gain, as `contact_angles` takes it."""
+    to_goal = goal - hinge.pivot
+    reach = hinge.body_in.norm()
+    ahead = hinge.side.cross(hinge.normal)
+    onward = axis.cross(ahead)
+    aim = ti.Vector([to_goal.dot(ahead), to_goal.dot(onward), -ti.math.inf, limits.min_flip])
+    if ti.static(laws.score == goal_distance) and not limits.by_belief:
+        # |g - r e|^2 < d^2 for the unit vector e to the center
+        room = to_goal.norm_sqr() + reach**2 - nearest**2
+        aim[2] = 0.5 * room / reach - _TIE
+    return aim
+
+
+@ti.func
 def nearest_flip(
     limits: Ref,
     structures: Ref,
@@ -629,7 +653,6 @@ def nearest_flip(
     second is that of the best one.
     """
     body = ti.static(climbers.dock_offset_body)
-    score = ti.static(laws.score)
     site = ti.static(site_of(climbers.ground, laws))
     near = ti.static(Obstacles(climbers.near, site))
     obstacle = ti.static(Obstacles(climbers.obstacle, site))
@@ -642,17 +665,9 @@ def nearest_flip(
     pivot = hinge.pivot
     by = hinge.by
     body_in = hinge.body_in
-    to_goal = goal - pivot
-    reach = body_in.norm()
-    ahead = hinge.side.cross(hinge.normal)
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
-        onward = axis.cross(ahead)
-        aim = ti.Vector([to_goal.dot(ahead), to_goal.dot(onward), -ti.math.inf, limits.min_flip])
-        if ti.static(score == goal_distance) and not limits.by_belief:
-            # |g - r e|^2 < d^2 for the unit vector e to the center
-            room = to_goal.norm_sqr() + reach**2 - ti.min(within[1], chosen.distance) ** 2
-            aim[2] = 0.5 * room / reach - _TIE
+        aim = _aim(limits, hinge, axis, goal, ti.min(within[1], chosen.distance), laws)
         sensed_axis = axis
         if limits.by_belief:
             sensed_axis = rotate(quaternion_at(believed.turn, mover, stance), axis)
@@ -671,22 +686,18 @@ def nearest_flip(
                 if limits.by_belief:
                     planned = flipped(sensed_axis, way, angle, sensed)
                 end = pivot - rotate(turned, body_in)
-                distance = score(pivot - rotate(planned, body_in) + by, planned, goal)
-                is_allowed = distance < chosen.distance
-                if is_allowed:
-                    is_allowed = not revisits(limits, walks, mover, stance, end)
-                    if ti.static(site.has_zones):
-                        is_allowed = is_allowed and not enters(limits, site, body, end, turned)
-                if is_allowed:
+                distance = laws.score(pivot - rotate(planned, body_in) + by, planned, goal)
+                is_next = distance < chosen.distance
+                if is_next and may_end(limits, site, climbers, walks, mover, stance, end, turned):
                     fails = False
                     if limits.by_belief:
                         angle = truly[way]
                         turned = flipped(axis, way, angle, q)
                         end = pivot - rotate(turned, body_in)
-                        fails = angle < limits.min_flip or angle > limits.max_flip
-                        fails = fails or revisits(limits, walks, mover, stance, end)
-                        if ti.static(site.has_zones):
-                            fails = fails or enters(limits, site, body, end, turned)
+                        fails = not may_end(
+                            limits, site, climbers, walks, mover, stance, end, turned
+                        )
+                        fails = fails or angle < limits.min_flip or angle > limits.max_flip
                     if fails:
                         chosen.failed += ti.cast(distance < within[0], ti.i32)
                     else:
