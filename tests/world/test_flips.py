@@ -68,7 +68,7 @@ def test_contact_angle_is_where_a_fine_sweep_first_overlaps(arm, axis, obstacle)
 def _contact_angles(
     limits: ClimbLimits, vectors: Reals2, gains: Reals2, least: F64, near: Reals3, angles: Reals2
 ):
-    obstacles = ti.static(Obstacles(near, Site(None, is_flat=True, lipschitz=1.0, has_zones=False)))
+    obstacles = ti.static(Obstacles(near, Site(None, is_flat=True, has_zones=False)))
     for way in range(1):
         first = ti.Vector([limits.full_turn, limits.full_turn])
         aim = ti.Vector([gains[0, 0], gains[0, 1], least, limits.min_flip])

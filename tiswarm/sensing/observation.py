@@ -53,59 +53,6 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     end = np.cumsum(length)
     sensed = imu.sensed_orientation(history, length, params)
     sensed = imu.failed_orientation(history, length, sensed, params)
-    lists = _sensed_lists(history, whole, params, is_mute)
-    final: dict[str, Any] = {
-        name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
-    }
-    final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
-    orientation = sensed[end - 1]
-    if not params.senses("compass"):
-        # Orientations of anchors are known, as their positions are.
-        is_known = history.is_anchor
-        orientation[is_known] = history.orientation_wxyz[is_known]
-        orientation[~is_known] = np.nan
-    height = flips.flip_height(history, sensed, end)
-    spawn = flips.spawn_position(history, params)
-    orientation[is_mute] = np.nan
-    spawn[is_mute] = np.nan
-    ground_z = None
-    ground_form = None
-    if params.senses("ground_docks"):
-        # Docks on flat ground alone are listed: that one stands on other ground says no height.
-        ground_form = history.terrain.form
-        if ground_form is None:
-            ground_z = history.ground_z
-    return SensingLog(
-        robot_id=np.arange(history.robot_count),
-        gone=np.flatnonzero(history.is_gone),
-        left_after=history.left_after[history.is_gone],
-        dock_radius=history.robot.dock_radius,
-        dock_offset_body=history.robot.dock_offset_body,
-        anchor_position=history.walks[0].center[-1],
-        orientation_wxyz=orientation,
-        ground_z=ground_z,
-        ground_form=ground_form,
-        flip_height=height if params.senses("heights") else np.full_like(height, np.nan),
-        spawn_position=spawn,
-        stances=_stances(history, sensed, length, lists) if params.senses("stances") else None,
-        noise=params.noise,
-        source_name=tuple(params.sources),
-        source_sd=np.array([*params.sources.values()], np.float64),
-        **final,
-    )
-
-
-def _sensed_lists(
-    history: History, whole: History, params: SensingParams, is_mute: Bools
-) -> _Lists:
-    """Gather the rows that all sensors fill, of all stances: (robot, stance, ...).
-
-    Args:
-        history: What robots that fail leave to be sensed.
-        whole: All of it.
-        params: What robots sense.
-        is_mute: Robots that say nothing, shape (N,).
-    """
     lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
     lists["contacts"] = touch.sensed_contacts(history, params)
     if params.vibration is not None:
@@ -126,7 +73,47 @@ def _sensed_lists(
         if not params.senses(name):
             lists[name] = lists[name][:0]
     lists |= touch.split_touches(lists["contacts"], params)
-    return lists
+    final: dict[str, Any] = {
+        name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
+    }
+    final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
+    orientation = sensed[end - 1]
+    if not params.senses("compass"):
+        # Orientations of anchors are known, as their positions are.
+        is_known = history.is_anchor
+        orientation[is_known] = history.orientation_wxyz[is_known]
+        orientation[~is_known] = np.nan
+    height = flips.flip_height(history, sensed, end)
+    spawn = flips.spawn_position(history, params)
+    orientation[is_mute] = np.nan
+    spawn[is_mute] = np.nan
+    return SensingLog(
+        robot_id=np.arange(history.robot_count),
+        gone=np.flatnonzero(history.is_gone),
+        left_after=history.left_after[history.is_gone],
+        dock_radius=history.robot.dock_radius,
+        dock_offset_body=history.robot.dock_offset_body,
+        anchor_position=history.walks[0].center[-1],
+        orientation_wxyz=orientation,
+        **_ground(history, params),
+        flip_height=height if params.senses("heights") else np.full_like(height, np.nan),
+        spawn_position=spawn,
+        stances=_stances(history, sensed, length, lists) if params.senses("stances") else None,
+        noise=params.noise,
+        source_name=tuple(params.sources),
+        source_sd=np.array([*params.sources.values()], np.float64),
+        **final,
+    )
+
+
+def _ground(history: History, params: SensingParams) -> dict[str, Any]:
+    """Return what a log states of the ground: the height of a flat one, or that it is not flat."""
+    if not params.senses("ground_docks"):
+        return {}
+    if history.terrain.form is not None:
+        # No dock on it is listed, for none has a known height.
+        return {"ground_form": history.terrain.form}
+    return {"ground_z": history.ground_z}
 
 
 def _stances(history: History, sensed: Reals, length: Ints, lists: _Lists) -> Stances:

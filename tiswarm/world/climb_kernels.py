@@ -153,9 +153,6 @@ class Laws(NamedTuple):
     is_flat: bool = True
     """Whether the ground has a closed form, a plane or slabs, and no bodies."""
 
-    lipschitz: float = 1.0
-    """Largest change of the distance to the ground over that of the point [1]."""
-
     has_zones: bool = False
     """Whether there are zones that robots may not enter."""
 
@@ -165,13 +162,12 @@ class Site(NamedTuple):
 
     ground: Ground
     is_flat: bool
-    lipschitz: float
     has_zones: bool
 
 
 def site_of(ground: Reals1, laws: Laws) -> Site:
     """Bundle what says where the ground is."""
-    return Site(Ground(ground, laws.users), laws.is_flat, laws.lipschitz, laws.has_zones)
+    return Site(Ground(ground, laws.users), laws.is_flat, laws.has_zones)
 
 
 class Obstacles(NamedTuple):
@@ -392,12 +388,20 @@ def contact_angles(limits: Ref, first, aim, arm, axis, pivot, obstacles: Ref, mo
         k += 1
     if ti.static(not obstacles.site.is_flat):
         # The search costs much more than that for docks, which often rules a way out.
-        for way in ti.static(range(2)):
-            if first[way] > 0.0:
-                first[way] = arc_angle(
-                    middle, across, (1.0 - 2.0 * way) * onward, 0.5 * limits.spacing,
-                    obstacles.site.lipschitz, first[way], obstacles.site.ground,
-                )  # fmt: skip
+        for way in range(2):  # not unrolled: the compiler takes long for the distance
+            sense = 1.0 - 2.0 * way
+            angle = ti.select(way == 0, first[0], first[1])
+            if angle > 0.0:
+                angle = arc_angle(
+                    middle,
+                    across,
+                    sense * onward,
+                    0.5 * limits.spacing,
+                    angle,
+                    obstacles.site.ground,
+                )
+            first[0] = ti.select(way == 0, angle, first[0])
+            first[1] = ti.select(way == 0, first[1], angle)
     return first
 
 
@@ -491,6 +495,15 @@ def enters(limits: Ref, site: Ref, body: Ref, center, q):
         gap = zone_distance(point, site.ground) - 0.5 * limits.spacing
         is_inside = is_inside or gap < 0.0
     return is_inside
+
+
+@ti.func
+def may_end(limits: Ref, site: Ref, climbers: Ref, walks: Ref, mover, stance, center, q):
+    """Whether a flip may end at a pose: where the walk has not been, and in no zone."""
+    is_allowed = not revisits(limits, walks, mover, stance, center)
+    if ti.static(site.has_zones):
+        is_allowed = is_allowed and not enters(limits, site, climbers.dock_offset_body, center, q)
+    return is_allowed
 
 
 @ti.func
@@ -604,24 +617,16 @@ def flipped(axis, way, angle, q):
 
 
 @ti.func
-def barred(limits: Ref, walks: Ref, mover, stance, site: Ref, body: Ref, end, turned):
-    """Say whether a flip may not end here: the robot was here before, or a dock is in a zone."""
-    is_barred = revisits(limits, walks, mover, stance, end)
-    if ti.static(site.has_zones):
-        is_barred = is_barred or enters(limits, site, body, end, turned)
-    return is_barred
-
-
-@ti.func
-def aim_at(limits: Ref, to_goal, ahead, onward, reach, bound, is_by_distance: Ref):
-    """Describe the flips worth finding: way to the goal, least cosine of it, and least angle.
-
-    If distances decide, a flip should end within `bound` of the goal.
-    """
+def _aim(limits: Ref, hinge, axis, goal, nearest, laws: Ref):
+    """Return what a flip about an axis gains, and has to gain, as `contact_angles` takes it."""
+    to_goal = goal - hinge.pivot
+    reach = hinge.body_in.norm()
+    ahead = hinge.side.cross(hinge.normal)
+    onward = axis.cross(ahead)
     aim = ti.Vector([to_goal.dot(ahead), to_goal.dot(onward), -ti.math.inf, limits.min_flip])
-    if ti.static(is_by_distance) and not limits.by_belief:
+    if ti.static(laws.score == goal_distance) and not limits.by_belief:
         # |g - r e|^2 < d^2 for the unit vector e to the center
-        room = to_goal.norm_sqr() + reach**2 - bound**2
+        room = to_goal.norm_sqr() + reach**2 - nearest**2
         aim[2] = 0.5 * room / reach - _TIE
     return aim
 
@@ -648,7 +653,6 @@ def nearest_flip(
     second is that of the best one.
     """
     body = ti.static(climbers.dock_offset_body)
-    score = ti.static(laws.score)
     site = ti.static(site_of(climbers.ground, laws))
     near = ti.static(Obstacles(climbers.near, site))
     obstacle = ti.static(Obstacles(climbers.obstacle, site))
@@ -659,20 +663,16 @@ def nearest_flip(
     chosen = _no_flip(hinge.pivot, q)
     chosen.overflow = hinge.overflow
     pivot = hinge.pivot
+    by = hinge.by
     body_in = hinge.body_in
-    to_goal = goal - hinge.pivot
-    reach = body_in.norm()
-    ahead = hinge.side.cross(hinge.normal)
     for twist in range(limits.twists):
         axis = flip_axis(limits, hinge, twist)
-        onward = axis.cross(ahead)
-        bound = ti.min(within[1], chosen.distance)
-        aim = aim_at(limits, to_goal, ahead, onward, reach, bound, score == goal_distance)
+        aim = _aim(limits, hinge, axis, goal, ti.min(within[1], chosen.distance), laws)
         sensed_axis = axis
         if limits.by_belief:
             sensed_axis = rotate(quaternion_at(believed.turn, mover, stance), axis)
         first = first_met(
-            limits, body, sensed, k, sensed_axis, pivot + hinge.by, near, mover, hinge.count, aim
+            limits, body, sensed, k, sensed_axis, pivot + by, near, mover, hinge.count, aim
         )
         truly = first
         if limits.by_belief:
@@ -686,18 +686,18 @@ def nearest_flip(
                 if limits.by_belief:
                     planned = flipped(sensed_axis, way, angle, sensed)
                 end = pivot - rotate(turned, body_in)
-                distance = score(pivot - rotate(planned, body_in) + hinge.by, planned, goal)
-                is_allowed = distance < chosen.distance
-                if is_allowed:
-                    is_allowed = not barred(limits, walks, mover, stance, site, body, end, turned)
-                if is_allowed:
+                distance = laws.score(pivot - rotate(planned, body_in) + by, planned, goal)
+                is_next = distance < chosen.distance
+                if is_next and may_end(limits, site, climbers, walks, mover, stance, end, turned):
                     fails = False
                     if limits.by_belief:
                         angle = truly[way]
                         turned = flipped(axis, way, angle, q)
                         end = pivot - rotate(turned, body_in)
-                        fails = angle < limits.min_flip or angle > limits.max_flip
-                        fails |= barred(limits, walks, mover, stance, site, body, end, turned)
+                        fails = not may_end(
+                            limits, site, climbers, walks, mover, stance, end, turned
+                        )
+                        fails = fails or angle < limits.min_flip or angle > limits.max_flip
                     if fails:
                         chosen.failed += ti.cast(distance < within[0], ti.i32)
                     else:

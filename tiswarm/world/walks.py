@@ -105,7 +105,7 @@ def climb_laws(params: GrowthParams) -> tuple[Laws, Reals]:
     array: Reals = np.zeros(HEADER)
     ground = structure_ground(params)
     if isinstance(ground, SolidGround):
-        laws = laws._replace(users=ground.users, is_flat=False, lipschitz=ground.lipschitz)
+        laws = laws._replace(users=ground.users, is_flat=False)
         array = ground.array
     return laws, array if zones is None else with_zones(array, zones)
 

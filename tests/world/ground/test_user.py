@@ -83,10 +83,9 @@ def test_a_setting_of_a_user_is_checked_as_any_other(load):
 def test_a_function_that_does_not_compile_is_a_line_with_its_place(load):
     """The file and the line of the function."""
     source = WAVES.replace("ti.sin(0.5 * point[0])", "no_such_name")
-    params = load(source, {"kind": "waves"})
 
     with pytest.raises(InputError) as caught:
-        structure_ground(params).distance(np.zeros((1, 3)))
+        load(source, {"kind": "waves"})
 
     assert caught.value.path.name == "own.py"
     assert caught.value.line == 9

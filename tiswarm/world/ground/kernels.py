@@ -5,8 +5,8 @@ farther away it may be less. Between two points it changes by at most their dist
 ground's Lipschitz constant, which is 1 unless a body says more. So from a point at distance d,
 nothing can be met within d over that constant: every search goes on in such steps.
 
-A ground is the union of bodies. The numbers of all bodies are in one array: how many bodies and how
-many zones there are, a row of `Bodies` for each body, then for each zone, and the values of grids.
+A ground is the union of bodies. The numbers of all bodies are in one array: those of `HEADER`, a
+row of `Bodies` for each body, then for each zone, and the values of grids.
 Functions of users are compiled in. Their bodies are the last ones, in the same order.
 
 Lengths in R, angles in rad, all in float64.
@@ -31,8 +31,12 @@ from tiswarm.compute.math_kernels import vector_at
 PLANE, SLAB, BOX, CYLINDER, SPHERE, CLOSED_GRID, HEIGHT_GRID, USER = range(8)
 """Kinds of bodies. A height grid continues outward as its border is; a closed one has no border."""
 
-HEADER = 2
-"""Numbers before the rows: how many bodies there are, and how many zones."""
+LIPSCHITZ = 2
+"""Place of the Lipschitz constant."""
+
+HEADER = 3
+"""Numbers before the rows: how many bodies there are, how many zones, and the Lipschitz constant.
+"""
 
 FAR = 1e30
 """Distance to a ground without bodies [R]."""
@@ -219,13 +223,14 @@ def on_arc(middle, across, onward, angle):
 
 
 @ti.func
-def arc_angle(middle, across, onward, radius, lipschitz, most, ground: Ref):
+def arc_angle(middle, across, onward, radius, most, ground: Ref):
     """Find the angle at which a sphere that turns about an axis meets the ground, `most` at most.
 
     The center of the sphere is at middle + across cos t + onward sin t. A sphere that rests on the
     ground may slide along it and leave it; where it would enter at once, the angle is 0.
     """
     swing = across.norm()
+    lipschitz = ground.array[LIPSCHITZ]
     met = most
     nearest = distance_to(middle, ground) - radius - lipschitz * swing
     if swing > TOUCH and nearest < TOUCH:

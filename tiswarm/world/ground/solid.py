@@ -194,7 +194,8 @@ def pack(bodies: Sequence[Body], zones: Sequence[Body] = ()) -> Reals:
             [body.kind], body.position, body.turn.inv().as_matrix().ravel(), size, [body.edge],
             [start], count, [cell],
         ]))  # fmt: skip
-    header = np.array([len(bodies), len(zones)], np.float64)
+    lipschitz = max((body.lipschitz for body in bodies), default=1.0)
+    header = np.array([len(bodies), len(zones), lipschitz])
     return np.concatenate([header, *rows, *grids])
 
 
@@ -205,7 +206,7 @@ def with_zones(array: Reals, zones: Zones) -> Reals:
     rows = array[kernels.HEADER : end].reshape(-1, kernels.Bodies.TOTAL).copy()
     is_grid = rows[:, kernels.Bodies.FIRST] > 0.0
     rows[is_grid, kernels.Bodies.FIRST] += len(added)
-    header = [array[0], zones.array[1]]
+    header = [array[0], zones.array[1], array[kernels.LIPSCHITZ]]
     return np.concatenate([header, rows.ravel(), added, array[end:]])
 
 
