@@ -27,6 +27,12 @@ METHODS = [
 CONTACTS = ("contacts", "height", "ground", "walk_contacts")
 
 
+def _without_contacts(params):
+    """Settings of a method in which coordinates and distances alone count."""
+    cues = dataclasses.replace(params.cues, **dict.fromkeys(CONTACTS, False))
+    return dataclasses.replace(params, cues=cues)
+
+
 @pytest.fixture(scope="module")
 def log(towers) -> SensingLog:
     """What the robots of a small tower sensed, without noise."""
@@ -37,7 +43,7 @@ def log(towers) -> SensingLog:
 def test_fixes_alone_place_robots_as_well_as_they_can(log, towers, params):
     """Five planes of one robot meet in a point, with the error that their directions imply."""
     fixed = with_fixes(log, towers[0], range(1, log.robot_count), each=5, sd=0.1)
-    alone = dataclasses.replace(params, **dict.fromkeys(CONTACTS, False))
+    alone = _without_contacts(params)
 
     found = localize(fixed, alone)
 
@@ -65,7 +71,7 @@ def test_a_walk_carries_a_fix_to_where_it_ends(log, towers, params):
     fixes = np.concatenate(rows)
     fixes = fixes[np.lexsort(fixes.T[::-1])]
     fixed = dataclasses.replace(log, stances=dataclasses.replace(stances, fixes=fixes))
-    alone = dataclasses.replace(params, **dict.fromkeys(CONTACTS, False))
+    alone = _without_contacts(params)
 
     found = localize(fixed, alone)
 
@@ -91,7 +97,7 @@ def test_ranges_place_robots_among_some_that_are_known(log, towers, params):
     known = with_fixes(log, towers[0], here_and_there, each=5, sd=0.02)
     ranged = with_ranges(known, towers[0], reach=12.0, sd=0.02)
 
-    found = localize(ranged, dataclasses.replace(params, **dict.fromkeys(CONTACTS, False)))
+    found = localize(ranged, _without_contacts(params))
 
     error = np.linalg.norm(found.position - towers[0].position, axis=1)
     assert found.observability.floppy_modes == 0
