@@ -75,11 +75,14 @@ def _terrains(folder):
 @pytest.mark.parametrize(
     "name", ["hill", "slope", "stairs", "canyon", "overhang", "boulder", "dunes"]
 )
-def test_no_dock_is_in_the_ground_and_feet_touch_it(files, name):
-    """At every stance of every robot, for ground of each form."""
+@pytest.mark.parametrize(
+    ("robots", "structures"), [(16, 2), pytest.param(40, 143, marks=pytest.mark.slow)]
+)
+def test_no_dock_is_in_the_ground_and_feet_touch_it(files, name, robots, structures):
+    """At every stance of every robot, for ground of each form; 1,001 structures at full size."""
     kind, terrain = _terrains(files)[name]
 
-    params, histories = _grown(kind, terrain)
+    params, histories = _grown(kind, terrain, robots, range(structures))
 
     ground = structure_ground(params)
     for history in histories:
