@@ -669,7 +669,7 @@ def test_a_structure_of_a_plugin_is_grown_and_drawn(tiswarm, files, workers):
     [
         (LEANING, _leaning(settings=", lean: far"), 'own.yaml:5: structure.lean: "far" should'),
         (LEANING, _leaning(settings=", leen: 1"), "own.yaml:5: structure.leen: unknown key; did"),
-        (LEANING, _leaning("leening"), "structure.kind: .* did you mean leaning[?] or load"),
+        (LEANING, _leaning("leening"), "own.yaml:5: structure.kind: .* did you mean leaning.$"),
         (ORIGIN, _leaning(), "own.yaml:5: structure.kind: .* or one of a plug-in that you load"),
         (
             LEANING.replace("def goal", 'def __post_init__(self):\n        raise ValueError("no")\n'

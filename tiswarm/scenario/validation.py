@@ -300,10 +300,10 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> Mis
     problem = explain(error, _allowed(path, adapter, data))
     is_name_of_rule = path == _RULE[:2] and error["type"] == "literal_error"
     if path in {_METHOD, _KIND, _RULE} or is_name_of_rule:
-        if problem.endswith("?"):
-            problem += " or load the plug-in that has it (--plugin FILE)"
-        else:
+        if not problem.endswith("?"):
             problem += ", or one of a plug-in that you load (--plugin FILE)"
+        elif not contents():  # no plug-in is loaded that would have a name so near
+            problem += " or load the plug-in that has it (--plugin FILE)"
     moved = _MOVED.get(path, ()) if about_key else ()
     if moved:
         new_key = dotted(moved if adapter is not _LOCALIZATION else moved[1:])

@@ -253,9 +253,10 @@ class GrowthParams(RecruitParams):
     navigate_by: Annotated[
         Literal["truth", "estimate", "error"],
         Field(
+            validate_default=True,  # an error of beliefs goes with it
             description="By which places of themselves and of the docks near them robots choose "
             "flips and stops: the true ones, those that the localization method of the case "
-            "estimates from what robots have sensed so far, or the true ones with `belief_error`."
+            "estimates from what robots have sensed so far, or the true ones with `belief_error`.",
         ),
     ] = "truth"
 
