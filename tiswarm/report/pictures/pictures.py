@@ -550,7 +550,7 @@ def _with_legend(picture: Image.Image, count: int, robots: int, departed: int) -
     """Add a legend to a frame, and make its size even, as MP4 requires."""
     state = f"{count} of {robots} robots"
     if departed:
-        state += f", {departed} left"
+        state += f", {departed} gone"
     legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}    {state}")
     whole = add_legend(picture, legend, picture.width / _LEGEND_WIDTH)
     return whole.crop((0, 0, whole.width // 2 * 2, whole.height // 2 * 2))
