@@ -304,3 +304,18 @@ def test_threads_and_devices_make_cases_of_their_own():
     ]
     assert [len(group) for group in four.structures] == [2, 2]
     assert "threads" not in dump_scenario(load_scenario(tower))  # folders keep their names
+
+
+def test_a_key_that_an_optional_section_requires_can_be_swept():
+    """The section is not valid without a value, which the sweep then replaces."""
+    data = {
+        "name": "x", "robots": 5, "seeds": 1, "localization": {"method": "joint"},
+        "structure": {"kind": "tower", "strength": {"limit": 250.0}},
+        "sweep": {"structure.strength.limit": [150.0, 400.0]},
+    }  # fmt: skip
+
+    limits = [
+        variant.settings.structure.strength.limit for variant in variants(load_scenario(data))
+    ]
+
+    assert limits == [150.0, 400.0]

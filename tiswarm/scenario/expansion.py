@@ -219,6 +219,9 @@ def _swept_over(data: Plain) -> list[Mistake]:
         value = _value_at(data, key)
         if selects or value is None or isinstance(value, dict):
             continue
+        # A section that is null by default is valid only with the keys that it requires.
+        if rest[:-1] and _value_at(defaults, key.rpartition(".")[0]) is None:
+            continue
         if value != _value_at(defaults, key):
             problem = f"has no effect, as sweep sets {key}; leave out or set sweep={{{key}: [...]}}"
             mistakes.append(Mistake((section, *rest), problem, about_key=True))
