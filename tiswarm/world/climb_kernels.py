@@ -37,7 +37,7 @@ from tiswarm.compute.lang import (
 )
 from tiswarm.compute.math_kernels import rotate, vector_at, vector_in
 from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
-from tiswarm.world.ground.kernels import Ground, arc_angle, distance_to, zone_distance
+from tiswarm.world.ground.kernels import GroundArray, arc_angle, distance_to, zone_distance
 
 FLAT = 1
 """Flat ground that a dock stands on; 0 for no ground."""
@@ -138,7 +138,7 @@ class Climbers(NamedTuple):
     """Scratch: the same as they are, for robots that do not know, shape (slots, near, 3)."""
 
     ground: Reals1
-    """Numbers of the bodies of the ground, and of zones, as `ground.kernels.Ground` has them."""
+    """Numbers of bodies of the ground, and of zones, as `ground.kernels.GroundArray` has them."""
 
 
 class Laws(NamedTuple):
@@ -160,14 +160,14 @@ class Laws(NamedTuple):
 class Site(NamedTuple):
     """The ground that robots climb on, and zones that they may not enter."""
 
-    ground: Ground
+    ground: GroundArray
     is_flat: bool
     has_zones: bool
 
 
 def site_of(ground: Reals1, laws: Laws) -> Site:
     """Bundle what says where the ground is."""
-    return Site(Ground(ground, laws.users), laws.is_flat, laws.has_zones)
+    return Site(GroundArray(ground, laws.users), laws.is_flat, laws.has_zones)
 
 
 class Obstacles(NamedTuple):

@@ -408,7 +408,7 @@ class FrameArrays(NamedTuple):
     """Force and moment of the weight on each node, shape (S, M, 6)."""
 
 
-class Section(Columns):
+class ContactSection(Columns):
     """Columns of the loads in the section of a contact."""
 
     AXIAL = 1
@@ -434,7 +434,7 @@ class LoadArrays(NamedTuple):
     """Largest von Mises stress in a section of each contact, shape (S, B)."""
 
     section: Reals3
-    """Loads in that section, columns of `Section`, shape (S, B, 4)."""
+    """Loads in that section, columns of `ContactSection`, shape (S, B, 4)."""
 
     sensed: Reals2
     """Load that each robot senses, shape (S, N)."""
@@ -504,10 +504,10 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
                 sigma = pull / area + bend / modulus
                 tau = 4.0 / 3.0 * shear / area + torque / (2.0 * modulus)
                 loads.stress[s, beam] = ti.sqrt(sigma**2 + 3.0 * tau**2)
-                loads.section[s, beam, Section.AXIAL] = -force.dot(axis)
-                loads.section[s, beam, Section.SHEAR] = shear
-                loads.section[s, beam, Section.BENDING] = bend
-                loads.section[s, beam, Section.TORSION] = torque
+                loads.section[s, beam, ContactSection.AXIAL] = -force.dot(axis)
+                loads.section[s, beam, ContactSection.SHEAR] = shear
+                loads.section[s, beam, ContactSection.BENDING] = bend
+                loads.section[s, beam, ContactSection.TORSION] = torque
                 for c in ti.static(range(3)):
                     loads.support[s, beam, c] = -force[c]
 

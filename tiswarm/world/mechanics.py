@@ -175,7 +175,7 @@ class Frames:
             acting=np.empty((structures, docks * robots, _SIDE)),
             support=np.empty((structures, beams, 3)),
             stress=np.empty((structures, beams)),
-            section=np.empty((structures, beams, frame_kernels.Section.TOTAL)),
+            section=np.empty((structures, beams, frame_kernels.ContactSection.TOTAL)),
             sensed=np.empty((structures, robots)),
         )
 

@@ -9,7 +9,7 @@ from tests.localization.distributed.test_distributed import QUICK, grown
 from tests.structures import NOISY
 from tiswarm.localization.distributed import messages
 from tiswarm.localization.distributed.messages import KINDS
-from tiswarm.localization.distributed.waiting import Answers, Placed, Return, Tasks, Timeout
+from tiswarm.localization.distributed.waiting import Answers, Return, Tasks, Timeout, WhenPlaced
 from tiswarm.localization.distributed.wire import Asked, JointShift, write_shift
 from tiswarm.sensing import observe
 
@@ -99,11 +99,11 @@ def test_time_runs_out_for_answers_before_walks_and_places():
 
     tasks = Tasks()
     order = []
-    for wait in (Placed(), Return(5), Answers({1})):
+    for wait in (WhenPlaced(), Return(5), Answers({1})):
         tasks.start(waits_for(wait))
         order.append(tasks.next_sort)
 
-    assert order == [Placed, Return, Answers]
+    assert order == [WhenPlaced, Return, Answers]
     assert tasks.visited == 5
     assert tasks.answers == Answers({1})
 

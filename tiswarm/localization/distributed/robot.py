@@ -58,9 +58,9 @@ from tiswarm.localization.distributed.state import PeerState
 from tiswarm.localization.distributed.waiting import (
     Answers,
     Heard,
-    Placed,
     Return,
     Timeout,
+    WhenPlaced,
 )
 
 
@@ -109,7 +109,7 @@ class Peer(PeerState):
             return 0
         self.tries += 1
         # A robot that waits for a place goes on to its next host each time.
-        is_last = sort is not Placed and self.tries > self.program.params.retries
+        is_last = sort is not WhenPlaced and self.tries > self.program.params.retries
         silent = 0 if is_last else pause(self.tries)
         self.tasks.wake(sort, Timeout(is_last))
         return silent
@@ -186,7 +186,7 @@ def _hear_full(robot: Peer, sender: int, full: Full) -> None:
     if robot.hosted is not None:
         robot.find_keeper(*robot.hosted)
     elif robot.place is None:
-        robot.tasks.wake(Placed, Heard(sender, full))
+        robot.tasks.wake(WhenPlaced, Heard(sender, full))
 
 
 def _hear_ask(robot: Peer, sender: int, ask: Ask) -> Ask | None:

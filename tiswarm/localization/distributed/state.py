@@ -7,7 +7,7 @@ from tiswarm.localization.distributed.channel import Message
 from tiswarm.localization.distributed.memory import Memory
 from tiswarm.localization.distributed.messages import Child, Content, Moved, Shift
 from tiswarm.localization.distributed.program import Program
-from tiswarm.localization.distributed.waiting import Placed, Tasks
+from tiswarm.localization.distributed.waiting import Tasks, WhenPlaced
 from tiswarm.records.sensing_format import RobotLine
 
 
@@ -95,7 +95,7 @@ class PeerState:
         """Take in where a robot is; this one waits for its place no more."""
         self.memory.hold_result(number, packed)
         if number == self.number:
-            self.tasks.wake(Placed, None)
+            self.tasks.wake(WhenPlaced, None)
 
     def follow(self, keeper: int, contacts: int) -> None:
         """Take note of a robot that moved this one, and let others that hold it know."""

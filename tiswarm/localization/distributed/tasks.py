@@ -24,11 +24,11 @@ from tiswarm.localization.distributed.waiting import (
     Answers,
     Event,
     Heard,
-    Placed,
     Return,
     Task,
     Timeout,
     Wait,
+    WhenPlaced,
 )
 
 
@@ -40,7 +40,7 @@ def join(robot: PeerState) -> Task:
         # Who has been named knows that it shares rows; who solves has to know the rows.
         named = sorted(robot.program.partners(line) - {host})
         robot.say(Join(named, host, line))
-        event = yield Placed()
+        event = yield WhenPlaced()
         if robot.place is not None:
             return
         if isinstance(event, Timeout) and robot.parent is not None:

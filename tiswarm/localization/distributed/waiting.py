@@ -28,7 +28,7 @@ class Return:
 
 
 @dataclass(frozen=True)
-class Placed:
+class WhenPlaced:
     """Wait for a place."""
 
 
@@ -48,7 +48,7 @@ class Timeout:
     """Whether to go on without: what the task waits for was repeated as often as it may be."""
 
 
-Wait = Answers | Return | Placed
+Wait = Answers | Return | WhenPlaced
 Event = Heard | Timeout | None
 Task = Generator[Wait, Event, None]
 """What a robot does in several steps."""
@@ -92,7 +92,7 @@ class Tasks:
     @property
     def next_sort(self) -> type[Wait] | None:
         """Sort of wait whose time runs out first: answers, then a walk, then a place."""
-        return next((sort for sort in (Answers, Return, Placed) if sort in self._waiting), None)
+        return next((sort for sort in (Answers, Return, WhenPlaced) if sort in self._waiting), None)
 
     def _resume(self, task: Task, event: Event) -> None:
         try:

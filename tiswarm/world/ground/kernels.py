@@ -6,7 +6,7 @@ ground's Lipschitz constant, which is 1 unless a body says more. So from a point
 nothing can be met within d over that constant: every search goes on in such steps.
 
 A ground is the union of bodies. The numbers of all bodies are in one array: those of `HEADER`, a
-row of `Bodies` for each body, then for each zone, and the values of grids.
+row of `BodyNumbers` for each body, then for each zone, and the values of grids.
 Functions of users are compiled in. Their bodies are the last ones, in the same order.
 
 Lengths in R, angles in rad, all in float64.
@@ -42,7 +42,7 @@ FAR = 1e30
 """Distance to a ground without bodies [R]."""
 
 
-class Bodies(Columns):
+class BodyNumbers(Columns):
     """Numbers of a body, in its frame if not said otherwise."""
 
     KIND = 1
@@ -64,7 +64,7 @@ class Bodies(Columns):
     """Distance between two values of a grid [R]."""
 
 
-class Ground(NamedTuple):
+class GroundArray(NamedTuple):
     """The ground, as kernels see it."""
 
     array: Reals1
@@ -97,30 +97,30 @@ def in_body(point, ground: Ref, base):
     """Express a point in the frame of the body whose numbers begin at `base`."""
     offset = ti.Vector([0.0, 0.0, 0.0], F64)
     for c in ti.static(range(3)):
-        offset[c] = point[c] - ground.array[base + Bodies.POSITION + c]
+        offset[c] = point[c] - ground.array[base + BodyNumbers.POSITION + c]
     local = ti.Vector([0.0, 0.0, 0.0], F64)
     for r in ti.static(range(3)):
         for c in ti.static(range(3)):
-            local[r] += ground.array[base + Bodies.TURN + 3 * r + c] * offset[c]
+            local[r] += ground.array[base + BodyNumbers.TURN + 3 * r + c] * offset[c]
     return local
 
 
 @ti.func
 def grid_distance(local, ground: Ref, base, is_closed):
     """Interpolate a grid of distances linearly along each axis, and continue it outward."""
-    cell = ground.array[base + Bodies.CELL]
+    cell = ground.array[base + BodyNumbers.CELL]
     inside = ti.Vector([0.0, 0.0, 0.0], F64)
     share = ti.Vector([0.0, 0.0, 0.0], F64)
     low = ti.Vector([0, 0, 0], I32)
     count = ti.Vector([0, 0, 0], I32)
     for c in ti.static(range(3)):
-        count[c] = ti.cast(ground.array[base + Bodies.COUNT + c], I32)
-        place = (local[c] - ground.array[base + Bodies.SIZE + c]) / cell
+        count[c] = ti.cast(ground.array[base + BodyNumbers.COUNT + c], I32)
+        place = (local[c] - ground.array[base + BodyNumbers.SIZE + c]) / cell
         inside[c] = ti.min(ti.max(place, 0.0), count[c] - 1.0)
         low[c] = ti.min(ti.cast(ti.floor(inside[c]), I32), count[c] - 2)
         share[c] = inside[c] - low[c]
         inside[c] = place - inside[c]  # cells beyond the border
-    first = ti.cast(ground.array[base + Bodies.FIRST], I32)
+    first = ti.cast(ground.array[base + BodyNumbers.FIRST], I32)
     distance = ti.cast(0.0, F64)
     for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
         place = ((low[0] + i) * count[1] + low[1] + j) * count[2] + low[2] + k
@@ -134,11 +134,11 @@ def grid_distance(local, ground: Ref, base, is_closed):
 @ti.func
 def body_distance(local, ground: Ref, base):
     """Compute the distance from a point in the body's frame to a body that is no function."""
-    kind = ti.cast(ground.array[base + Bodies.KIND], I32)
-    edge = ground.array[base + Bodies.EDGE]
+    kind = ti.cast(ground.array[base + BodyNumbers.KIND], I32)
+    edge = ground.array[base + BodyNumbers.EDGE]
     size = ti.Vector([0.0, 0.0, 0.0], F64)
     for c in ti.static(range(3)):
-        size[c] = ground.array[base + Bodies.SIZE + c]
+        size[c] = ground.array[base + BodyNumbers.SIZE + c]
     distance = local[2]
     if kind == SLAB:
         out = ti.max(local[0], 0.0)
@@ -166,18 +166,20 @@ def nearest_body(point, ground: Ref):
     count = ti.cast(ground.array[0], I32)
     solids = count - ti.static(len(ground.users))
     for row in range(solids):
-        base = HEADER + row * Bodies.TOTAL
+        base = HEADER + row * BodyNumbers.TOTAL
         distance = ti.cast(0.0, F64)
-        if ground.array[base + Bodies.KIND] == PLANE:  # most grounds have one: no need to turn all
+        if (
+            ground.array[base + BodyNumbers.KIND] == PLANE
+        ):  # most grounds have one: no need to turn all
             for c in ti.static(range(3)):
-                offset = point[c] - ground.array[base + Bodies.POSITION + c]
-                distance += ground.array[base + Bodies.TURN + 6 + c] * offset
+                offset = point[c] - ground.array[base + BodyNumbers.POSITION + c]
+                distance += ground.array[base + BodyNumbers.TURN + 6 + c] * offset
         else:
             distance = body_distance(in_body(point, ground, base), ground, base)
         if distance < nearest[0]:
             nearest = ti.Vector([distance, ti.cast(row, F64)])
     for user in ti.static(range(len(ground.users))):
-        base = HEADER + (solids + user) * Bodies.TOTAL
+        base = HEADER + (solids + user) * BodyNumbers.TOTAL
         distance = ti.static(ground.users[user])(in_body(point, ground, base))
         if distance < nearest[0]:
             nearest = ti.Vector([distance, ti.cast(solids + user, F64)])
@@ -196,7 +198,7 @@ def zone_distance(point, ground: Ref):
     nearest = ti.cast(FAR, F64)
     first = ti.cast(ground.array[0], I32)
     for zone in range(ti.cast(ground.array[1], I32)):
-        base = HEADER + (first + zone) * Bodies.TOTAL
+        base = HEADER + (first + zone) * BodyNumbers.TOTAL
         nearest = ti.min(nearest, body_distance(in_body(point, ground, base), ground, base))
     return nearest
 
@@ -282,7 +284,7 @@ def measure(point: Reals2, array: Reals1, users: Static, distance_out: Reals1, b
         distance_out: Distances [R], shape (n,).
         body_out: Numbers of the nearest bodies, shape (n,).
     """
-    ground = ti.static(Ground(array, users))
+    ground = ti.static(GroundArray(array, users))
     for i in range(point.shape[0]):
         nearest = nearest_body(vector_at(point, i), ground)
         distance_out[i] = nearest[0]
@@ -298,7 +300,7 @@ def measure_zones(point: Reals2, array: Reals1, distance_out: Reals1):
         array: Numbers of bodies and zones.
         distance_out: Distances [R], shape (n,).
     """
-    ground = ti.static(Ground(array, ()))
+    ground = ti.static(GroundArray(array, ()))
     for i in range(point.shape[0]):
         distance_out[i] = zone_distance(vector_at(point, i), ground)
 
@@ -313,7 +315,7 @@ def find_feet(point: Reals2, array: Reals1, users: Static, foot_out: Reals2):
         users: Functions of users.
         foot_out: Places [R], shape (n, 3).
     """
-    ground = ti.static(Ground(array, users))
+    ground = ti.static(GroundArray(array, users))
     ti.loop_config(serialize=True)  # few at a time: to wake threads would take longer
     for i in range(point.shape[0]):
         place = vector_at(point, i)
@@ -338,7 +340,7 @@ def cast_rays(
         users: Functions of users.
         length_out: Length that each goes; infinite where it meets nothing [R], shape (n,).
     """
-    ground = ti.static(Ground(array, users))
+    ground = ti.static(GroundArray(array, users))
     for i in range(start.shape[0]):
         whole = vector_at(way, i).norm()
         ahead = vector_at(way, i) / ti.max(whole, 1e-300)
@@ -380,7 +382,7 @@ def drop_robots(
         users: Functions of users.
         fall_out: How far each falls; infinite without ground in `depth` [R], shape (n,).
     """
-    ground = ti.static(Ground(array, users))
+    ground = ti.static(GroundArray(array, users))
     ti.loop_config(serialize=True)  # few at a time: to wake threads would take longer
     for i in range(place.shape[0]):
         fall_out[i] = ti.math.inf

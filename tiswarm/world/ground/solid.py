@@ -32,7 +32,7 @@ class Body(NamedTuple):
     """Rotation of its frame into that of the world."""
 
     size: Reals = np.zeros(3)
-    """As in `kernels.Bodies`, shape (3,)."""
+    """As in `kernels.BodyNumbers`, shape (3,)."""
 
     edge: float = 0.0
     """Radius of its edges [R]."""
@@ -55,7 +55,7 @@ class SolidGround:
     """The union of bodies."""
 
     array: Reals
-    """Numbers of the bodies; see `kernels.Ground`."""
+    """Numbers of the bodies; see `kernels.GroundArray`."""
 
     users: tuple[Any, ...]
     """Functions of users, of the last bodies."""
@@ -147,7 +147,7 @@ class Zones(NamedTuple):
     """Regions that robots may not enter."""
 
     array: Reals
-    """Their numbers; see `kernels.Ground`."""
+    """Their numbers; see `kernels.GroundArray`."""
 
     def depth(self, point: Reals, radius: float) -> Reals:
         """Compute how deep spheres around points reach into a zone, negative for a gap [R]."""
@@ -181,7 +181,7 @@ def _table(rows: Reals) -> Reals:
 def pack(bodies: Sequence[Body], zones: Sequence[Body] = ()) -> Reals:
     """Pack the numbers of bodies, those of users last, and of zones, as kernels read them."""
     grids = [body.grid.value.ravel() for body in bodies if body.grid is not None]
-    first = kernels.HEADER + (len(bodies) + len(zones)) * kernels.Bodies.TOTAL
+    first = kernels.HEADER + (len(bodies) + len(zones)) * kernels.BodyNumbers.TOTAL
     rows = []
     for body in (*bodies, *zones):
         count: Reals = np.zeros(3)
@@ -201,11 +201,11 @@ def pack(bodies: Sequence[Body], zones: Sequence[Body] = ()) -> Reals:
 
 def with_zones(array: Reals, zones: Zones) -> Reals:
     """Insert the numbers of zones behind those of the bodies of a ground."""
-    end = kernels.HEADER + int(array[0]) * kernels.Bodies.TOTAL
+    end = kernels.HEADER + int(array[0]) * kernels.BodyNumbers.TOTAL
     added = zones.array[kernels.HEADER :]
-    rows = array[kernels.HEADER : end].reshape(-1, kernels.Bodies.TOTAL).copy()
-    is_grid = rows[:, kernels.Bodies.FIRST] > 0.0
-    rows[is_grid, kernels.Bodies.FIRST] += len(added)
+    rows = array[kernels.HEADER : end].reshape(-1, kernels.BodyNumbers.TOTAL).copy()
+    is_grid = rows[:, kernels.BodyNumbers.FIRST] > 0.0
+    rows[is_grid, kernels.BodyNumbers.FIRST] += len(added)
     header = [array[0], zones.array[1], array[kernels.LIPSCHITZ]]
     return np.concatenate([header, rows.ravel(), added, array[end:]])
 
