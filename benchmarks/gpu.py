@@ -37,7 +37,7 @@ from tiswarm.app import doctor
 from tiswarm.base.params import ARCHS
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, machine
-from tiswarm.compute.lang import ti
+from tiswarm.compute.lang import LIBRARY, ti
 from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.settings import JointParams
@@ -106,7 +106,7 @@ def main() -> None:
 def _jobs(options: argparse.Namespace, folder: Path) -> dict[str, list[Job]]:
     """List the rows of each part, small ones first."""
     arch, rest = options.arch, functools.partial
-    ours = ("tiswarm-", "warp-") if backend.LIBRARY == "taichi" else ("quadrants-", "warp-")
+    ours = ("tiswarm-", "warp-") if LIBRARY == "taichi" else ("quadrants-", "warp-")
     peers = [name for name in ENGINES if f"-{arch}-" in name and name.startswith(ours)]
     if arch == "cpu":
         peers = ["tiswarm-f64", "tiswarm-f32", "warp-f64", "warp-f32"]
@@ -164,7 +164,7 @@ def faults(report: Mapping[str, Any]) -> list[str]:
 
 def run_tests(arch: str, seconds: float) -> dict[str, Any]:
     """Run the tests of devices that compute on this card, by the library that computes here."""
-    only = ["-m", "trial", "-k", backend.LIBRARY]
+    only = ["-m", "trial", "-k", LIBRARY]
     options = ["-q", "-n", "0", *only, "tests/compute/test_devices.py"]
     try:
         done = subprocess.run(  # noqa: S603 - our own tests

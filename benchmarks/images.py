@@ -34,12 +34,11 @@ from tiswarm.report.pictures.pictures import (
     Tile,
     add_legend,
     build_pictures,
-    draw_scenes,
     draw_side_by_side,
     draw_states,
     encode_webp,
 )
-from tiswarm.report.pictures.raycast import Pixels
+from tiswarm.report.pictures.raycast import Pixels, draw_scenes
 from tiswarm.report.pictures.scene import TRUE_SIZE, build_scene
 from tiswarm.report.run_data import RunData, StoredCase, load_run
 from tiswarm.report.swarm_view import DrawnRobots, SwarmView, read_case_view

@@ -30,7 +30,6 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import mean_std_ci95
-from tiswarm.evaluation.tables import MOST_WITHIN
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.distributed.channel import ACKNOWLEDGMENT, Channel
@@ -40,6 +39,7 @@ from tiswarm.localization.methods import centered, localize
 from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.settings import JointParams
+from tiswarm.records.estimate import MOST_WITHIN
 from tiswarm.records.sensing_file import SensingLogBuilder, lines_of, log_entries
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -176,7 +176,7 @@ def by_messages(history: History, params: DistributedParams, reviews: int) -> di
     for times in range(max(reviews, params.reviews) + 1):
         if times:
             swarm.review()
-        position = swarm.found().position
+        position = swarm.solution().position
         found[f"reviewed_{times}_R"] = _error(position, true)
         found[f"sent_{times}_B"] = float(np.mean(channel.sent))
         found[f"worst_sent_{times}_B"] = max(channel.sent)
