@@ -225,6 +225,17 @@ def _one_of(kind: str) -> CoreSchema:
     return core_schema.literal_schema([*names(kind)])
 
 
+def mistake_at(path: tuple[str | int, ...], problem: str) -> ValidationError:
+    """Make an error of a validator whose problem is at a path within the value that it checks."""
+    error: InitErrorDetails = {
+        "type": "value_error",
+        "loc": path,
+        "input": None,
+        "ctx": {"error": ValueError(problem)},
+    }
+    return ValidationError.from_exception_data("mistake", [error])
+
+
 def _mistake_at(key: str, problem: str, section: object, **context: str) -> ValidationError:
     """Make an error of pydantic, one of its kinds, that is at a key of the section checked."""
     details: InitErrorDetails = {"type": problem, "loc": (key,), "input": section, "ctx": context}

@@ -25,6 +25,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET, Arch
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.base.sections import mistake_at
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario import validation
@@ -206,7 +207,7 @@ class Scenario:
             return structure
         fault = anchor_fault(structure, robots, robot)
         if fault:
-            raise validation.mistake_at(("anchors",), fault)
+            raise mistake_at(("anchors",), fault)
         return structure
 
     @field_validator("structure")
@@ -214,7 +215,7 @@ class Scenario:
     def _start_on_ground(cls, structure: StructureParams, info: ValidationInfo) -> object:
         shape = info.data.get("robot")
         if shape and (fault := ground_fault(structure, shape)):
-            raise validation.mistake_at(("terrain",), fault)
+            raise mistake_at(("terrain",), fault)
         return structure
 
     @property
