@@ -34,6 +34,7 @@ from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.climb_kernels import GROUND
 from tiswarm.world.history import History, Walk
+from tiswarm.world.strength import WEIGHTS, StrengthParams
 
 LOSSES = ("left", "fell", "died")
 """Names of what happened to a robot, in the order of `history.departures`."""
@@ -169,6 +170,39 @@ def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History
         sensed_force=history.sensed,
         **({"margin": _in_a_table(history.margin)} if history.breaks else {}),
     )
+
+
+GROUND_WORD = "ground"
+"""Neighbor of a dock on the ground, in tables of loads."""
+
+
+def by_contact(history: History, strength: StrengthParams | None) -> pd.DataFrame:
+    """Tabulate the loads of each contact at rest, from the weakest contact on.
+
+    The robot of a row joined after its neighbor; its dock may also stand on the ground. Columns
+    name the units, those of `strength`: W is the weight of a dock. There are no rows where the
+    mechanics were not solved after the last join.
+    """
+    docks = history.robot.dock_count
+    units = WEIGHTS if strength is None else strength.units_for(docks)
+    earlier, earlier_dock, later, later_dock = history.loaded_contacts.T
+    stands = later < 0
+    neighbor = pd.Series(np.where(stands, -1, earlier)).astype(str)
+    neighbor_dock = pd.Series(earlier_dock, dtype="Int64")
+    table = pd.DataFrame(
+        {
+            "robot": np.where(stands, earlier, later),
+            "dock": np.where(stands, earlier_dock, later_dock),
+            "neighbor": neighbor.mask(stands, GROUND_WORD),
+            "neighbor_dock": neighbor_dock.mask(stands),
+        }
+    )
+    *loads, used = history.contact_load.T
+    for (load, unit), values in zip(units.of_loads.items(), loads, strict=True):
+        table[f"{load}_{unit.suffix}"] = unit.size * values
+    with np.errstate(divide="ignore"):  # a contact without load has any margin
+        table["margin"] = _in_a_table(1.0 / used)
+    return table.sort_values("margin", kind="stable", ignore_index=True)
 
 
 def _in_a_table(margin: Reals) -> Reals:
@@ -531,9 +565,16 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    history: History, log: SensingLog, estimate: Estimate, cues: Collection[str]
+    history: History,
+    log: SensingLog,
+    estimate: Estimate,
+    cues: Collection[str],
+    strength: StrengthParams | None = None,
 ) -> Evaluation:
-    """Compare the estimate of a log, localized by these cues, with the structure it is of."""
+    """Compare the estimate of a log, localized by these cues, with the structure it is of.
+
+    Where docks have a strength, there is a table of the loads of their contacts.
+    """
     truth = Truth(
         robot_id=log.robot_id, position=history.position, orientation_wxyz=history.orientation_wxyz
     )
@@ -550,5 +591,6 @@ def evaluate(
             "convergence": by_iteration(truth, log, estimate),
             "growth": by_join(history),
             "relative": by_hops_apart(truth, log, estimate),
+            **({} if strength is None else {"loads": by_contact(history, strength)}),
         },
     )

@@ -442,7 +442,8 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     },
     "cases": {
         JOINED: "joined",
-        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN)},
+        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN, STANDING)},
+        MARGIN: "least margin",
         DISCONNECTED: "disconnected",
         RMSE: "RMSE [R]",
         RMSE_YAW_ALIGNED: "yaw aligned [R]",

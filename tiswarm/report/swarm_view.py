@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
 import numpy as np
+import pandas as pd
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
@@ -59,6 +60,12 @@ SD = "sd"
 """Label of the coloring by standard deviation, which is also the size of the spheres."""
 
 
+MARGIN_LABEL = "margin"
+"""Label of the coloring by margin."""
+
+_SAFE_MARGIN = 10.0
+"""Margin from which robots have one color: none of their contacts is the next to break."""
+
 Ground = Terrain | GroundSurface
 """Ground that can be shown."""
 
@@ -72,11 +79,32 @@ class Coloring(NamedTuple):
     scale: str = "errors"  # of `SCALES`
     least: float = 0.0  # value of the first color of the scale
     words: Sequence[str] = ()  # labels of robots; empty where values are numbers
+    most: float | None = None  # value of the last color, also of greater ones; None: the greatest
+    logarithmic: bool = False  # whether equal ratios are equal steps of color
+    meaning: str = ""  # what the label means, for legends
+    gray: str = "unknown"  # what robots without a value are
 
     @property
     def title(self) -> str:
         """Label with unit."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+    @property
+    def last(self) -> float:
+        """Value of the last color of the scale."""
+        if self.most is not None:
+            return self.most
+        return max(float(np.nanmax(self.value, initial=self.least)), self.least + 1e-9)
+
+    @property
+    def share(self) -> Reals:
+        """Place of each robot's number on the scale, 0 to 1; NaN where unknown, shape (N,)."""
+        if self.logarithmic:
+            place = np.log(np.maximum(self.value, self.least) / self.least)
+            share = place / math.log(self.last / self.least)
+        else:
+            share = (self.value - self.least) / (self.last - self.least)
+        return np.clip(share, 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,12 +117,14 @@ class SwarmView:
     estimated_pose: Reals  # estimated center [R] and sensed quaternion, shape (N, 7)
     error: Reals  # distance between true and estimated center [R], shape (N,)
     force: Reals  # force that each robot senses in its links [weight of a dock], shape (N,)
+    margin: Reals  # strength over load of each robot's weakest contact [1], shape (N,)
     sd: Reals  # standard deviation of the estimated position [R], shape (N,)
     dock_offset_body: Reals  # vectors from center to dock, body frame [R], shape (docks, 3)
     terrain: Ground | None  # the ground; None where there is none
     stood: Reals  # pose in which each robot last stood, also if it left, shape (N, 7)
     read_log: Callable[[], SensingLog]  # slow for many robots
     read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
+    read_loads: Callable[[], pd.DataFrame | None] = lambda: None  # of contacts, `loads.csv`
     progress: Progress = field(default_factory=Progress)  # what exports the view reports to it
     user_colorings: Sequence[Coloring] = ()  # values of the user
 
@@ -149,8 +179,27 @@ class SwarmView:
             Coloring("error", unit, size * self.error),
             Coloring(SD, unit, size * self.sd),
             Coloring("sensed force", "dock weights", self.force, "forces"),
+            self.margin_coloring,
         ]
         return [coloring for coloring in colorings if np.isfinite(coloring.value).any()]
+
+    @property
+    def margin_coloring(self) -> Coloring:
+        """Margins, from those of contacts about to break to those with a tenth of their load.
+
+        Infinite margins, of robots whose contacts have no load, have no color.
+        """
+        return Coloring(
+            MARGIN_LABEL,
+            "",
+            np.where(np.isfinite(self.margin), self.margin, np.nan),
+            "margins",
+            least=1.0,
+            most=_SAFE_MARGIN,
+            logarithmic=True,
+            meaning="weakest contact: strength / load",
+            gray="no load",
+        )
 
     @property
     def color_by_join(self) -> Reals:
@@ -176,12 +225,13 @@ _logs: WeakValueDictionary[str, SensingLog] = WeakValueDictionary()
 def read_case_view(case: StoredCase) -> SwarmView:
     """Read the poses, errors and forces of a case."""
     gaps = [*_ESTIMATED_POSE, "error_R", "sensed_force"]
-    table = case.columns("robots.csv", [*POSE, *gaps, "robot"], gaps=gaps)
+    names = [*POSE, *gaps, "margin", "robot"]
+    table = case.columns("robots.csv", names, gaps=gaps, optional=["margin"])
     sd, is_gone = _spread(case, len(table))
     stood = table[:, :7].copy()
     table[is_gone, :-1] = np.nan  # robots that left are not shown
     pose, estimated, rest = np.split(table, [7, 14], axis=1)
-    error, force, robot = rest.T
+    error, force, margin, robot = rest.T
     path = run_file(case.folder / "sensing.jsonl", MAX_LOG_BYTES)
     number, text = next(numbered_lines(path), (1, ""))
     with at_line(path, number):
@@ -202,14 +252,32 @@ def read_case_view(case: StoredCase) -> SwarmView:
         estimated_pose=estimated,
         error=error,
         force=force,
+        margin=margin,
         sd=sd,
         stood=stood,
         dock_offset_body=np.array(header.dock_offsets) / header.dock_radius,
         terrain=_case_ground(case, header),
         read_log=read_log,
         read_trace=lambda: read_trace(case.folder / "trace.csv", len(robot)),
+        read_loads=lambda: read_loads(case),
         user_colorings=case.user_colorings,
     )
+
+
+def read_loads(case: StoredCase) -> pd.DataFrame | None:
+    """Read the loads of contacts of a case; None where docks hold any load."""
+    path = case.folder / "loads.csv"
+    if not path.is_file():
+        return None
+    table = read_frame(
+        path,
+        ["neighbor"],
+        ["robot", "dock"],
+        gaps=["neighbor_dock"],
+        numbers_after="neighbor_dock",
+        empty=True,
+    )
+    return table.assign(neighbor_dock=table["neighbor_dock"].astype("Int64"))
 
 
 def _case_ground(case: StoredCase, header: HeaderLine) -> Ground | None:
@@ -275,6 +343,7 @@ def view_log(
         estimated_pose=np.column_stack([estimated, turned]),
         error=np.linalg.norm(estimated - center, axis=1),
         force=unknown[:, 0],
+        margin=unknown[:, 0],
         sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit + gone[:, 0],
         stood=stood,
         dock_offset_body=log.dock_offset_body / unit,

@@ -52,10 +52,13 @@ _LOCK = ".lock"
 _TABLES = ("robots", "convergence", "growth", "relative")
 """Tables of a finished case."""
 
+_FURTHER_TABLES = ("loads",)
+"""Tables that a finished case may have: loads where docks have a strength."""
+
 _CASE_FILES = {
     *("sensing.jsonl", "truth.csv", "estimate.csv", "trace.csv", "case.json", _COST, TRACEBACK),
     SURFACE_FILE,
-    *(f"{name}.csv" for name in _TABLES),
+    *(f"{name}.csv" for name in (*_TABLES, *_FURTHER_TABLES)),
 }
 """All files that a case may have."""
 
@@ -288,8 +291,8 @@ class RunFolder:
             write_sensing_log(log, folder / "sensing.jsonl")
             write_positions(folder / "truth.csv", truth.robot_id, truth.position)
             write_estimate(folder / "estimate.csv", estimate)
-            for name in _TABLES:
-                write_frame(tables[name], folder / f"{name}.csv")
+            for name, table in tables.items():
+                write_frame(table, folder / f"{name}.csv")
             write_trace(folder / "trace.csv", estimate)
             if surface is not None:
                 write_surface(folder / SURFACE_FILE, surface)
