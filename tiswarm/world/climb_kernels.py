@@ -21,6 +21,7 @@ from tiswarm.compute.lang import (
     F64,
     GRAIN,
     I32,
+    Columns,
     Ints1,
     Ints2,
     Ints3,
@@ -49,7 +50,10 @@ MAX_TOUCHING = 12
 
 @kernel_struct
 class ClimbLimits:
-    """Numbers that do not change during a climb; see `ClimbParams` and `Terrain`."""
+    """Numbers that do not change during a climb; see `ClimbParams` and `Terrain`.
+
+    The ground's are those of one structure: kernels put in those of each, see `limits_of`.
+    """
 
     spacing: F64
     contact_gap: F64
@@ -140,12 +144,29 @@ class Climbers(NamedTuple):
     ground: Reals1
     """Numbers of bodies of the ground, and of zones, as `ground.kernels.GroundArray` has them."""
 
+    terrain: Reals2
+    """Level and edges of each structure's ground, columns of `TerrainColumn` [R], shape (S, 3)."""
+
+    settings: Reals2
+    """Numbers that the score of each structure's rule asks for, shape (S, P)."""
+
+
+class TerrainColumn(Columns):
+    """Where the ground of a structure is that has a closed form."""
+
+    GROUND_Z = 1
+    """Height of its top [R]."""
+    LEFT_EDGE = 1
+    """Where the slab on the left ends [R]."""
+    RIGHT_EDGE = 1
+    """Where the slab on the right begins [R]."""
+
 
 class Laws(NamedTuple):
     """What kernels are compiled for."""
 
     score: Any
-    """Function of (center, orientation, goal) that climbers minimize."""
+    """Function of (center, orientation, goal, settings of rules, structure) to minimize."""
 
     users: tuple[Any, ...] = ()
     """Functions of users for the ground."""
@@ -155,6 +176,27 @@ class Laws(NamedTuple):
 
     has_zones: bool = False
     """Whether there are zones that robots may not enter."""
+
+
+@ti.func
+def limits_of(limits: Ref, terrain: Ref, s):
+    """Put the ground of a structure into the limits."""
+    return ClimbLimits(
+        spacing=limits.spacing,
+        contact_gap=limits.contact_gap,
+        ground_z=terrain[s, TerrainColumn.GROUND_Z],
+        left_edge=terrain[s, TerrainColumn.LEFT_EDGE],
+        right_edge=terrain[s, TerrainColumn.RIGHT_EDGE],
+        min_flip=limits.min_flip,
+        max_flip=limits.max_flip,
+        revisit_distance=limits.revisit_distance,
+        full_turn=limits.full_turn,
+        reach=limits.reach,
+        inverse_edge=limits.inverse_edge,
+        twists=limits.twists,
+        is_planar=limits.is_planar,
+        by_belief=limits.by_belief,
+    )
 
 
 class Site(NamedTuple):
@@ -453,7 +495,7 @@ def _no_flip(center, q):
 
 
 @ti.func
-def goal_distance(center, _orientation, goal):
+def goal_distance(center, _orientation, goal, _settings: Ref, _s):
     """Distance of a robot's center to its goal [R]: what a climber of ReactiveBuild minimizes."""
     return (center - goal).norm()
 
@@ -686,7 +728,13 @@ def nearest_flip(
                 if limits.by_belief:
                     planned = flipped(sensed_axis, way, angle, sensed)
                 end = pivot - rotate(turned, body_in)
-                distance = laws.score(pivot - rotate(planned, body_in) + by, planned, goal)
+                distance = laws.score(
+                    pivot - rotate(planned, body_in) + by,
+                    planned,
+                    goal,
+                    climbers.settings,
+                    climbers.structure[mover],
+                )
                 is_next = distance < chosen.distance
                 if is_next and may_end(limits, site, climbers, walks, mover, stance, end, turned):
                     fails = False
@@ -900,7 +948,7 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m, laws: Ref
 
 @ti.kernel
 def climb(
-    limits: ClimbLimits, movers: Ints1, state_out: Ints1, flips_out: Ints3,
+    limits_of_one: ClimbLimits, movers: Ints1, state_out: Ints1, flips_out: Ints3,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Beliefs
@@ -908,6 +956,7 @@ def climb(
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
+    terrain: Reals2, settings: Reals2,
     # WalkArrays, from the first stance on
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
@@ -923,7 +972,7 @@ def climb(
     it touches and where a flip ends are as they are.
 
     Args:
-        limits: Terrain, distances and limits.
+        limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
         state_out: How each walk ended, shape (slots,).
         flips_out: Item of the dock that the flip from each stance was planned to end at, or GROUND,
@@ -937,7 +986,7 @@ def climb(
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
     climbers = ti.static(Climbers(
         structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
-        ground,
+        ground, terrain, settings,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last_out,
@@ -949,6 +998,7 @@ def climb(
         if idle == 0:
             m = movers[i]
             s = structure[m]
+            limits = limits_of(limits_of_one, terrain, s)
             target = vector_at(goal, m)
             stance = first_stance[m]
             best_stance = 0
@@ -961,7 +1011,8 @@ def climb(
                     limits, structures, believed, dock_offset_body, s, walks, m, earlier, 0, middle
                 )
                 was = sensed_orientation(limits, believed, walks, m, earlier)
-                distance = score(vector_in(center_out, m, earlier) + by, was, target)
+                believed_center = vector_in(center_out, m, earlier) + by
+                distance = score(believed_center, was, target, settings, s)
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = earlier
@@ -984,7 +1035,7 @@ def climb(
                     limits, structures, believed, dock_offset_body, s, walks, m, stance, 0, middle
                 )
                 sensed = sensed_orientation(limits, believed, walks, m, stance)
-                distance = score(center + by, sensed, target)
+                distance = score(center + by, sensed, target, settings, s)
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = stance

@@ -34,6 +34,7 @@ from tiswarm.world.climb_kernels import (
     flipped,
     hinge_at,
     is_attached,
+    limits_of,
     quaternion_at,
     revisits,
     sense_contacts,
@@ -70,12 +71,13 @@ class EndContacts(NamedTuple):
 
 @ti.kernel
 def list_flips(
-    limits: ClimbLimits, movers: Ints1, called_out: Ints1, state_out: Ints1,
+    limits_of_one: ClimbLimits, movers: Ints1, called_out: Ints1, state_out: Ints1,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
+    terrain: Reals2, settings: Reals2,
     # WalkArrays
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay: Ints1,
@@ -89,7 +91,7 @@ def list_flips(
     are none.
 
     Args:
-        limits: Terrain, distances and limits.
+        limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
         called_out: Whether each touches a dock with a call, shape (slots,).
         state_out: SCRATCH_FULL where more docks are near than fit, shape (slots,).
@@ -99,7 +101,7 @@ def list_flips(
     believed = ti.static(Beliefs(CellList(head, following), dock, orientation))
     climbers = ti.static(Climbers(
         structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
-        ground,
+        ground, terrain, settings,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center, orientation, pivot_dock, touching_out, on_ground_out, last, best, stay,
@@ -109,6 +111,7 @@ def list_flips(
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
+            limits = limits_of(limits_of_one, terrain, structure[m])
             stance_center = vector_in(center, m, last[m])
             q = quaternion_at(orientation, m, last[m])
             called = 0
@@ -163,17 +166,18 @@ def _flips_about(
 
 @ti.kernel
 def sense_ends(
-    limits: ClimbLimits, movers: Ints1, structure: Ints1, dock_offset_body: Reals2,
+    limits_of_one: ClimbLimits, movers: Ints1, structure: Ints1, dock_offset_body: Reals2,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # FlipArrays, all but the last
     angle: Reals2, end: Reals3, turned: Reals3,
-    touching_out: Ints4, on_ground_out: Ints3, called_out: Ints2, ground: Reals1, laws: Static,
+    touching_out: Ints4, on_ground_out: Ints3, called_out: Ints2, ground: Reals1,
+    terrain: Reals2, laws: Static,
 ):  # fmt: skip
     """Find what movers would touch where the flips from `list_flips` end.
 
     Args:
-        limits: Terrain, distances and limits.
+        limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
         structure: Structure that the robots of each slot climb, shape (slots,).
         dock_offset_body: Center to dock in the body frame [R], shape (n, 3).
@@ -181,6 +185,7 @@ def sense_ends(
         on_ground_out: As in `WalkArrays`, by flip in place of stance.
         called_out: Whether a dock with a call is touched, shape (slots, K).
         ground: Numbers of the bodies of the ground.
+        terrain: Level and edges of each structure's ground, as `Climbers` has them.
         laws: Form of the ground: a `Laws`.
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
@@ -189,6 +194,7 @@ def sense_ends(
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
+            limits = limits_of(limits_of_one, terrain, structure[m])
             for column in range(angle.shape[1]):
                 called_out[m, column] = 0
                 if angle[m, column] != 0.0:
@@ -203,12 +209,13 @@ def sense_ends(
 
 @ti.kernel
 def settle_walks(
-    limits: ClimbLimits, movers: Ints1,
+    limits_of_one: ClimbLimits, movers: Ints1,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
+    terrain: Reals2, settings: Reals2,
     # WalkArrays
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay_out: Ints1,
@@ -217,14 +224,14 @@ def settle_walks(
     """Let movers that settle turn, where they stay, until a third dock touches.
 
     Args:
-        limits: Terrain, distances and limits.
+        limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
         laws: Form of the ground: a `Laws`.
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     climbers = ti.static(Climbers(
         structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
-        ground,
+        ground, terrain, settings,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last, best,
@@ -232,4 +239,6 @@ def settle_walks(
     ))  # fmt: skip
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0 and settles[movers[i]]:
-            settle(limits, structures, climbers, walks, movers[i], laws)
+            m = movers[i]
+            limits = limits_of(limits_of_one, terrain, structure[m])
+            settle(limits, structures, climbers, walks, m, laws)
