@@ -16,9 +16,10 @@ from tiswarm.world.climb_kernels import (
     MAX_TOUCHING,
     RECRUITED,
     WALKING,
+    Manner,
     StructureArrays,
 )
-from tiswarm.world.rule_kernels import FlipArrays, list_flips, sense_ends, settle_walks
+from tiswarm.world.rule_kernels import FlipArrays, Sensed, list_flips, sense_ends, settle_walks
 from tiswarm.world.walks import Walks
 
 _Slots = NDArray[np.int32]
@@ -69,7 +70,7 @@ class ClimbStep:
         """Whether its docks stand on flat ground, 1, or an edge, 2, else 0, shape (M, n)."""
         self.goal: Reals = walks.climbers.goal[slots]
         """Its goal [R], shape (M, 3)."""
-        self.patience: AnyInts = walks.climbers.patience[slots]
+        self.patience: AnyInts = walks.climbers.manner[slots, Manner.PATIENCE]
         """`structure.climb.patience` of each, shape (M,)."""
         self.called: Bools = called[slots] != 0
         """Whether it touches a dock that passes a call on, shape (M,)."""
@@ -130,7 +131,7 @@ class ClimbStep:
         sense_ends(
             walks.limits, self._slots, walks.climbers.structure, walks.climbers.dock_offset_body,
             *structures.cells, structures.dock, structures.relay, *flips[:3], touching, ground,
-            called, walks.climbers.ground, walks.climbers.terrain, walks.laws,
+            called, walks.climbers.ground, walks.climbers.of_structure, walks.laws,
         )  # fmt: skip
         return touching[self._slots], ground[self._slots], called[self._slots]
 
@@ -182,7 +183,7 @@ class ChoiceClimb:
         self._structures = structures
         self._sensed = sensed
         self._present = present
-        slots = len(walks.climbers.patience)
+        slots = len(walks.climbers.manner)
         self._flip_count = 2 * walks.limits.twists * walks.docks
         self._flips = FlipArrays(
             angle=np.zeros((slots, self._flip_count)),
@@ -190,7 +191,7 @@ class ChoiceClimb:
             orientation=np.zeros((slots, self._flip_count, 4)),
             visited=np.zeros((slots, self._flip_count), np.int32),
         )
-        self._called = np.zeros(slots, np.int32)
+        self._met = np.zeros((slots, Sensed.TOTAL), np.int32)
         self.is_walking = np.zeros(slots, np.bool_)
         """Whether the robot in each slot has not stayed yet, shape (slots,)."""
         self._asked: _Slots = np.empty(0, np.int32)
@@ -207,10 +208,11 @@ class ChoiceClimb:
         walks = self._walks
         walking = np.flatnonzero(self.is_walking).astype(np.int32)
         list_flips(
-            walks.limits, walking, self._called, walks.state, *self._climbed, *walks.climbers,
+            walks.limits, walking, self._met, *self._climbed, *walks.climbers,
             *walks.stances, *self._flips, walks.laws,
         )  # fmt: skip
-        is_put = walks.climbers.patience[walking] == 0
+        walks.state[walking] |= self._met[walking, Sensed.OVERFLOW]
+        is_put = walks.climbers.manner[walking, Manner.PATIENCE] == 0
         put = walking[is_put]
         self._stay(put, walks.stances.last[put])
         self._asked = walking[~is_put]
@@ -218,7 +220,7 @@ class ChoiceClimb:
             walks,
             self._structures,
             self._flips,
-            self._called,
+            self._met[:, Sensed.CALLED],
             self._asked,
             self._sensed,
             self._present,
@@ -243,7 +245,7 @@ class ChoiceClimb:
     def settle(self, movers: _Slots) -> None:
         """Let those of robots that have stayed turn which settle."""
         walks = self._walks
-        if walks.climbers.settles[movers].any():
+        if walks.climbers.manner[movers, Manner.SETTLES].any():
             settle_walks(
                 walks.limits, movers, *self._climbed, *walks.climbers, *walks.stances, walks.laws
             )
@@ -259,7 +261,7 @@ class ChoiceClimb:
         walks = self._walks
         walks.stances.best[slots] = stance
         walks.stances.stay[slots] = stance
-        recruited = (self._called[slots] != 0) & (stance == walks.stances.last[slots])
+        recruited = (self._met[slots, Sensed.CALLED] != 0) & (stance == walks.stances.last[slots])
         walks.state[slots] |= np.where(recruited, RECRUITED, ENDED)
         self.is_walking[slots] = False
 

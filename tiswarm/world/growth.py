@@ -87,6 +87,20 @@ def grow(
     return [structure.history() for structure in batch.structures]
 
 
+_OWN_CLIMB = ("patience", "settle", "max_spawns")
+"""Settings of `climb` that structures of a batch may have of their own."""
+
+
+def shared_settings(params: StructureParams) -> dict[str, object]:
+    """Return the settings that all structures of a batch share, by dotted key."""
+    names = ("plane", "movers", "mechanics", "terrain", "no_entry", "navigate_by")
+    shared = {name: getattr(params, name) for name in names}
+    climb = {f"climb.{name}": value for name, value in vars(params.climb).items()}
+    for name in _OWN_CLIMB:
+        del climb[f"climb.{name}"]
+    return {**shared, **climb, "rule": params.rule.name}
+
+
 class SteeredGrowth:
     """Growth by choices from outside: each structure goes on at its own pace, or all together."""
 

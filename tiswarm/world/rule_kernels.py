@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from tiswarm.compute.lang import (
     GRAIN,
+    Columns,
     Ints1,
     Ints2,
     Ints3,
@@ -26,6 +27,7 @@ from tiswarm.world.climb_kernels import (
     ClimbedDocks,
     Climbers,
     ClimbLimits,
+    Manner,
     Obstacles,
     WalkArrays,
     enters,
@@ -62,6 +64,15 @@ class FlipArrays(NamedTuple):
     """Whether the walk has been there before, shape (slots, K)."""
 
 
+class Sensed(Columns):
+    """What a climber meets at a stance."""
+
+    CALLED = 1
+    """Whether it touches a dock with a call."""
+    OVERFLOW = 1
+    """SCRATCH_FULL where more docks are near than fit, else 0."""
+
+
 class EndContacts(NamedTuple):
     """What robots touch in several poses, as `WalkArrays` has it for stances."""
 
@@ -71,13 +82,13 @@ class EndContacts(NamedTuple):
 
 @ti.kernel
 def list_flips(
-    limits_of_one: ClimbLimits, movers: Ints1, called_out: Ints1, state_out: Ints1,
+    limits_of_one: ClimbLimits, movers: Ints1, sensed_out: Ints2,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
-    structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
+    structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
-    terrain: Reals2, settings: Reals2,
+    of_structure: Reals2,
     # WalkArrays
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay: Ints1,
@@ -93,15 +104,14 @@ def list_flips(
     Args:
         limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
-        called_out: Whether each touches a dock with a call, shape (slots,).
-        state_out: SCRATCH_FULL where more docks are near than fit, shape (slots,).
+        sensed_out: Columns of `Sensed`, shape (slots, 2).
         laws: Form of the ground: a `Laws`.
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(head, following), dock, orientation))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
-        ground, terrain, settings,
+        structure, first_stance, goal, manner, dock_offset_body, near_out, obstacle_out,
+        ground, of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center, orientation, pivot_dock, touching_out, on_ground_out, last, best, stay,
@@ -111,7 +121,7 @@ def list_flips(
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
-            limits = limits_of(limits_of_one, terrain, structure[m])
+            limits = limits_of(limits_of_one, of_structure, structure[m])
             stance_center = vector_in(center, m, last[m])
             q = quaternion_at(orientation, m, last[m])
             called = 0
@@ -120,13 +130,14 @@ def list_flips(
                 called |= sense_contacts(
                     limits, site, structures, structure[m], walks, m, last[m], k, point
                 )
-            called_out[m] = called
+            sensed_out[m, Sensed.CALLED] = called
+            sensed_out[m, Sensed.OVERFLOW] = 0
             for column in range(angle_out.shape[1]):
                 angle_out[m, column] = 0.0
             for k in range(dock_offset_body.shape[0]):
                 # One is kept for settling.
                 if last[m] + 2 < center.shape[1] and is_attached(walks, m, last[m], k):
-                    state_out[m] |= _flips_about(
+                    sensed_out[m, Sensed.OVERFLOW] |= _flips_about(
                         limits, structures, believed, climbers, walks, m, k, flips, laws
                     )
 
@@ -172,7 +183,7 @@ def sense_ends(
     # FlipArrays, all but the last
     angle: Reals2, end: Reals3, turned: Reals3,
     touching_out: Ints4, on_ground_out: Ints3, called_out: Ints2, ground: Reals1,
-    terrain: Reals2, laws: Static,
+    of_structure: Reals2, laws: Static,
 ):  # fmt: skip
     """Find what movers would touch where the flips from `list_flips` end.
 
@@ -185,7 +196,7 @@ def sense_ends(
         on_ground_out: As in `WalkArrays`, by flip in place of stance.
         called_out: Whether a dock with a call is touched, shape (slots, K).
         ground: Numbers of the bodies of the ground.
-        terrain: Level and edges of each structure's ground, as `Climbers` has them.
+        of_structure: Numbers of each structure, as `Climbers` has them.
         laws: Form of the ground: a `Laws`.
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
@@ -194,7 +205,7 @@ def sense_ends(
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
-            limits = limits_of(limits_of_one, terrain, structure[m])
+            limits = limits_of(limits_of_one, of_structure, structure[m])
             for column in range(angle.shape[1]):
                 called_out[m, column] = 0
                 if angle[m, column] != 0.0:
@@ -213,9 +224,9 @@ def settle_walks(
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
-    structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
+    structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
-    terrain: Reals2, settings: Reals2,
+    of_structure: Reals2,
     # WalkArrays
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay_out: Ints1,
@@ -230,15 +241,15 @@ def settle_walks(
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
-        ground, terrain, settings,
+        structure, first_stance, goal, manner, dock_offset_body, near_out, obstacle_out,
+        ground, of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last, best,
         stay_out,
     ))  # fmt: skip
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
-        if idle == 0 and settles[movers[i]]:
+        if idle == 0 and manner[movers[i], Manner.SETTLES]:
             m = movers[i]
-            limits = limits_of(limits_of_one, terrain, structure[m])
+            limits = limits_of(limits_of_one, of_structure, structure[m])
             settle(limits, structures, climbers, walks, m, laws)

@@ -32,7 +32,9 @@ from tiswarm.world.climb_kernels import (
     Climbers,
     ClimbLimits,
     Laws,
+    Manner,
     StructureArrays,
+    StructureColumn,
     WalkArrays,
     join_undisturbed,
 )
@@ -134,20 +136,17 @@ class Spawn(NamedTuple):
     """Robots that started in the structure before."""
 
 
-def terrain_rows(params: Sequence[GrowthParams]) -> Reals:
-    """List level and edges of the ground of S structures, as `Climbers` has them, shape (S, 3)."""
-    grounds = [structure_ground(of_structure) for of_structure in params]
-    rows = [(ground.ground_z, ground.left_edge, ground.right_edge) for ground in grounds]
+def structure_rows(params: Sequence[GrowthParams]) -> Reals:
+    """List the numbers of S structures as `Climbers` has them, shape (S, P)."""
+    names: tuple[str, ...] = ()
+    if hasattr(params[0].rule, "score"):
+        _, names = _score_of(params[0].rule)
+    rows = []
+    for of_structure in params:
+        ground = structure_ground(of_structure)
+        settings = [float(getattr(of_structure.rule, name)) for name in names]
+        rows.append([ground.ground_z, ground.left_edge, ground.right_edge, *settings])
     return np.array(rows)
-
-
-def setting_rows(params: Sequence[GrowthParams]) -> Reals:
-    """List the numbers that the scores of S structures ask for, as `Climbers` has them, (S, P)."""
-    if not hasattr(params[0].rule, "score"):
-        return np.zeros((len(params), 1))
-    _, names = _score_of(params[0].rule)
-    rows = [[float(getattr(of.rule, name)) for name in names] for of in params]
-    return np.array(rows).reshape(len(params), -1) if names else np.zeros((len(params), 1))
 
 
 _scores: dict[tuple[object, ...], Any] = {}
@@ -178,9 +177,11 @@ def _caller(score: Any, count: int) -> Any:  # noqa: ANN401 - functions of kerne
     def evaluate(*arguments: object) -> tuple[object]:
         return (score(*arguments),)
 
-    def scored(center, orientation, goal, settings: Ref, s):  # noqa: ANN001, ANN202 - of kernels
+    first = StructureColumn.TOTAL
+
+    def scored(center, orientation, goal, of_structure: Ref, s):  # noqa: ANN001, ANN202 - of kernels
         return ti.static(
-            evaluate(center, orientation, goal, *[settings[s, c] for c in range(count)])
+            evaluate(center, orientation, goal, *[of_structure[s, first + c] for c in range(count)])
         )[0]
 
     return ti.func(scored)
@@ -228,14 +229,12 @@ class Walks:
             structure=structure_of,
             first_stance=np.zeros(slots, np.int32),
             goal=np.zeros((slots, 3)),
-            patience=np.zeros(slots, np.int32),
-            settles=np.zeros(slots, np.int32),
+            manner=np.zeros((slots, Manner.TOTAL), np.int32),
             dock_offset_body=robot.dock_offset_body,
             near=np.empty((slots, believed_near_most, 3)),
             obstacle=np.empty((slots, true_near_most, 3)),
             ground=ground,
-            terrain=terrain_rows(params),
-            settings=setting_rows(params),
+            of_structure=structure_rows(params),
         )
         last, best, stay = np.zeros((3, slots), np.int32)
         self.stances = WalkArrays(
@@ -255,16 +254,15 @@ class Walks:
     def restart(self, structure: int, slots: Bools, seed: int, params: GrowthParams) -> None:
         """Let the slots of a structure, shape (slots,), climb by a seed and settings of it."""
         self.seed[slots] = seed
-        self.climbers.terrain[structure] = terrain_rows([params])[0]
-        self.climbers.settings[structure] = setting_rows([params])[0]
+        self.climbers.of_structure[structure] = structure_rows([params])[0]
 
     def start(self, slot: int, spawn: Spawn) -> None:
         """Put a new robot in a slot."""
         self.stances.center[slot, 0] = spawn.center
         self.stances.orientation[slot, 0] = spawn.orientation_wxyz
         self.climbers.goal[slot] = spawn.goal
-        self.climbers.patience[slot] = spawn.patience
-        self.climbers.settles[slot] = spawn.settles
+        self.climbers.manner[slot, Manner.PATIENCE] = spawn.patience
+        self.climbers.manner[slot, Manner.SETTLES] = spawn.settles
         self.climbers.first_stance[slot] = 0
         self.robot[slot] = spawn.robot
 
