@@ -85,6 +85,7 @@ class Growth:
             [self._scenario.structure] * len(numbers), numbers, settings
         )
         backend.choose(threads=threads)
+        backend.processor()
         self._batch = GrowthBatch(
             self._params, robots, self._seeds, self._scenario.robot, None, None
         )
@@ -94,13 +95,16 @@ class Growth:
         """S."""
         return len(self._seeds)
 
+    @backend.exclusive()
     def observe(self) -> ClimbStep:
         """List the climbers that may choose now: M of them, none of structures that are over.
 
         `help(type(growth.observe()))` says what it has.
         """
+        backend.processor()
         return self._steered.observe()
 
+    @backend.exclusive()
     def step(self, choices: ArrayLike) -> StepOutcome:
         """Let climbers do what was chosen.
 
@@ -126,6 +130,7 @@ class Growth:
         lost = present + new - self.present.sum(axis=1)
         return StepOutcome(new, lost, self.is_over)
 
+    @backend.exclusive()
     def reset(
         self,
         numbers: ArrayLike | None = None,
@@ -151,6 +156,7 @@ class Growth:
         if seeds is not None:
             new_seeds = _seeds(np.broadcast_to(np.asarray(seeds), chosen.shape).tolist())
         params = self._with_settings([self._params[n] for n in chosen], chosen, settings)
+        backend.processor()
         for number, seed, of_structure in zip(chosen.tolist(), new_seeds, params, strict=True):
             self._seeds[number] = seed
             self._params[number] = of_structure
