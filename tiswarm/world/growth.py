@@ -14,7 +14,7 @@ to their aid (`walks.py`).
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,6 +200,7 @@ class GrowthBatch:
         self.turn = turn
         robot = params[0].robot(robot)
         self.robot = robot
+        self.ground = structure_ground(params[0])
         count = len(seeds)
         self.numbers = np.arange(count)
         docks = robot.dock_count * robots
@@ -221,8 +222,8 @@ class GrowthBatch:
             self.believed = BelievedDocks(CellList.allocate(count, docks), 0.0 * self.arrays.dock)
         movers = min(params[0].movers, robots)
         self.structure_of = np.repeat(np.arange(count, dtype=np.int32), movers)
-        terrain = structure_ground(params[0])
-        limits = climb_limits(params[0].climb, robot, terrain, by_belief=believe is not None)
+        by_belief = believe is not None
+        limits = climb_limits(params[0].climb, robot, self.ground, by_belief=by_belief)
         self.walks = Walks(self.structure_of, limits, params, robot, seeds)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
@@ -257,23 +258,69 @@ class GrowthBatch:
         is_due[numbers] = True
         due_slots = is_due[self.structure_of]
         climbing = np.bincount(self.structure_of[self.moving], minlength=len(self.structures))
-        for slot in np.flatnonzero(~self.moving & due_slots):
+        free = np.flatnonzero(~self.moving & due_slots)
+        while len(free):
+            # Within a structure robots start one after the other.
+            _, first = np.unique(self.structure_of[free], return_index=True)
+            self._fill(free[first], climbing)
+            free = np.delete(free, first)
+        return np.flatnonzero(self.moving & due_slots).astype(np.int32)
+
+    def _fill(self, slots: AnyInts, climbing: AnyInts) -> None:
+        """Let a robot start in each of some slots of different structures, if one is due."""
+        starts: dict[int, Start] = {}
+        for slot in slots.tolist():
             structure = self.structures[self.structure_of[slot]]
             climbing_count = climbing[structure.number]
             is_complete = len(structure.walks) + climbing_count >= self.robots
             # Founders come one by one, since they found what the others climb.
             is_crowded = structure.founding and climbing_count > 0
             if not (is_crowded or structure.ended or is_complete):
-                spawn = structure.spawn(self.arrays.dock[structure.number])
-                if spawn is not None:
-                    self.walks.start(slot, spawn)
-                    if self.turn:
-                        number = len(structure.walks) + int(climbing_count)
-                        turns = self.walks.turn[slot]
-                        turns[:] = self.turn(structure.seed, number, len(turns))
-                    self.moving[slot] = True
-                    climbing[structure.number] += 1
-        return np.flatnonzero(self.moving & due_slots).astype(np.int32)
+                starts[slot] = structure.start(self.arrays.dock[structure.number])
+        for slot, spawn in self._place(starts).items():
+            structure = self.structures[self.structure_of[slot]]
+            self.walks.start(slot, spawn)
+            if self.turn:
+                number = len(structure.walks) + int(climbing[structure.number])
+                turns = self.walks.turn[slot]
+                turns[:] = self.turn(structure.seed, number, len(turns))
+            self.moving[slot] = True
+            climbing[structure.number] += 1
+
+    def _place(self, starts: "dict[int, Start]") -> dict[int, Spawn]:
+        """Draw places of robots, by slot, until nothing stands there; end growth if all are taken.
+
+        On uneven ground, robots of all structures come down in one call, which costs less.
+        """
+        spawns: dict[int, Spawn] = {}
+        waiting = dict(starts)
+        for trial in range(_MAX_TRIES):
+            if not waiting:
+                break
+            poses = {}
+            for slot, start in waiting.items():
+                poses[slot] = self.structures[self.structure_of[slot]].pose(start, trial)
+            if isinstance(self.ground, SolidGround):
+                self._put_down(list(poses.values()), self.ground)
+            for slot, (center, orientation) in poses.items():
+                structure = self.structures[self.structure_of[slot]]
+                if structure.is_free(center, orientation):
+                    spawns[slot] = structure.spawn(waiting.pop(slot), center, orientation)
+        for slot in waiting:
+            self.structures[self.structure_of[slot]].note_crowd()
+        return spawns
+
+    def _put_down(self, poses: Sequence[tuple[Reals, Reals]], ground: SolidGround) -> None:
+        """Let robots, each a center [R] and an orientation, come down until a dock touches ground.
+
+        Heights of their centers are minus infinity where there is no ground.
+        """
+        center = np.array([place for place, _ in poses])
+        orientation = np.array([turn for _, turn in poses])
+        arm = dock_offsets(orientation, self.robot.dock_offset_body)
+        level = ground.levels(center[:, :2], arm, self.robot.dock_radius)
+        for (place, _), height in zip(poses, level, strict=True):
+            place[2] = height
 
     def end_round(self, movers: NDArray[np.int32]) -> int:
         """Let all movers of some structures join that can, in their slots of shape (M,).
@@ -377,6 +424,28 @@ class GrowthBatch:
         self._list(grown, *cells, dock)
 
 
+class Start(NamedTuple):
+    """A robot that is to start in a structure, wherever there is room."""
+
+    robot: int
+    """Robots that started in the structure before."""
+
+    side: int
+    """Side that it comes from."""
+
+    rim: float
+    """Distance behind the edge, or from a tower's axis, beyond which it starts [R]."""
+
+    anchor_place: Reals | None
+    """Place of an anchor [R], shape (2,); None for all others."""
+
+    patience: int
+    """Steps without a new best with which it gives up."""
+
+    settles: bool
+    """Whether it turns, where it stays, until a third dock touches."""
+
+
 class GrowingStructure:
     """One growing structure: who has joined, its loads, and the next spawn."""
 
@@ -391,7 +460,7 @@ class GrowingStructure:
         self.terrain = structure_ground(params)
         self.zones = structure_zones(params)
         self.side_of_body: dict[int, int] = {}
-        if isinstance(self.terrain, SolidGround):
+        if isinstance(self.terrain, SolidGround) and params.sides > 1:
             self.side_of_body = sides_of_bodies(params, robot)
         self.docks = robot.dock_count
         self.level = self.terrain.ground_z + robot.dock_radius
@@ -422,16 +491,13 @@ class GrowingStructure:
         """Whether the next robot may stay without touching another."""
         return len(self.walks) < self.params.founder_count
 
-    def spawn(self, docks: Reals) -> Spawn | None:
-        """Put the next robot on its lowest docks, or upright on one in a plane, turned at random.
+    def start(self, docks: Reals) -> Start:
+        """Say how the next robot starts.
 
         Draws depend on the seed and the number of robots spawned before alone.
 
         Args:
             docks: Dock centers [R], those that have joined first, shape (n, 3).
-
-        Returns:
-            None where every place was taken.
         """
         self._survey(docks)
         params = self.params
@@ -454,24 +520,45 @@ class GrowingStructure:
             patience = climb.patience
             if climb.settle > 0.0 and not params.plane:
                 settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle)
-        for trial in range(_MAX_TRIES):
-            draw = self._draw(index, trial)
-            if anchor_place is None:
-                x, y = params.start(side, rim, draw[:2])
-            else:
-                x, y = anchor_place
-            center, orientation = self._pose(x, y, np.pi * draw[2])
-            if self._is_free(center, orientation):
-                return Spawn(
-                    center=center,
-                    orientation_wxyz=orientation,
-                    goal=params.goal(side),
-                    patience=patience,
-                    settles=settles,
-                    robot=index,
-                )
+        return Start(index, side, rim, anchor_place, patience, settles)
+
+    def pose(self, start: Start, trial: int) -> tuple[Reals, Reals]:
+        """Put a robot on its lowest docks, or upright on one in a plane, turned at random.
+
+        Returns:
+            Center [R], shape (3,), and orientation, body to world, shape (4,). On uneven ground the
+            height of the center is not known yet.
+        """
+        draw = self._draw(start.robot, trial)
+        if start.anchor_place is None:
+            x, y = self.params.start(start.side, start.rim, draw[:2])
+        else:
+            x, y = start.anchor_place
+        half = np.pi * draw[2]
+        place = np.array([x, y, self.level])
+        body = self.robot.dock_offset_body
+        if not self.params.plane:
+            place[2] -= body[:, 2].min()
+            return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+        orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+        arm = dock_offsets(orientation[None], body)[0]
+        return place - arm[arm[:, 2].argmin()], orientation
+
+    def spawn(self, start: Start, center: Reals, orientation: Reals) -> Spawn:
+        """Let a robot start at a free place [R], shape (3,), with an orientation, shape (4,)."""
+        return Spawn(
+            center=center,
+            orientation_wxyz=orientation,
+            goal=self.params.goal(start.side),
+            patience=start.patience,
+            settles=start.settles,
+            robot=start.robot,
+        )
+
+    def note_crowd(self) -> None:
+        """End growth, for all places drawn for a robot were taken."""
+        joined = len(self.walks)
         self.ended = f"no free place to spawn robot {joined}; raise structure.spawn_max"
-        return None
 
     def _draw(self, robot: int, trial: int) -> Reals:
         """Draw three numbers, which depend on no other draw; robots come one after the other."""
@@ -483,34 +570,6 @@ class GrowingStructure:
         if trial:
             draw = uniform(self.seed, "spawn", robot, 3 * trial + np.arange(3))
         return draw
-
-    def _pose(self, x: float, y: float, half: float) -> tuple[Reals, Reals]:
-        """Turn a robot by twice `half` [rad]: centered at x and y, or upright on one dock there.
-
-        On uneven ground it comes straight down until a dock touches; its height is minus infinity
-        where there is no ground.
-        """
-        if isinstance(self.terrain, SolidGround):
-            return self._pose_on(self.terrain, x, y, half)
-        place = np.array([x, y, self.level])
-        body = self.robot.dock_offset_body
-        if not self.params.plane:
-            place[2] -= body[:, 2].min()
-            return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
-        orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
-        arm = dock_offsets(orientation[None], body)[0]
-        return place - arm[arm[:, 2].argmin()], orientation
-
-    def _pose_on(self, ground: SolidGround, x: float, y: float, half: float) -> tuple[Reals, Reals]:
-        """Put a robot on uneven ground."""
-        orientation = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
-        if self.params.plane:
-            orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
-        arm = dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
-        if self.params.plane:
-            x -= arm[arm[:, 2].argmin(), 0]
-        level = ground.level(x, y, arm, self.robot.dock_radius)
-        return np.array([x, y, level]), orientation
 
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""
@@ -545,7 +604,7 @@ class GrowingStructure:
         self.rim = [first_rim for _ in range(self.params.sides)]
         self.low_docks: dict[tuple[int, int], list[Reals]] = {}
 
-    def _is_free(self, center: Reals, orientation: Reals) -> bool:
+    def is_free(self, center: Reals, orientation: Reals) -> bool:
         """Whether a robot may be put somewhere: on ground, in no zone, and touching no dock."""
         if not np.isfinite(center[2]):
             return False
