@@ -149,7 +149,7 @@ def test_the_weakest_contacts_have_their_units():
 
     table = weakest_contacts(loads, "tower, seed 0")
 
-    names = ["robot", "dock", "neighbor", "dock of the neighbor"]
+    names = ["robot", "dock", "neighbor", "neighbor dock"]
     units = ["axial [N]", "bending [N m]", "stress [W / R^2]", "margin"]
     assert table.columns == names + units
     assert table.frame.to_numpy().tolist() == [

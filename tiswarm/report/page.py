@@ -365,14 +365,17 @@ def _gather(run: RunData) -> Page:
 
 
 def _weakest_contacts(run: RunData) -> list[page_tables.PageTable]:
-    """Format the weakest contacts of the case that pictures show; empty if none has a load."""
+    """Format the weakest contacts of the case that pictures show, or else of the first with loads.
+
+    Empty if no contact of a series' first case has a load that its strength limits.
+    """
     if not run.series:
         return []
-    case = run.choose(None)
-    loads = read_loads(case)
-    if loads is None or loads["margin"].isna().all():
-        return []
-    return [page_tables.weakest_contacts(loads, case.title)]
+    for case in (run.choose(None), *(cases[0] for cases in run.series.values())):
+        loads = read_loads(case)
+        if loads is not None and loads["margin"].notna().any():
+            return [page_tables.weakest_contacts(loads, case.title)]
+    return []
 
 
 def _in_words(run: RunData, manifest: Manifest) -> str:

@@ -487,7 +487,7 @@ def weakest_contacts(loads: pd.DataFrame, case: str) -> PageTable:
     """
     shown = loads.head(_MOST_CONTACTS)
     frame = pd.DataFrame({name: shown[name].astype(str) for name in ("robot", "dock", "neighbor")})
-    frame["dock of the neighbor"] = (
+    frame["neighbor dock"] = (
         shown["neighbor_dock"].astype(object).where(shown["neighbor_dock"].notna())
     )
     names = [*map(str, loads)]

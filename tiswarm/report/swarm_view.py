@@ -4,6 +4,7 @@ That includes the part of the ground around them, and the data of a page's 3D vi
 """
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,7 +21,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import MOST_WITHIN, Estimate
 from tiswarm.records.frames import EstimateTrace, read_frame, read_trace, thinned
-from tiswarm.records.io import MAX_LOG_BYTES, at_line, digest, numbered_lines, run_file
+from tiswarm.records.io import MAX_LOG_BYTES, at_line, digest, numbered_lines, run_file, way_back
 from tiswarm.records.measures import RMSE
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import HeaderLine, parse_header
@@ -267,17 +268,22 @@ def read_case_view(case: StoredCase) -> SwarmView:
 def read_loads(case: StoredCase) -> pd.DataFrame | None:
     """Read the loads of contacts of a case; None where docks hold any load."""
     path = case.folder / "loads.csv"
-    if not path.is_file():
+    if not os.path.lexists(path):
         return None
     table = read_frame(
         path,
         ["neighbor"],
         ["robot", "dock"],
-        gaps=["neighbor_dock"],
+        gaps=["neighbor_dock", "margin"],
         numbers_after="neighbor_dock",
         empty=True,
     )
-    return table.assign(neighbor_dock=table["neighbor_dock"].astype("Int64"))
+    dock = table["neighbor_dock"]
+    wrong = dock[dock.notna() & (dock % 1.0 != 0.0)]
+    if len(wrong):
+        problem = f"{wrong.iloc[0]:g} is no dock; {way_back(path)}"
+        raise InputError(problem, path=path, line=int(wrong.index[0]) + 2, key="neighbor_dock")
+    return table.assign(neighbor_dock=dock.astype("Int64"))
 
 
 def _case_ground(case: StoredCase, header: HeaderLine) -> Ground | None:
