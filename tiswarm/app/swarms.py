@@ -855,7 +855,8 @@ _MOST_STRUCTURES = 100
 def _page(swarms: Swarms) -> Page:
     """Gather what the page of structures shows."""
     table = swarms.table
-    frame = table[[name for name in _COLUMNS if name in table]].rename(columns=_COLUMNS)
+    stated = [name for name in _COLUMNS if name in table and table[name].notna().any()]
+    frame = table[stated].rename(columns=_COLUMNS)
     numbers = frame.drop(columns=["seed", "ended early"])
     spread = numbers.agg(["mean", "min", "max"]).T.map("{:.4g}".format)
     summary = pd.DataFrame({"quantity": spread.index, "mean": spread["mean"]})
