@@ -58,6 +58,11 @@ class Measure:
     """Column of `table.csv` with the paper's number, if the paper has one."""
 
     @property
+    def needs_estimate(self) -> bool:
+        """Whether only cases whose robots were localized have it."""
+        return self.source not in {_STRUCTURE, _WALKS}
+
+    @property
     def axis(self) -> str:
         """Label with the unit, if it has one."""
         return self.label if self.unit == "1" else f"{self.label} [{self.unit}]"
@@ -438,6 +443,16 @@ PAGE: Mapping[str, dict[Measure, str]] = {
         RMSE: "RMSE of all [R]",
         DISPARITY: "disparity",
         FLOPPY_MODES: "floppy modes",
+    },
+    "structures": {
+        STANDING: "standing",
+        FELL: "fell",
+        LEFT: "left",
+        DIED: "died",
+        BROKEN: "broken contacts",
+        MARGIN: "least margin",
+        TRIES: "flips per robot",
+        PEAK_STRESS: "peak stress",
     },
     "cases": {
         JOINED: "joined",

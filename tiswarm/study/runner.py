@@ -1,4 +1,7 @@
-"""Computes jobs, each a batch of cases: grow, sense, localize, evaluate, store."""
+"""Computes jobs, each a batch of cases: grow, sense, localize, evaluate, store.
+
+Cases of the method `none` are not localized.
+"""
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -198,7 +201,9 @@ class _CaseRunner:
         logs = self._sense(valid, histories)
         for cases in _batches(valid, logs):
             sensed = [logs[case.name] for case in cases]
-            estimates = self._localize(cases, sensed)
+            estimates: Sequence[Estimate | None] = [None] * len(cases)
+            if cases[0].settings.localization.places_robots:
+                estimates = self._localize(cases, sensed)
             with self._stage("score and store", cases) as advance:
                 for case, log, estimate in zip(cases, sensed, estimates, strict=True):
                     records.append(self._store(case, histories[case.seed], log, estimate))
@@ -239,6 +244,8 @@ class _CaseRunner:
         for settings in [case.settings for case in cases]:
             # The code of plug-ins runs for cases alone, within their limits of time.
             if settings.localization.method in registered("method"):
+                continue
+            if not settings.localization.places_robots:
                 continue
             is_own = settings.sensing.suite in registered("sensor")
             sensing = SensingParams() if is_own else settings.sensing
@@ -334,15 +341,15 @@ class _CaseRunner:
         return estimates
 
     def _store(
-        self, case: Case, history: History, log: SensingLog, estimate: Estimate
+        self, case: Case, history: History, log: SensingLog, estimate: Estimate | None
     ) -> CaseRecord:
-        """Evaluate and store one case."""
+        """Evaluate and store one case; its structure alone if it has no estimate."""
         evaluation = evaluate(history, log, estimate, case.settings.localization.used_cues)
         record = _record(case, "done", history.ended, evaluation.scores)
         running = methods.start_for(case.settings.localization)
         on = f"{running}, numerics {numerics.current().key}"
         record = replace(record, measurements=evaluation.measurements, computed_on=on)
-        if estimate.convergence is not None:
+        if estimate is not None and estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)
         return self.job.folder.store(
             record,

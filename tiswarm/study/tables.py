@@ -4,8 +4,8 @@
 |---|---|
 | `summary.csv` | case |
 | `table.csv` | condition and point, with the paper's numbers |
-| `paired.csv` | measure and pair of conditions, on the same structures |
-| `profiles.csv` | condition and range of robots that are alike |
+| `paired.csv` | measure and pair of conditions, on the same structures; of cases with estimates |
+| `profiles.csv` | condition and range of robots that are alike; of cases with estimates |
 | `scaling.csv` | condition, measure and number of robots, threads, workers or movers |
 | `suites.csv` | condition and point, with the price of the sensors |
 """
@@ -33,6 +33,7 @@ from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted
 from tiswarm.records.positions import Truth, read_estimate
+from tiswarm.records.run_folder import NO_METHOD
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.expansion import Plan, load_scenario, plan
@@ -62,17 +63,23 @@ def write_tables(
     cases = [case for case in whole.cases if case.name in stored]
     records = [_with_plugin_scores(stored[case.name], run / "cases") for case in cases]
     settings = [case.settings for case in cases]
-    written = {
-        "summary": summary(records, settings),
-        "table": table(records, settings),
-        "paired": paired(records, settings),
-        "profiles": profiles(records, run / "cases"),
-    }
+    written = {"summary": summary(records, settings), "table": table(records, settings)}
+    localized = [(r, s) for r, s in zip(records, settings, strict=True) if _is_localized(s)]
+    if localized:
+        records = [record for record, _ in localized]
+        settings = [setting for _, setting in localized]
+        written["paired"] = paired(records, settings)
+        written["profiles"] = profiles(records, run / "cases")
+        if {setting.sensing.suite for setting in settings} != {SensingParams().suite}:
+            written["suites"] = suites(records, settings, run / "cases")
     written |= scaling(run, whole.structures, stored, costs)
-    if {setting.sensing.suite for setting in settings} != {SensingParams().suite}:
-        written["suites"] = suites(records, settings, run / "cases")
     for name, content in written.items():
         write_frame(content, run / f"{name}.csv")
+
+
+def _is_localized(setting: Scenario) -> bool:
+    """Whether a case estimates positions."""
+    return setting.localization.places_robots
 
 
 class MeasureTrial:
@@ -158,22 +165,30 @@ def _edges(terrain: Terrain | SolidGround) -> dict[str, float]:
 def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """Tabulate each point and condition: means over seeds, their uncertainty, paper's numbers.
 
-    Changes are relative to the paper's first condition at the same point, or else the first.
+    Changes are relative to the paper's first condition at the same point, or else the first. Where
+    no case has an estimate, what needs one has no column.
     """
+    with_estimates = any(map(_is_localized, settings))
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
     for of_point in _grouped(records, lambda record: record.point_text):
         at_point = []
         for group in _grouped(of_point, lambda record: record.condition):
             first = group[0]
-            statistics = _with_statistics(group)
+            statistics = _with_statistics(group, with_estimates=with_estimates)
             setting = setting_of[first.case]
             used = {"measurements": _used(record.measurements for record in group)}
             used |= {"kind": setting.structure.kind, "method": _title(setting.localization)}
             row = {"condition": first.condition, **first.point_cells, **statistics, **used}
-            at_point.append(row | _rounds(setting) | _paper(setting, statistics))
+            if with_estimates:
+                row |= _rounds(setting) | _paper(setting, statistics)
+            at_point.append(row)
+        if not with_estimates:
+            rows += at_point
+            continue
         of_paper = [row for row in at_point if row[measures.RMSE.published] > 0.0]
-        base = (of_paper or at_point)[0]
+        of_estimates = [row for row in at_point if row["method"] != NO_METHOD]
+        base = (of_paper or of_estimates or at_point)[0]
         for row, (name, rmse) in itertools.product(
             at_point, (("", measures.RMSE.mean), ("paper_", measures.RMSE.published))
         ):
@@ -235,12 +250,14 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
+def _with_statistics(
+    records: Sequence[CaseRecord], *, with_estimates: bool = True
+) -> dict[str, Any]:
     """Count cases, and return means over the finished ones with their uncertainty and range."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
     for measure in measures.all_measures():
-        if measure.averaged:
+        if measure.averaged and (with_estimates or not measure.needs_estimate):
             column = scores.get(measure.column, pd.Series(dtype=float))
             values = column.to_numpy(np.float64)
             statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
