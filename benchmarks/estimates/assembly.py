@@ -93,7 +93,7 @@ def built(plan: Plan, docks: int, rng: np.random.Generator) -> Made:
 def _drawn(count: int, rng: np.random.Generator, *, planar: bool) -> Rotation:
     if planar:
         return Rotation.from_rotvec(rng.uniform(-np.pi, np.pi, (count, 1)) * [0.0, 1.0, 0.0])
-    return Rotation.random(count, rng=rng)
+    return Rotation.random(count, rng)
 
 
 def _facing(
@@ -107,9 +107,9 @@ def _facing(
         toward = center[plan.pairs[row, 1 - side]] - center[robot]
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
         tried = []
-        turns = _drawn(_TURNS, rng, planar=plan.planar)
+        drawn = _drawn(_TURNS, rng, planar=plan.planar)
         for number in range(_TURNS):
-            turn = turns[number]
+            turn = drawn[number]
             along = toward @ turn.apply(arms).T
             dock = along.argmax(axis=1)
             if len(row) <= len(arms):
@@ -209,7 +209,7 @@ def ring(robots: int, rng: np.random.Generator) -> Plan:
     """Plan a closed ring in a tilted plane, squeezed at random."""
     angle = 2.0 * np.pi * np.arange(robots) / robots
     place = np.column_stack([np.cos(angle), rng.uniform(0.6, 1.0) * np.sin(angle), 0.0 * angle])
-    place = Rotation.random(rng=rng).apply(place / (2.0 * np.sin(np.pi / robots)))
+    place = Rotation.random(None, rng).apply(place / (2.0 * np.sin(np.pi / robots)))
     return Plan(place=place, pairs=_closed(robots))
 
 
@@ -226,7 +226,7 @@ def star(robots: int, rng: np.random.Generator) -> Plan:
     for robot in range(1, robots):
         place.append((1 + (robot - 1) // arms) * toward[(robot - 1) % arms])
         pairs.append([max(robot - arms, 0), robot])
-    turned = Rotation.random(rng=rng).apply(np.array(place))
+    turned = Rotation.random(None, rng).apply(np.array(place))
     return Plan(place=turned, pairs=np.array(pairs))
 
 
@@ -239,7 +239,7 @@ def ladder(robots: int, rng: np.random.Generator) -> Plan:
     every = np.arange(robots)
     place = np.column_stack([every // 2, every % 2, 0 * every])
     pairs = np.concatenate([np.column_stack([one, one + 2]), np.column_stack([rungs, rungs + 1])])
-    place = Rotation.random(rng=rng).apply(place.astype(np.float64))
+    place = Rotation.random(None, rng).apply(place.astype(np.float64))
     return Plan(place=place, pairs=pairs)
 
 

@@ -252,7 +252,7 @@ def circles(number: int) -> Case:
     beacons = np.column_stack([along, 0.0 * along, 0.0 * along])
     if kind == "beacons in a plane":
         beacons = foreign.CEILING - foreign.CEILING[0]
-    turn = Rotation.random(rng=rng)
+    turn = Rotation.random(None, rng)
     tags = foreign.apart(rng, [0.5, 0.5, -3.0], [4.0, 4.0, -1.0], int(rng.integers(1, 7)))
     log, truth = _measured(
         turn.apply(beacons),
