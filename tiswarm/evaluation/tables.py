@@ -518,20 +518,25 @@ def _mean(values: NDArray[np.generic]) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def plugin_scores(truth: Truth, estimate: Estimate) -> dict[str, float]:
+def plugin_scores(part: Callable[[str], object]) -> dict[str, float]:
     """Return the measures of plug-ins by name.
+
+    Args:
+        part: Returns a part of the case, one of `records.measures.PARTS`; None where it has none.
 
     Raises:
         PluginError: a function failed, or returned something else than a number.
     """
-    return {
-        name: _score_of(measure, truth, estimate) for name, measure in plugin_measures().items()
-    }
+    return {name: _score_of(measure, part) for name, measure in plugin_measures().items()}
 
 
-def _score_of(measure: PluginMeasure, truth: Truth, estimate: Estimate) -> float:
+def _score_of(measure: PluginMeasure, part: Callable[[str], object]) -> float:
+    if measure.needs_estimate and part("estimate") is None:
+        return float("nan")
+    parts = {name: part(name) for name in measure.asks}
+
     def compute() -> tuple[object, NDArray[Any]]:
-        value = measure.value(truth, estimate)
+        value = measure.call(parts)
         return value, np.asarray(value)
 
     _, number = call_plugin(

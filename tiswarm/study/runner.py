@@ -22,6 +22,7 @@ from tiswarm.evaluation.tables import evaluate
 from tiswarm.localization import methods
 from tiswarm.localization.methods import LocalizationParams, localize_many
 from tiswarm.localization.settings import JointParams
+from tiswarm.records import measures
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Case, Group
@@ -121,7 +122,10 @@ def first_alone(jobs: Sequence[Job]) -> list[Job]:
 
 
 KEPT_FROM_S = 10.0
-"""Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
+"""Growth that took so long [s] is kept in case the run is stopped before its cases are stored.
+
+Histories that measures of plug-ins ask for are kept, too, until the tables are written.
+"""
 
 SAMPLE_ROBOTS = 4
 """Size of the structure that warms up the kernels."""
@@ -159,6 +163,21 @@ def run_job(
         runner.warm_up()
         on_ready()
         return Outcome(records=runner.run(), used=runner.used)
+
+
+def grow_again(case: Case) -> History:
+    """Grow the structure of a case as its job did; the kernels give the same bits."""
+    settings = case.settings
+    navigation = {} if settings.structure.navigate_by == "truth" else navigate(settings)
+    backend.processor()
+    [history] = grow(
+        settings.structure,
+        robots=settings.robots,
+        seeds=[case.seed],
+        robot=settings.robot,
+        **navigation,
+    )
+    return history
 
 
 def failure(case: Case, reason: str) -> CaseRecord:
@@ -285,7 +304,8 @@ class _CaseRunner:
         self.used.add(Used("grow", backend.processor(), rounding=numerics.current()))
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs[first[seed].name]["grow"]
-            if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
+            is_costly = share["wall_s"] * len(missing) > KEPT_FROM_S
+            if history.walks and (is_costly or measures.need("history")):
                 self.job.folder.keep_structure(first[seed], history, share)
         return histories | dict(zip(seeds, grown, strict=True))
 

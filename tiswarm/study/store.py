@@ -385,15 +385,12 @@ class RunFolder:
             )
 
     def complete(
-        self, cases: Sequence[Case], records: Mapping[str, CaseRecord], used: Collection[Used]
+        self, cases: Sequence[Case], used: Collection[Used]
     ) -> dict[str, Mapping[str, Cost]]:
         """Write the manifest of a run whose cases are all stored, unless it has one.
 
-        Kept structures go, unless cases failed: the next run tries these again.
-
         Args:
             cases: All cases.
-            records: Their records by name.
             used: What computed them, as far as this process knows.
 
         Returns:
@@ -405,12 +402,14 @@ class RunFolder:
             used = used or {Used("grow", backend.current())}
             complete = manifest(used, [*costs.values()], earlier.numerics)
             self._write_manifest(replace(complete, outdated=earlier.ever_drawn))
-        if all(record.is_done for record in records.values()):
-            for kept in self.path.glob(f"{_STRUCTURES}/seed*-*.*"):
-                remove(kept)
-            with suppress(OSError):  # there is none, or somebody keeps files in it
-                (self.path / _STRUCTURES).rmdir()
         return costs
+
+    def forget_structures(self) -> None:
+        """Remove kept structures, once no case of the run has to be tried again."""
+        for kept in self.path.glob(f"{_STRUCTURES}/seed*-*.*"):
+            remove(kept)
+        with suppress(OSError):  # there is none, or somebody keeps files in it
+            (self.path / _STRUCTURES).rmdir()
 
     def _manifest(self) -> Manifest:
         """Read the manifest; an empty one where it is missing or damaged."""

@@ -14,6 +14,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,20 +30,24 @@ from tiswarm.evaluation.tables import plugin_scores
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records import measures
+from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted
 from tiswarm.records.positions import Truth, read_estimate
 from tiswarm.records.run_folder import NO_METHOD
 from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import NO_EDGE, Terrain
-from tiswarm.scenario.expansion import Plan, load_scenario, plan
+from tiswarm.scenario.expansion import Case, Group, Plan, load_scenario, plan
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.study.provenance import Cost
+from tiswarm.study.runner import grow_again
 from tiswarm.study.scaling import scaling
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.ground.solid import SolidGround
+from tiswarm.world.history import History
 from tiswarm.world.params import structure_ground
 
 _RECRUITMENT = ("force_threshold", "recruit_base", "recruit_limit")
@@ -61,7 +66,8 @@ def write_tables(
 ) -> None:
     """Write all tables of a run folder from the records and costs of its stored cases, by name."""
     cases = [case for case in whole.cases if case.name in stored]
-    records = [_with_plugin_scores(stored[case.name], run / "cases") for case in cases]
+    scored = _with_plugin_scores(RunFolder(run), whole.structures, stored)
+    records = [scored[case.name] for case in cases]
     settings = [case.settings for case in cases]
     written = {"summary": summary(records, settings), "table": table(records, settings)}
     localized = [(r, s) for r, s in zip(records, settings, strict=True) if _is_localized(s)]
@@ -88,10 +94,11 @@ class MeasureTrial:
     Else one that fails would end a study after its last case.
     """
 
-    def __init__(self, run: Path) -> None:
-        """Take the folder of the run."""
+    def __init__(self, folder: RunFolder, structures: Sequence[Group]) -> None:
+        """Take the folder of the run, and its cases by the structure that they share."""
         self.is_due = bool(registered("measure"))
-        self._cases = run / "cases"
+        self._folder = folder
+        self._cases = {case.name: case for group in structures for case in group}
 
     def try_on(self, records: Iterable[CaseRecord]) -> None:
         """Compute the measures for the first of the records that is done, unless they have been.
@@ -103,27 +110,86 @@ class MeasureTrial:
             return
         done = [record for record in records if record.is_done]
         if done:
-            _with_plugin_scores(done[0], self._cases)
+            group = [self._cases[done[0].case]]
+            _with_plugin_scores(self._folder, [group], {done[0].case: done[0]})
             self.is_due = False
 
 
-def _with_plugin_scores(record: CaseRecord, cases: Path) -> CaseRecord:
-    """Add the measures of plug-ins to a record, from the files of its case.
+def _with_plugin_scores(
+    folder: RunFolder, structures: Sequence[Group], stored: Mapping[str, CaseRecord]
+) -> dict[str, CaseRecord]:
+    """Add the measures of plug-ins to records, from the files of their cases; return all by name.
 
-    Other tables follow from the record; the case itself stays as it is, so that an edit of a
-    measure computes no case again.
+    Other tables follow from the records; the cases themselves stay as they are, so that an edit of
+    a measure computes no case again.
     """
-    if not registered("measure") or not record.is_done:
-        return record
-    folder = cases / record.case
-    estimate = read_estimate(read_sensing_log(folder / "sensing.jsonl"), folder / "estimate.csv")
-    robots = read_frame(folder / "robots.csv", ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"])
-    truth = Truth(
-        robot_id=estimate.robot_id,
-        position=robots[["x_R", "y_R", "z_R"]].to_numpy(float),
-        orientation_wxyz=robots[["qw", "qx", "qy", "qz"]].to_numpy(float),
-    )
-    return replace(record, scores={**record.scores, **plugin_scores(truth, estimate)})
+    scored = dict(stored)
+    if not registered("measure"):
+        return scored
+    for group in structures:
+        done = [case for case in group if case.name in stored and stored[case.name].is_done]
+        shared = _SharedHistory(folder, done)
+        for case in done:
+            record = stored[case.name]
+            scores = {**record.scores, **plugin_scores(_StoredParts(folder, case, shared).part)}
+            scored[case.name] = replace(record, scores=scores)
+    return scored
+
+
+class _SharedHistory:
+    """The history of a structure, which its cases share: kept by the run, or grown again."""
+
+    def __init__(self, folder: RunFolder, cases: Group) -> None:
+        self._folder = folder
+        self._cases = cases
+
+    @cached_property
+    def history(self) -> History:
+        """The history, as it was grown."""
+        kept = self._folder.read_structure(self._cases[0])
+        return grow_again(self._cases[0]) if kept is None else kept[0]
+
+
+class _StoredParts:
+    """The parts of a stored case, each read once, as a measure asks for it."""
+
+    def __init__(self, folder: RunFolder, case: Case, shared: _SharedHistory) -> None:
+        self._path = folder.cases / case.name
+        self._shared = shared
+        self.settings = case.settings
+
+    def part(self, name: str) -> object:
+        """Return a part by its name; None where the case has none."""
+        return getattr(self, name)
+
+    @property
+    def history(self) -> History:
+        """The structure, with all stances and loads."""
+        return self._shared.history
+
+    @cached_property
+    def log(self) -> SensingLog:
+        """What robots sensed."""
+        return read_sensing_log(self._path / "sensing.jsonl")
+
+    @cached_property
+    def estimate(self) -> Estimate | None:
+        """Where robots are by the method; None without one."""
+        if not _is_localized(self.settings):
+            return None
+        return read_estimate(self.log, self._path / "estimate.csv")
+
+    @cached_property
+    def truth(self) -> Truth:
+        """Where robots are."""
+        position = ["x_R", "y_R", "z_R"]
+        orientation = ["qw", "qx", "qy", "qz"]
+        robots = read_frame(self._path / "robots.csv", [*position, *orientation])
+        return Truth(
+            robot_id=self.log.robot_id,
+            position=robots[position].to_numpy(float),
+            orientation_wxyz=robots[orientation].to_numpy(float),
+        )
 
 
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
