@@ -19,7 +19,13 @@ from tiswarm.measurements.cues import CUES, Cue
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
 from tiswarm.records.measures import DISCONNECTED
-from tiswarm.records.run_folder import LABEL, TABLE_NOTES, case_folder, check_folders
+from tiswarm.records.run_folder import (
+    LABEL,
+    NO_METHOD,
+    TABLE_NOTES,
+    case_folder,
+    check_folders,
+)
 from tiswarm.records.terrain import NO_EDGE
 from tiswarm.scenario.labels import row_labels, words_of
 from tiswarm.scenario.yaml_source import plain_scalar, read_yaml
@@ -41,6 +47,11 @@ class StoredCase:
     left_edge: float  # end of the ground at the left [R], as in `Terrain`
     right_edge: float  # beginning of the ground at the right [R]
     user_colorings: Sequence[Any] = ()  # values of the user that color its robots, `Coloring`s
+
+    @property
+    def has_estimate(self) -> bool:
+        """Whether its robots were localized."""
+        return self.method != NO_METHOD
 
     def columns(
         self, file: str, names: Sequence[str], *, gaps: Sequence[str] = (), empty: bool = False
@@ -154,6 +165,20 @@ class RunData:
             if case.done:
                 series.setdefault(case.series, []).append(case)
         return series
+
+    @cached_property
+    def localized(self) -> Series:
+        """The cases that are done and have an estimate, by series."""
+        chosen = {
+            name: [case for case in cases if case.has_estimate]
+            for name, cases in self.series.items()
+        }
+        return {name: cases for name, cases in chosen.items() if cases}
+
+    @property
+    def has_structures_alone(self) -> bool:
+        """Whether no case is one whose robots are localized."""
+        return bool(self.cases) and not any(case.has_estimate for case in self.cases)
 
     @property
     def sweeps_robots(self) -> bool:
