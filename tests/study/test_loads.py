@@ -1,6 +1,7 @@
 """Loads of contacts in the files, pages and exports of runs whose docks have a strength."""
 
 import filecmp
+import json
 
 import numpy as np
 import pandas as pd
@@ -13,9 +14,13 @@ from tiswarm.app.results import open_run
 from tiswarm.base.progress import Progress
 from tiswarm.report.page import write_page
 from tiswarm.report.run_data import load_run
+from tiswarm.report.swarm_view import read_case_view, view_data
 from tiswarm.scenario.expansion import load_scenario
 
 STRENGTH = {"law": "bending", "limit": 25.0, "robot_mass_kg": 1.2, "radius_mm": 33.0}
+LOADED = f"structure={json.dumps({'kind': 'tower', 'strength': STRENGTH})}"
+"""Structure of these runs: a tower whose docks have a strength in N m."""
+
 SETTINGS = [
     "name=loads",
     "robots=15",
@@ -32,9 +37,7 @@ def _run(folder, *further):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Folder of a run of a tower whose docks have a strength in N m."""
-    strength = ", ".join(f"{key}: {value}" for key, value in STRENGTH.items())
-    structure = f"structure={{kind: tower, strength: {{{strength}}}}}"
-    return _run(tmp_path_factory.mktemp("loaded"), structure)
+    return _run(tmp_path_factory.mktemp("loaded"), LOADED)
 
 
 def test_the_table_of_loads_has_the_margins_of_robots(folder):
@@ -95,6 +98,17 @@ def test_the_page_lists_the_weakest_contacts(folder):
     assert "stress [MPa]" in table
     assert table.count("<tr>") == 1 + min(10, len(loads))
     assert f"here {len(loads)}" in page
+
+
+def test_structures_without_an_estimate_have_loads_too(folder, tmp_path):
+    """The same table, and margins in the view."""
+    measured = _run(tmp_path, LOADED, "localization={method: none}", "conditions={a: {}}")
+
+    loads = "cases/2-a/loads.csv"
+    assert filecmp.cmp(folder / loads, measured / loads, shallow=False)
+    case = load_run(measured).cases[0]
+    colors = view_data(read_case_view(case), read_case_view(case).colorings)["colors"]
+    assert [color["label"] for color in colors] == ["sensed force", "margin"]
 
 
 def test_docks_that_hold_any_load_have_no_table_of_loads(tmp_path):

@@ -820,7 +820,14 @@ def _score(swarm: GrownStructure, estimate: Localized) -> dict[str, float]:
         raise InputError(problem, argument="estimates")
     cues = cue_names() if estimate.observability is None else estimate.observability.cues
     evaluation = tables.evaluate(swarm, estimate.log, estimate, cues)
-    return {**evaluation.scores, **tables.plugin_scores(evaluation.truth, estimate)}
+    parts = {
+        "truth": evaluation.truth,
+        "estimate": estimate,
+        "log": estimate.log,
+        "history": swarm,
+        "settings": swarm.scenario,
+    }
+    return {**evaluation.scores, **tables.plugin_scores(parts.__getitem__)}
 
 
 def _filled(values: NDArray[_Value], length: int) -> NDArray[_Value]:

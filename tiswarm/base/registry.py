@@ -26,6 +26,7 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "hop-by-hop": "tiswarm.localization.peers.settings:HopByHopParams",
         "online": "tiswarm.localization.online.settings:OnlineParams",
         "distributed": "tiswarm.localization.distributed.settings:DistributedParams",
+        "none": "tiswarm.localization.settings:NoneParams",
     },
     "sensor": {
         "fireant-v3": "tiswarm.sensing.suites:FIREANT_V3",

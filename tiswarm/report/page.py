@@ -227,10 +227,11 @@ def _unreadable(path: Path, error: Exception) -> InputError:
     return InputError(problem, path=path)
 
 
-_ACCURACY = "figures/accuracy.png"
+_ACCURACY = ("figures/accuracy.png", "figures/structures.png")
 _OF_ROBOTS = re.compile(r"figures/(error-|profiles)")
 _MOST_BESIDE = 8  # rows of the figure of accuracy beside the 3D view
 _MOST_ROWS_BESIDE = 14  # rows of the table there
+_MOST_COLUMNS_BESIDE = 7  # columns of that table
 
 
 class _Reproduction(NamedTuple):
@@ -276,17 +277,20 @@ class Page:
 
     @property
     def is_sweep(self) -> bool:
-        """Whether the table of conditions has the whole width: those of a sweep, and long ones."""
+        """Whether the table of conditions has the whole width: of a sweep, long ones, wide ones."""
         table = self.headline
-        return table is not None and (table.is_grouped or len(table.frame) > _MOST_ROWS_BESIDE)
+        if table is None:
+            return False
+        is_large = len(table.frame) > _MOST_ROWS_BESIDE or len(table.columns) > _MOST_COLUMNS_BESIDE
+        return table.is_grouped or is_large
 
     @property
     def accuracy(self) -> Shown | None:
-        """The figure of accuracy, if it has few rows: it is on the first screen."""
+        """The figure of accuracy, or structures, if it has few rows: it is on the first screen."""
         few = self.headline is not None and len(self.headline.frame) <= _MOST_BESIDE
         few = few and not self.is_sweep
         figures = (figure for figure in self.figures if figure.narrow and few)
-        return next((figure for figure in figures if figure.file == _ACCURACY), None)
+        return next((figure for figure in figures if figure.file in _ACCURACY), None)
 
     def html(self) -> str:
         """Render the page."""
@@ -335,7 +339,7 @@ def _gather(run: RunData) -> Page:
     path = run_file(run.folder / "scenario.yaml")
     stated = stated_scenario(run.folder)
     manifest = read_manifest(run.folder)
-    numbers = ["cases", RMSE.published]
+    numbers = ["cases"] if run.has_structures_alone else ["cases", RMSE.published]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
     pairs = read_pairs(run.folder, run.labels)
     words = ["condition", "suite", "way", "needs"]

@@ -16,13 +16,17 @@ from tiswarm.records.measures import (
     BUILT_FOR,
     CONSISTENT,
     CONVERGED,
+    DEPTH,
+    DIED,
     DISCONNECTED,
     DISPARITY,
     FEWEST,
     FLOPPY_MODES,
     JOINED,
+    LEFT,
     MISFIT,
     PAGE,
+    REACH,
     RMSE,
     SD_FACTOR,
     SENT,
@@ -173,6 +177,8 @@ def headline_table(
     has its further ones beside its name. Verdicts are how many estimates converged and are
     consistent, where not all are; a page has them in a table of their own.
     """
+    if RMSE.mean not in table:
+        return _structure_table(table)
     rows = _best_first(table)
     shared, further = _measurements(rows)
     columns: dict[str, pd.Series] = {}
@@ -181,25 +187,49 @@ def headline_table(
     columns |= _means(rows, "accuracy") | _asked(rows, question) | _tied(rows)
     if with_verdicts:
         columns |= _verdicts(rows)
+    if rows["cases"].min() < rows["cases"].max():
+        columns["structures"] = _numbers(rows["cases"])
+    notes = _notes_on_means(rows)
+    if shared:
+        notes.append(f"All conditions use {shared}.")
+    notes.append("Conditions are ways to localize. R: a dock's radius. Disparity 0: right shape.")
+    notes += [note for label, note in _NOTES.items() if label in columns]
+    words = _names(rows)
+    shown = _labeled(words, columns, "Accuracy", " ".join(notes))
+    return replace(shown, words=[*words, FURTHER])
+
+
+_REACHED = "Reached: height, reach or depth [R]; of bridges, the share that closed."
+
+
+def _notes_on_means(rows: pd.DataFrame) -> list[str]:
+    """State over how many structures means are, and what stands beside them."""
     least = rows["cases"].min()
     most = rows["cases"].max()
-    if least < most:
-        columns["structures"] = _numbers(rows["cases"])
     over = counted(most, "structure") if least == most else "structures"
     notes = [f"Means over {over}."]
     if most >= FEWEST:
         notes.append("± is the half width of the 95 % CI.")
     if most > 1 and least < FEWEST:
         notes.append(f"In parentheses: least and greatest, of fewer than {FEWEST} structures.")
-    if shared:
-        notes.append(f"All conditions use {shared}.")
-    notes.append("Conditions are ways to localize. R: a dock's radius. Disparity 0: right shape.")
-    if "reached" in columns:
-        notes.append("Reached: height, reach or depth [R]; of bridges, the share that closed.")
+    return notes
+
+
+_RARE = (LEFT, DIED)
+"""Measures that have a column only where they are not zero."""
+
+
+def _structure_table(table: pd.DataFrame) -> PageTable:
+    """Format what structures reached, which robots stand, and loads: a row for each point."""
+    columns = _asked(table, "reached")
+    for measure, heading in PAGE["structures"].items():
+        is_usual = measure in _RARE and not table.get(measure.most, pd.Series([0.0])).any()
+        columns |= {} if is_usual else _means_of(table, {measure: heading})
+    if table["cases"].min() < table["cases"].max():
+        columns["structures"] = _numbers(table["cases"])
+    notes = [*_notes_on_means(table), "R: a dock's radius."]
     notes += [note for label, note in _NOTES.items() if label in columns]
-    words = _names(rows)
-    shown = _labeled(words, columns, "Accuracy", " ".join(notes))
-    return replace(shown, words=[*words, FURTHER])
+    return _labeled(_names(table), columns, "Structures", " ".join(notes))
 
 
 def _best_first(table: pd.DataFrame) -> pd.DataFrame:
@@ -216,6 +246,10 @@ FURTHER = "also uses"
 
 _TIED = "robots tied [%]"
 _NOTES = {
+    "reached": _REACHED,
+    "standing": "Standing: robots that contacts tie to the ground in the end.",
+    "least margin": "Margin: strength of a contact in parts of its load.",
+    "peak stress": "Peak stress: in weights of a dock / R^2.",
     _TIED: "Robots tied: the share that measurements connect to the anchor. No method can place "
     "the others, whose errors count all the same.",
     "converged": "Converged: the search settled on one best fit; elsewhere, errors may be large.",
@@ -292,11 +326,12 @@ def result_tables(
     tables = []
     if suites is not None and len(suites):
         tables.append(_measured_suites(suites))
-    if table[RMSE.published].notna().any():
+    if RMSE.published in table and table[RMSE.published].notna().any():
         tables.append(_beside_the_paper(table))
     if len(paired):
         tables.append(_differences(paired))
-    tables += _errors_in_parts(table)
+    if RMSE.mean in table:
+        tables += _errors_in_parts(table)
     tables += _plugin_measures(table)
     tables += _calibration(table)
     tables += _robots_on_anchor(table)
@@ -462,6 +497,8 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
         words["case"] = words["case"].str.replace(r"-.*", "", regex=True)
         words["case"] = shown["series"] + ", seed " + words["case"]
     measures = PAGE["cases"] | plugin_headings()
+    if RMSE.column not in shown:
+        measures = measures | {REACH: "reach [R]", DEPTH: "depth [R]"} | PAGE["structures"]
     headings = {measure.column: heading for measure, heading in measures.items()}
     headings = {RMSE.column: headings[RMSE.column], "robots": "robots"} | headings
     numbers = {label: _numbers(shown[name]) for name, label in headings.items() if name in shown}

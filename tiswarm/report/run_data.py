@@ -19,7 +19,13 @@ from tiswarm.measurements.cues import CUES, Cue
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
 from tiswarm.records.measures import DISCONNECTED
-from tiswarm.records.run_folder import LABEL, TABLE_NOTES, case_folder, check_folders
+from tiswarm.records.run_folder import (
+    LABEL,
+    NO_METHOD,
+    TABLE_NOTES,
+    case_folder,
+    check_folders,
+)
 from tiswarm.records.terrain import NO_EDGE
 from tiswarm.scenario.labels import row_labels, words_of
 from tiswarm.scenario.yaml_source import plain_scalar, read_yaml
@@ -46,6 +52,11 @@ class StoredCase:
     def title(self) -> str:
         """Series and seed, as captions name the case."""
         return f"{self.series}, seed {self.name.partition('-')[0]}"
+
+    @property
+    def has_estimate(self) -> bool:
+        """Whether its robots were localized."""
+        return self.method != NO_METHOD
 
     def columns(
         self,
@@ -168,6 +179,20 @@ class RunData:
             if case.done:
                 series.setdefault(case.series, []).append(case)
         return series
+
+    @cached_property
+    def localized(self) -> Series:
+        """The cases that are done and have an estimate, by series."""
+        chosen = {
+            name: [case for case in cases if case.has_estimate]
+            for name, cases in self.series.items()
+        }
+        return {name: cases for name, cases in chosen.items() if cases}
+
+    @property
+    def has_structures_alone(self) -> bool:
+        """Whether no case is one whose robots are localized."""
+        return bool(self.cases) and not any(case.has_estimate for case in self.cases)
 
     @property
     def sweeps_robots(self) -> bool:

@@ -31,6 +31,9 @@ from tiswarm.records.terrain import EDGE_RADIUS, NO_EDGE, Terrain
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
 from tiswarm.report.run_data import RunData, StoredCase
 
+_GONE = ("left", "fell")
+"""What happened to robots that are no longer there, as `robots.csv` names it."""
+
 POSE = ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"]
 _ESTIMATED_POSE = [
     *("x_est_R", "y_est_R", "z_est_R"),
@@ -224,11 +227,20 @@ _logs: WeakValueDictionary[str, SensingLog] = WeakValueDictionary()
 
 
 def read_case_view(case: StoredCase) -> SwarmView:
-    """Read the poses, errors and forces of a case."""
-    gaps = [*_ESTIMATED_POSE, "error_R", "sensed_force"]
-    names = [*POSE, *gaps, "margin", "robot"]
-    table = case.columns("robots.csv", names, gaps=gaps, optional=["margin"])
-    sd, is_gone = _spread(case, len(table))
+    """Read the poses, errors and forces of a case; without an estimate, those of its structure."""
+    estimated_names = [*_ESTIMATED_POSE, "error_R"]
+    further = ["sensed_force", "margin"]
+    if case.has_estimate:
+        gaps = [*estimated_names, "sensed_force"]
+        names = [*POSE, *estimated_names, *further, "robot"]
+        table = case.columns("robots.csv", names, gaps=gaps, optional=["margin"])
+        sd, is_gone = _spread(case, len(table))
+    else:
+        names = [*POSE, *further, "robot"]
+        measured = case.columns("robots.csv", names, gaps=["sensed_force"], optional=["margin"])
+        table = np.insert(measured, [len(POSE)] * len(estimated_names), np.nan, axis=1)
+        sd = np.full(len(table), np.nan)
+        is_gone = _lost(case)
     stood = table[:, :7].copy()
     table[is_gone, :-1] = np.nan  # robots that left are not shown
     pose, estimated, rest = np.split(table, [7, 14], axis=1)
@@ -259,10 +271,23 @@ def read_case_view(case: StoredCase) -> SwarmView:
         dock_offset_body=np.array(header.dock_offsets) / header.dock_radius,
         terrain=_case_ground(case, header),
         read_log=read_log,
-        read_trace=lambda: read_trace(case.folder / "trace.csv", len(robot)),
+        read_trace=lambda: _read_trace(case, len(robot)),
         read_loads=lambda: read_loads(case),
         user_colorings=case.user_colorings,
     )
+
+
+def _read_trace(case: StoredCase, robots: int) -> EstimateTrace | None:
+    """Read the centers of a case by iteration; None without an estimate."""
+    return read_trace(case.folder / "trace.csv", robots) if case.has_estimate else None
+
+
+def _lost(case: StoredCase) -> Bools:
+    """Read which robots of a case without an estimate left or fell, shape (N,)."""
+    table = read_frame(case.folder / "robots.csv", notes=["lost"])
+    lost = table.get("lost", pd.Series("", table.index))
+    is_gone: Bools = lost.isin(_GONE).to_numpy()
+    return is_gone
 
 
 def read_loads(case: StoredCase) -> pd.DataFrame | None:
@@ -510,9 +535,10 @@ def build_view(run: RunData) -> View | None:
         notes.insert(0, f"The view contains {len(shown)} of {done} cases.")
     return View(
         data=space_data(view.dock_offset_body, shown) | {"compared": True},
-        title="True and estimated positions",
+        title="Structures" if run.has_structures_alone else "True and estimated positions",
         choice="Condition" if is_grid else "Case",
         note=" ".join(notes),
+        robots="robots" if run.has_structures_alone else "estimated",
     )
 
 

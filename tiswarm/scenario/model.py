@@ -101,14 +101,38 @@ def _labeled_rows(values: _Values) -> _Values:
 
 
 _Slug = Annotated[str, AfterValidator(_slug)]
-_Seed = Annotated[int, Field(ge=0, lt=2**63)]
+_SEEDS = 2**63  # number of seeds that there are
+_Seed = Annotated[int, Field(ge=0, lt=_SEEDS)]
 _SeedCount = Annotated[int, Field(ge=1, le=1_000_000), Tag("count")]
 _SeedList = Annotated[
     tuple[_Seed, ...], Field(min_length=1), AfterValidator(_distinct), Tag("list")
 ]
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class SeedRange:
+    """Consecutive seeds."""
+
+    first: _Seed
+    """The first seed."""
+
+    count: Annotated[int, Field(ge=1, le=1_000_000)]
+    """Number of seeds."""
+
+    def __post_init__(self) -> None:
+        """Refuse seeds that no other form of the key may have."""
+        if self.first + self.count > _SEEDS:
+            raise ValueError(f"the last seed is greater than {_SEEDS - 1}; give a smaller first")
+
+
+def _form_of_seeds(seeds: object) -> str:
+    if isinstance(seeds, (dict, SeedRange)):
+        return "range"
+    return "list" if isinstance(seeds, (list, tuple)) else "count"
+
+
 _Seeds = Annotated[
-    _SeedCount | _SeedList,
-    Discriminator(lambda seeds: "list" if isinstance(seeds, (list, tuple)) else "count"),
+    _SeedCount | _SeedList | Annotated[SeedRange, Tag("range")], Discriminator(_form_of_seeds)
 ]
 _Overrides = dict[Annotated[str, AfterValidator(_condition_key)], JsonValue]
 _SweepValues = Annotated[
@@ -135,7 +159,8 @@ class Scenario:
     """Robots in each structure."""
 
     seeds: _Seeds = 1
-    """Random seeds, one structure each: a list, or a number n for 0 to n - 1."""
+    """Random seeds, one structure each: a list, a number n for 0 to n - 1, or a range
+    `{first: 1000, count: n}`."""
 
     precision: Literal["auto", "f64", "f32"] = "auto"
     """Floating-point type of `joint`, and of `virtual-force` under the schedule `together`; all
@@ -162,11 +187,11 @@ class Scenario:
     """What the robots sense, with which noise."""
 
     localization: LocalizationParams
-    """Localization method and its settings."""
+    """Localization method and its settings; `{method: none}` measures structures alone."""
 
     @field_validator("localization")
     @classmethod
-    def _keep_who_must_stay(cls, method: LocalizationParams, info: ValidationInfo) -> object:
+    def _fit_structure(cls, method: LocalizationParams, info: ValidationInfo) -> object:
         structure = info.data.get("structure")
         departs = structure and (
             structure.strength is not None
@@ -174,6 +199,12 @@ class Scenario:
         )
         if departs and getattr(method, "robots_stay", False):
             raise ValueError(f"{method.method} takes robots that stay; choose joint")
+        navigates = structure and structure.navigate_by == "estimate"
+        if navigates and not method.places_robots:
+            problem = (
+                "robots navigate by estimates (structure.navigate_by), which none does not make"
+            )
+            raise validation.mistake_at(("method",), f"{problem}; choose joint")
         return method
 
     conditions: Annotated[
@@ -220,6 +251,8 @@ class Scenario:
     @property
     def seed_list(self) -> tuple[int, ...]:
         """The seeds, one by one."""
+        if isinstance(self.seeds, SeedRange):
+            return tuple(range(self.seeds.first, self.seeds.first + self.seeds.count))
         return tuple(range(self.seeds)) if isinstance(self.seeds, int) else self.seeds
 
 

@@ -1,4 +1,7 @@
-"""Computes jobs, each a batch of cases: grow, sense, localize, evaluate, store."""
+"""Computes jobs, each a batch of cases: grow, sense, localize, evaluate, store.
+
+Cases of the method `none` are not localized.
+"""
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -19,6 +22,7 @@ from tiswarm.evaluation.tables import evaluate
 from tiswarm.localization import methods
 from tiswarm.localization.methods import LocalizationParams, localize_many
 from tiswarm.localization.settings import JointParams
+from tiswarm.records import measures
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Case, Group
@@ -118,7 +122,10 @@ def first_alone(jobs: Sequence[Job]) -> list[Job]:
 
 
 KEPT_FROM_S = 10.0
-"""Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
+"""Growth that took so long [s] is kept in case the run is stopped before its cases are stored.
+
+Histories that measures of plug-ins ask for are kept, too, until the tables are written.
+"""
 
 SAMPLE_ROBOTS = 4
 """Size of the structure that warms up the kernels."""
@@ -156,6 +163,21 @@ def run_job(
         runner.warm_up()
         on_ready()
         return Outcome(records=runner.run(), used=runner.used)
+
+
+def grow_again(case: Case) -> History:
+    """Grow the structure of a case as its job did; the kernels give the same bits."""
+    settings = case.settings
+    navigation = {} if settings.structure.navigate_by == "truth" else navigate(settings)
+    backend.processor()
+    [history] = grow(
+        settings.structure,
+        robots=settings.robots,
+        seeds=[case.seed],
+        robot=settings.robot,
+        **navigation,
+    )
+    return history
 
 
 def failure(case: Case, reason: str) -> CaseRecord:
@@ -198,7 +220,9 @@ class _CaseRunner:
         logs = self._sense(valid, histories)
         for cases in _batches(valid, logs):
             sensed = [logs[case.name] for case in cases]
-            estimates = self._localize(cases, sensed)
+            estimates: Sequence[Estimate | None] = [None] * len(cases)
+            if cases[0].settings.localization.places_robots:
+                estimates = self._localize(cases, sensed)
             with self._stage("score and store", cases) as advance:
                 for case, log, estimate in zip(cases, sensed, estimates, strict=True):
                     records.append(self._store(case, histories[case.seed], log, estimate))
@@ -240,6 +264,8 @@ class _CaseRunner:
             # The code of plug-ins runs for cases alone, within their limits of time.
             if settings.localization.method in registered("method"):
                 continue
+            if not settings.localization.places_robots:
+                continue
             is_own = settings.sensing.suite in registered("sensor")
             sensing = SensingParams() if is_own else settings.sensing
             method = repr(settings.localization)
@@ -278,7 +304,8 @@ class _CaseRunner:
         self.used.add(Used("grow", backend.processor(), rounding=numerics.current()))
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs[first[seed].name]["grow"]
-            if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
+            is_costly = share["wall_s"] * len(missing) > KEPT_FROM_S
+            if history.walks and (is_costly or measures.need("history")):
                 self.job.folder.keep_structure(first[seed], history, share)
         return histories | dict(zip(seeds, grown, strict=True))
 
@@ -334,16 +361,16 @@ class _CaseRunner:
         return estimates
 
     def _store(
-        self, case: Case, history: History, log: SensingLog, estimate: Estimate
+        self, case: Case, history: History, log: SensingLog, estimate: Estimate | None
     ) -> CaseRecord:
-        """Evaluate and store one case."""
+        """Evaluate and store one case; its structure alone if it has no estimate."""
         cues = case.settings.localization.used_cues
         evaluation = evaluate(history, log, estimate, cues, case.settings.structure.strength)
         record = _record(case, "done", history.ended, evaluation.scores)
         running = methods.start_for(case.settings.localization)
         on = f"{running}, numerics {numerics.current().key}"
         record = replace(record, measurements=evaluation.measurements, computed_on=on)
-        if estimate.convergence is not None:
+        if estimate is not None and estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)
         return self.job.folder.store(
             record,

@@ -315,8 +315,10 @@ def render_run(
     pictures, used, reason = render_view(read_case_view(chosen), progress, renderer)
     sizes, greatest = build_sizes(run, chosen) if case is None else ([], 0.0)
     if sizes:
-        high = f"{three_digits(greatest)}    {chosen.condition}"
-        legend = Scale(ERROR_COLORS, "error [R]  0", high)
+        legend = Scale(JOIN_COLORS, "join index  first", "last")
+        if chosen.has_estimate:
+            high = f"{three_digits(greatest)}    {chosen.condition}"
+            legend = Scale(ERROR_COLORS, "error [R]  0", high)
         pictures["sizes"] = _encoded(draw_side_by_side(sizes, used), legend)
     suffix = "" if case is None else f"-{case}"
     drawn = []
@@ -347,7 +349,8 @@ class Tile(NamedTuple):
 def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
     """Build a tile for each size of a kind and condition, colored by error, and the greatest error.
 
-    There are none unless a study swept the size.
+    Structures without an estimate are colored by join index. There are none unless a study swept
+    the size.
     """
     cases: dict[int, StoredCase] = {}
     for case in run.cases if run.sweeps_robots else []:
@@ -358,7 +361,9 @@ def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
     greatest = max((float(np.nanmax(view.error, initial=1e-9)) for view in views), default=0.0)
     tiles = []
     for view in views:
-        color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
+        color = view.color_by_join
+        if like.has_estimate:
+            color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
         scene = build_scene(view.robots(view.pose, color, TRUE_SIZE), view.terrain)
         level = np.nanmean(view.pose[:, :3], axis=0)
         level[2] = np.nanmin(view.pose[:, 2])
@@ -369,7 +374,9 @@ def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
 
 
 def _label(view: SwarmView) -> str:
-    """State size and RMSE."""
+    """State size and, of an estimate, RMSE."""
+    if not view.has_estimate:
+        return counted(len(view.pose), "robot")
     error = view.error[np.isfinite(view.error)]
     rmse = f"RMSE {three_digits(math.sqrt(np.mean(error**2)))} R" if len(error) else "no estimate"
     return f"{counted(len(view.pose), 'robot')}\n{rmse}"

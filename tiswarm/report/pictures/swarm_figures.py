@@ -322,7 +322,7 @@ _SHARE = 4
 
 def _joining_painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figure by file name, if a run has structures of several sizes, and such errors."""
-    sizes = {case.robots for cases in run.series.values() for case in cases}
+    sizes = {case.robots for cases in run.localized.values() for case in cases}
     return {"joining": draw_joining} if len(sizes) > 1 and _at_join(run) else {}
 
 
@@ -332,7 +332,7 @@ def draw_joining(run: RunData, max_width: float = np.inf) -> "Figure":
     Each kind of structure has a panel, with a line for each condition. Of a method that places
     robots as they join, it is the error then; a dashed line is that once all robots have joined.
     """
-    done = [case for cases in run.series.values() for case in cases]
+    done = [case for cases in run.localized.values() for case in cases]
     kinds = list(dict.fromkeys(case.kind for case in done))
     names = list(dict.fromkeys(case.condition for case in done))
     sizes = sorted({case.robots for case in done})
