@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.app.formats import import_format as import_format
     from tiswarm.app.results import Run as Run
     from tiswarm.app.results import open_run as open_run
+    from tiswarm.app.steering import Growth as Growth
     from tiswarm.app.swarms import Swarms as Swarms
     from tiswarm.base.errors import EnvironmentTroubleError as EnvironmentTroubleError
     from tiswarm.base.errors import InputError as InputError
@@ -57,6 +58,7 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.records.measures import measure as measure
     from tiswarm.report.figures import figure as figure
     from tiswarm.sensing.suites import sensor as sensor
+    from tiswarm.world.choices import reactive_build as reactive_build
     from tiswarm.world.ground.user import terrain as terrain
     from tiswarm.world.rules import rule as rule
     from tiswarm.world.rules import structure as structure

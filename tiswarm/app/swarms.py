@@ -9,7 +9,7 @@ swarms.score(estimates)
 import math
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.formats import check_export, export_view
 from tiswarm.app.logs import Localized, Log
-from tiswarm.app.results import Figures, File, PageFile, as_path, plain
+from tiswarm.app.results import Figures, File, PageFile, Section, as_path, plain
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError, require_name, warn
-from tiswarm.base.params import AnyMovie
+from tiswarm.base.params import METHOD, AnyMovie
 from tiswarm.compute import backend
 from tiswarm.evaluation import tables
 from tiswarm.measurements.cues import cue_names
@@ -590,6 +590,39 @@ class Swarms(Sequence[GrownStructure]):
         shown = self.table[_SHOWN].round(1)
         shown = shown.rename(columns={stress: f"{stress} [{PEAK_STRESS.unit}]"})
         return shown if any(self.ended) else shown.drop(columns="ended")
+
+
+def growth_scenario(
+    structure: Section,
+    robots: int,
+    seeds: int | Sequence[int],
+    *,
+    rule: Section | None = None,
+    robot: Section | None = None,
+) -> Scenario:
+    """Write a scenario that grows structures, from what `tiswarm.grow` takes.
+
+    Raises:
+        InputError: an argument has a mistake.
+    """
+    kind = _section(structure, "kind")
+    if rule is not None and isinstance(kind, Mapping):
+        kind = {**kind, "rule": _section(rule, "name")}
+    given = {
+        "name": "grow", "robots": robots, "structure": kind, "localization": {"method": METHOD},
+        "seeds": [*seeds] if isinstance(seeds, range | tuple) else seeds,
+        **({} if robot is None else {"robot": _section(robot, "shape")}),
+    }  # fmt: skip
+    return load_scenario(plain(given))
+
+
+def _section(settings: object, key: str) -> object:
+    """Write a section of a scenario as plain data; `key` selects which settings it has."""
+    if isinstance(settings, str):
+        return {key: settings}
+    if is_dataclass(settings):
+        return asdict(settings() if isinstance(settings, type) else settings)
+    return settings
 
 
 def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:

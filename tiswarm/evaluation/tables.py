@@ -25,6 +25,7 @@ from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
+from tiswarm.records.frames import GREATEST
 from tiswarm.records.measures import (
     BROKEN,
     MARGIN,
@@ -171,8 +172,13 @@ def by_robot(
         flip_height_R=log.flip_height,
         **disconnected,
         sensed_force=history.sensed,
-        **({"margin": history.margin} if history.breaks else {}),
+        **({"margin": _in_a_table(history.margin)} if history.breaks else {}),
     )
+
+
+def _in_a_table(margin: Reals) -> Reals:
+    """Return margins [1], NaN of contacts without load, whose margins no table can hold."""
+    return np.where(margin <= GREATEST, margin, np.nan)
 
 
 def _estimated(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
@@ -327,7 +333,7 @@ def _strength(history: History) -> dict[str, float]:
     """Return who stands, and the least margin of a robot; empty where docks hold any load."""
     if not history.breaks:
         return {}
-    margin = history.margin
+    margin = _in_a_table(history.margin)
     least = np.nan if np.isnan(margin).all() else float(np.nanmin(margin))
     return {STANDING.column: int(np.count_nonzero(~history.is_gone)), MARGIN.column: least}
 

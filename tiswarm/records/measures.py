@@ -140,7 +140,8 @@ MARGIN = _larger(
     "least_margin",
     "1",
     _STRUCTURE,
-    "least strength of a contact in parts of its load; empty where docks hold any load",
+    "least strength of a contact in parts of its load; empty where docks hold any load, or no "
+    "contact has load",
     label="Least margin",
 )
 DISCONNECTED = _smaller(

@@ -14,7 +14,7 @@ to their aid (`walks.py`).
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.compute.neighbor_kernels import CellList
+from tiswarm.world.choices import ChoiceClimb, ClimbStep
 from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_docks
 from tiswarm.world.ground.solid import SolidGround
 from tiswarm.world.history import DIED, FELL, LEFT, History, Walk, parts
@@ -37,7 +38,6 @@ from tiswarm.world.params import (
     structure_ground,
     structure_zones,
 )
-from tiswarm.world.rules import climb_by_choice
 from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_belief, recruit
 
 _MAX_TRIES = 64
@@ -75,37 +75,141 @@ def grow(
         what had grown is kept.
     """
     backend.processor()
-    batch = _GrowthBatch(params, robots, seeds, robot, believe, turn)
-    while batch.spawn():
-        on_progress(batch.round())
+    batch = GrowthBatch([params] * len(seeds), robots, seeds, robot, believe, turn)
+    if hasattr(params.rule, "choose"):
+        steered = SteeredGrowth(batch, together=True, on_progress=on_progress)
+        while not steered.is_over.all():
+            steered.step(params.rule.choose(steered.observe()))
+    else:
+        while len(movers := batch.spawn(batch.numbers)):
+            batch.walks.climb_by_score(batch.arrays, batch.believed, movers)
+            on_progress(batch.end_round(movers))
     return [structure.history() for structure in batch.structures]
 
 
-class _GrowthBatch:
-    """Structures that grow together and the robots that climb them, `movers` slots each."""
+_OWN_CLIMB = ("patience", "settle", "max_spawns")
+"""Settings of `climb` that structures of a batch may have of their own."""
+
+
+def shared_settings(params: StructureParams) -> dict[str, object]:
+    """Return the settings that all structures of a batch share, by dotted key."""
+    names = ("plane", "movers", "mechanics", "terrain", "no_entry", "navigate_by")
+    shared = {name: getattr(params, name) for name in names}
+    climb = {f"climb.{name}": value for name, value in vars(params.climb).items()}
+    for name in _OWN_CLIMB:
+        del climb[f"climb.{name}"]
+    return {**shared, **climb, "rule": params.rule.name}
+
+
+class SteeredGrowth:
+    """Growth by choices from outside: each structure goes on at its own pace, or all together."""
+
+    def __init__(
+        self, batch: "GrowthBatch", *, together: bool = False, on_progress: Advance = ignore
+    ) -> None:
+        """Let the first robots start.
+
+        Args:
+            batch: Structures without robots.
+            together: Whether rounds of all structures end together, which takes fewer launches of
+                kernels on many threads; what grows is the same.
+            on_progress: Called after rounds with the number of robots that joined in them.
+        """
+        self._batch = batch
+        self._together = together
+        self._on_progress = on_progress
+        self._climb = ChoiceClimb(batch.walks, batch.arrays, batch.sensed, batch.present)
+        self._step: ClimbStep | None = None
+        self.is_over = np.zeros(len(batch.structures), np.bool_)
+        """Whether each structure is complete, or ended early, shape (S,)."""
+        self._begin(batch.numbers)
+
+    def observe(self) -> ClimbStep:
+        """List the climbers that may choose now, M of them; none in structures that are over."""
+        while self._step is None:
+            step = self._climb.observe()
+            if not self._end_rounds():
+                self._step = step
+        return self._step
+
+    def step(self, choice: AnyInts) -> None:
+        """Let the climbers of `observe` do what was chosen, shape (M,).
+
+        Where all climbers of a structure stay, they join one after the other, the mechanics are
+        solved, and the next ones start.
+        """
+        self.observe()
+        self._climb.take(choice)
+        self._step = None
+        self._end_rounds()
+
+    def reset(self, number: int, seed: int, params: StructureParams) -> None:
+        """Let a structure begin anew, from a seed."""
+        self._batch.reset(number, seed, params)
+        self._climb.is_walking[self._batch.structure_of == number] = False
+        self.is_over[number] = False
+        self._step = None
+        self._begin(np.array([number]))
+
+    def _begin(self, numbers: AnyInts) -> None:
+        """Let robots start, or walk on, in structures where nobody walks."""
+        movers = self._batch.spawn(numbers)
+        self._climb.begin(movers)
+        self.is_over[np.setdiff1d(numbers, self._batch.structure_of[movers])] = True
+
+    def _end_rounds(self) -> bool:
+        """End the round where all climbers have stayed, and begin the next one; whether any did."""
+        batch = self._batch
+        walks = np.zeros(len(self.is_over), np.bool_)
+        walks[batch.structure_of[self._climb.is_walking]] = True
+        ends = ~walks & ~self.is_over
+        if not ends.any() or (self._together and walks.any()):
+            return False
+        movers = np.flatnonzero(batch.moving & ends[batch.structure_of]).astype(np.int32)
+        self._climb.settle(movers)
+        self._on_progress(batch.end_round(movers))
+        self._begin(np.flatnonzero(ends))
+        return True
+
+
+class GrowthBatch:
+    """Structures that grow side by side and the robots that climb them, `movers` slots each."""
 
     def __init__(
         self,
-        params: StructureParams,
+        params: Sequence[StructureParams],
         robots: int,
         seeds: Sequence[int],
         robot: RobotGeometry,
         believe: Believe | None,
         turn: Turn | None,
     ) -> None:
+        """Reserve room for structures of so many robots.
+
+        Args:
+            params: Settings of each structure; those that `shared_settings` lists are those of all.
+            robots: Robots in each structure.
+            seeds: Seed of each structure.
+            robot: The robots' shape.
+            believe: As `grow` has it.
+            turn: As `grow` has it.
+        """
         self.robots = robots
         self.believe = believe
-        self.loses = params.departures is not None or params.strength is not None
-        self.breaks = params.strength is not None
+        self.loses = any(of.departures is not None or of.strength is not None for of in params)
         self.turn = turn
-        robot = params.robot(robot)
+        robot = params[0].robot(robot)
+        self.robot = robot
+        self.ground = structure_ground(params[0])
         count = len(seeds)
+        self.numbers = np.arange(count)
         docks = robot.dock_count * robots
         self.frames = Frames(
-            params.mechanics, docks=robot.dock_count, robots=robots, structures=count
+            params[0].mechanics, docks=robot.dock_count, robots=robots, structures=count
         )
         self.structures = [
-            GrowingStructure(s, seed, params, robot, self.frames) for s, seed in enumerate(seeds)
+            GrowingStructure(s, seed, of_structure, robot, self.frames)
+            for s, (seed, of_structure) in enumerate(zip(seeds, params, strict=True))
         ]
         self.arrays = StructureArrays(
             cells=CellList.allocate(count, docks),
@@ -116,51 +220,123 @@ class _GrowthBatch:
         self.believed = BelievedDocks(self.arrays.cells, self.arrays.dock)
         if believe:
             self.believed = BelievedDocks(CellList.allocate(count, docks), 0.0 * self.arrays.dock)
-        self.structure_of = np.repeat(np.arange(count, dtype=np.int32), min(params.movers, robots))
-        terrain = structure_ground(params)
-        limits = climb_limits(params.climb, robot, terrain, by_belief=believe is not None)
+        movers = min(params[0].movers, robots)
+        self.structure_of = np.repeat(np.arange(count, dtype=np.int32), movers)
+        by_belief = believe is not None
+        limits = climb_limits(params[0].climb, robot, self.ground, by_belief=by_belief)
         self.walks = Walks(self.structure_of, limits, params, robot, seeds)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
-        self.rounds = 0
+        self.rounds = np.zeros(count, np.int32)
         self.present = np.ones((count, robots), np.int32)
         self.mute = np.zeros((count, robots), np.bool_)
         self.sensed = np.zeros((count, robots))
 
-    def spawn(self) -> bool:
-        """Fill the free slots of unfinished structures; return whether any robot moves."""
+    def reset(self, number: int, seed: int, params: StructureParams) -> None:
+        """Let a structure begin anew, without robots."""
+        self.frames.clear(number)
+        self.structures[number] = GrowingStructure(number, seed, params, self.robot, self.frames)
+        self.arrays.robot_count[number] = 0
+        self.arrays.cells.head[number] = -1
+        self.arrays.relay[number] = 0
+        self.call[number] = 0
+        self.sensed[number] = 0.0
+        self.present[number] = 1
+        self.mute[number] = False
+        self.rounds[number] = 0
+        slots = self.structure_of == number
+        self.moving[slots] = False
+        self.walks.restart(number, slots, seed, params)
+
+    def spawn(self, numbers: AnyInts) -> NDArray[np.int32]:
+        """Fill the free slots of unfinished structures, shape (n,).
+
+        Returns:
+            Slots whose robots climb in these structures now, shape (M,).
+        """
+        is_due = np.zeros(len(self.structures), np.bool_)
+        is_due[numbers] = True
+        due_slots = is_due[self.structure_of]
         climbing = np.bincount(self.structure_of[self.moving], minlength=len(self.structures))
-        for slot in np.flatnonzero(~self.moving):
+        free = np.flatnonzero(~self.moving & due_slots)
+        while len(free):
+            # Within a structure robots start one after the other.
+            _, first = np.unique(self.structure_of[free], return_index=True)
+            self._fill(free[first], climbing)
+            free = np.delete(free, first)
+        return np.flatnonzero(self.moving & due_slots).astype(np.int32)
+
+    def _fill(self, slots: AnyInts, climbing: AnyInts) -> None:
+        """Let a robot start in each of some slots of different structures, if one is due."""
+        starts: dict[int, Start] = {}
+        for slot in slots.tolist():
             structure = self.structures[self.structure_of[slot]]
             climbing_count = climbing[structure.number]
             is_complete = len(structure.walks) + climbing_count >= self.robots
             # Founders come one by one, since they found what the others climb.
             is_crowded = structure.founding and climbing_count > 0
             if not (is_crowded or structure.ended or is_complete):
-                spawn = structure.spawn(self.arrays.dock[structure.number])
-                if spawn is not None:
-                    self.walks.start(slot, spawn)
-                    if self.turn:
-                        number = len(structure.walks) + int(climbing_count)
-                        turns = self.walks.turn[slot]
-                        turns[:] = self.turn(structure.seed, number, len(turns))
-                    self.moving[slot] = True
-                    climbing[structure.number] += 1
-        return bool(self.moving.any())
+                starts[slot] = structure.start(self.arrays.dock[structure.number])
+        for slot, spawn in self._place(starts).items():
+            structure = self.structures[self.structure_of[slot]]
+            self.walks.start(slot, spawn)
+            if self.turn:
+                number = len(structure.walks) + int(climbing[structure.number])
+                turns = self.walks.turn[slot]
+                turns[:] = self.turn(structure.seed, number, len(turns))
+            self.moving[slot] = True
+            climbing[structure.number] += 1
 
-    def round(self) -> int:
-        """Let all movers climb, and those that can join; return how many did."""
+    def _place(self, starts: "dict[int, Start]") -> dict[int, Spawn]:
+        """Draw places of robots, by slot, until nothing stands there; end growth if all are taken.
+
+        On uneven ground, robots of all structures come down in one call, which costs less.
+        """
+        spawns: dict[int, Spawn] = {}
+        waiting = dict(starts)
+        for trial in range(_MAX_TRIES):
+            if not waiting:
+                break
+            poses = {}
+            for slot, start in waiting.items():
+                poses[slot] = self.structures[self.structure_of[slot]].pose(start, trial)
+            if isinstance(self.ground, SolidGround):
+                self._put_down(list(poses.values()), self.ground)
+            for slot, (center, orientation) in poses.items():
+                structure = self.structures[self.structure_of[slot]]
+                if structure.is_free(center, orientation):
+                    spawns[slot] = structure.spawn(waiting.pop(slot), center, orientation)
+        for slot in waiting:
+            self.structures[self.structure_of[slot]].note_crowd()
+        return spawns
+
+    def _put_down(self, poses: Sequence[tuple[Reals, Reals]], ground: SolidGround) -> None:
+        """Let robots, each a center [R] and an orientation, come down until a dock touches ground.
+
+        Heights of their centers are minus infinity where there is no ground.
+        """
+        center = np.array([place for place, _ in poses])
+        orientation = np.array([turn for _, turn in poses])
+        arm = dock_offsets(orientation, self.robot.dock_offset_body)
+        level = ground.levels(center[:, :2], arm, self.robot.dock_radius)
+        for (place, _), height in zip(poses, level, strict=True):
+            place[2] = height
+
+    def end_round(self, movers: NDArray[np.int32]) -> int:
+        """Let all movers of some structures join that can, in their slots of shape (M,).
+
+        Returns:
+            How many did.
+        """
         walks = self.walks
-        movers = np.flatnonzero(self.moving).astype(np.int32)
-        if hasattr(walks.rule, "choose"):
-            climb_by_choice(walks, self.arrays, movers, self.sensed, self.present)
-        else:
-            walks.climb_by_score(self.arrays, self.believed, movers)
         walks.refuse_overlaps(movers)
+        climbed = self.structure_of[movers]
+        numbers = np.unique(climbed)
         wants = np.zeros(len(self.structure_of), np.int32)
-        founding = np.array([structure.founding for structure in self.structures])
+        founding = np.zeros(len(self.structures), np.bool_)
+        founding[numbers] = [self.structures[number].founding for number in numbers]
         touching = walks.stances.touching[movers, walks.stances.stay[movers], :, 0].max(axis=1) >= 0
-        wants[movers] = touching | founding[self.structure_of[movers]]
+        wants[movers] = touching | founding[climbed]
         walks.join(self.arrays, movers, wants)
         # A walk that an earlier join disturbed goes on from its first stance that changed.
         joined = walks.joined[movers] >= 0
@@ -170,33 +346,43 @@ class _GrowthBatch:
         for slot in movers[~goes_on]:
             structure = self.structures[self.structure_of[slot]]
             if walks.joined[slot] >= 0:
-                walk = walks.walk(slot, self.rounds)
+                walk = walks.walk(slot, int(self.rounds[structure.number]))
                 structure.join(walk, self.arrays.dock[structure.number])
             elif not wants[slot]:
                 structure.turn_away()
-        self.rounds += 1
-        grown = [self.structures[s] for s in np.unique(self.structure_of[movers[joined]])]
+        self.rounds[numbers] += 1
+        grown = [self.structures[s] for s in np.unique(climbed[joined])]
         if self.loses:
             self._list_remaining([structure for structure in grown if structure.lose()])
         due = [structure.number for structure in grown if structure.is_due(self.robots)]
         self.frames.solve(due)
-        if self.breaks:
-            self._break(due)
+        self._break([number for number in due if self.structures[number].params.strength])
         for number in due:
             self.structures[number].note_loads()
             call = self.structures[number].call
             sensed = self.structures[number].sensed
             self.call[number, : len(call)] = call
             self.sensed[number, : len(sensed)] = sensed
-        # Structures share no contacts: one relay serves them all.
-        mute = self.mute.ravel() if self.loses else None
-        relayed = walks.pass_on(self.call.ravel(), self.frames.joints, mute)
-        self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
-        has_ended = np.array([bool(structure.ended) for structure in self.structures])
+        self._pass_calls_on(grown)
+        has_ended = np.zeros(len(self.structures), np.bool_)
+        has_ended[numbers] = [bool(self.structures[number].ended) for number in numbers]
         self.moving &= ~has_ended[self.structure_of]
         if self.believe and grown:
             self._update_beliefs(grown, self.believe)
         return int(joined.sum())
+
+    def _pass_calls_on(self, grown: "Sequence[GrowingStructure]") -> None:
+        """Spread the calls of structures that grew."""
+        # Structures share no contacts: one relay serves all that have the same rule.
+        waiting = [structure.number for structure in grown]
+        while waiting:
+            rule = self.structures[waiting[0]].params.rule
+            numbers = np.array([n for n in waiting if self.structures[n].params.rule == rule])
+            waiting = [n for n in waiting if self.structures[n].params.rule != rule]
+            call = self.call[numbers].ravel()
+            mute = self.mute[numbers].ravel() if self.loses else None
+            relayed = self.walks.pass_on(rule, call, self.frames.joints(numbers), mute)
+            self.arrays.relay[numbers] = relayed.reshape(len(numbers), -1)
 
     def _break(self, due: Sequence[int]) -> None:
         """Break contacts that bear too much: the worst of each structure, until all hold."""
@@ -238,6 +424,28 @@ class _GrowthBatch:
         self._list(grown, *cells, dock)
 
 
+class Start(NamedTuple):
+    """A robot that is to start in a structure, wherever there is room."""
+
+    robot: int
+    """Robots that started in the structure before."""
+
+    side: int
+    """Side that it comes from."""
+
+    rim: float
+    """Distance behind the edge, or from a tower's axis, beyond which it starts [R]."""
+
+    anchor_place: Reals | None
+    """Place of an anchor [R], shape (2,); None for all others."""
+
+    patience: int
+    """Steps without a new best with which it gives up."""
+
+    settles: bool
+    """Whether it turns, where it stays, until a third dock touches."""
+
+
 class GrowingStructure:
     """One growing structure: who has joined, its loads, and the next spawn."""
 
@@ -252,7 +460,7 @@ class GrowingStructure:
         self.terrain = structure_ground(params)
         self.zones = structure_zones(params)
         self.side_of_body: dict[int, int] = {}
-        if isinstance(self.terrain, SolidGround):
+        if isinstance(self.terrain, SolidGround) and params.sides > 1:
             self.side_of_body = sides_of_bodies(params, robot)
         self.docks = robot.dock_count
         self.level = self.terrain.ground_z + robot.dock_radius
@@ -283,16 +491,13 @@ class GrowingStructure:
         """Whether the next robot may stay without touching another."""
         return len(self.walks) < self.params.founder_count
 
-    def spawn(self, docks: Reals) -> Spawn | None:
-        """Put the next robot on its lowest docks, or upright on one in a plane, turned at random.
+    def start(self, docks: Reals) -> Start:
+        """Say how the next robot starts.
 
         Draws depend on the seed and the number of robots spawned before alone.
 
         Args:
             docks: Dock centers [R], those that have joined first, shape (n, 3).
-
-        Returns:
-            None where every place was taken.
         """
         self._survey(docks)
         params = self.params
@@ -315,24 +520,45 @@ class GrowingStructure:
             patience = climb.patience
             if climb.settle > 0.0 and not params.plane:
                 settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle)
-        for trial in range(_MAX_TRIES):
-            draw = self._draw(index, trial)
-            if anchor_place is None:
-                x, y = params.start(side, rim, draw[:2])
-            else:
-                x, y = anchor_place
-            center, orientation = self._pose(x, y, np.pi * draw[2])
-            if self._is_free(center, orientation):
-                return Spawn(
-                    center=center,
-                    orientation_wxyz=orientation,
-                    goal=params.goal(side),
-                    patience=patience,
-                    settles=settles,
-                    robot=index,
-                )
+        return Start(index, side, rim, anchor_place, patience, settles)
+
+    def pose(self, start: Start, trial: int) -> tuple[Reals, Reals]:
+        """Put a robot on its lowest docks, or upright on one in a plane, turned at random.
+
+        Returns:
+            Center [R], shape (3,), and orientation, body to world, shape (4,). On uneven ground the
+            height of the center is not known yet.
+        """
+        draw = self._draw(start.robot, trial)
+        if start.anchor_place is None:
+            x, y = self.params.start(start.side, start.rim, draw[:2])
+        else:
+            x, y = start.anchor_place
+        half = np.pi * draw[2]
+        place = np.array([x, y, self.level])
+        body = self.robot.dock_offset_body
+        if not self.params.plane:
+            place[2] -= body[:, 2].min()
+            return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+        orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+        arm = dock_offsets(orientation[None], body)[0]
+        return place - arm[arm[:, 2].argmin()], orientation
+
+    def spawn(self, start: Start, center: Reals, orientation: Reals) -> Spawn:
+        """Let a robot start at a free place [R], shape (3,), with an orientation, shape (4,)."""
+        return Spawn(
+            center=center,
+            orientation_wxyz=orientation,
+            goal=self.params.goal(start.side),
+            patience=start.patience,
+            settles=start.settles,
+            robot=start.robot,
+        )
+
+    def note_crowd(self) -> None:
+        """End growth, for all places drawn for a robot were taken."""
+        joined = len(self.walks)
         self.ended = f"no free place to spawn robot {joined}; raise structure.spawn_max"
-        return None
 
     def _draw(self, robot: int, trial: int) -> Reals:
         """Draw three numbers, which depend on no other draw; robots come one after the other."""
@@ -344,34 +570,6 @@ class GrowingStructure:
         if trial:
             draw = uniform(self.seed, "spawn", robot, 3 * trial + np.arange(3))
         return draw
-
-    def _pose(self, x: float, y: float, half: float) -> tuple[Reals, Reals]:
-        """Turn a robot by twice `half` [rad]: centered at x and y, or upright on one dock there.
-
-        On uneven ground it comes straight down until a dock touches; its height is minus infinity
-        where there is no ground.
-        """
-        if isinstance(self.terrain, SolidGround):
-            return self._pose_on(self.terrain, x, y, half)
-        place = np.array([x, y, self.level])
-        body = self.robot.dock_offset_body
-        if not self.params.plane:
-            place[2] -= body[:, 2].min()
-            return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
-        orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
-        arm = dock_offsets(orientation[None], body)[0]
-        return place - arm[arm[:, 2].argmin()], orientation
-
-    def _pose_on(self, ground: SolidGround, x: float, y: float, half: float) -> tuple[Reals, Reals]:
-        """Put a robot on uneven ground."""
-        orientation = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
-        if self.params.plane:
-            orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
-        arm = dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
-        if self.params.plane:
-            x -= arm[arm[:, 2].argmin(), 0]
-        level = ground.level(x, y, arm, self.robot.dock_radius)
-        return np.array([x, y, level]), orientation
 
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""
@@ -406,7 +604,7 @@ class GrowingStructure:
         self.rim = [first_rim for _ in range(self.params.sides)]
         self.low_docks: dict[tuple[int, int], list[Reals]] = {}
 
-    def _is_free(self, center: Reals, orientation: Reals) -> bool:
+    def is_free(self, center: Reals, orientation: Reals) -> bool:
         """Whether a robot may be put somewhere: on ground, in no zone, and touching no dock."""
         if not np.isfinite(center[2]):
             return False

@@ -31,7 +31,8 @@ _FACTS = ("seed", "spawns", "crossed", "ended")
 _FARTHEST = 1e9
 """Largest coordinate of a center that is read [R]; mechanics of such a structure have no digits."""
 
-_LARGEST_SEED = 2**63 - 1
+LARGEST_SEED = 2**63 - 1
+"""Largest seed of a structure."""
 
 _NOT_UNIT = 1e-6
 """Largest difference from 1 of the length of a quaternion that is read."""
@@ -211,7 +212,7 @@ def _facts(text: str) -> dict[str, Any]:
     _require(isinstance(facts, dict) and {*facts} == {*_FACTS}, "facts")
     for name in ("seed", "spawns"):
         number = facts[name]
-        _require(type(number) is int and 0 <= number <= _LARGEST_SEED, name)
+        _require(type(number) is int and 0 <= number <= LARGEST_SEED, name)
     _require(isinstance(facts["crossed"], bool) and isinstance(facts["ended"], str), "facts")
     return facts
 

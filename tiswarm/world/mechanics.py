@@ -230,15 +230,26 @@ class Frames:
             rows = table[structure, : rows_a_beam * beams][np.repeat(stays, rows_a_beam)]
             table[structure, : rows_a_beam * remaining] = rows
 
-    @property
-    def joints(self) -> AnyInts:
-        """Docks that touch, rows of (dock, dock) in structure after structure, shape (C, 2)."""
+    def joints(self, structures: AnyInts) -> AnyInts:
+        """List docks that touch in some structures, rows of (dock, dock), shape (C, 2).
+
+        Docks of the structures are numbered in that order, one structure after the other.
+        """
         self._admit()
-        docks = self.frame.ends[:, :, frame_kernels.BeamEnds.DOCK_A :]
-        in_use = np.arange(docks.shape[1]) < self.frame.beam_count[:, None]
-        structure, beam = np.nonzero(in_use & (docks[:, :, 1] >= 0))
-        joints: AnyInts = docks[structure, beam] + self.frame.arm.shape[1] * structure[:, None]
+        docks = self.frame.ends[structures, :, frame_kernels.BeamEnds.DOCK_A :]
+        in_use = np.arange(docks.shape[1]) < self.frame.beam_count[structures, None]
+        place, beam = np.nonzero(in_use & (docks[:, :, 1] >= 0))
+        joints: AnyInts = docks[place, beam] + self.frame.arm.shape[1] * place[:, None]
         return joints
+
+    def clear(self, structure: int) -> None:
+        """Take all robots out of a structure, as if none had joined."""
+        self._admit()
+        self.robots[structure] = 0
+        self.gone[structure] = False
+        self.frame.node_count[structure] = 0
+        self.frame.beam_count[structure] = 0
+        self.frame.weight[structure] = 0.0
 
     def _admit(self) -> None:
         """Build the beams of all robots that joined since the last solve."""
