@@ -345,6 +345,9 @@ def _gather(run: RunData) -> Page:
     words = ["condition", "suite", "way", "needs"]
     suites = run.table("suites.csv", words, [RMSE.mean], after="cases", optional=True)
     tables = page_tables.result_tables(table, pairs, suites) + _weakest_contacts(run)
+    if run.is_of_engine:
+        speeds = run.table("throughput.csv", ["condition"], ["robot_count", "steps"], after="cases")
+        tables = [page_tables.throughput_table(speeds), *tables]
     headline = page_tables.headline_table(table, stated.get("question", ""))
     arch = manifest.backend.get("arch", "cpu")
     return Page(

@@ -20,6 +20,7 @@ from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
 from tiswarm.records.measures import DISCONNECTED
 from tiswarm.records.run_folder import (
+    ENGINE_METHOD,
     LABEL,
     NO_METHOD,
     TABLE_NOTES,
@@ -56,7 +57,12 @@ class StoredCase:
     @property
     def has_estimate(self) -> bool:
         """Whether its robots were localized."""
-        return self.method != NO_METHOD
+        return self.method not in {NO_METHOD, ENGINE_METHOD}
+
+    @property
+    def is_of_engine(self) -> bool:
+        """Whether it is a run of the engine."""
+        return self.method == ENGINE_METHOD
 
     def columns(
         self,
@@ -193,6 +199,11 @@ class RunData:
     def has_structures_alone(self) -> bool:
         """Whether no case is one whose robots are localized."""
         return bool(self.cases) and not any(case.has_estimate for case in self.cases)
+
+    @property
+    def is_of_engine(self) -> bool:
+        """Whether cases are runs of the engine, whose robots are swarms and no structures."""
+        return any(case.is_of_engine for case in self.cases)
 
     @property
     def sweeps_robots(self) -> bool:

@@ -131,6 +131,8 @@ class SwarmView:
     read_loads: Callable[[], pd.DataFrame | None] = lambda: None  # of contacts, `loads.csv`
     progress: Progress = field(default_factory=Progress)  # what exports the view reports to it
     user_colorings: Sequence[Coloring] = ()  # values of the user
+    further_colorings: Sequence[Coloring] = ()  # values that structures do not have
+    is_of_engine: bool = False  # whether it is a swarm that grew no structure
 
     @cached_property
     def log(self) -> SensingLog:
@@ -180,6 +182,7 @@ class SwarmView:
         unit = self.log.length_unit
         colorings = [
             *self.user_colorings,
+            *self.further_colorings,
             Coloring("error", unit, size * self.error),
             Coloring(SD, unit, size * self.sd),
             Coloring("sensed force", "dock weights", self.force, "forces"),
@@ -228,6 +231,8 @@ _logs: WeakValueDictionary[str, SensingLog] = WeakValueDictionary()
 
 def read_case_view(case: StoredCase) -> SwarmView:
     """Read the poses, errors and forces of a case; without an estimate, those of its structure."""
+    if case.is_of_engine:
+        return _read_swarm_view(case)
     estimated_names = [*_ESTIMATED_POSE, "error_R"]
     further = ["sensed_force", "margin"]
     if case.has_estimate:
@@ -275,6 +280,65 @@ def read_case_view(case: StoredCase) -> SwarmView:
         read_loads=lambda: read_loads(case),
         user_colorings=case.user_colorings,
     )
+
+
+_MOST_MOVING = 1000
+"""Robots of a swarm up to which a page plays its steps."""
+
+
+def _read_swarm_view(case: StoredCase) -> SwarmView:
+    """Read the last poses of a run of the engine, its contacts and its trajectory."""
+    values = {"moved": "moved_R", "overlap": "overlap_R"}
+    table = case.columns("robots.csv", [*POSE, *values.values(), "robot"])
+    pose = table[:, : len(POSE)]
+    robot = table[:, -1].astype(np.int64)
+    names = ["robot", "dock", "other_robot", "other_dock"]
+    contacts = case.columns("contacts.csv", names, empty=True).astype(np.int32)
+    unknown = np.full((len(robot), len(POSE)), np.nan)
+    docks = case.columns("docks.csv", ["x_R", "y_R", "z_R"])
+    log = SensingLog(
+        robot_id=robot,
+        dock_radius=1.0,
+        dock_offset_body=docks,
+        anchor_position=pose[0, :3],
+        orientation_wxyz=pose[:, 3:],
+        contacts=contacts,
+        flip_height=np.full(len(robot), np.nan),
+        spawn_position=np.full((len(robot), 3), np.nan),
+    )
+    colorings = [
+        Coloring(label, "R", table[:, column])
+        for column, label in enumerate(values, start=len(POSE))
+    ]
+    return SwarmView(
+        name=case.name,
+        robot=robot,
+        pose=pose,
+        estimated_pose=unknown,
+        error=unknown[:, 0],
+        force=unknown[:, 0],
+        sd=unknown[:, 0],
+        stood=pose,
+        dock_offset_body=docks,
+        terrain=None,
+        read_log=lambda: log,
+        read_trace=lambda: _read_trajectory(case, len(robot)),
+        user_colorings=case.user_colorings,
+        further_colorings=colorings,
+        is_of_engine=True,
+    )
+
+
+def _read_trajectory(case: StoredCase, robots: int) -> EstimateTrace | None:
+    """Read the trajectory of a swarm; None where it has not all robots, or too many."""
+    path = case.folder / "trajectory.csv"
+    if not path.exists() or robots > _MOST_MOVING:
+        return None
+    table = case.columns(path.name, ["step", "robot", "x_R", "y_R", "z_R"])
+    steps = np.unique(table[:, 0])
+    if len(table) != len(steps) * robots:
+        return None
+    return EstimateTrace(steps.astype(np.int64), table[:, 2:].reshape(-1, robots, 3))
 
 
 def _read_trace(case: StoredCase, robots: int) -> EstimateTrace | None:
@@ -491,6 +555,7 @@ class View(NamedTuple):
     choice: str  # what the menu offers
     note: str
     robots: str = "estimated"  # the robots that colorings color
+    frames: str = "iterations"  # what the page plays beside joins
 
     @property
     def has_truth(self) -> bool:
@@ -535,11 +600,18 @@ def build_view(run: RunData) -> View | None:
         notes.insert(0, f"The view contains {len(shown)} of {done} cases.")
     return View(
         data=space_data(view.dock_offset_body, shown) | {"compared": True},
-        title="Structures" if run.has_structures_alone else "True and estimated positions",
+        title=_title_of(run),
         choice="Condition" if is_grid else "Case",
         note=" ".join(notes),
         robots="robots" if run.has_structures_alone else "estimated",
+        frames="steps" if run.is_of_engine else "iterations",
     )
+
+
+def _title_of(run: RunData) -> str:
+    if run.is_of_engine:
+        return "Swarms"
+    return "Structures" if run.has_structures_alone else "True and estimated positions"
 
 
 def first_series(run: RunData) -> list[str]:

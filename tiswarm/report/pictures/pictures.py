@@ -90,6 +90,9 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
     around = structure.dock.reshape(-1, 3)
     by_join = Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}")
     name = "structure" if view.has_truth else "estimate"
+    if view.is_of_engine:
+        by_join = by_join._replace(low="robot  0")
+        name = "swarm"
     scene = build_scene(structure, view.terrain)
     pictures = {name: Picture(scene, by_join)}
     if view.has_truth and view.has_estimate:
@@ -98,7 +101,8 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
         is_of_user = any(coloring is of_user for of_user in view.user_colorings)
         name = re.sub(r"\W+", "-", coloring.label)
         pictures[f"color-{name}" if is_of_user else name] = _colored(view, scene, coloring)
-    pictures["contact-graph"] = _contact_graph(view, around)
+    if not view.is_of_engine:
+        pictures["contact-graph"] = _contact_graph(view, around)
     return pictures
 
 
