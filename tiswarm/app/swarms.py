@@ -386,6 +386,11 @@ class Swarms(Sequence[GrownStructure]):
         return self._padded(lambda structure: structure.margin)
 
     @property
+    def stability(self) -> list[str]:
+        """Whether each structure on docks that rest stands, tipped or slid; empty where held."""
+        return [structure.stability for structure in self]
+
+    @property
     def broken(self) -> Ints:
         """Contacts that broke, in order, shape (B, 6).
 

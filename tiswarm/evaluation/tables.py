@@ -29,7 +29,9 @@ from tiswarm.records.frames import GREATEST
 from tiswarm.records.measures import (
     BROKEN,
     MARGIN,
+    SLID,
     STANDING,
+    TIPPED,
     PluginMeasure,
     plugin_measures,
 )
@@ -353,6 +355,7 @@ def totals(history: History) -> dict[str, float | int]:
         "spawns": history.spawns,
         **({name: grown[name].iloc[-1] for name in (*LOSSES, BROKEN.column) if name in grown}),
         **_strength(history),
+        **_stability(history),
         "crossed": int(history.crossed),
         "beyond_edge": float(is_beyond.mean()) if terrain.has_edge else np.nan,
         **_flips(history),
@@ -370,6 +373,13 @@ def _strength(history: History) -> dict[str, float]:
     margin = _in_a_table(history.margin)
     least = np.nan if np.isnan(margin).all() else float(np.nanmin(margin))
     return {STANDING.column: int(np.count_nonzero(~history.is_gone)), MARGIN.column: least}
+
+
+def _stability(history: History) -> dict[str, int]:
+    """Return whether a structure tipped or slid; empty where the ground holds docks."""
+    if not history.stability:
+        return {}
+    return {measure.column: int(history.stability == measure.column) for measure in (TIPPED, SLID)}
 
 
 def _flips(history: History) -> dict[str, float]:

@@ -29,10 +29,7 @@ from tiswarm.base.plugins import call_plugin
 from tiswarm.base.registry import get, register
 from tiswarm.base.sections import NameOf, SendsPlugins
 from tiswarm.compute.math import normal
-from tiswarm.world.mechanics import ContactLoads
-
-GRAVITY = 9.80665
-"""Standard acceleration of gravity [m/s^2]."""
+from tiswarm.world.mechanics import GRAVITY, ContactLoads
 
 _MM = 1e-3
 """A millimeter [m]."""
