@@ -318,6 +318,7 @@ def _read_swarm_view(case: StoredCase) -> SwarmView:
         error=unknown[:, 0],
         force=unknown[:, 0],
         sd=unknown[:, 0],
+        margin=unknown[:, 0],
         stood=pose,
         dock_offset_body=docks,
         terrain=None,
