@@ -391,6 +391,15 @@ class Swarms(Sequence[GrownStructure]):
         return [structure.stability for structure in self]
 
     @property
+    def sent(self) -> Ints:
+        """Bytes that robots sent by the rule of growth, 0 without messages, shape (S, N)."""
+        return self._padded(
+            lambda structure: (
+                structure.sent if len(structure.sent) else np.zeros(structure.robot_count, np.int64)
+            )
+        )
+
+    @property
     def broken(self) -> Ints:
         """Contacts that broke, in order, shape (B, 6).
 
