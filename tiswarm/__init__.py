@@ -41,12 +41,15 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.app.formats import import_format as import_format
     from tiswarm.app.results import Run as Run
     from tiswarm.app.results import open_run as open_run
+    from tiswarm.app.steering import Growth as Growth
     from tiswarm.app.swarms import Swarms as Swarms
     from tiswarm.base.errors import EnvironmentTroubleError as EnvironmentTroubleError
     from tiswarm.base.errors import InputError as InputError
     from tiswarm.base.robot import RobotGeometry as RobotGeometry
     from tiswarm.compute.lang import ti as ti
     from tiswarm.engine.forces import relax as relax
+    from tiswarm.engine.laws import force as force
+    from tiswarm.engine.laws import integrator as integrator
     from tiswarm.engine.relax import RelaxResult as RelaxResult
     from tiswarm.localization.distributed.channels import channel as channel
     from tiswarm.localization.methods import method as method
@@ -55,6 +58,7 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.records.measures import measure as measure
     from tiswarm.report.figures import figure as figure
     from tiswarm.sensing.suites import sensor as sensor
+    from tiswarm.world.choices import reactive_build as reactive_build
     from tiswarm.world.ground.user import terrain as terrain
     from tiswarm.world.rules import rule as rule
     from tiswarm.world.rules import structure as structure

@@ -16,7 +16,7 @@ run.export("ply")
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -32,6 +32,7 @@ from tiswarm.app.results import (
     Overrides,
     PageFile,
     Run,
+    Section,
     as_path,
     as_texts,
     open_run,
@@ -192,10 +193,6 @@ def run(
     return Run(result.folder, failed=result.what_failed, missing=result.missing)
 
 
-Section = str | Mapping[str, object] | object
-"""Section of a scenario: the name that selects it, its keys, or its settings as an object."""
-
-
 def grow(
     structure: Section = "tower",
     robots: int = 100,
@@ -231,24 +228,8 @@ def grow(
     from tiswarm.app import swarms  # noqa: PLC0415 - slow to import
 
     load_plugins(plugins)
-    kind = _section(structure, "kind")
-    if rule is not None and isinstance(kind, Mapping):
-        kind = {**kind, "rule": _section(rule, "name")}
-    given = {
-        "name": "grow", "robots": robots, "structure": kind, "localization": {"method": METHOD},
-        "seeds": [*seeds] if isinstance(seeds, range | tuple) else seeds,
-        **({} if robot is None else {"robot": _section(robot, "shape")}),
-    }  # fmt: skip
-    return swarms.grow(_load(given, None), threads=threads, quiet=quiet)
-
-
-def _section(settings: object, key: str) -> object:
-    """Write a section of a scenario as plain data; `key` selects which settings it has."""
-    if isinstance(settings, str):
-        return {key: settings}
-    if is_dataclass(settings):
-        return asdict(settings() if isinstance(settings, type) else settings)
-    return settings
+    scenario = swarms.growth_scenario(structure, robots, seeds, rule=rule, robot=robot)
+    return swarms.grow(scenario, threads=threads, quiet=quiet)
 
 
 def open_swarms(path: File, *, plugins: Sequence[File] = ()) -> "Swarms":

@@ -7,15 +7,24 @@ import pytest
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.evaluation.tables import by_join, outlier_scores, score, score_files, totals
+from tiswarm.evaluation.tables import (
+    by_join,
+    by_robot,
+    outlier_scores,
+    score,
+    score_files,
+    totals,
+)
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Convergence
+from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.positions import Truth, write_positions
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
-from tiswarm.world.params import BridgeParams, CantileverParams
+from tiswarm.world.params import BridgeParams, CantileverParams, TowerParams
+from tiswarm.world.strength import StrengthParams
 
 SHAPE = np.random.default_rng(1).normal(size=(6, 3)) * [1.0, 2.0, 6.0]
 
@@ -262,3 +271,22 @@ def test_a_table_without_a_unit_is_refused(tmp_path):
 
     with pytest.raises(InputError, match="write them like robot,x_R,y_R,z_R"):
         score_files(tmp_path / "truth.csv", tmp_path / "truth.csv")
+
+
+def test_tables_have_no_margin_where_no_contact_has_load(tmp_path):
+    """Docks of two robots on the ground press, which the law of tension does not count."""
+    params = TowerParams(strength=StrengthParams(law="tension", limit=69.0))
+    [history] = grow(params, robots=2, seeds=[0], robot=RobotGeometry())
+    log = observe(history, SensingParams())
+    truth = Truth(
+        robot_id=log.robot_id,
+        position=history.position,
+        orientation_wxyz=history.orientation_wxyz,
+    )
+
+    robots = by_robot(truth, log, localize(log, VirtualForceParams()), history)
+    write_frame(robots, tmp_path / "robots.csv")
+
+    assert np.isinf(history.margin).all()
+    assert np.isnan(totals(history)["least_margin"])
+    assert read_frame(tmp_path / "robots.csv", gaps=["margin"])["margin"].isna().all()

@@ -9,22 +9,25 @@ from tests.rules import SEED, assert_same_growth, grow_seeds, with_rule
 from tiswarm.base import plugins, registry
 from tiswarm.base.errors import InputError
 from tiswarm.world.params import TowerParams
+from tiswarm.world.walks import climb_laws
 
 pytestmark = [pytest.mark.unchecked, pytest.mark.usefixtures("page_rules")]
 """Each score compiles the climbing of robots anew, in less time without checks of bounds."""
 
 
 def test_a_score_grows_the_same_in_python_and_as_a_kernel():
-    """The ramp of the page does, with its settings."""
-    settings = {"slope": 0.4, "length": 15.0}
+    """The ramp of the page does, with any values of its settings, which compile nothing."""
     seeds = range(SEED, SEED + 2)
+    compiled = []
 
-    ramp = grow_seeds(with_rule(TowerParams(), "ramp", **settings), 15, seeds)
+    for settings in ({"slope": 0.4, "length": 15.0}, {"slope": 0.9, "length": 7.0}):
+        ramp = grow_seeds(with_rule(TowerParams(), "ramp", **settings), 15, seeds)
+        as_kernel = with_rule(TowerParams(), "ramp-kernel", **settings)
+        assert_same_growth(ramp, grow_seeds(as_kernel, 15, seeds))
+        compiled.append(climb_laws(as_kernel)[0].score)
 
-    assert_same_growth(
-        ramp, grow_seeds(with_rule(TowerParams(), "ramp-kernel", **settings), 15, seeds)
-    )
     assert (ramp[0].position != grow_seeds(TowerParams(), 15, seeds)[0].position).any()
+    assert compiled[0] is compiled[1]
 
 
 SCORES = """
@@ -67,6 +70,18 @@ class Wrong:
         @ti.func
         def distance(center, orientation, goal):
             return sqrt(center[0])
+        return distance
+
+
+@tiswarm.rule("asking")
+class Asking:
+    lean: float = 1.0
+    name_of_it: str = ""
+
+    def score(self):
+        @ti.func
+        def distance(center, orientation, goal, lean, tilt):
+            return lean * tilt * (center - goal).norm()
         return distance
 
 
@@ -152,6 +167,11 @@ def test_a_score_follows_a_number_that_it_reads(whole):
             "of-python",
             plugins.PluginError,
             r"of-python\.score returned distance, a function of Python",
+        ),
+        (
+            "asking",
+            plugins.PluginError,
+            r"asking\.score returned a function that asks for tilt, which is no setting",
         ),
         ("decorated-method", plugins.PluginError, r"decorated-method\.choose returned float64"),
     ],

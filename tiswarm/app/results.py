@@ -33,6 +33,9 @@ else:
 File = str | PathLike[str]
 """Path of a file or folder."""
 
+Section = str | Mapping[str, object] | object
+"""Section of a scenario: the name that selects it, its keys, or its settings as an object."""
+
 Overrides = Mapping[str, object] | Sequence[str]
 """Values by dotted key, or as texts `KEY=VALUE`."""
 

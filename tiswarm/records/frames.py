@@ -20,7 +20,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import Opener, damaged, replacing, run_file, way_back, write_bytes
 
-_GREATEST = 1e12
+GREATEST = 1e12
 """Greatest number of a table: above, sums of squares and pictures lose all digits."""
 
 _KEPT_B = 1_000_000
@@ -68,6 +68,7 @@ def read_frame(
     numbers: Sequence[str] = (),
     *,
     gaps: Sequence[str] = (),
+    optional: Sequence[str] = (),
     notes: Sequence[str] = (),
     numbers_after: str = "",
     empty: bool = False,
@@ -79,6 +80,7 @@ def read_frame(
         words: Columns of text that the table must have; an empty cell is NaN.
         numbers: Columns of numbers that it must have, without an empty cell.
         gaps: Columns of numbers that it must have, where an empty cell is NaN.
+        optional: Columns of numbers that it may have, where an empty cell is NaN.
         notes: Columns of text that it may have.
         numbers_after: Column that it must have; columns after it are of this kind, `robots` too.
             Those before it have words, unless they are listed.
@@ -98,7 +100,7 @@ def read_frame(
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):
         raise damaged(path, "rows have more cells than the header")
-    columns = [*numbers, *gaps]
+    columns = [*numbers, *gaps, *(name for name in optional if name in table)]
     if table.empty and empty:
         table = table.reindex(columns=list(dict.fromkeys([*header, *columns])))
     for column in filter(None, [*words, *columns, numbers_after]):
@@ -147,7 +149,7 @@ def _are_usual(table: pd.DataFrame, *, gaps: bool = True) -> bool:
     if not all(kind.kind in "biuf" for kind in table.dtypes):
         return False
     size = np.abs(table.to_numpy(float))
-    return bool(((size <= _GREATEST) | (np.isnan(size) & gaps)).all())
+    return bool(((size <= GREATEST) | (np.isnan(size) & gaps)).all())
 
 
 def _check_numbers(
@@ -170,12 +172,12 @@ def _check_column(cells: pd.Series, path: Path, *, gaps: bool) -> None:
     """Refuse the first cell that is no finite number of a usual size."""
     # `to_numeric` crashes the process on text such as 1e4001234567.
     numbers = cells if pd.api.types.is_numeric_dtype(cells) else cells.map(_as_number)
-    is_number = numbers.abs() <= _GREATEST
+    is_number = numbers.abs() <= GREATEST
     wrong = cells[~(is_number | cells.isna()) if gaps else ~is_number]
     if len(wrong):
         cell = wrong.iloc[0]
         text = "an empty cell" if pd.isna(cell) else repr(str(cell)[:40])
-        problem = f"{text} is not a number up to {_GREATEST:g}; {way_back(path)}"
+        problem = f"{text} is not a number up to {GREATEST:g}; {way_back(path)}"
         raise InputError(problem, path=path, line=int(wrong.index[0]) + 2, key=str(cells.name))
 
 

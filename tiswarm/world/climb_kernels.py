@@ -21,6 +21,7 @@ from tiswarm.compute.lang import (
     F64,
     GRAIN,
     I32,
+    Columns,
     Ints1,
     Ints2,
     Ints3,
@@ -49,7 +50,10 @@ MAX_TOUCHING = 12
 
 @kernel_struct
 class ClimbLimits:
-    """Numbers that do not change during a climb; see `ClimbParams` and `Terrain`."""
+    """Numbers that do not change during a climb; see `ClimbParams` and `Terrain`.
+
+    The ground's are those of one structure: kernels put in those of each, see `limits_of`.
+    """
 
     spacing: F64
     contact_gap: F64
@@ -110,6 +114,15 @@ class Beliefs(NamedTuple):
     """From the orientation at each stance to the sensed one, wxyz, shape (slots, stances, 4)."""
 
 
+class Manner(Columns):
+    """How a robot ends its climb."""
+
+    PATIENCE = 1
+    """Steps in a row without a new best with which it gives up; 0 to stay where it starts."""
+    SETTLES = 1
+    """Whether it turns, where it stays, until a third dock touches."""
+
+
 class Climbers(NamedTuple):
     """Robots that climb at the same time, one slot each."""
 
@@ -122,11 +135,8 @@ class Climbers(NamedTuple):
     goal: Reals2
     """Goal of each [R], shape (slots, 3)."""
 
-    patience: Ints1
-    """Steps in a row without a new best with which each gives up; 0 to stay where it starts."""
-
-    settles: Ints1
-    """Whether each turns, where it stays, until a third dock touches."""
+    manner: Ints2
+    """Columns of `Manner`, shape (slots, 2)."""
 
     dock_offset_body: Reals2
     """Center to dock in the body frame [R], shape (n, 3)."""
@@ -140,12 +150,26 @@ class Climbers(NamedTuple):
     ground: Reals1
     """Numbers of bodies of the ground, and of zones, as `ground.kernels.GroundArray` has them."""
 
+    of_structure: Reals2
+    """Columns of `StructureColumn`, and settings that the score of its rule asks for, (S, P)."""
+
+
+class StructureColumn(Columns):
+    """Numbers of a structure: where its ground is, if that has a closed form."""
+
+    GROUND_Z = 1
+    """Height of its top [R]."""
+    LEFT_EDGE = 1
+    """Where the slab on the left ends [R]."""
+    RIGHT_EDGE = 1
+    """Where the slab on the right begins [R]."""
+
 
 class Laws(NamedTuple):
     """What kernels are compiled for."""
 
     score: Any
-    """Function of (center, orientation, goal) that climbers minimize."""
+    """Function of (center, orientation, goal, numbers of structures, structure) to minimize."""
 
     users: tuple[Any, ...] = ()
     """Functions of users for the ground."""
@@ -155,6 +179,27 @@ class Laws(NamedTuple):
 
     has_zones: bool = False
     """Whether there are zones that robots may not enter."""
+
+
+@ti.func
+def limits_of(limits: Ref, of_structure: Ref, s):
+    """Put the ground of a structure into the limits."""
+    return ClimbLimits(
+        spacing=limits.spacing,
+        contact_gap=limits.contact_gap,
+        ground_z=of_structure[s, StructureColumn.GROUND_Z],
+        left_edge=of_structure[s, StructureColumn.LEFT_EDGE],
+        right_edge=of_structure[s, StructureColumn.RIGHT_EDGE],
+        min_flip=limits.min_flip,
+        max_flip=limits.max_flip,
+        revisit_distance=limits.revisit_distance,
+        full_turn=limits.full_turn,
+        reach=limits.reach,
+        inverse_edge=limits.inverse_edge,
+        twists=limits.twists,
+        is_planar=limits.is_planar,
+        by_belief=limits.by_belief,
+    )
 
 
 class Site(NamedTuple):
@@ -446,9 +491,16 @@ def _no_flip(center, q):
 
 
 @ti.func
-def goal_distance(center, _orientation, goal):
+def goal_distance(center, _orientation, goal, _of_structure: Ref, _s):
     """Distance of a robot's center to its goal [R]: what a climber of ReactiveBuild minimizes."""
     return (center - goal).norm()
+
+
+@ti.func
+def scored(climbers: Ref, mover, center, q, laws: Ref):
+    """Score a pose of a climber, where it believes itself."""
+    goal = vector_at(climbers.goal, mover)
+    return laws.score(center, q, goal, climbers.of_structure, climbers.structure[mover])
 
 
 @ti.func
@@ -679,7 +731,8 @@ def nearest_flip(
                 if limits.by_belief:
                     planned = flipped(sensed_axis, way, angle, sensed)
                 end = pivot - rotate(turned, body_in)
-                distance = laws.score(pivot - rotate(planned, body_in) + by, planned, goal)
+                believed_end = pivot - rotate(planned, body_in) + by
+                distance = scored(climbers, mover, believed_end, planned, laws)
                 is_next = distance < chosen.distance
                 if is_next and may_end(limits, site, climbers, walks, mover, stance, end, turned):
                     fails = False
@@ -893,14 +946,15 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m, laws: Ref
 
 @ti.kernel
 def climb(
-    limits: ClimbLimits, movers: Ints1, state_out: Ints1, flips_out: Ints3,
+    limits_of_one: ClimbLimits, movers: Ints1, state_out: Ints1, flips_out: Ints3,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Beliefs
     believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3, turn: Reals3,
     # Climbers
-    structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
+    structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
+    of_structure: Reals2,
     # WalkArrays, from the first stance on
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
@@ -916,7 +970,7 @@ def climb(
     it touches and where a flip ends are as they are.
 
     Args:
-        limits: Terrain, distances and limits.
+        limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
         state_out: How each walk ended, shape (slots,).
         flips_out: Item of the dock that the flip from each stance was planned to end at, or GROUND,
@@ -929,20 +983,19 @@ def climb(
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
-        ground,
+        structure, first_stance, goal, manner, dock_offset_body, near_out, obstacle_out,
+        ground, of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last_out,
         best_out, stay_out,
     ))  # fmt: skip
-    score = ti.static(laws.score)
     site = ti.static(site_of(ground, laws))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
             s = structure[m]
-            target = vector_at(goal, m)
+            limits = limits_of(limits_of_one, of_structure, s)
             stance = first_stance[m]
             best_stance = 0
             best_step = 0
@@ -954,7 +1007,8 @@ def climb(
                     limits, structures, believed, dock_offset_body, s, walks, m, earlier, 0, middle
                 )
                 was = sensed_orientation(limits, believed, walks, m, earlier)
-                distance = score(vector_in(center_out, m, earlier) + by, was, target)
+                believed_center = vector_in(center_out, m, earlier) + by
+                distance = scored(climbers, m, believed_center, was, laws)
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = earlier
@@ -977,12 +1031,12 @@ def climb(
                     limits, structures, believed, dock_offset_body, s, walks, m, stance, 0, middle
                 )
                 sensed = sensed_orientation(limits, believed, walks, m, stance)
-                distance = score(center + by, sensed, target)
+                distance = scored(climbers, m, center + by, sensed, laws)
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = stance
                     best_step = steps
-                steps_left = best_step + patience[m] - steps
+                steps_left = best_step + manner[m, Manner.PATIENCE] - steps
                 if called:
                     state_out[m] = RECRUITED
                     best_stance = stance
@@ -1011,7 +1065,7 @@ def climb(
             last_out[m] = stance
             best_out[m] = best_stance
             stay_out[m] = best_stance
-            if settles[m]:
+            if manner[m, Manner.SETTLES]:
                 settle(limits, structures, climbers, walks, m, laws)
 
 

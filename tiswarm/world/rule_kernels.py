@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from tiswarm.compute.lang import (
     GRAIN,
+    Columns,
     Ints1,
     Ints2,
     Ints3,
@@ -26,6 +27,7 @@ from tiswarm.world.climb_kernels import (
     ClimbedDocks,
     Climbers,
     ClimbLimits,
+    Manner,
     Obstacles,
     WalkArrays,
     enters,
@@ -34,6 +36,7 @@ from tiswarm.world.climb_kernels import (
     flipped,
     hinge_at,
     is_attached,
+    limits_of,
     quaternion_at,
     revisits,
     sense_contacts,
@@ -61,6 +64,15 @@ class FlipArrays(NamedTuple):
     """Whether the walk has been there before, shape (slots, K)."""
 
 
+class Sensed(Columns):
+    """What a climber meets at a stance."""
+
+    CALLED = 1
+    """Whether it touches a dock with a call."""
+    OVERFLOW = 1
+    """SCRATCH_FULL where more docks are near than fit, else 0."""
+
+
 class EndContacts(NamedTuple):
     """What robots touch in several poses, as `WalkArrays` has it for stances."""
 
@@ -70,12 +82,13 @@ class EndContacts(NamedTuple):
 
 @ti.kernel
 def list_flips(
-    limits: ClimbLimits, movers: Ints1, called_out: Ints1, state_out: Ints1,
+    limits_of_one: ClimbLimits, movers: Ints1, sensed_out: Ints2,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
-    structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
+    structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
+    of_structure: Reals2,
     # WalkArrays
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay: Ints1,
@@ -89,17 +102,16 @@ def list_flips(
     are none.
 
     Args:
-        limits: Terrain, distances and limits.
+        limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
-        called_out: Whether each touches a dock with a call, shape (slots,).
-        state_out: SCRATCH_FULL where more docks are near than fit, shape (slots,).
+        sensed_out: Columns of `Sensed`, shape (slots, 2).
         laws: Form of the ground: a `Laws`.
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(head, following), dock, orientation))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
-        ground,
+        structure, first_stance, goal, manner, dock_offset_body, near_out, obstacle_out,
+        ground, of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center, orientation, pivot_dock, touching_out, on_ground_out, last, best, stay,
@@ -109,6 +121,7 @@ def list_flips(
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
+            limits = limits_of(limits_of_one, of_structure, structure[m])
             stance_center = vector_in(center, m, last[m])
             q = quaternion_at(orientation, m, last[m])
             called = 0
@@ -117,13 +130,14 @@ def list_flips(
                 called |= sense_contacts(
                     limits, site, structures, structure[m], walks, m, last[m], k, point
                 )
-            called_out[m] = called
+            sensed_out[m, Sensed.CALLED] = called
+            sensed_out[m, Sensed.OVERFLOW] = 0
             for column in range(angle_out.shape[1]):
                 angle_out[m, column] = 0.0
             for k in range(dock_offset_body.shape[0]):
                 # One is kept for settling.
                 if last[m] + 2 < center.shape[1] and is_attached(walks, m, last[m], k):
-                    state_out[m] |= _flips_about(
+                    sensed_out[m, Sensed.OVERFLOW] |= _flips_about(
                         limits, structures, believed, climbers, walks, m, k, flips, laws
                     )
 
@@ -163,17 +177,18 @@ def _flips_about(
 
 @ti.kernel
 def sense_ends(
-    limits: ClimbLimits, movers: Ints1, structure: Ints1, dock_offset_body: Reals2,
+    limits_of_one: ClimbLimits, movers: Ints1, structure: Ints1, dock_offset_body: Reals2,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # FlipArrays, all but the last
     angle: Reals2, end: Reals3, turned: Reals3,
-    touching_out: Ints4, on_ground_out: Ints3, called_out: Ints2, ground: Reals1, laws: Static,
+    touching_out: Ints4, on_ground_out: Ints3, called_out: Ints2, ground: Reals1,
+    of_structure: Reals2, laws: Static,
 ):  # fmt: skip
     """Find what movers would touch where the flips from `list_flips` end.
 
     Args:
-        limits: Terrain, distances and limits.
+        limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
         structure: Structure that the robots of each slot climb, shape (slots,).
         dock_offset_body: Center to dock in the body frame [R], shape (n, 3).
@@ -181,6 +196,7 @@ def sense_ends(
         on_ground_out: As in `WalkArrays`, by flip in place of stance.
         called_out: Whether a dock with a call is touched, shape (slots, K).
         ground: Numbers of the bodies of the ground.
+        of_structure: Numbers of each structure, as `Climbers` has them.
         laws: Form of the ground: a `Laws`.
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
@@ -189,6 +205,7 @@ def sense_ends(
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
+            limits = limits_of(limits_of_one, of_structure, structure[m])
             for column in range(angle.shape[1]):
                 called_out[m, column] = 0
                 if angle[m, column] != 0.0:
@@ -203,12 +220,13 @@ def sense_ends(
 
 @ti.kernel
 def settle_walks(
-    limits: ClimbLimits, movers: Ints1,
+    limits_of_one: ClimbLimits, movers: Ints1,
     # ClimbedDocks
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
-    structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
+    structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
     dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
+    of_structure: Reals2,
     # WalkArrays
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay_out: Ints1,
@@ -217,19 +235,21 @@ def settle_walks(
     """Let movers that settle turn, where they stay, until a third dock touches.
 
     Args:
-        limits: Terrain, distances and limits.
+        limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
         laws: Form of the ground: a `Laws`.
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
-        ground,
+        structure, first_stance, goal, manner, dock_offset_body, near_out, obstacle_out,
+        ground, of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last, best,
         stay_out,
     ))  # fmt: skip
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
-        if idle == 0 and settles[movers[i]]:
-            settle(limits, structures, climbers, walks, movers[i], laws)
+        if idle == 0 and manner[movers[i], Manner.SETTLES]:
+            m = movers[i]
+            limits = limits_of(limits_of_one, of_structure, structure[m])
+            settle(limits, structures, climbers, walks, m, laws)

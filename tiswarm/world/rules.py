@@ -18,7 +18,7 @@ it may take, and the rule chooses for all.
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass as plain_dataclass
-from functools import cached_property, partial, wraps
+from functools import partial, wraps
 from inspect import isfunction
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
@@ -26,37 +26,22 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import AnyInts, Bools, Reals
+from tiswarm.base.aliases import AnyInts, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.plugins import call_plugin, fault_of_numbers
 from tiswarm.base.registry import register
 from tiswarm.base.sections import settings_class
-from tiswarm.compute.math import uniform
 from tiswarm.compute.user_functions import is_kernel_function
 from tiswarm.records.terrain import Terrain
-from tiswarm.world.climb_kernels import (
-    ENDED,
-    MAX_TOUCHING,
-    RECRUITED,
-    WALKING,
-    StructureArrays,
-)
+from tiswarm.world.choices import fault_of_choice, read_only
+from tiswarm.world.members import Members
 from tiswarm.world.params import GrowthParams
-from tiswarm.world.rule_kernels import FlipArrays, list_flips, sense_ends, settle_walks
-from tiswarm.world.walks import Walks
-
-_Slots = NDArray[np.int32]
-
-_DRAW_BITS = 16
-"""A climber draws up to two to this number of a stream at a stance."""
-
-STAY = -1
-"""A climber's choice to stay where it is."""
+from tiswarm.world.walks import asked_settings
 
 _MOST_CALLED = 2**30
 """Largest call of a plug-in."""
 
-_METHODS = ("choose", "score", "call", "spread")
+_METHODS = ("choose", "score", "call", "spread", "act")
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _SHAPES: Mapping[str, Callable[..., tuple[int, ...]]] = {
@@ -75,198 +60,7 @@ _Kind = TypeVar("_Kind", bound=GrowthParams)
 _Class = TypeVar("_Class", bound=type)
 
 
-class ClimbStep:
-    """What climbers that choose see: M of them in S structures, each with K flips.
-
-    A choice is the number of a possible flip, -1 to stay at the current stance, or `back(s)` to
-    go back to an earlier stance and stay there. Who stays where it touches no robot is taken away
-    and starts again. Arrays of the structures cannot be written: copy them first.
-    """
-
-    def __init__(
-        self,
-        walks: Walks,
-        structures: StructureArrays,
-        flips: FlipArrays,
-        called: _Slots,
-        slots: _Slots,
-        sensed: Reals,
-        present: AnyInts,
-    ) -> None:
-        """Take the arrays of all slots, and the slots of those who choose, shape (M,)."""
-        self._walks = walks
-        self._structures = structures
-        self._flips = flips
-        self._slots = slots
-        self.structure: AnyInts = walks.climbers.structure[slots]
-        """Structure that each climbs, shape (M,)."""
-        self.robot: AnyInts = walks.robot[slots]
-        """Robots that started in that structure before it, shape (M,)."""
-        self.stance: AnyInts = walks.stances.last[slots]
-        """Flips that it has taken: number of its current stance, shape (M,)."""
-        self.center: Reals = walks.stances.center[slots, self.stance]
-        """Its center [R], shape (M, 3)."""
-        self.orientation_wxyz: Reals = walks.stances.orientation[slots, self.stance]
-        """Its orientation, body to world, shape (M, 4)."""
-        self.touching: AnyInts = walks.stances.touching[slots, self.stance]
-        """Docks n i + k that its docks touch, or -1, shape (M, n, MAX_TOUCHING)."""
-        self.on_ground: AnyInts = walks.stances.on_ground[slots, self.stance]
-        """Whether its docks stand on flat ground, 1, or an edge, 2, else 0, shape (M, n)."""
-        self.goal: Reals = walks.climbers.goal[slots]
-        """Its goal [R], shape (M, 3)."""
-        self.patience: AnyInts = walks.climbers.patience[slots]
-        """`structure.climb.patience` of each, shape (M,)."""
-        self.called: Bools = called[slots] != 0
-        """Whether it touches a dock that passes a call on, shape (M,)."""
-        self.angle: Reals = flips.angle[slots]
-        """Angle of each flip [rad], negative if backward, 0 if there is none, shape (M, K)."""
-        self.possible: Bools = self.angle != 0.0
-        """Which flips there are: about an attached dock, and something stops them, (M, K)."""
-        self.dock = _read_only(structures.dock)
-        """Dock centers of all structures [R], shape (S, n N, 3)."""
-        self.relay = _read_only(structures.relay)
-        """Call that each dock passes on, shape (S, n N)."""
-        self.robot_count = _read_only(structures.robot_count)
-        """Robots that have joined; rows of others are meaningless, shape (S,)."""
-        self.sensed = _read_only(sensed)
-        """Load that each robot sensed at the last solve [weight of a dock], shape (S, N)."""
-        self.present: Bools = present != 0
-        """Whether each robot has not left again, shape (S, N)."""
-
-    @cached_property
-    def walk(self) -> Reals:
-        """Centers of its stances up to the current one, then NaN [R], (M, most stances, 3)."""
-        centers: Reals = self._walks.stances.center[self._slots, : self.stance.max() + 1]
-        centers[np.arange(centers.shape[1]) > self.stance[:, None]] = np.nan
-        return centers
-
-    @cached_property
-    def pivot(self) -> AnyInts:
-        """Dock about which each flip turns, shape (K,)."""
-        return np.repeat(np.arange(self._walks.docks), self.angle.shape[1] // self._walks.docks)
-
-    @cached_property
-    def end(self) -> Reals:
-        """Centers where flips end [R], meaningless where there is none, shape (M, K, 3)."""
-        end: Reals = self._flips.center[self._slots]
-        return end
-
-    @cached_property
-    def end_orientation_wxyz(self) -> Reals:
-        """Orientations where flips end, shape (M, K, 4)."""
-        orientation: Reals = self._flips.orientation[self._slots]
-        return orientation
-
-    @cached_property
-    def visited(self) -> Bools:
-        """Whether its walk has been where a flip ends, shape (M, K)."""
-        visited: Bools = self._flips.visited[self._slots] != 0
-        return visited
-
-    @cached_property
-    def _ends(self) -> tuple[AnyInts, AnyInts, AnyInts]:
-        walks = self._walks
-        flips = self._flips
-        shape = (*flips.angle.shape, walks.docks)
-        touching = np.full((*shape, MAX_TOUCHING), -1, np.int32)
-        ground = np.zeros(shape, np.int32)
-        called = np.zeros(flips.angle.shape, np.int32)
-        structures = self._structures
-        sense_ends(
-            walks.limits, self._slots, walks.climbers.structure, walks.climbers.dock_offset_body,
-            *structures.cells, structures.dock, structures.relay, *flips[:3], touching, ground,
-            called, walks.climbers.ground, walks.laws,
-        )  # fmt: skip
-        return touching[self._slots], ground[self._slots], called[self._slots]
-
-    @property
-    def end_touching(self) -> AnyInts:
-        """Docks that docks touch where a flip ends, as `touching`, (M, K, n, MAX_TOUCHING)."""
-        return self._ends[0]
-
-    @property
-    def end_on_ground(self) -> AnyInts:
-        """Ground on which docks stand where a flip ends, as `on_ground`, shape (M, K, n)."""
-        return self._ends[1]
-
-    @property
-    def end_called(self) -> Bools:
-        """Whether a dock with a call is touched where a flip ends, shape (M, K)."""
-        called: Bools = self._ends[2] != 0
-        return called
-
-    def uniform(self, stream: str, count: int) -> Reals:
-        """Draw numbers in [0, 1), shape (M, count), by seed, stream, robot and stance alone."""
-        draw = (self.stance.astype(np.int64) << _DRAW_BITS)[:, None] + np.arange(count)
-        return uniform(self._walks.seed[self._slots, None], stream, self.robot[:, None], draw)
-
-    def back(self, stance: AnyInts | int) -> AnyInts:
-        """Return the choice to go back to a stance, 0 up to the current one, and stay there.
-
-        Args:
-            stance: That of each climber, shape (M,), or of all.
-        """
-        return -2 - np.asarray(stance)
-
-
-def climb_by_choice(
-    walks: Walks, structures: StructureArrays, movers: _Slots, sensed: Reals, present: AnyInts
-) -> None:
-    """Let robots walk on from their first stance as a rule chooses.
-
-    Args:
-        walks: Walks of the robots.
-        structures: What they climb.
-        movers: Slots of the robots that move, shape (M,).
-        sensed: Load that each robot sensed at the last solve, shape (S, N).
-        present: Whether each robot has not left, shape (S, N).
-    """
-    stances = walks.stances
-    patience = walks.climbers.patience
-    climbed = (*structures.cells, structures.dock, structures.relay)
-    slot_count = len(patience)
-    flip_count = 2 * walks.limits.twists * walks.docks
-    flips = FlipArrays(
-        angle=np.zeros((slot_count, flip_count)),
-        center=np.zeros((slot_count, flip_count, 3)),
-        orientation=np.zeros((slot_count, flip_count, 4)),
-        visited=np.zeros((slot_count, flip_count), np.int32),
-    )
-    called = np.zeros(slot_count, np.int32)
-    stances.last[movers] = walks.climbers.first_stance[movers]
-    walks.state[movers] = WALKING
-    walking: AnyInts = movers
-    while len(walking):
-        list_flips(
-            walks.limits, walking, called, walks.state, *climbed, *walks.climbers, *stances, *flips,
-            walks.laws,
-        )  # fmt: skip
-        choice = np.full(len(walking), STAY, np.int32)
-        asks = patience[walking] > 0  # others are put where they stay
-        if asks.any():
-            slots = walking[asks]
-            step = ClimbStep(walks, structures, flips, called, slots, sensed, present)
-            choice[asks] = walks.rule.choose(step)
-        last = stances.last[walking]
-        goes = choice >= 0
-        stay = np.where(choice < STAY, -2 - choice, last)[~goes]
-        stayed = walking[~goes]
-        stances.best[stayed] = stay
-        stances.stay[stayed] = stay
-        recruited = (called[stayed] != 0) & (stay == last[~goes])
-        walks.state[stayed] |= np.where(recruited, RECRUITED, ENDED)
-        walking = walking[goes]
-        last = last[goes]
-        flip = choice[goes]
-        stances.pivot_dock[walking, last] = flip // (flip_count // walks.docks)
-        stances.center[walking, last + 1] = flips.center[walking, flip]
-        stances.orientation[walking, last + 1] = flips.orientation[walking, flip]
-        stances.last[walking] = last + 1
-    if walks.climbers.settles[movers].any():
-        settle_walks(walks.limits, movers, *climbed, *walks.climbers, *stances, walks.laws)
-
-
-def rule(name: str) -> Callable[[_Class], _Class]:
+def rule(name: str, *, local: bool = False) -> Callable[[_Class], _Class]:
     """Register a class as a rule of growth, which scenarios choose as `structure.rule`.
 
     Its annotated fields are settings. It has one of these methods:
@@ -275,18 +69,26 @@ def rule(name: str) -> Callable[[_Class], _Class]:
       `step`, -1 to stay, or `step.back(s)` to go back to stance s and stay there.
       `help(type(step))` lists what a step has.
     - `score()`: a function of the kernel language of (center, orientation, goal), to be least in
-      place of the distance to the goal; robots do all else as in ReactiveBuild.
+      place of the distance to the goal; robots do all else as in ReactiveBuild. Further arguments
+      are names of settings, whose values then change without compiling again.
 
     And it may have these, in place of what ReactiveBuild does:
 
     - `call(sensed, params)`: the call that each robot of a structure makes, integers from 0 up, by
       the loads that they sense [weight of a dock], both of shape (N,).
+    - `act(members)`: what robots that have joined do in each round: what they write to their
+      memory, say, and whether they leave, truth values of shape (P,), or None for nobody;
+      `help(tiswarm.world.members.Members)` lists what they have.
     - `spread(call, contacts)`: the call that each dock passes on, shape (n N,), by the calls that
       N robots of n docks make. Docks n i + a and n j + b touch if `contacts`, (C, 2), has such a
       row.
 
+    These plain attributes, or settings, are numbers: `memory` that a robot keeps, those of a
+    `message`, and the rounds in which robots act when the structure is complete, `rounds_after`.
+
     Args:
         name: Name of the rule: words of letters and digits, with "-".
+        local: Whether climbers see what they touch, remember and hear alone, a `LocalStep`.
 
     Raises:
         InputError: the name is taken or invalid, the class lacks a method, or a field cannot be
@@ -307,6 +109,7 @@ def rule(name: str) -> Callable[[_Class], _Class]:
             for method in _METHODS
             if hasattr(rule_class, method)
         }
+        guards["is_local"] = local
         section: _Class = settings_class("rule", name, rule_class, rule_class, guards)
         register("rule", name, section, next(iter(functions), rule_class))
         return section
@@ -324,15 +127,26 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
     @wraps(unguarded)
     def call(*arguments: Any) -> Any:  # noqa: ANN401 - as the method
         shown = [
-            _read_only(argument) if isinstance(argument, np.ndarray) else argument
+            read_only(argument) if isinstance(argument, np.ndarray) else argument
             for argument in arguments
         ]
+        if method == "act":
+            members = arguments[1]
+            return call_plugin(
+                "rule",
+                name,
+                partial(unguarded, *shown),
+                partial(_fault_of_leaving, members),
+                method=method,
+                repeats=unguarded,
+                owner=arguments[0],
+            )
         if method == "score":
             return call_plugin(
                 "rule",
                 name,
                 partial(unguarded, *shown),
-                _fault_of_score,
+                partial(_fault_of_score, arguments[0]),
                 method=method,
                 repeats=unguarded,
                 owner=arguments[0],
@@ -375,17 +189,28 @@ def _described(value: object) -> str:
     return f"{name}, a function of Python" if name else f"a {type(value).__name__}"
 
 
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a view that code of users cannot write: the array is that of the engine."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
+def _fault_of_leaving(members: Members, returned: object) -> str:
+    nobody = np.zeros(len(members.age), np.bool_)
+    leaves: NDArray[Any] = np.asarray(nobody if returned is None else returned)
+    if leaves.dtype.kind != "b" or leaves.shape != members.age.shape:
+        have = f"{leaves.dtype} of shape {leaves.shape}"
+        return f"{have}; return True for each of {len(members.age)} robots that leaves, or None"
+    for written in ("memory", "say"):
+        if np.shape(getattr(members, written)) != members.shape_of[written]:
+            return f"a {written} of another shape; write into members.{written}"
+    return ""
 
 
-def _fault_of_score(returned: object) -> str:
-    if is_kernel_function(returned):
-        return ""
-    return f"{_described(returned)}; return a function that ti.func decorates, and nothing else"
+def _fault_of_score(settings: object, returned: object) -> str:
+    if not is_kernel_function(returned):
+        return f"{_described(returned)}; return a function that ti.func decorates, and nothing else"
+    for name in asked_settings(returned):
+        if not isinstance(getattr(settings, name, None), int | float):
+            return (
+                f"a function that asks for {name}, which is no setting of the rule with a number; "
+                f"its arguments are center, orientation, goal, and settings"
+            )
+    return ""
 
 
 def _fault_of_integers(returned: NDArray[Any]) -> str:
@@ -394,23 +219,6 @@ def _fault_of_integers(returned: NDArray[Any]) -> str:
     is_none = returned.dtype == np.object_ and returned.size > 0 and returned.flat[0] is None
     kind = "None" if is_none else returned.dtype
     return f"{kind}; return integers"
-
-
-def _fault_of_choice(choice: AnyInts, step: Any) -> str:  # noqa: ANN401 - of a part
-    """Say why climbers cannot do what a rule chose; empty if they can."""
-    if choice.shape != step.stance.shape:
-        return f"shape {choice.shape}; return a choice for each of {len(step.stance)} climbers"
-    flips = np.flatnonzero(choice >= 0)
-    last = step.possible.shape[1] - 1
-    cannot = flips[~step.possible[flips, np.minimum(choice[flips], last)]]
-    cannot = np.append(cannot, np.flatnonzero((choice > last) | (choice < step.back(step.stance))))
-    if not len(cannot):
-        return ""
-    m = int(cannot.min())
-    return (
-        f"{choice[m]} for climber {m}; return a possible flip, {STAY} to stay, or step.back(s) "
-        f"for an earlier stance s of its {step.stance[m] + 1}"
-    )
 
 
 def _fault_of_calls(call: AnyInts, sensed: Reals, _params: object) -> str:
@@ -431,7 +239,7 @@ def _fault_of_values(call: AnyInts) -> str:
 
 
 _FAULTS: dict[str, Callable[..., str]] = {
-    "choose": _fault_of_choice,
+    "choose": fault_of_choice,
     "call": _fault_of_calls,
     "spread": _fault_of_spread,
 }

@@ -10,6 +10,7 @@ ReactiveBuild, DARS 2021).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from inspect import signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.spatial.distance import pdist
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.errors import TiswarmError
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
+from tiswarm.compute.lang import Ref, ti
 from tiswarm.compute.user_functions import is_of_library, mistake_of_user, reads, undecorated
 from tiswarm.records.terrain import Terrain
 from tiswarm.world import climb_kernels
@@ -30,7 +32,9 @@ from tiswarm.world.climb_kernels import (
     Climbers,
     ClimbLimits,
     Laws,
+    Manner,
     StructureArrays,
+    StructureColumn,
     WalkArrays,
     join_undisturbed,
 )
@@ -99,7 +103,7 @@ def climb_laws(params: GrowthParams) -> tuple[Laws, Reals]:
     """Return what kernels are compiled for, and the numbers of the ground's bodies and zones."""
     score = climb_kernels.goal_distance
     if hasattr(params.rule, "score"):
-        score = _score_of(params.rule)
+        score, _ = _score_of(params.rule)
     laws = Laws(score, has_zones=params.no_entry is not None)
     zones = structure_zones(params)
     array: Reals = np.zeros(HEADER)
@@ -132,14 +136,55 @@ class Spawn(NamedTuple):
     """Robots that started in the structure before."""
 
 
+def structure_rows(params: Sequence[GrowthParams]) -> Reals:
+    """List the numbers of S structures as `Climbers` has them, shape (S, P)."""
+    names: tuple[str, ...] = ()
+    if hasattr(params[0].rule, "score"):
+        _, names = _score_of(params[0].rule)
+    rows = []
+    for of_structure in params:
+        ground = structure_ground(of_structure)
+        settings = [float(getattr(of_structure.rule, name)) for name in names]
+        rows.append([ground.ground_z, ground.left_edge, ground.right_edge, *settings])
+    return np.array(rows)
+
+
 _scores: dict[tuple[object, ...], Any] = {}
-"""Scores of rules by what they read."""
+"""Scores of rules, as `Laws` have them, by what they read."""
+
+_OF_ENGINE = 3
+"""Arguments of a score that are no settings: center, orientation, goal."""
 
 
-def _score_of(rule: Any) -> Any:  # noqa: ANN401 - settings of a rule, and a kernel's function
-    """Return the score of a rule; the same one where it reads the same, so kernels compile once."""
+def asked_settings(score: Any) -> tuple[str, ...]:  # noqa: ANN401 - a function of kernels
+    """Name the settings of its rule that a score asks for."""
+    return tuple(signature(undecorated(score)).parameters)[_OF_ENGINE:]
+
+
+def _score_of(rule: Any) -> tuple[Any, tuple[str, ...]]:  # noqa: ANN401 - settings, a function
+    """Return the score of a rule, and the settings that it asks for.
+
+    It is the same function where it reads the same, so that kernels are compiled once.
+    """
     score = rule.score()
-    return _scores.setdefault(reads(undecorated(score)), score)
+    names = asked_settings(score)
+    return _scores.setdefault(reads(undecorated(score)), _caller(score, len(names))), names
+
+
+def _caller(score: Any, count: int) -> Any:  # noqa: ANN401 - functions of kernels
+    """Return a score as `Laws` have it, which gives that of a user so many settings."""
+
+    def evaluate(*arguments: object) -> tuple[object]:
+        return (score(*arguments),)
+
+    first = StructureColumn.TOTAL
+
+    def scored(center, orientation, goal, of_structure: Ref, s):  # noqa: ANN001, ANN202 - of kernels
+        return ti.static(
+            evaluate(center, orientation, goal, *[of_structure[s, first + c] for c in range(count)])
+        )[0]
+
+    return ti.func(scored)
 
 
 class Walks:
@@ -149,7 +194,7 @@ class Walks:
         self,
         structure_of: _Slots,
         limits: ClimbLimits,
-        params: GrowthParams,
+        params: Sequence[GrowthParams],
         robot: RobotGeometry,
         seeds: Sequence[int],
     ) -> None:
@@ -158,16 +203,15 @@ class Walks:
         Args:
             structure_of: Structure that each slot's robots climb, ascending, shape (slots,).
             limits: Numbers that do not change.
-            params: How robots climb, and by which rule.
+            params: Settings of each structure: how robots climb, and by which rule.
             robot: The robots' shape.
             seeds: Seed of each structure.
         """
-        self.rule = params.rule
-        self.laws, ground = climb_laws(params)
+        self.laws, ground = climb_laws(params[0])
         self.seed = np.array(seeds, np.uint64)[structure_of]
         self.robot = np.zeros(len(structure_of), np.int32)
         slots = len(structure_of)
-        stances = params.climb.max_flips + 2
+        stances = params[0].climb.max_flips + 2
         docks = robot.dock_count
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.
         near_most = math.ceil((limits.reach + robot.dock_radius) ** 3)
@@ -185,12 +229,12 @@ class Walks:
             structure=structure_of,
             first_stance=np.zeros(slots, np.int32),
             goal=np.zeros((slots, 3)),
-            patience=np.zeros(slots, np.int32),
-            settles=np.zeros(slots, np.int32),
+            manner=np.zeros((slots, Manner.TOTAL), np.int32),
             dock_offset_body=robot.dock_offset_body,
             near=np.empty((slots, believed_near_most, 3)),
             obstacle=np.empty((slots, true_near_most, 3)),
             ground=ground,
+            of_structure=structure_rows(params),
         )
         last, best, stay = np.zeros((3, slots), np.int32)
         self.stances = WalkArrays(
@@ -207,13 +251,18 @@ class Walks:
         self.flips = np.zeros((slots, believed_stances, 2), np.int32)
         self.turn = np.tile([1.0, 0.0, 0.0, 0.0], (slots, believed_stances, 1))
 
+    def restart(self, structure: int, slots: Bools, seed: int, params: GrowthParams) -> None:
+        """Let the slots of a structure, shape (slots,), climb by a seed and settings of it."""
+        self.seed[slots] = seed
+        self.climbers.of_structure[structure] = structure_rows([params])[0]
+
     def start(self, slot: int, spawn: Spawn) -> None:
         """Put a new robot in a slot."""
         self.stances.center[slot, 0] = spawn.center
         self.stances.orientation[slot, 0] = spawn.orientation_wxyz
         self.climbers.goal[slot] = spawn.goal
-        self.climbers.patience[slot] = spawn.patience
-        self.climbers.settles[slot] = spawn.settles
+        self.climbers.manner[slot, Manner.PATIENCE] = spawn.patience
+        self.climbers.manner[slot, Manner.SETTLES] = spawn.settles
         self.climbers.first_stance[slot] = 0
         self.robot[slot] = spawn.robot
 
@@ -264,12 +313,16 @@ class Walks:
         )  # fmt: skip
 
     def pass_on(
-        self, call: NDArray[np.int32], contacts: AnyInts, mute: Bools | None
+        self,
+        rule: Any,  # noqa: ANN401 - settings of any rule
+        call: NDArray[np.int32],
+        contacts: AnyInts,
+        mute: Bools | None,
     ) -> NDArray[np.int32]:
-        """Return what each dock passes on by the rule; see `relay`."""
-        if not hasattr(self.rule, "spread"):
+        """Return what each dock passes on by a rule; see `relay`."""
+        if not hasattr(rule, "spread"):
             return relay(call, contacts, docks=self.docks, mute=mute)
-        spread: NDArray[np.int32] = self.rule.spread(call, contacts)
+        spread: NDArray[np.int32] = rule.spread(call, contacts)
         if mute is not None:
             spread = np.where(np.repeat(mute, self.docks), 0, spread)
         return spread

@@ -1,0 +1,197 @@
+"""Growth by choices from outside: what `tiswarm.grow` grows, step by step."""
+
+import numpy as np
+import pytest
+
+import tiswarm
+
+KINDS = {
+    "tower": {"kind": "tower", "force_threshold": 3.0},
+    "cantilever": {"kind": "cantilever", "climb": {"settle": 0.5}},
+    "bridge": {"kind": "bridge", "gap": 12.0, "anchors": 2},
+    "chain": {"kind": "chain"},
+    "three at once": {"kind": "tower", "movers": 3},
+    "breaking": {"kind": "cantilever", "strength": {"limit": 250.0, "scatter": 0.3}},
+    "leaving": {"kind": "tower", "departures": {"rate": 0.2}},
+}
+ROBOTS = 14
+
+
+def finished(growth):
+    """Let all robots choose as ReactiveBuild does, until all structures are over."""
+    while not growth.is_over.all():
+        growth.step(tiswarm.reactive_build(growth.observe()))
+    return growth
+
+
+def content(structures):
+    """List all that structures are made of, as bytes."""
+    return [
+        [
+            structure.seed,
+            structure.ended,
+            structure.spawns,
+            structure.departures.tobytes(),
+            structure.broken.tobytes(),
+            structure.contact_load.tobytes(),
+            *[
+                [walk.center.tobytes(), walk.orientation_wxyz.tobytes(), walk.contacts.tobytes()]
+                for walk in structure.walks
+            ],
+            *[
+                [walk.round, walk.recruited, walk.failed_flips.tobytes()]
+                for walk in structure.walks
+            ],
+            *map(str, structure.loads),
+        ]
+        for structure in structures
+    ]
+
+
+@pytest.mark.filterwarnings("ignore::tiswarm.base.errors.ResultWarning")
+@pytest.mark.parametrize("kind", KINDS)
+def test_episodes_of_reactive_build_are_those_of_grow(kind):
+    """Each structure goes at its own pace, and still none differs in a byte."""
+    seeds = [3, 4, 5]
+    expected = tiswarm.grow(KINDS[kind], robots=ROBOTS, seeds=seeds, quiet=True)
+
+    growth = finished(tiswarm.Growth(KINDS[kind], robots=ROBOTS, seeds=seeds))
+
+    assert content(growth.swarms()) == content(expected)
+
+
+def test_an_episode_depends_on_seed_and_settings_alone():
+    """Neither other structures, nor an episode before it in its place, nor threads matter."""
+    settings = {
+        "gap": [8.0, 12.0, 16.0],
+        "climb.patience": [3, 8, 16],
+        "force_threshold": [2.0, 10.0, 5.0],
+        "recruit_limit": 3,
+    }
+    seeds = [7, 7, 9]
+    growth = tiswarm.Growth("bridge", robots=ROBOTS, seeds=seeds, settings=settings, threads=2)
+    finished(growth)
+    growth.reset([1], seeds=11, settings={"gap": 9.0})
+    finished(growth)
+
+    for number, seed, gap in ((0, 7, 8.0), (1, 11, 9.0), (2, 9, 16.0)):
+        alone = {
+            "kind": "bridge",
+            "gap": gap,
+            "climb": {"patience": settings["climb.patience"][number]},
+            "force_threshold": settings["force_threshold"][number],
+            "recruit_limit": 3,
+        }
+        expected = tiswarm.grow(alone, robots=ROBOTS, seeds=[seed], threads=1, quiet=True)
+        assert content(growth.swarms([number])) == content(expected)
+
+
+def test_steps_tell_who_joined_and_who_was_lost():
+    """Sums over an episode are what its history has."""
+    growth = tiswarm.Growth(KINDS["leaving"], robots=ROBOTS, seeds=4)
+    joined = growth.robot_count
+    lost = np.zeros(4, int)
+
+    while not growth.is_over.all():
+        outcome = growth.step(tiswarm.reactive_build(growth.observe()))
+        joined = joined + outcome.joined
+        lost = lost + outcome.lost
+
+    swarms = growth.swarms()
+    assert joined.tolist() == [len(structure.walks) for structure in swarms]
+    assert lost.tolist() == [len(structure.departures) for structure in swarms]
+    assert growth.present.sum(axis=1).tolist() == (joined - lost).tolist()
+
+
+def test_a_caller_lets_robots_leave():
+    """Founders stay; who hangs on those that leave falls, and the others are solved anew."""
+    growth = tiswarm.Growth("tower", robots=8, seeds=2)
+
+    while not growth.is_over.all():
+        leave = growth.present & (growth.robot_count == 5)[:, None]
+        growth.step(tiswarm.reactive_build(growth.observe()), leave=leave)
+
+    for structure in growth.swarms():
+        assert len(structure.walks) == 8
+        assert sorted(structure.departures[:, 0].tolist()) == [1, 2, 3, 4]
+        assert np.isnan(structure.sensed[1:5]).all()
+
+
+def test_equal_seeds_take_different_choices():
+    """A population is compared on one draw of starts."""
+    growth = tiswarm.Growth("tower", robots=6, seeds=[5, 5])
+
+    while not growth.is_over.all():
+        observed = growth.observe()
+        touches = (observed.touching >= 0).any(axis=(1, 2))
+        stays = np.where(touches, -1, tiswarm.reactive_build(observed))
+        choice = np.where(observed.structure == 0, tiswarm.reactive_build(observed), stays)
+        growth.step(choice)
+
+    climbed, stayed = growth.swarms()
+    assert climbed.position[0].tolist() == stayed.position[0].tolist()
+    assert climbed.position[:, 2].max() > stayed.position[:, 2].max()
+
+
+WRONG = {
+    "an unknown setting": (
+        lambda: tiswarm.Growth("tower", settings={"goal_hight": 3.0}),
+        r"structure\.goal_hight: no such setting; did you mean goal_height\?",
+    ),
+    "a wrong value": (
+        lambda: tiswarm.Growth("tower", seeds=2, settings={"climb.patience": [3, 0]}),
+        r"structure\.climb\.patience: 0: .*greater than or equal to 1",
+    ),
+    "too few values": (
+        lambda: tiswarm.Growth("tower", seeds=3, settings={"force_threshold": [3.0, 4.0]}),
+        r"structure\.force_threshold: shape \(2,\); give one value, or 3",
+    ),
+    "a setting of all": (
+        lambda: tiswarm.Growth("tower", seeds=2, settings={"climb.twists": [6, 7]}),
+        r"structure\.climb\.twists: is the same for all structures of a growth; grow them apart",
+    ),
+    "a seed below 0": (lambda: tiswarm.Growth("tower", seeds=[-1]), "seeds: .* are no seeds"),
+    "a choice that is no flip": (
+        lambda: tiswarm.Growth("tower", seeds=2).step([999, -1]),
+        "choices: choices are 999 for climber 0; return a possible flip",
+    ),
+    "choices of another number": (
+        lambda: tiswarm.Growth("tower", seeds=2).step([-1]),
+        r"shape \(1,\); return a choice for each of 2 climbers",
+    ),
+    "choices that are no integers": (
+        lambda: tiswarm.Growth("tower", seeds=2).step([0.5, 1.5]),
+        "choices are float64; give integers",
+    ),
+    "leavers of another shape": (
+        lambda: tiswarm.Growth("tower", robots=5, seeds=2).step([-1, -1], leave=[True, False]),
+        r"leave: is bool of shape \(2,\); give truth values of shape \(2, 5\)",
+    ),
+    "a structure that is not there": (
+        lambda: tiswarm.Growth("tower", seeds=2).reset([2]),
+        "numbers: .* are no structures; give numbers from 0 to 1",
+    ),
+    "robots that estimate": (
+        lambda: tiswarm.Growth({"kind": "tower", "navigate_by": "estimate"}),
+        "structure.navigate_by: robots that build by estimates need sensing",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", WRONG)
+def test_a_mistake_is_one_line(mistake):
+    """It names the argument or key, and what to do."""
+    call, message = WRONG[mistake]
+
+    with pytest.raises(tiswarm.InputError, match=message):
+        call()
+
+
+def test_a_wrong_choice_changes_nothing():
+    """A caller may mend it and go on."""
+    growth = tiswarm.Growth("tower", robots=5, seeds=2)
+    with pytest.raises(tiswarm.InputError):
+        growth.step([999, 999])
+
+    expected = tiswarm.grow("tower", robots=5, seeds=2, quiet=True)
+    assert content(finished(growth).swarms()) == content(expected)
