@@ -250,6 +250,11 @@ def test_forces_and_integrators_of_a_user_are_chosen(own):
             "no use",
         ),
         (
+            "  parameters: {stiffness: 1.0}\nconditions: {a: {sensing.tilt_noise_deg: 1.0}}\n",
+            "9: conditions.a.sensing.tilt_noise_deg",
+            "no use",
+        ),
+        (
             CHANGED,
             "11: conditions.b",
             "relax is a study of its own",
