@@ -144,6 +144,16 @@ MARGIN = _larger(
     "contact has load",
     label="Least margin",
 )
+TIPPED, SLID = (
+    Measure(
+        name,
+        "1",
+        _STRUCTURE,
+        f"whether the structure {name} on docks that rest; empty where the ground holds them",
+        label=f"Structures that {name}",
+    )
+    for name in ("tipped", "slid")
+)
 DISCONNECTED = _smaller(
     "disconnected", "1", _ESTIMATE, "robots that no measurement ties to an anchor"
 )
@@ -508,7 +518,8 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     },
     "cases": {
         JOINED: "joined",
-        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN)},
+        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN, STANDING)},
+        MARGIN: "least margin",
         DISCONNECTED: "disconnected",
         RMSE: "RMSE [R]",
         RMSE_YAW_ALIGNED: "yaw aligned [R]",

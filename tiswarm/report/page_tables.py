@@ -544,6 +544,46 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
     return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, *reason])
 
 
+_MOST_CONTACTS = 10
+"""Rows of the table of weakest contacts."""
+
+
+def weakest_contacts(loads: pd.DataFrame, case: str) -> PageTable:
+    """Format the loads of the contacts that are nearest to breaking.
+
+    Args:
+        loads: Loads of a case, `loads.csv`, from the weakest contact on.
+        case: What the page calls the case.
+    """
+    shown = loads.head(_MOST_CONTACTS)
+    frame = pd.DataFrame({name: shown[name].astype(str) for name in ("robot", "dock", "neighbor")})
+    frame["neighbor dock"] = (
+        shown["neighbor_dock"].astype(object).where(shown["neighbor_dock"].notna())
+    )
+    names = [*map(str, loads)]
+    for name in names[names.index("neighbor_dock") + 1 :]:
+        frame[_with_unit(name)] = _numbers(shown[name])
+    note = (
+        f"Case {case}: margin is strength over load; the contact in the first row is the next to "
+        "break. Pull is positive. W is the weight of a dock, R its radius. "
+        f"loads.csv in the folder of a case has all its contacts, here {len(loads)}."
+    )
+    return PageTable(
+        frame=frame, words=["neighbor"], title="Weakest contacts", note=note, is_first=True
+    )
+
+
+def _with_unit(column: str) -> str:
+    """Write the name of a column with its unit in brackets.
+
+    >>> [_with_unit(column) for column in ("bending_N_m", "stress_W_per_R2", "margin")]
+    ['bending [N m]', 'stress [W / R^2]', 'margin']
+    """
+    name, _, unit = column.partition("_")
+    unit = unit.replace("_per_", " / ").replace("_", " ").replace("R2", "R^2")
+    return f"{name} [{unit}]" if unit else name
+
+
 def machine_table(manifest: Manifest) -> PageTable:
     """Format the machine, the versions and the computing times."""
     facts = {

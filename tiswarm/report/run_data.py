@@ -50,6 +50,11 @@ class StoredCase:
     user_colorings: Sequence[Any] = ()  # values of the user that color its robots, `Coloring`s
 
     @property
+    def title(self) -> str:
+        """Series and seed, as captions name the case."""
+        return f"{self.series}, seed {self.name.partition('-')[0]}"
+
+    @property
     def has_estimate(self) -> bool:
         """Whether its robots were localized."""
         return self.method not in {NO_METHOD, ENGINE_METHOD}
@@ -60,15 +65,24 @@ class StoredCase:
         return self.method == ENGINE_METHOD
 
     def columns(
-        self, file: str, names: Sequence[str], *, gaps: Sequence[str] = (), empty: bool = False
+        self,
+        file: str,
+        names: Sequence[str],
+        *,
+        gaps: Sequence[str] = (),
+        optional: Sequence[str] = (),
+        empty: bool = False,
     ) -> Reals:
         """Read columns of numbers of a file of the case, shape (rows, names).
 
-        Numbers in the columns `gaps` may be unknown, NaN; the file may have no rows if `empty`.
+        Numbers in the columns `gaps` may be unknown, NaN; the columns `optional` may be missing,
+        too. The file may have no rows if `empty`.
         """
-        required = [name for name in names if name not in gaps]
-        table = read_frame(self.folder / file, numbers=required, gaps=gaps, empty=empty)
-        return table[list(names)].to_numpy(float)
+        required = [name for name in names if name not in (*gaps, *optional)]
+        table = read_frame(
+            self.folder / file, numbers=required, gaps=gaps, optional=optional, empty=empty
+        )
+        return table.reindex(columns=list(names)).to_numpy(float)
 
 
 NO_KEYS = ("condition", "against", "run", "suite", "way", "needs", "point")

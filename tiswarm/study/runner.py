@@ -396,7 +396,8 @@ class _CaseRunner:
         self, case: Case, history: History, log: SensingLog, estimate: Estimate | None
     ) -> CaseRecord:
         """Evaluate and store one case; its structure alone if it has no estimate."""
-        evaluation = evaluate(history, log, estimate, case.settings.localization.used_cues)
+        cues = case.settings.localization.used_cues
+        evaluation = evaluate(history, log, estimate, cues, case.settings.structure.strength)
         record = _record(case, "done", history.ended, evaluation.scores)
         running = methods.start_for(case.settings.localization)
         on = f"{running}, numerics {numerics.current().key}"

@@ -57,6 +57,9 @@ _OF_STRUCTURE = ("robots", "growth")
 _TABLES = (*_OF_STRUCTURE, "convergence", "relative")
 """Tables of a finished case whose robots were localized."""
 
+_FURTHER_TABLES = ("loads",)
+"""Tables that a finished case may have: loads where docks have a strength."""
+
 _OF_ENGINE = ("robots", "docks", "contacts", "moves")
 """Tables of a finished case of the engine."""
 
@@ -66,7 +69,7 @@ _REQUIRED = {NO_METHOD: _OF_STRUCTURE, ENGINE_METHOD: _OF_ENGINE}
 _CASE_FILES = {
     *("sensing.jsonl", "truth.csv", "estimate.csv", "trace.csv", "case.json", _COST, TRACEBACK),
     SURFACE_FILE,
-    *(f"{name}.csv" for name in (*_TABLES, *_OF_ENGINE, "trajectory")),
+    *(f"{name}.csv" for name in (*_TABLES, *_FURTHER_TABLES, *_OF_ENGINE, "trajectory")),
 }
 """All files that a case may have."""
 
