@@ -23,7 +23,7 @@ from tiswarm.scenario.validation import localization_params
 from tiswarm.study import runner
 
 PAGE = (REPOSITORY / "docs" / "own-method.md").read_text()
-CHAIN, RADAR, FADES, LEANING, WORST, XYZ, READ, DRAW = re.findall(
+CHAIN, RADAR, FADES, LEANING, WORST, _WALKS, XYZ, READ, DRAW = re.findall(
     r"```python\n(.*?)```", PAGE, re.DOTALL
 )
 [STUDY] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)

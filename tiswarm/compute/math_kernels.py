@@ -2,6 +2,9 @@
 
 from tiswarm.compute.lang import Reals1, Ref, ti
 
+TIE = 1e-6
+"""Difference of `turn_order` below which rounding may decide which angle is less."""
+
 
 @ti.func
 def vector_at(rows: Ref, i):
@@ -27,6 +30,12 @@ def rotate(q, v):
     axis = ti.Vector([q[1], q[2], q[3]])
     half = 2.0 * axis.cross(v)
     return v + q[0] * half + axis.cross(half)
+
+
+@ti.func
+def turn_order(cosine, sine):
+    """Map an angle from 0 to a full turn to a number from 0 to 4 that grows with it."""
+    return ti.select(sine >= 0.0, 1.0 - cosine, 3.0 + cosine)
 
 
 @ti.func

@@ -1,4 +1,7 @@
-"""Tables of a case: scores of its estimate, errors by robot and iteration, growth by join."""
+"""Tables of a case: scores of its estimate, errors by robot and iteration, growth by join.
+
+A case that was not localized has those of its structure alone.
+"""
 
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -36,12 +39,27 @@ from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.climb_kernels import GROUND
 from tiswarm.world.history import History, Walk
+from tiswarm.world.strength import WEIGHTS, StrengthParams
 
 LOSSES = ("left", "fell", "died")
 """Names of what happened to a robot, in the order of `history.departures`."""
 
 DOCK_DIAMETER = 2.0
 """The accuracy that the paper calls sufficient for attachment [R]."""
+
+
+def of_structure(truth: Truth, log: SensingLog) -> dict[str, float | int]:
+    """Return how many robots joined, how many touch each other, and how far they extend.
+
+    Robots that left do not count in the last two.
+    """
+    stays = ~log.is_gone
+    unknown = np.isnan(log.known_position[:, 0]) & stays
+    return {
+        "joined": log.robot_count,
+        "contacts_per_robot": _mean(metrics.earlier_contact_count(log)[unknown]),
+        "rms_radius_R": metrics.rms_radius(truth.position[stays]),
+    }
 
 
 def score(
@@ -70,9 +88,7 @@ def score(
     if estimate.steps is not None:
         steps = {"steps_per_robot": _mean(estimate.steps[unknown])}
     return {
-        "joined": log.robot_count,
-        "contacts_per_robot": _mean(metrics.earlier_contact_count(log)[unknown]),
-        "rms_radius_R": metrics.rms_radius(true),
+        **of_structure(truth, log),
         "floppy_modes": np.nan if modes is None else modes,
         "disconnected": int(estimate.disconnected[stays].sum()),
         "sse_R2": metrics.sse(estimated, true),
@@ -129,33 +145,23 @@ def _with_docks(contacts: Ints) -> Ints:
     return contacts[(contacts[:, [2, 4]] >= 0).all(axis=1)]
 
 
-def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History) -> pd.DataFrame:
+def by_robot(
+    truth: Truth, log: SensingLog, estimate: Estimate | None, history: History
+) -> pd.DataFrame:
     """Tabulate each robot in join order: true and estimated pose, errors, contacts and load.
 
     Robots that left have no errors. `sensed_force` is what each robot senses in its links [weight
     of a dock].
     """
-    true = truth.position
-    estimated = estimate.position
     table = pd.DataFrame({"robot": truth.robot_id})
-    table[["x_R", "y_R", "z_R"]] = true
+    table[["x_R", "y_R", "z_R"]] = truth.position
     table[["qw", "qx", "qy", "qz"]] = truth.orientation_wxyz
-    table[["x_est_R", "y_est_R", "z_est_R"]] = estimated
-    sensed = with_orientations(log).orientation_wxyz
-    table[["qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"]] = sensed
-    stays = ~log.is_gone
-    error = pd.DataFrame(index=np.flatnonzero(stays))  # none of robots that left
-    error["error_R"] = metrics.robot_errors(estimated[stays], true[stays])
-    for name, aligned in (("yaw", metrics.yaw_aligned), ("rigid", metrics.rigidly_aligned)):
-        fitted = aligned(estimated[stays], true[stays])
-        error[f"error_{name}_aligned_R"] = metrics.robot_errors(fitted, true[stays])
-    if estimate.at_join is not None:
-        table["error_at_join_R"] = metrics.robot_errors(estimate.at_join, true)
-    if estimate.doubtful is not None:
-        table["doubtful"] = estimate.doubtful
-    if estimate.traffic is not None:
-        table["sent_B"] = estimate.traffic["sent"]
-        table["heard_B"] = estimate.traffic["heard"]
+    error = pd.DataFrame()
+    disconnected = {}
+    if estimate is not None:
+        table = pd.concat([table, _estimated(truth, log, estimate)], axis=1)
+        error = _errors(truth, log, estimate)
+        disconnected = {"disconnected": estimate.disconnected}
     if len(history.departures):
         robot, after, event = history.departures.T
         table["lost"] = pd.Series(np.array(LOSSES)[event], robot)
@@ -167,15 +173,76 @@ def by_robot(truth: Truth, log: SensingLog, estimate: Estimate, history: History
         hops_from_anchor=apart.replace(np.inf, np.nan).astype("Int64"),
         ground_docks=np.bincount(log.ground_docks[:, 0], minlength=log.robot_count),
         flip_height_R=log.flip_height,
-        disconnected=estimate.disconnected,
+        **disconnected,
         sensed_force=history.sensed,
         **({"margin": _in_a_table(history.margin)} if history.breaks else {}),
     )
 
 
+GROUND_WORD = "ground"
+"""Neighbor of a dock on the ground, in tables of loads."""
+
+
+def by_contact(history: History, strength: StrengthParams | None) -> pd.DataFrame:
+    """Tabulate the loads of each contact at rest, from the weakest contact on.
+
+    The robot of a row joined after its neighbor; its dock may also stand on the ground. Columns
+    name the units, those of `strength`: W is the weight of a dock. There are no rows where the
+    mechanics were not solved after the last join.
+    """
+    docks = history.robot.dock_count
+    units = WEIGHTS if strength is None else strength.units_for(docks)
+    earlier, earlier_dock, later, later_dock = history.loaded_contacts.T
+    stands = later < 0
+    neighbor = pd.Series(np.where(stands, -1, earlier)).astype(str)
+    neighbor_dock = pd.Series(earlier_dock, dtype="Int64")
+    table = pd.DataFrame(
+        {
+            "robot": np.where(stands, earlier, later),
+            "dock": np.where(stands, earlier_dock, later_dock),
+            "neighbor": neighbor.mask(stands, GROUND_WORD),
+            "neighbor_dock": neighbor_dock.mask(stands),
+        }
+    )
+    *loads, used = history.contact_load.T
+    for (load, unit), values in zip(units.of_loads.items(), loads, strict=True):
+        table[f"{load}_{unit.suffix}"] = unit.size * values
+    with np.errstate(divide="ignore"):  # a contact without load has any margin
+        table["margin"] = _in_a_table(1.0 / used)
+    return table.sort_values("margin", kind="stable", ignore_index=True)
+
+
 def _in_a_table(margin: Reals) -> Reals:
     """Return margins [1], NaN of contacts without load, whose margins no table can hold."""
     return np.where(margin <= GREATEST, margin, np.nan)
+
+
+def _estimated(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
+    """Tabulate the estimated pose of each robot, and what it found out while it joined."""
+    table = pd.DataFrame(index=range(len(truth.robot_id)))
+    table[["x_est_R", "y_est_R", "z_est_R"]] = estimate.position
+    sensed = with_orientations(log).orientation_wxyz
+    table[["qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"]] = sensed
+    if estimate.at_join is not None:
+        table["error_at_join_R"] = metrics.robot_errors(estimate.at_join, truth.position)
+    if estimate.doubtful is not None:
+        table["doubtful"] = estimate.doubtful
+    if estimate.traffic is not None:
+        table["sent_B"] = estimate.traffic["sent"]
+        table["heard_B"] = estimate.traffic["heard"]
+    return table
+
+
+def _errors(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
+    """Tabulate the errors of the robots that stay, by their index."""
+    stays = ~log.is_gone
+    true = truth.position[stays]
+    estimated = estimate.position[stays]
+    error = pd.DataFrame(index=np.flatnonzero(stays))
+    error["error_R"] = metrics.robot_errors(estimated, true)
+    for name, aligned in (("yaw", metrics.yaw_aligned), ("rigid", metrics.rigidly_aligned)):
+        error[f"error_{name}_aligned_R"] = metrics.robot_errors(aligned(estimated, true), true)
+    return error
 
 
 def by_iteration(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
@@ -501,20 +568,25 @@ def _mean(values: NDArray[np.generic]) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def plugin_scores(truth: Truth, estimate: Estimate) -> dict[str, float]:
+def plugin_scores(part: Callable[[str], object]) -> dict[str, float]:
     """Return the measures of plug-ins by name.
+
+    Args:
+        part: Returns a part of the case, one of `records.measures.PARTS`; None where it has none.
 
     Raises:
         PluginError: a function failed, or returned something else than a number.
     """
-    return {
-        name: _score_of(measure, truth, estimate) for name, measure in plugin_measures().items()
-    }
+    return {name: _score_of(measure, part) for name, measure in plugin_measures().items()}
 
 
-def _score_of(measure: PluginMeasure, truth: Truth, estimate: Estimate) -> float:
+def _score_of(measure: PluginMeasure, part: Callable[[str], object]) -> float:
+    if measure.needs_estimate and part("estimate") is None:
+        return float("nan")
+    parts = {name: part(name) for name in measure.asks}
+
     def compute() -> tuple[object, NDArray[Any]]:
-        value = measure.value(truth, estimate)
+        value = measure.call(parts)
         return value, np.asarray(value)
 
     _, number = call_plugin(
@@ -530,7 +602,7 @@ def _fault_of_score(value: object, number: NDArray[Any]) -> str:
 
 
 class Evaluation(NamedTuple):
-    """An estimate against the truth: scores and tables, each by name."""
+    """A structure, and an estimate of it against the truth: scores and tables, each by name."""
 
     truth: Truth
     scores: Mapping[str, float | int]
@@ -541,24 +613,39 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    history: History, log: SensingLog, estimate: Estimate, cues: Collection[str]
+    history: History,
+    log: SensingLog,
+    estimate: Estimate | None,
+    cues: Collection[str],
+    strength: StrengthParams | None = None,
 ) -> Evaluation:
-    """Compare the estimate of a log, localized by these cues, with the structure it is of."""
+    """Compare the estimate of a log, localized by these cues, with the structure it is of.
+
+    Without an estimate, the structure is measured. Where docks have a strength, there is a table of
+    the loads of their contacts.
+    """
     truth = Truth(
         robot_id=log.robot_id, position=history.position, orientation_wxyz=history.orientation_wxyz
     )
+    tables = {"robots": by_robot(truth, log, estimate, history), "growth": by_join(history)}
+    if strength is not None:
+        tables["loads"] = by_contact(history, strength)
+    if estimate is None:
+        return Evaluation(
+            truth=truth,
+            scores=of_structure(truth, log) | totals(history),
+            measurements="",
+            tables=tables,
+        )
     measured = Measured(log)
     rows = measured.rows(cues)
     scores = score(truth, log, estimate, history.robot, rows=rows)
     scores |= outlier_scores(history, estimate, rows=rows) | totals(history)
+    tables["convergence"] = by_iteration(truth, log, estimate)
+    tables["relative"] = by_hops_apart(truth, log, estimate)
     return Evaluation(
         truth=truth,
         scores=scores,
         measurements=", ".join(measured.used(cues)),
-        tables={
-            "robots": by_robot(truth, log, estimate, history),
-            "convergence": by_iteration(truth, log, estimate),
-            "growth": by_join(history),
-            "relative": by_hops_apart(truth, log, estimate),
-        },
+        tables=tables,
     )

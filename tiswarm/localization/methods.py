@@ -139,12 +139,21 @@ def batch_key(log: SensingLog, params: MethodParams) -> Hashable:
     Methods that localize one log after the other share the settings, so that each batch has a cost
     of its own.
     """
+    if not params.places_robots:
+        return params.method, repr(params)
     of_method = getattr(_module_of(params), "batch_key", None)
     return params.method, of_method(log, params) if of_method else repr(params)
 
 
 def localize(log: SensingLog, params: MethodParams, *, on_progress: Advance = ignore) -> Estimate:
-    """Work out from what a swarm sensed where every robot is; the steps reported are robots."""
+    """Work out from what a swarm sensed where every robot is; the steps reported are robots.
+
+    Raises:
+        InputError: the method is `none`.
+    """
+    if not params.places_robots:
+        problem = f"{params.method} estimates no positions; choose another method"
+        raise InputError(problem, argument="method")
     [estimate] = localize_many(
         [log], [params], with_observability=True,
         on_progress=lambda structures: on_progress(structures * log.robot_count),

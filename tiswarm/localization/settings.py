@@ -122,6 +122,21 @@ class MethodParams:
         """Whether it runs on the device that a user chooses; others run on the processor in f64."""
         return False
 
+    @property
+    def places_robots(self) -> bool:
+        """Whether it estimates positions: all but `none` do."""
+        return True
+
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """Key of a setting that no point of a sweep may lack; empty if none is missing."""
+        return ()
+
+    @property
+    def runs_engine(self) -> bool:
+        """Whether cases are runs of the engine, which have no structure: those of `relax` alone."""
+        return False
+
     def seconds(self, robots: int) -> float:
         """Estimate the processor time of one structure, on one core of a server of 2023 [s]."""
         return _ROBOT_S * robots
@@ -451,3 +466,25 @@ class JointParams(ChiSquareParams):
     def refines(self, robots: int) -> bool:
         """Whether to refine what chains of a structure of so many robots come to."""
         return robots <= LARGE if self.refine is None else self.refine
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class NoneParams(MethodParams):
+    """No localization: structures are grown and measured, and nothing is estimated."""
+
+    method: Literal["none"] = "none"
+    """Name of the method."""
+
+    @property
+    def used_cues(self) -> tuple[str, ...]:
+        """What of the log is used: nothing."""
+        return ()
+
+    @property
+    def places_robots(self) -> bool:
+        """Whether it estimates positions: never."""
+        return False
+
+    def seconds(self, robots: int) -> float:  # noqa: ARG002 - nothing is computed
+        """Estimate the processor time of one structure [s]: none."""
+        return 0.0

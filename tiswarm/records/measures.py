@@ -8,12 +8,15 @@ Plug-ins register a function, whose numbers stand in the tables alone:
     @tiswarm.measure("worst_R", unit="R", meaning="largest position error of a robot")
     def worst(truth, estimate):
         return np.linalg.norm(estimate.position - truth.position, axis=1).max()
+
+Such a function asks for parts of a case, those of PARTS, by the names of its arguments.
 """
 
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
+from inspect import Parameter, signature
 from typing import Any, Literal, TypeVar
 
 from tiswarm.base.errors import InputError
@@ -58,6 +61,16 @@ class Measure:
     """Column of `table.csv` with the paper's number, if the paper has one."""
 
     @property
+    def needs_estimate(self) -> bool:
+        """Whether only cases whose robots were localized have it."""
+        return self.source not in {_STRUCTURE, _WALKS, _SWARM}
+
+    @property
+    def is_of_engine(self) -> bool:
+        """Whether runs of the engine have it, and nothing else."""
+        return self.source == _SWARM
+
+    @property
     def axis(self) -> str:
         """Label with the unit, if it has one."""
         return self.label if self.unit == "1" else f"{self.label} [{self.unit}]"
@@ -97,6 +110,7 @@ _ESTIMATE = "estimate"
 _LOG = "log, cues"
 _WALKS = "walks"
 _TRAFFIC = "messages"
+_SWARM = "swarm"
 
 
 JOINED = Measure("joined", "1", _STRUCTURE, "robots that joined")
@@ -397,6 +411,40 @@ RECRUITED = Measure(
 SPAWNS = Measure(
     "spawns", "1", _STRUCTURE, "robots spawned, those that never joined included", averaged=False
 )
+SETTLED = _larger(
+    "settled",
+    "1",
+    _SWARM,
+    "whether the longest last step of a robot is shorter than `settled_below`",
+    label="Settled",
+)
+LAST_MOVE = _smaller(
+    "last_move_R", "R", _SWARM, "longest last step of a robot", label="Longest last step"
+)
+OVERLAP = _smaller(
+    "greatest_overlap_R",
+    "R",
+    _SWARM,
+    "most by which two docks that are not connected are nearer than D in the end",
+    label="Greatest overlap",
+)
+CONTACT_GAP = _smaller(
+    "contact_gap_R",
+    "R",
+    _SWARM,
+    "root mean square by which connected docks miss D in the end; empty without any",
+    label="Gap of contacts",
+)
+MOVED = Measure(
+    "moved_R",
+    "R",
+    _SWARM,
+    "root mean square distance of robots from where they started",
+    label="Way of a robot",
+)
+LIST_BUILDS = Measure(
+    "list_builds", "1", _SWARM, "how often neighbor lists were made", label="Neighbor lists"
+)
 
 MEASURES = {value.column: value for value in [*globals().values()] if isinstance(value, Measure)}
 """All measures of the package by column, in the order above."""
@@ -450,9 +498,28 @@ PAGE: Mapping[str, dict[Measure, str]] = {
         DISPARITY: "disparity",
         FLOPPY_MODES: "floppy modes",
     },
+    "structures": {
+        STANDING: "standing",
+        FELL: "fell",
+        LEFT: "left",
+        DIED: "died",
+        BROKEN: "broken contacts",
+        MARGIN: "least margin",
+        TRIES: "flips per robot",
+        PEAK_STRESS: "peak stress",
+    },
+    "swarms": {
+        SETTLED: "settled",
+        LAST_MOVE: "last step [R]",
+        OVERLAP: "greatest overlap [R]",
+        CONTACT_GAP: "gap of contacts [R]",
+        MOVED: "moved [R]",
+        LIST_BUILDS: "neighbor lists",
+    },
     "cases": {
         JOINED: "joined",
-        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN)},
+        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN, STANDING)},
+        MARGIN: "least margin",
         DISCONNECTED: "disconnected",
         RMSE: "RMSE [R]",
         RMSE_YAW_ALIGNED: "yaw aligned [R]",
@@ -470,12 +537,39 @@ _COLUMN = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
 _Value = TypeVar("_Value", bound=Callable[..., Any])
 
 
+PARTS = ("truth", "estimate", "log", "history", "settings")
+"""What a function of a measure may ask for, by the names of its arguments."""
+
+_NAMELESS = PARTS[:2]
+"""What a function receives whose two arguments have no name of a part."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PluginMeasure(Measure):
     """A measure that a plug-in registered."""
 
     value: Callable[..., Any]
-    """Function of the truth and the estimate of a case, which returns the number."""
+    """Function of parts of a case, which returns the number."""
+
+    asks: tuple[str, ...]
+    """Parts that it asks for, in the order of its arguments."""
+
+    by_name: bool = True
+    """Whether it receives them by name; else in their order."""
+
+    optional: tuple[str, ...] = ()
+    """Parts that it can do without: those of arguments with defaults."""
+
+    @property
+    def needs_estimate(self) -> bool:
+        """Whether only cases whose robots were localized have it."""
+        return "estimate" in self.asks and "estimate" not in self.optional
+
+    def call(self, parts: Mapping[str, object]) -> Any:  # noqa: ANN401 - as the plug-in returns it
+        """Call the function with the parts that it asks for."""
+        if self.by_name:
+            return self.value(**parts)
+        return self.value(*parts.values())
 
 
 def measure(
@@ -483,8 +577,16 @@ def measure(
 ) -> Callable[[_Value], _Value]:
     """Register a function as a measure, a column of the tables and of the page of each run.
 
-    The function takes a `tiswarm.records.positions.Truth` and a `tiswarm.records.estimate.Estimate`
-    as a run stores them [R], both in join order. It returns a number, NaN where it is unknown.
+    The names of the function's arguments say what of a case it receives, all in join order:
+
+    truth: `tiswarm.records.positions.Truth` [R].
+    estimate: `tiswarm.records.estimate.Estimate` as a run stores it [R]. A case without one has no
+        value, unless the argument has a default.
+    log: `tiswarm.records.sensing_log.SensingLog`.
+    history: `tiswarm.world.history.History` of the structure, as `tiswarm.grow` returns it.
+    settings: `tiswarm.scenario.model.Scenario` of the case, without its seed.
+
+    It returns a number, NaN where it is unknown.
 
     Args:
         name: Name of the column, such as "worst_R".
@@ -494,7 +596,7 @@ def measure(
             differences between conditions.
 
     Raises:
-        InputError: the name is taken or invalid.
+        InputError: the name is taken or invalid, or the function asks for something else.
     """
     if not _COLUMN.fullmatch(name):
         raise InputError(f"{name!r} names no column; use letters, digits and '_', like worst_R")
@@ -502,8 +604,18 @@ def measure(
         raise InputError(f"measure {name} is taken by tiswarm itself; choose another name")
 
     def add(value: _Value) -> _Value:
+        asks, optional, by_name = _asked(name, value)
         made = PluginMeasure(
-            name, unit, _BOTH, meaning, better=better, paired=better == "smaller", value=value
+            name,
+            unit,
+            ", ".join(asks),
+            meaning,
+            better=better,
+            paired=better == "smaller",
+            value=value,
+            asks=asks,
+            optional=optional,
+            by_name=by_name,
         )
         register("measure", name, made, value)
         return value
@@ -511,9 +623,44 @@ def measure(
     return add
 
 
+def _asked(
+    name: str, function: Callable[..., Any]
+) -> tuple[tuple[str, ...], tuple[str, ...], bool]:
+    """Return the parts that a function asks for, those with defaults, and whether by their names.
+
+    A function with two arguments of other names receives truth and estimate.
+
+    Raises:
+        InputError: an argument has no name of a part.
+    """
+    try:
+        arguments = [*signature(function).parameters.values()]
+    except (TypeError, ValueError):  # such as a ufunc of NumPy
+        return _NAMELESS, (), False
+    several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+    arguments = [argument for argument in arguments if argument.kind not in several]
+    known = [argument for argument in arguments if argument.name in PARTS]
+    needed = [argument for argument in arguments if argument.default is Parameter.empty]
+    if not known and len(needed) == len(_NAMELESS):
+        return _NAMELESS, (), False
+    unknown = [argument.name for argument in needed if argument.name not in PARTS]
+    if unknown or not known:
+        named = f"argument {unknown[0]}" if unknown else "no argument"
+        problem = f"measure {name}: {named} is none of {', '.join(PARTS)}; name what it asks for"
+        raise InputError(problem)
+    optional = tuple(argument.name for argument in known if argument not in needed)
+    by_name = all(argument.kind != Parameter.POSITIONAL_ONLY for argument in known)
+    return tuple(argument.name for argument in known), optional, by_name
+
+
 def plugin_measures() -> dict[str, PluginMeasure]:
     """Return the measures of plug-ins by column."""
     return {name: entry.value for name, entry in registered("measure").items()}
+
+
+def need(part: str) -> bool:
+    """Whether a measure of a plug-in asks for a part of cases."""
+    return any(part in measure.asks for measure in plugin_measures().values())
 
 
 def all_measures() -> list[Measure]:

@@ -17,6 +17,12 @@ from tiswarm.records.io import read_json, write_json
 LABEL = "label"
 """Key of a condition, or of a row of a sweep: what pages and figures call it."""
 
+NO_METHOD = "none"
+"""Method of cases whose robots are not localized."""
+
+ENGINE_METHOD = "relax"
+"""Method of cases that are runs of the engine."""
+
 _FOLDERS = ("cases", "structures", "figures", "renders", "export")
 _MANIFEST = "manifest.json"
 

@@ -501,7 +501,7 @@ def _grade_painters(run: RunData) -> dict[str, figure_style.Painter]:
 
     Rounds of back-propagation have a figure of their own.
     """
-    if not (run.folder / "table.csv").is_file():
+    if run.has_structures_alone or not (run.folder / "table.csv").is_file():
         return {}
     table = run.table("table.csv", ["condition"], [], after="cases")
     has_rounds = table.get("round_every", pd.Series(dtype=float)).notna().any()

@@ -61,9 +61,11 @@ CAPTIONS = {
 
 def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures of errors that a run has, by file name."""
-    if _first_by_kind(run.series):
+    if not run.localized:
+        return {}
+    if _first_by_kind(run.localized):
         return {"convergence": draw_convergence, "error-along-growth": _draw_error_along_growth}
-    upward = all(_growth_axis(cases) == _HEIGHT for cases in run.series.values())
+    upward = all(_growth_axis(cases) == _HEIGHT for cases in run.localized.values())
     name = "error-against-height" if upward else "error-along-growth"
     return {"convergence": draw_convergence, name: draw_errors}
 
@@ -74,9 +76,9 @@ def draw_convergence(run: RunData, max_width: float = np.inf) -> "Figure":
     Each point of a sweep has a panel for each method, since iterations of methods cost different
     times, with a line for each condition.
     """
-    points = _by_point(run.series)
+    points = _by_point(run.localized)
     shown = dict(list(points.items())[:_MAX_PANELS])
-    seeds = max(map(len, run.series.values()))
+    seeds = max(map(len, run.localized.values()))
     columns = figure_style.columns_of(len(shown))
     rows = -(-len(shown) // columns)
     width = figure_style.COLUMN_WIDTH if columns == 1 else figure_style.PAGE_WIDTH
@@ -212,12 +214,12 @@ def draw_errors(run: RunData, max_width: float = np.inf) -> "Figure":
 
     Each series has a panel. Of many series, the first conditions of all sweep points are drawn.
     """
-    shown = list(run.series.items())
+    shown = list(run.localized.items())
     if len(shown) > _MAX_PANELS:
         conditions = list(dict.fromkeys(cases[0].condition for _, cases in shown))
         shown.sort(key=lambda item: conditions.index(item[1][0].condition))
     shown = shown[:_MAX_PANELS]
-    pairs = len({cases[0].point for cases in run.series.values()}) == 2 or len(shown) == 4  # noqa: PLR2004
+    pairs = len({cases[0].point for cases in run.localized.values()}) == 2 or len(shown) == 4  # noqa: PLR2004
     columns = 2 if pairs else min(3, len(shown))
     shown = shown[: _MAX_PANELS // columns * columns]
     rows = -(-len(shown) // columns)
@@ -242,8 +244,8 @@ def draw_errors(run: RunData, max_width: float = np.inf) -> "Figure":
     panels.label_once(growth_axes[0][1] if is_one_axis else "", "Error [R]")
     for axes, (_, label) in panels.paired_with(growth_axes):
         axes.set_xlabel("" if is_one_axis else label)
-    if len(shown) < len(run.series):
-        notes.append(f"{len(run.series) - len(shown)} more series not shown")
+    if len(shown) < len(run.localized):
+        notes.append(f"{len(run.localized) - len(shown)} more series not shown")
     return panels.finish(*notes)
 
 
@@ -252,7 +254,7 @@ def _draw_error_along_growth(run: RunData, max_width: float = np.inf) -> "Figure
 
     Each kind of structure has a panel with the first condition.
     """
-    kinds = _first_by_kind(run.series)
+    kinds = _first_by_kind(run.localized)
     panels = figure_style.Panels(2.6, len(kinds), len(kinds), share="y", max_width=max_width)
     _scatter(panels, [_errors_at(cases, _growth_axis(cases)[0]) for cases in kinds.values()])
     for axes, (kind, cases) in panels.paired_with(kinds.items()):

@@ -29,7 +29,7 @@ from tiswarm.report import page_tables
 from tiswarm.report.figure_style import NARROW, SCALES, TRUE_BLUE
 from tiswarm.report.figures import caption_of
 from tiswarm.report.run_data import RunData, read_pairs, stated_scenario
-from tiswarm.report.swarm_view import View, build_view
+from tiswarm.report.swarm_view import View, build_view, read_loads
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -227,10 +227,11 @@ def _unreadable(path: Path, error: Exception) -> InputError:
     return InputError(problem, path=path)
 
 
-_ACCURACY = "figures/accuracy.png"
+_ACCURACY = ("figures/accuracy.png", "figures/structures.png")
 _OF_ROBOTS = re.compile(r"figures/(error-|profiles)")
 _MOST_BESIDE = 8  # rows of the figure of accuracy beside the 3D view
 _MOST_ROWS_BESIDE = 14  # rows of the table there
+_MOST_COLUMNS_BESIDE = 7  # columns of that table
 
 
 class _Reproduction(NamedTuple):
@@ -276,17 +277,20 @@ class Page:
 
     @property
     def is_sweep(self) -> bool:
-        """Whether the table of conditions has the whole width: those of a sweep, and long ones."""
+        """Whether the table of conditions has the whole width: of a sweep, long ones, wide ones."""
         table = self.headline
-        return table is not None and (table.is_grouped or len(table.frame) > _MOST_ROWS_BESIDE)
+        if table is None:
+            return False
+        is_large = len(table.frame) > _MOST_ROWS_BESIDE or len(table.columns) > _MOST_COLUMNS_BESIDE
+        return table.is_grouped or is_large
 
     @property
     def accuracy(self) -> Shown | None:
-        """The figure of accuracy, if it has few rows: it is on the first screen."""
+        """The figure of accuracy, or structures, if it has few rows: it is on the first screen."""
         few = self.headline is not None and len(self.headline.frame) <= _MOST_BESIDE
         few = few and not self.is_sweep
         figures = (figure for figure in self.figures if figure.narrow and few)
-        return next((figure for figure in figures if figure.file == _ACCURACY), None)
+        return next((figure for figure in figures if figure.file in _ACCURACY), None)
 
     def html(self) -> str:
         """Render the page."""
@@ -322,7 +326,7 @@ def write_page(run: RunData, progress: Progress) -> Path:
     page = replace(page, figures=show_pictures(run.folder / "figures", room, few=few))
     room -= sum(picture.size for picture in page.figures)
     chosen = run.choose(None) if run.series else None
-    case = f"{chosen.series}, seed {chosen.name.partition('-')[0]}" if chosen else ""
+    case = chosen.title if chosen else ""
     page = replace(page, renders=show_pictures(run.folder / "renders", room, case=case))
     path = run.folder / "report.html"
     write_bytes(path, page.html().encode())
@@ -335,12 +339,15 @@ def _gather(run: RunData) -> Page:
     path = run_file(run.folder / "scenario.yaml")
     stated = stated_scenario(run.folder)
     manifest = read_manifest(run.folder)
-    numbers = ["cases", RMSE.published]
+    numbers = ["cases"] if run.has_structures_alone else ["cases", RMSE.published]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
     pairs = read_pairs(run.folder, run.labels)
     words = ["condition", "suite", "way", "needs"]
     suites = run.table("suites.csv", words, [RMSE.mean], after="cases", optional=True)
-    tables = page_tables.result_tables(table, pairs, suites)
+    tables = page_tables.result_tables(table, pairs, suites) + _weakest_contacts(run)
+    if run.is_of_engine:
+        speeds = run.table("throughput.csv", ["condition"], ["robot_count", "steps"], after="cases")
+        tables = [page_tables.throughput_table(speeds), *tables]
     headline = page_tables.headline_table(table, stated.get("question", ""))
     arch = manifest.backend.get("arch", "cpu")
     return Page(
@@ -362,6 +369,20 @@ def _gather(run: RunData) -> Page:
             scenario=path.read_text(encoding="utf-8"),
         ),
     )
+
+
+def _weakest_contacts(run: RunData) -> list[page_tables.PageTable]:
+    """Format the weakest contacts of the case that pictures show, or else of the first with loads.
+
+    Empty if no contact of a series' first case has a load that its strength limits.
+    """
+    if not run.series:
+        return []
+    for case in (run.choose(None), *(cases[0] for cases in run.series.values())):
+        loads = read_loads(case)
+        if loads is not None and loads["margin"].notna().any():
+            return [page_tables.weakest_contacts(loads, case.title)]
+    return []
 
 
 def _in_words(run: RunData, manifest: Manifest) -> str:

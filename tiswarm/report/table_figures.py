@@ -1,6 +1,6 @@
 """Draws the figures of `table.csv` and `summary.csv`.
 
-They have a row or a marker for each condition: accuracy and shapes.
+They have a row or a marker for each condition: accuracy, structures and shapes.
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from tiswarm.records.measures import CONTACTS, FEWEST, FLOPPY_MODES, HEIGHT, MAIN, RMSE, Measure
+from tiswarm.records.measures import (
+    BROKEN,
+    BUILT_FOR,
+    CONTACTS,
+    FEWEST,
+    FLOPPY_MODES,
+    HEIGHT,
+    MAIN,
+    RMSE,
+    STANDING,
+    Measure,
+)
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, joined_words, with_points
@@ -17,9 +28,6 @@ from tiswarm.report.run_data import RunData, joined_words, with_points
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-DRAWN = [column for measure in MAIN for column in (measure.mean, measure.ci95)]
-"""Columns of `table.csv` that a figure of its rows shows."""
 
 _PUBLISHED = "published (robot radii)"
 
@@ -31,6 +39,8 @@ _MANY = 24  # markers beyond which they have less
 
 _OF_SHAPES = (RMSE, FLOPPY_MODES, CONTACTS, HEIGHT)
 
+_MOST_PANELS = 3
+
 CAPTIONS = {
     "accuracy": figure_style.Caption(
         "Errors of each condition, and point of the sweep: mean RMSE and mean "
@@ -39,6 +49,11 @@ CAPTIONS = {
         reading=(
             "Hollow markers, where there are any, are published numbers. Farther left is better."
         ),
+    ),
+    "structures": figure_style.Caption(
+        "Structures of each condition, and point of the sweep: what they were built for, robots "
+        "that stand and contacts that broke, in the mean over the structures.",
+        intervals="Bars are 95 % CI.",
     ),
     "shape": figure_style.Caption(
         "Accuracy and structure by the robots: mean RMSE, floppy modes (motions that "
@@ -55,19 +70,47 @@ def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures that a run has, by file name."""
     if not (run.folder / "table.csv").is_file():
         return {}
+    if run.is_of_engine:
+        return {}
+    if run.has_structures_alone:
+        return {"structures": draw_structures} if _of_structures(run) else {}
     shape = {"shape": draw_shape} if run.sweeps_robot else {}
     return {"accuracy": draw_accuracy, **shape}
 
 
+def _of_structures(run: RunData) -> list[Measure]:
+    """Choose the measures of structures that differ, or what they are built for alone."""
+    kinds = {case.kind for case in run.cases if case.done}
+    aims = [measure for kind, measure in BUILT_FOR.items() if kind in kinds] or [HEIGHT]
+    done = run.summary[run.summary["status"] == "done"]
+    others = [
+        measure
+        for measure in (STANDING, BROKEN, CONTACTS)
+        if measure.column in done and len({*done[measure.column]}) > 1
+    ]
+    return [*aims, *others][:_MOST_PANELS] if len(done) else []
+
+
+def draw_structures(run: RunData, max_width: float = np.inf) -> "Figure":
+    """Draw what structures were built for, who stands and what broke, as `draw_accuracy` does."""
+    return _draw_means(run, _of_structures(run), max_width)
+
+
 def draw_accuracy(run: RunData, max_width: float = np.inf) -> "Figure":
+    """Draw accuracy as `_draw_means` does; open markers are the paper's numbers."""
+    return _draw_means(run, MAIN, max_width)
+
+
+def _draw_means(run: RunData, measures: Sequence[Measure], max_width: float) -> "Figure":
     """Draw means over structures with 95 % confidence intervals; of few structures, each one.
 
     Without a sweep, conditions have a row each. With one, rows are points, and conditions differ in
     color and marker; of many conditions, they have the rows. Open markers are published numbers,
     whose unit of length is not defined.
     """
-    published = [measure.published for measure in MAIN]
-    table = run.table("table.csv", ["condition"], ["cases", *published, *DRAWN], after="cases")
+    published = [measure.published for measure in measures if measure.published]
+    drawn = [column for measure in measures for column in (measure.mean, measure.ci95)]
+    table = run.table("table.csv", ["condition"], ["cases", *published, *drawn], after="cases")
     table = with_points(table)
     keys = _rows_and_series(table)
     row_names, series_names = (joined_words(table, columns) for columns in keys)
@@ -78,21 +121,23 @@ def draw_accuracy(run: RunData, max_width: float = np.inf) -> "Figure":
     few = table["cases"].max() < FEWEST
     room = _ROOM if len(shown) * len(series) < _MANY else 0.7 * _ROOM
     height = 0.9 + room * len(shown) * (1 + len(series))
-    panels = figure_style.Panels(height, len(MAIN), len(MAIN), share="y", max_width=max_width)
-    for axes, measure in panels.paired_with(MAIN):
+    count = len(measures)
+    panels = figure_style.Panels(height, count, count, share="y", max_width=max_width)
+    for axes, measure in panels.paired_with(measures):
         for index, name in enumerate(series):
             rows = table[table["of"] == name].set_index("row").reindex(shown)
             y = np.arange(len(shown)) + (index - 0.5 * (len(series) - 1)) / (1 + len(series))
             look = figure_style.dot_style(index)
             error = None if few else rows[measure.ci95].fillna(0.0)
             axes.errorbar(rows[measure.mean], y, xerr=error, label=name or "mean", **look)
-            axes.plot(rows[measure.published], y, markerfacecolor="white", **look)
+            if measure.published:
+                axes.plot(rows[measure.published], y, markerfacecolor="white", **look)
             if few:
                 values = _structure_values(run, measure.column, keys, name)
                 values = values[values.index.isin(shown)]
                 value_y = y[[shown.index(row) for row in values.index]]
                 axes.plot(values, value_y, **{**look, "markersize": 1.8, "alpha": 0.6})
-    finish_rows(panels, shown, MAIN)
+    finish_rows(panels, shown, measures)
     if table[published].notna().any(axis=None):
         panels.first.plot(
             [],

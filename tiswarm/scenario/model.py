@@ -25,6 +25,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET, Arch
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.base.sections import mistake_at
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario import validation
@@ -101,14 +102,38 @@ def _labeled_rows(values: _Values) -> _Values:
 
 
 _Slug = Annotated[str, AfterValidator(_slug)]
-_Seed = Annotated[int, Field(ge=0, lt=2**63)]
+_SEEDS = 2**63  # number of seeds that there are
+_Seed = Annotated[int, Field(ge=0, lt=_SEEDS)]
 _SeedCount = Annotated[int, Field(ge=1, le=1_000_000), Tag("count")]
 _SeedList = Annotated[
     tuple[_Seed, ...], Field(min_length=1), AfterValidator(_distinct), Tag("list")
 ]
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class SeedRange:
+    """Consecutive seeds."""
+
+    first: _Seed
+    """The first seed."""
+
+    count: Annotated[int, Field(ge=1, le=1_000_000)]
+    """Number of seeds."""
+
+    def __post_init__(self) -> None:
+        """Refuse seeds that no other form of the key may have."""
+        if self.first + self.count > _SEEDS:
+            raise ValueError(f"the last seed is greater than {_SEEDS - 1}; give a smaller first")
+
+
+def _form_of_seeds(seeds: object) -> str:
+    if isinstance(seeds, (dict, SeedRange)):
+        return "range"
+    return "list" if isinstance(seeds, (list, tuple)) else "count"
+
+
 _Seeds = Annotated[
-    _SeedCount | _SeedList,
-    Discriminator(lambda seeds: "list" if isinstance(seeds, (list, tuple)) else "count"),
+    _SeedCount | _SeedList | Annotated[SeedRange, Tag("range")], Discriminator(_form_of_seeds)
 ]
 _Overrides = dict[Annotated[str, AfterValidator(_condition_key)], JsonValue]
 _SweepValues = Annotated[
@@ -135,7 +160,8 @@ class Scenario:
     """Robots in each structure."""
 
     seeds: _Seeds = 1
-    """Random seeds, one structure each: a list, or a number n for 0 to n - 1."""
+    """Random seeds, one structure each: a list, a number n for 0 to n - 1, or a range
+    `{first: 1000, count: n}`."""
 
     precision: Literal["auto", "f64", "f32"] = "auto"
     """Floating-point type of `joint`, and of `virtual-force` under the schedule `together`; all
@@ -162,11 +188,11 @@ class Scenario:
     """What the robots sense, with which noise."""
 
     localization: LocalizationParams
-    """Localization method and its settings."""
+    """Localization method and its settings; `{method: none}` measures structures alone."""
 
     @field_validator("localization")
     @classmethod
-    def _keep_who_must_stay(cls, method: LocalizationParams, info: ValidationInfo) -> object:
+    def _fit_structure(cls, method: LocalizationParams, info: ValidationInfo) -> object:
         structure = info.data.get("structure")
         departs = structure and (
             structure.strength is not None
@@ -174,6 +200,12 @@ class Scenario:
         )
         if departs and getattr(method, "robots_stay", False):
             raise ValueError(f"{method.method} takes robots that stay; choose joint")
+        navigates = structure and structure.navigate_by == "estimate"
+        if navigates and not method.places_robots:
+            problem = (
+                "robots navigate by estimates (structure.navigate_by), which none does not make"
+            )
+            raise mistake_at(("method",), f"{problem}; choose joint")
         return method
 
     conditions: Annotated[
@@ -206,7 +238,7 @@ class Scenario:
             return structure
         fault = anchor_fault(structure, robots, robot)
         if fault:
-            raise validation.mistake_at(("anchors",), fault)
+            raise mistake_at(("anchors",), fault)
         return structure
 
     @field_validator("structure")
@@ -214,12 +246,14 @@ class Scenario:
     def _start_on_ground(cls, structure: StructureParams, info: ValidationInfo) -> object:
         shape = info.data.get("robot")
         if shape and (fault := ground_fault(structure, shape)):
-            raise validation.mistake_at(("terrain",), fault)
+            raise mistake_at(("terrain",), fault)
         return structure
 
     @property
     def seed_list(self) -> tuple[int, ...]:
         """The seeds, one by one."""
+        if isinstance(self.seeds, SeedRange):
+            return tuple(range(self.seeds.first, self.seeds.first + self.seeds.count))
         return tuple(range(self.seeds)) if isinstance(self.seeds, int) else self.seeds
 
 
@@ -237,10 +271,20 @@ def to_plain(scenario: Scenario) -> validation.Plain:
     return data
 
 
+def _stated(scenario: Scenario) -> validation.Plain:
+    """Convert a scenario to what its file states: studies of the engine have no structure."""
+    data = to_plain(scenario)
+    if scenario.localization.runs_engine:
+        del data["structure"], data["sensing"]
+    return data
+
+
 def scenario_schema() -> validation.Plain:
     """Return the JSON Schema of a scenario file, for editors."""
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return {**dialect, **ADAPTER.json_schema()}
+    schema = ADAPTER.json_schema()
+    schema["required"].remove("structure")  # studies of the engine have none
+    return {**dialect, **schema}
 
 
 class _Dumper(yaml.SafeDumper):
@@ -262,7 +306,7 @@ _Dumper.add_representer(str, _represent_text)
 
 def dump_scenario(scenario: Scenario) -> str:
     """Write a scenario as YAML with every default; it loads back to an equal scenario."""
-    data = to_plain(scenario)
+    data = _stated(scenario)
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
@@ -271,7 +315,7 @@ def scenario_hash(scenario: Scenario) -> str:
 
     The order of keys, comments and defaults written out make no difference.
     """
-    data = to_plain(scenario)
+    data = _stated(scenario)
     del data["description"], data["question"]
     for entries in data["conditions"].values():
         entries.pop(LABEL, None)

@@ -86,7 +86,7 @@ def run(
         stored = _read_stored(of_shard, folder, progress)
         missing = _without(of_shard, stored)
         outcomes: list[Outcome] = []
-        measures = MeasureTrial(folder.path)
+        measures = MeasureTrial(folder, whole.structures)
         measures.try_on(stored.values())
         if missing:
             folder.reopen(progress, computes=execution.scheduler is None)
@@ -122,8 +122,10 @@ def run(
         records |= {name: record for name, record in others.items() if record.is_current}
         if len(records) == len(whole.cases):
             used = set(chain.from_iterable(outcome.used for outcome in outcomes))
-            costs = folder.complete(whole.cases, records, used)
+            costs = folder.complete(whole.cases, used)
             write_tables(folder.path, whole, records, costs)
+            if all(record.is_done for record in records.values()):
+                folder.forget_structures()
     return RunResult(
         folder=folder.path,
         computed=len(computed),

@@ -1,4 +1,7 @@
-"""Computes jobs, each a batch of cases: grow, sense, localize, evaluate, store."""
+"""Computes jobs, each a batch of cases: grow, sense, localize, evaluate, store.
+
+Cases of the method `none` are not localized.
+"""
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -9,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyPrecision, Arch
 from tiswarm.base.process import naming_shortage
 from tiswarm.base.progress import Advance, Progress, ignore
@@ -19,6 +23,7 @@ from tiswarm.evaluation.tables import evaluate
 from tiswarm.localization import methods
 from tiswarm.localization.methods import LocalizationParams, localize_many
 from tiswarm.localization.settings import JointParams
+from tiswarm.records import measures
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Case, Group
@@ -118,7 +123,10 @@ def first_alone(jobs: Sequence[Job]) -> list[Job]:
 
 
 KEPT_FROM_S = 10.0
-"""Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
+"""Growth that took so long [s] is kept in case the run is stopped before its cases are stored.
+
+Histories that measures of plug-ins ask for are kept, too, until the tables are written.
+"""
 
 SAMPLE_ROBOTS = 4
 """Size of the structure that warms up the kernels."""
@@ -158,6 +166,21 @@ def run_job(
         return Outcome(records=runner.run(), used=runner.used)
 
 
+def grow_again(case: Case) -> History:
+    """Grow the structure of a case as its job did; the kernels give the same bits."""
+    settings = case.settings
+    navigation = {} if settings.structure.navigate_by == "truth" else navigate(settings)
+    backend.processor()
+    [history] = grow(
+        settings.structure,
+        robots=settings.robots,
+        seeds=[case.seed],
+        robot=settings.robot,
+        **navigation,
+    )
+    return history
+
+
 def failure(case: Case, reason: str) -> CaseRecord:
     """Return the record of a case that could not be computed."""
     return _record(case, "failed", reason)
@@ -185,20 +208,25 @@ class _CaseRunner:
         A structure of a few robots is grown and localized by each method. Nothing of it is stored.
         """
         with self.progress.task("prepare kernels", int(not _compiled)) as advance:
-            self._warm_up_growth()
+            if not self.job.cases[0].settings.localization.runs_engine:
+                self._warm_up_growth()
             for _, cases in groupby(sorted(self.job.cases, key=_device), key=_device):
                 self._warm_up_methods(list(cases))
             advance(1)
 
     def run(self) -> list[CaseRecord]:
         """Compute and store all cases; return their records."""
+        if self.job.cases[0].settings.localization.runs_engine:
+            return [self._move(case) for case in self.job.cases]
         histories = self._grow()
         valid, records = self._store_invalid(histories)
         self.on_stored(len(records))
         logs = self._sense(valid, histories)
         for cases in _batches(valid, logs):
             sensed = [logs[case.name] for case in cases]
-            estimates = self._localize(cases, sensed)
+            estimates: Sequence[Estimate | None] = [None] * len(cases)
+            if cases[0].settings.localization.places_robots:
+                estimates = self._localize(cases, sensed)
             with self._stage("score and store", cases) as advance:
                 for case, log, estimate in zip(cases, sensed, estimates, strict=True):
                     records.append(self._store(case, histories[case.seed], log, estimate))
@@ -240,6 +268,8 @@ class _CaseRunner:
             # The code of plug-ins runs for cases alone, within their limits of time.
             if settings.localization.method in registered("method"):
                 continue
+            if not settings.localization.places_robots:
+                continue
             is_own = settings.sensing.suite in registered("sensor")
             sensing = SensingParams() if is_own else settings.sensing
             method = repr(settings.localization)
@@ -278,7 +308,8 @@ class _CaseRunner:
         self.used.add(Used("grow", backend.processor(), rounding=numerics.current()))
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs[first[seed].name]["grow"]
-            if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
+            is_costly = share["wall_s"] * len(missing) > KEPT_FROM_S
+            if history.walks and (is_costly or measures.need("history")):
                 self.job.folder.keep_structure(first[seed], history, share)
         return histories | dict(zip(seeds, grown, strict=True))
 
@@ -333,16 +364,45 @@ class _CaseRunner:
         self.used.add(Used(stage, running, error, numerics.current()))
         return estimates
 
+    def _move(self, case: Case) -> CaseRecord:
+        """Run the engine for a case, and store it; one whose forces diverge is stored as failed.
+
+        Raises:
+            InputError: a function of a user does not compile.
+        """
+        from tiswarm.study.relaxation import StudiedSwarm  # noqa: PLC0415 - slow to import
+
+        self._choose_device(*_device(case))
+        running = backend.device()
+        swarm = StudiedSwarm(case)
+        try:
+            with self._stage("relax", [case], swarm.robot_steps) as advance:
+                results, taken = swarm.move(advance)
+        except InputError as error:
+            self.on_stored(1)
+            return self.job.folder.store_failure(failure(case, str(error)))
+        self.used.add(Used("relax", running, 0.0, numerics.current()))
+        with self._stage("score and store", [case]):
+            moved = swarm.measure(results, taken)
+            record = _record(case, "done", "", moved.scores)
+            record = replace(record, computed_on=f"{running}, numerics {numerics.current().key}")
+            cost = self.costs[case.name]
+            stored = self.job.folder.store(record, tables=moved.tables, cost=cost)
+        self.job.folder.store_cost(case.name, self.costs[case.name])
+        self.on_stored(1)
+        return stored
+
     def _store(
-        self, case: Case, history: History, log: SensingLog, estimate: Estimate
+        self, case: Case, history: History, log: SensingLog, estimate: Estimate | None
     ) -> CaseRecord:
-        """Evaluate and store one case."""
-        evaluation = evaluate(history, log, estimate, case.settings.localization.used_cues)
+        """Evaluate and store one case; its structure alone if it has no estimate."""
+        cues = case.settings.localization.used_cues
+        evaluation = evaluate(history, log, estimate, cues, case.settings.structure.strength)
         record = _record(case, "done", history.ended, evaluation.scores)
         running = methods.start_for(case.settings.localization)
         on = f"{running}, numerics {numerics.current().key}"
         record = replace(record, measurements=evaluation.measurements, computed_on=on)
-        if estimate.convergence is not None:
+        if estimate is not None and estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)
         return self.job.folder.store(
             record,

@@ -27,6 +27,8 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame, write_trace
 from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.run_folder import (
+    ENGINE_METHOD,
+    NO_METHOD,
     Manifest,
     cell_of,
     check_folders,
@@ -49,13 +51,25 @@ TRACEBACK = "traceback.txt"
 """File of a case that failed in a plug-in."""
 
 _LOCK = ".lock"
-_TABLES = ("robots", "convergence", "growth", "relative")
+_OF_STRUCTURE = ("robots", "growth")
 """Tables of a finished case."""
+
+_TABLES = (*_OF_STRUCTURE, "convergence", "relative")
+"""Tables of a finished case whose robots were localized."""
+
+_FURTHER_TABLES = ("loads",)
+"""Tables that a finished case may have: loads where docks have a strength."""
+
+_OF_ENGINE = ("robots", "docks", "contacts", "moves")
+"""Tables of a finished case of the engine."""
+
+_REQUIRED = {NO_METHOD: _OF_STRUCTURE, ENGINE_METHOD: _OF_ENGINE}
+"""Tables of a finished case by its method, if these are not `_TABLES`."""
 
 _CASE_FILES = {
     *("sensing.jsonl", "truth.csv", "estimate.csv", "trace.csv", "case.json", _COST, TRACEBACK),
     SURFACE_FILE,
-    *(f"{name}.csv" for name in _TABLES),
+    *(f"{name}.csv" for name in (*_TABLES, *_FURTHER_TABLES, *_OF_ENGINE, "trajectory")),
 }
 """All files that a case may have."""
 
@@ -253,7 +267,8 @@ class RunFolder:
             return None
         if record.digest != record.sealed().digest:
             return None
-        complete = not record.is_done or {f"{name}.csv" for name in _TABLES} <= set(record.files)
+        tables = _REQUIRED.get(record.method, _TABLES)
+        complete = not record.is_done or {f"{name}.csv" for name in tables} <= set(record.files)
         intact = all(io.digest(folder / file) == sha for file, sha in record.files.items())
         return record if intact and complete else None
 
@@ -276,21 +291,24 @@ class RunFolder:
         self,
         record: CaseRecord,
         *,
-        truth: Truth,
-        log: SensingLog,
-        estimate: Estimate,
         tables: Mapping[str, pd.DataFrame],
         cost: Mapping[str, Cost],
+        truth: Truth | None = None,
+        log: SensingLog | None = None,
+        estimate: Estimate | None = None,
         surface: GroundSurface | None = None,
     ) -> CaseRecord:
         """Write a case, make it appear at once, and return its record with the digests."""
         with self._new_folder(record.case) as folder:
-            write_sensing_log(log, folder / "sensing.jsonl")
-            write_positions(folder / "truth.csv", truth.robot_id, truth.position)
-            write_estimate(folder / "estimate.csv", estimate)
-            for name in _TABLES:
-                write_frame(tables[name], folder / f"{name}.csv")
-            write_trace(folder / "trace.csv", estimate)
+            if log is not None:
+                write_sensing_log(log, folder / "sensing.jsonl")
+            if truth is not None:
+                write_positions(folder / "truth.csv", truth.robot_id, truth.position)
+            for name, table in tables.items():
+                write_frame(table, folder / f"{name}.csv")
+            if estimate is not None:
+                write_estimate(folder / "estimate.csv", estimate)
+                write_trace(folder / "trace.csv", estimate)
             if surface is not None:
                 write_surface(folder / SURFACE_FILE, surface)
             files = {path.name: io.digest(path) for path in sorted(folder.iterdir())}
@@ -379,15 +397,12 @@ class RunFolder:
             )
 
     def complete(
-        self, cases: Sequence[Case], records: Mapping[str, CaseRecord], used: Collection[Used]
+        self, cases: Sequence[Case], used: Collection[Used]
     ) -> dict[str, Mapping[str, Cost]]:
         """Write the manifest of a run whose cases are all stored, unless it has one.
 
-        Kept structures go, unless cases failed: the next run tries these again.
-
         Args:
             cases: All cases.
-            records: Their records by name.
             used: What computed them, as far as this process knows.
 
         Returns:
@@ -399,12 +414,14 @@ class RunFolder:
             used = used or {Used("grow", backend.current())}
             complete = manifest(used, [*costs.values()], earlier.numerics)
             self._write_manifest(replace(complete, outdated=earlier.ever_drawn))
-        if all(record.is_done for record in records.values()):
-            for kept in self.path.glob(f"{_STRUCTURES}/seed*-*.*"):
-                remove(kept)
-            with suppress(OSError):  # there is none, or somebody keeps files in it
-                (self.path / _STRUCTURES).rmdir()
         return costs
+
+    def forget_structures(self) -> None:
+        """Remove kept structures, once no case of the run has to be tried again."""
+        for kept in self.path.glob(f"{_STRUCTURES}/seed*-*.*"):
+            remove(kept)
+        with suppress(OSError):  # there is none, or somebody keeps files in it
+            (self.path / _STRUCTURES).rmdir()
 
     def _manifest(self) -> Manifest:
         """Read the manifest; an empty one where it is missing or damaged."""

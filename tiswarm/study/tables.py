@@ -4,8 +4,9 @@
 |---|---|
 | `summary.csv` | case |
 | `table.csv` | condition and point, with the paper's numbers |
-| `paired.csv` | measure and pair of conditions, on the same structures |
-| `profiles.csv` | condition and range of robots that are alike |
+| `paired.csv` | measure and pair of conditions, on the same structures; of cases with estimates |
+| `profiles.csv` | condition and range of robots that are alike; of cases with estimates |
+| `throughput.csv` | condition and number of robots of runs of the engine: robot steps a second |
 | `scaling.csv` | condition, measure and number of robots, threads, workers or movers |
 | `suites.csv` | condition and point, with the price of the sensors |
 """
@@ -14,6 +15,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,19 +31,25 @@ from tiswarm.evaluation.tables import plugin_scores
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records import measures
+from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import run_file
+from tiswarm.records.measures import Measure
 from tiswarm.records.messages import counted
 from tiswarm.records.positions import Truth, read_estimate
+from tiswarm.records.run_folder import NO_METHOD
 from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import NO_EDGE, Terrain
-from tiswarm.scenario.expansion import Plan, load_scenario, plan
+from tiswarm.scenario.expansion import Case, Group, Plan, load_scenario, plan
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.study.provenance import Cost
+from tiswarm.study.runner import grow_again
 from tiswarm.study.scaling import scaling
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.ground.solid import SolidGround
+from tiswarm.world.history import History
 from tiswarm.world.params import structure_ground
 
 _RECRUITMENT = ("force_threshold", "recruit_base", "recruit_limit")
@@ -60,19 +68,29 @@ def write_tables(
 ) -> None:
     """Write all tables of a run folder from the records and costs of its stored cases, by name."""
     cases = [case for case in whole.cases if case.name in stored]
-    records = [_with_plugin_scores(stored[case.name], run / "cases") for case in cases]
+    scored = _with_plugin_scores(RunFolder(run), whole.structures, stored)
+    records = [scored[case.name] for case in cases]
     settings = [case.settings for case in cases]
-    written = {
-        "summary": summary(records, settings),
-        "table": table(records, settings),
-        "paired": paired(records, settings),
-        "profiles": profiles(records, run / "cases"),
-    }
-    written |= scaling(run, whole.structures, stored, costs)
-    if {setting.sensing.suite for setting in settings} != {SensingParams().suite}:
-        written["suites"] = suites(records, settings, run / "cases")
+    written = {"summary": summary(records, settings), "table": table(records, settings)}
+    localized = [(r, s) for r, s in zip(records, settings, strict=True) if _is_localized(s)]
+    if localized:
+        records = [record for record, _ in localized]
+        settings = [setting for _, setting in localized]
+        written["paired"] = paired(records, settings)
+        written["profiles"] = profiles(records, run / "cases")
+        if {setting.sensing.suite for setting in settings} != {SensingParams().suite}:
+            written["suites"] = suites(records, settings, run / "cases")
+    if any(setting.localization.runs_engine for setting in settings):
+        written["throughput"] = throughput(records, settings, costs)
+    else:
+        written |= scaling(run, whole.structures, stored, costs)
     for name, content in written.items():
         write_frame(content, run / f"{name}.csv")
+
+
+def _is_localized(setting: Scenario) -> bool:
+    """Whether a case estimates positions."""
+    return setting.localization.places_robots
 
 
 class MeasureTrial:
@@ -81,10 +99,11 @@ class MeasureTrial:
     Else one that fails would end a study after its last case.
     """
 
-    def __init__(self, run: Path) -> None:
-        """Take the folder of the run."""
+    def __init__(self, folder: RunFolder, structures: Sequence[Group]) -> None:
+        """Take the folder of the run, and its cases by the structure that they share."""
         self.is_due = bool(registered("measure"))
-        self._cases = run / "cases"
+        self._folder = folder
+        self._cases = {case.name: case for group in structures for case in group}
 
     def try_on(self, records: Iterable[CaseRecord]) -> None:
         """Compute the measures for the first of the records that is done, unless they have been.
@@ -96,27 +115,87 @@ class MeasureTrial:
             return
         done = [record for record in records if record.is_done]
         if done:
-            _with_plugin_scores(done[0], self._cases)
+            group = [self._cases[done[0].case]]
+            _with_plugin_scores(self._folder, [group], {done[0].case: done[0]})
             self.is_due = False
 
 
-def _with_plugin_scores(record: CaseRecord, cases: Path) -> CaseRecord:
-    """Add the measures of plug-ins to a record, from the files of its case.
+def _with_plugin_scores(
+    folder: RunFolder, structures: Sequence[Group], stored: Mapping[str, CaseRecord]
+) -> dict[str, CaseRecord]:
+    """Add the measures of plug-ins to records, from the files of their cases; return all by name.
 
-    Other tables follow from the record; the case itself stays as it is, so that an edit of a
-    measure computes no case again.
+    Other tables follow from the records; the cases themselves stay as they are, so that an edit of
+    a measure computes no case again.
     """
-    if not registered("measure") or not record.is_done:
-        return record
-    folder = cases / record.case
-    estimate = read_estimate(read_sensing_log(folder / "sensing.jsonl"), folder / "estimate.csv")
-    robots = read_frame(folder / "robots.csv", ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"])
-    truth = Truth(
-        robot_id=estimate.robot_id,
-        position=robots[["x_R", "y_R", "z_R"]].to_numpy(float),
-        orientation_wxyz=robots[["qw", "qx", "qy", "qz"]].to_numpy(float),
-    )
-    return replace(record, scores={**record.scores, **plugin_scores(truth, estimate)})
+    scored = dict(stored)
+    runs_engine = any(case.settings.localization.runs_engine for g in structures for case in g)
+    if runs_engine or not registered("measure"):
+        return scored
+    for group in structures:
+        done = [case for case in group if case.name in stored and stored[case.name].is_done]
+        shared = _SharedHistory(folder, done)
+        for case in done:
+            record = stored[case.name]
+            scores = {**record.scores, **plugin_scores(_StoredParts(folder, case, shared).part)}
+            scored[case.name] = replace(record, scores=scores)
+    return scored
+
+
+class _SharedHistory:
+    """The history of a structure, which its cases share: kept by the run, or grown again."""
+
+    def __init__(self, folder: RunFolder, cases: Group) -> None:
+        self._folder = folder
+        self._cases = cases
+
+    @cached_property
+    def history(self) -> History:
+        """The history, as it was grown."""
+        kept = self._folder.read_structure(self._cases[0])
+        return grow_again(self._cases[0]) if kept is None else kept[0]
+
+
+class _StoredParts:
+    """The parts of a stored case, each read once, as a measure asks for it."""
+
+    def __init__(self, folder: RunFolder, case: Case, shared: _SharedHistory) -> None:
+        self._path = folder.cases / case.name
+        self._shared = shared
+        self.settings = case.settings
+
+    def part(self, name: str) -> object:
+        """Return a part by its name; None where the case has none."""
+        return getattr(self, name)
+
+    @property
+    def history(self) -> History:
+        """The structure, with all stances and loads."""
+        return self._shared.history
+
+    @cached_property
+    def log(self) -> SensingLog:
+        """What robots sensed."""
+        return read_sensing_log(self._path / "sensing.jsonl")
+
+    @cached_property
+    def estimate(self) -> Estimate | None:
+        """Where robots are by the method; None without one."""
+        if not _is_localized(self.settings):
+            return None
+        return read_estimate(self.log, self._path / "estimate.csv")
+
+    @cached_property
+    def truth(self) -> Truth:
+        """Where robots are."""
+        position = ["x_R", "y_R", "z_R"]
+        orientation = ["qw", "qx", "qy", "qz"]
+        robots = read_frame(self._path / "robots.csv", [*position, *orientation])
+        return Truth(
+            robot_id=self.log.robot_id,
+            position=robots[position].to_numpy(float),
+            orientation_wxyz=robots[orientation].to_numpy(float),
+        )
 
 
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
@@ -128,7 +207,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "series": record.series,
             "condition": record.condition,
             "point": record.point_text,
-            "kind": setting.structure.kind,
+            "kind": _kind(setting),
             "method": _title(setting.localization),
             **record.point_cells,
             "robots": setting.robots,
@@ -136,7 +215,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "status": record.status,
             "distrust": record.distrust,
             "reason": record.reason,
-            **_edges(structure_ground(setting.structure)),
+            **({} if setting.localization.runs_engine else _edges(_ground(setting))),
             **record.scores,
         }
         for record, setting in zip(records, settings, strict=True)
@@ -149,6 +228,15 @@ def _title(method: LocalizationParams) -> str:
     return " ".join([method.title, *filter(None, [getattr(method, "scheme", None)])])
 
 
+def _kind(setting: Scenario) -> str:
+    """Return the kind of a structure; runs of the engine have a swarm in its place."""
+    return "swarm" if setting.localization.runs_engine else setting.structure.kind
+
+
+def _ground(setting: Scenario) -> Terrain | SolidGround:
+    return structure_ground(setting.structure)
+
+
 def _edges(terrain: Terrain | SolidGround) -> dict[str, float]:
     """Place the edges of the ground, if it has any, for pictures."""
     edges = {"left_edge_R": terrain.left_edge, "right_edge_R": terrain.right_edge}
@@ -158,22 +246,31 @@ def _edges(terrain: Terrain | SolidGround) -> dict[str, float]:
 def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """Tabulate each point and condition: means over seeds, their uncertainty, paper's numbers.
 
-    Changes are relative to the paper's first condition at the same point, or else the first.
+    Changes are relative to the paper's first condition at the same point, or else the first. Where
+    no case has an estimate, what needs one has no column.
     """
+    with_estimates = any(map(_is_localized, settings))
+    averaged = _averaged(settings)
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
     for of_point in _grouped(records, lambda record: record.point_text):
         at_point = []
         for group in _grouped(of_point, lambda record: record.condition):
             first = group[0]
-            statistics = _with_statistics(group)
+            statistics = _with_statistics(group, averaged)
             setting = setting_of[first.case]
             used = {"measurements": _used(record.measurements for record in group)}
-            used |= {"kind": setting.structure.kind, "method": _title(setting.localization)}
+            used |= {"kind": _kind(setting), "method": _title(setting.localization)}
             row = {"condition": first.condition, **first.point_cells, **statistics, **used}
-            at_point.append(row | _rounds(setting) | _paper(setting, statistics))
+            if with_estimates:
+                row |= _rounds(setting) | _paper(setting, statistics)
+            at_point.append(row)
+        if not with_estimates:
+            rows += at_point
+            continue
         of_paper = [row for row in at_point if row[measures.RMSE.published] > 0.0]
-        base = (of_paper or at_point)[0]
+        of_estimates = [row for row in at_point if row["method"] != NO_METHOD]
+        base = (of_paper or of_estimates or at_point)[0]
         for row, (name, rmse) in itertools.product(
             at_point, (("", measures.RMSE.mean), ("paper_", measures.RMSE.published))
         ):
@@ -235,16 +332,28 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
+def _averaged(settings: Sequence[Scenario]) -> list[Measure]:
+    """List the measures whose means a study has."""
+    all_averaged = [measure for measure in measures.all_measures() if measure.averaged]
+    if any(setting.localization.runs_engine for setting in settings):
+        return [measure for measure in all_averaged if measure.is_of_engine]
+    with_estimates = any(map(_is_localized, settings))
+    return [
+        measure
+        for measure in all_averaged
+        if not measure.is_of_engine and (with_estimates or not measure.needs_estimate)
+    ]
+
+
+def _with_statistics(records: Sequence[CaseRecord], averaged: Sequence[Measure]) -> dict[str, Any]:
     """Count cases, and return means over the finished ones with their uncertainty and range."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    for measure in measures.all_measures():
-        if measure.averaged:
-            column = scores.get(measure.column, pd.Series(dtype=float))
-            values = column.to_numpy(np.float64)
-            statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
-            full |= {measure.statistic(name): value for name, value in statistics.items()}
+    for measure in averaged:
+        column = scores.get(measure.column, pd.Series(dtype=float))
+        values = column.to_numpy(np.float64)
+        statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
+        full |= {measure.statistic(name): value for name, value in statistics.items()}
     return full
 
 
@@ -342,6 +451,40 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         return pd.DataFrame(columns=["condition", "by"])
     rows = pd.concat(profiles_of_series, ignore_index=True)
     return pd.concat([pd.DataFrame(names_of), rows], axis=1)
+
+
+def throughput(
+    records: Sequence[CaseRecord],
+    settings: Sequence[Scenario],
+    costs: Mapping[str, Mapping[str, Cost]],
+) -> pd.DataFrame:
+    """Tabulate how many steps of a robot the engine takes in a second, and its memory.
+
+    Rows are points and conditions; means are over finished cases. Preparation and compilation do
+    not count, neighbor lists do.
+    """
+    setting_of = dict(zip([record.case for record in records], settings, strict=True))
+    rows = []
+    for group in _grouped(records, lambda record: record.series):
+        first = group[0]
+        setting = setting_of[first.case]
+        steps = getattr(setting.localization, "steps", 0)
+        spent = [costs[r.case]["relax"] for r in group if r.is_done and "relax" in costs[r.case]]
+        row = {
+            "condition": first.condition,
+            **first.point_cells,
+            "cases": len(spent),
+            "robot_count": setting.robots,
+            "steps": steps,
+        }
+        for unit in ("cpu_s", "wall_s"):
+            rates = [setting.robots * steps / max(cost[unit], 1e-9) for cost in spent]
+            row[f"robot_steps_per_{unit}"] = float(np.mean(rates)) if rates else math.nan
+            row[f"least_per_{unit}"] = min(rates, default=math.nan)
+            row[f"most_per_{unit}"] = max(rates, default=math.nan)
+        row["peak_memory_MB"] = max((cost["peak_memory_MB"] for cost in spent), default=math.nan)
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def suites(

@@ -36,7 +36,7 @@ from tiswarm.compute.lang import (
     kernel_struct,
     ti,
 )
-from tiswarm.compute.math_kernels import rotate, vector_at, vector_in
+from tiswarm.compute.math_kernels import TIE, rotate, turn_order, vector_at, vector_in
 from tiswarm.compute.neighbor_kernels import CellList, cube_of, first_item, link
 from tiswarm.world.ground.kernels import GroundArray, arc_angle, distance_to, zone_distance
 
@@ -262,8 +262,6 @@ _MET = 1e-13
 """Largest step that counts as arrival at the edge [rad]."""
 _NUDGE = 1e-3
 """Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
-_TIE = 1e-6
-"""Difference of `_turn_order` below which rounding may decide which angle is less."""
 _MAX_STEPS = 500
 """Most steps along an edge; 10 to 40 are usual."""
 _DOCKS_OF_AN_AXIS = 2
@@ -382,12 +380,6 @@ def slab_angles(middle, across, onward, edge, side, limits):
 
 
 @ti.func
-def _turn_order(cosine, sine):
-    """Map an angle from 0 to a full turn to a number from 0 to 4 that grows with it."""
-    return ti.select(sine >= 0.0, 1.0 - cosine, 3.0 + cosine)
-
-
-@ti.func
 def contact_angles(limits: Ref, first, aim, arm, axis, pivot, obstacles: Ref, mover, near_count):
     """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped.
 
@@ -404,7 +396,7 @@ def contact_angles(limits: Ref, first, aim, arm, axis, pivot, obstacles: Ref, mo
     sign = ti.Vector([1.0, -1.0])
     least = ti.Vector([4.0, 4.0])
     most = ti.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
-    best = _turn_order(aim[0] / most, sign * aim[1] / most)
+    best = turn_order(aim[0] / most, sign * aim[1] / most)
     k = 0
     while k < near_count and first.max() > 0.0:
         to_dock = vector_in(obstacles.near, mover, k)
@@ -415,15 +407,15 @@ def contact_angles(limits: Ref, first, aim, arm, axis, pivot, obstacles: Ref, mo
         swing = a * a + b * b
         room = swing - level * level
         # Angles cost much more than what says which is the least: few are computed.
-        is_due = room < _TIE * swing and (level < 0.0 or room > -_TIE * swing)
-        if room >= _TIE * swing:
+        is_due = room < TIE * swing and (level < 0.0 or room > -TIE * swing)
+        if room >= TIE * swing:
             side = ti.sqrt(room)
             cosine = (a * level + sign * b * side) / swing
             sine = (sign * b * level - a * side) / swing
-            order = _turn_order(cosine, sine)
-            is_next = (first > 0.0) & ((order < least + _TIE) | (order > 4.0 - _TIE))
+            order = turn_order(cosine, sine)
+            is_next = (first > 0.0) & ((order < least + TIE) | (order > 4.0 - TIE))
             gain = ti.max(aim[0], cosine * aim[0] + sign * sine * aim[1])
-            is_lost = is_next & (ti.select(order > best - _TIE, most, gain) < aim[2])
+            is_lost = is_next & (ti.select(order > best - TIE, most, gain) < aim[2])
             least = ti.select(is_next, ti.min(least, order), least)
             first = ti.select(is_lost, 0.0, first)
             is_due = (is_next > is_lost).any()
@@ -443,6 +435,7 @@ def contact_angles(limits: Ref, first, aim, arm, axis, pivot, obstacles: Ref, mo
                     sense * onward,
                     0.5 * limits.spacing,
                     angle,
+                    ti.Vector([aim[0], sense * aim[1], aim[2], aim[3]]),
                     obstacles.site.ground,
                 )
             first[0] = ti.select(way == 0, angle, first[0])
@@ -679,7 +672,7 @@ def _aim(limits: Ref, hinge, axis, goal, nearest, laws: Ref):
     if ti.static(laws.score == goal_distance) and not limits.by_belief:
         # |g - r e|^2 < d^2 for the unit vector e to the center
         room = to_goal.norm_sqr() + reach**2 - nearest**2
-        aim[2] = 0.5 * room / reach - _TIE
+        aim[2] = 0.5 * room / reach - TIE
     return aim
 
 

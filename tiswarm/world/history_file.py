@@ -24,7 +24,7 @@ _SINGLE = ("recruited", "round")
 """Fields of a walk that are one value each; the others are arrays."""
 
 _TABLES = tuple(field.name for field in fields(Walk) if field.name not in _SINGLE)
-_LATER = ("departures", "broken", "loaded_contacts", "contact_load")
+_LATER = ("departures", "sent", "broken", "loaded_contacts", "contact_load")
 """Tables of a structure that are not written where they are empty."""
 
 _FACTS = ("seed", "spawns", "crossed", "ended")
@@ -128,6 +128,8 @@ def from_arrays(
     _require_within(robot_of, 0, robots, "departures")
     _require_within(joined, 1, robots + 1, "departures")
     _require_within(event, LEFT, DIED + 1, "departures")
+    sent = _array(arrays.get("sent", np.empty(0, np.int32)), "i", 0)
+    _require(len(sent) in {0, robots} and (sent >= 0).all(), "bytes that robots sent")
     broken = _array(arrays.get("broken", np.empty((0, 5), np.int32)), "i", 5)
     _check_contacts(broken[:, :4], robots, geometry.dock_count, "broken")
     _require_within(broken[:, 4], 1, robots + 1, "broken")
@@ -144,6 +146,7 @@ def from_arrays(
         loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
         sensed=sensed,
         departures=departures,
+        sent=sent.astype(np.int64),
         broken=broken,
         loaded_contacts=loaded,
         contact_load=contact_load,

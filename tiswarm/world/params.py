@@ -627,8 +627,7 @@ def _bodies_at(params: StructureParams, shape: RobotGeometry, places: Reals) -> 
     ground = structure_ground(params)
     if not isinstance(ground, SolidGround):
         return [0] * len(places)
-    point, radius = np.zeros((1, 3)), shape.dock_radius
-    level = np.array([ground.level(x, y, point, radius) for x, y in places.tolist()])
+    level = ground.levels(places, np.zeros((len(places), 1, 3)), shape.dock_radius)
     bodies = ground.body_at(np.column_stack([places, np.maximum(level, -1e6)]))
     return [int(body) for body in np.where(np.isfinite(level), bodies, -1)]
 

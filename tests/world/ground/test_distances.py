@@ -7,6 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tiswarm.compute.lang import F64, Reals1, Reals2, ti
+from tiswarm.compute.math_kernels import vector_at
 from tiswarm.world.ground import grids
 from tiswarm.world.ground.bodies import (
     BoxParams,
@@ -15,7 +17,13 @@ from tiswarm.world.ground.bodies import (
     SlabParams,
     SphereParams,
 )
-from tiswarm.world.ground.kernels import CLOSED_GRID, HEIGHT_GRID
+from tiswarm.world.ground.kernels import (
+    CLOSED_GRID,
+    HEIGHT_GRID,
+    GroundArray,
+    arc_angle,
+    arc_clearance,
+)
 from tiswarm.world.ground.solid import Body, solid_ground
 
 coordinates = st.floats(-12.0, 12.0)
@@ -248,7 +256,7 @@ def test_a_robot_is_put_where_its_lowest_dock_touches_the_ground(x):
     ground = _kept("solids")
     arm = Rotation.from_euler("xyz", [x, 2.0 * x, 3.0]).apply(1.5 * np.eye(3))
 
-    level = ground.level(x, 0.5, arm, 1.0)
+    [level] = ground.levels(np.array([[x, 0.5]]), arm[None], 1.0)
 
     gap = ground.distance(np.array([x, 0.5, level]) + arm) - 1.0
     assert gap.min() == pytest.approx(0.0, abs=1e-9)
@@ -259,6 +267,94 @@ def test_a_robot_is_put_nowhere_where_there_is_no_ground():
     """Beside a slab."""
     ground = solid_ground([SlabParams().body()])
 
-    level = ground.level(50.0, 0.0, np.zeros((1, 3)), 1.0)
+    [level] = ground.levels(np.array([[50.0, 0.0]]), np.zeros((1, 1, 3)), 1.0)
 
     assert level == -np.inf
+
+
+def test_robots_that_are_put_down_together_rest_where_each_rests_alone():
+    """On solids: the number of robots changes no bit of their heights."""
+    ground = _kept("solids")
+    place = np.random.default_rng(5).uniform(-9.0, 9.0, (12, 2))
+    turns = Rotation.from_euler("z", 30.0 * np.arange(12), degrees=True)
+    arm = np.array([turn.apply(1.5 * np.eye(3)) for turn in turns])
+
+    together = ground.levels(place, arm, 1.0)
+
+    alone = [ground.levels(place[i : i + 1], arm[i : i + 1], 1.0)[0] for i in range(12)]
+    np.testing.assert_array_equal(together, alone)
+
+
+@ti.kernel
+def _follow_arcs(
+    middle: Reals2, across: Reals2, onward: Reals2, aim: Reals2, array: Reals1, out: Reals2
+):
+    ground = ti.static(GroundArray(array, ()))
+    for i in range(middle.shape[0]):
+        place, start, side = vector_at(middle, i), vector_at(across, i), vector_at(onward, i)
+        wanted = ti.Vector([aim[i, 0], aim[i, 1], aim[i, 2], aim[i, 3]])
+        most = ti.cast(2.0 * np.pi, F64)
+        out[i, 0] = arc_angle(place, start, side, 1.0, most, wanted, ground)
+        out[i, 1] = arc_clearance(place, start, side, ground)
+
+
+def _arcs(seed, count):
+    """Draw arcs of docks: middles, and vectors from there to the start and onward."""
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform([-9.0, -9.0, -2.0], [9.0, 9.0, 6.0], (count, 3))
+    turn = Rotation.random(count, rng=rng).as_matrix()
+    return middle, *(2.6 * np.ascontiguousarray(turn[:, k]) for k in range(2))
+
+
+def _ground(kind):
+    if kind == "slope":
+        return solid_ground([PlaneParams(pitch_deg=20.0).body()])
+    return _kept(kind)
+
+
+@pytest.mark.parametrize("kind", ["solids", "slope"])
+def test_a_turn_that_gains_enough_ends_where_the_whole_search_ends_it(kind):
+    """A search that leaves out what gains too little moves no end that counts.
+
+    Another dock may end the turn before, at the angle `first`.
+    """
+    ground = _ground(kind)
+    arcs = _arcs(3, 6000)
+    rng = np.random.default_rng(4)
+    gain = rng.uniform(-1.0, 1.0, (6000, 2))
+    more = rng.uniform(-1.0, 1.0, 6000) ** 3
+    first = rng.uniform(0.1, 9.0, 6000)
+    everything = np.tile([0.0, 0.0, -np.inf, 0.0], (6000, 1))
+    whole, quick = np.zeros((2, 6000, 2))
+    _follow_arcs(*arcs, everything, ground.array, whole)
+    end = np.minimum(whole[:, 0], first)
+    gained = np.cos(end) * gain[:, 0] + np.sin(end) * gain[:, 1]
+    aim = np.column_stack([gain, gained + more, np.full(6000, 0.05)])
+
+    _follow_arcs(*arcs, aim, ground.array, quick)
+
+    quick_end = np.minimum(quick[:, 0], first)
+    quick_gain = np.cos(quick_end) * gain[:, 0] + np.sin(quick_end) * gain[:, 1]
+    counts = (more < -1e-5) & (end >= 0.05)
+    np.testing.assert_allclose(quick_end[counts], end[counts], atol=1e-9)
+    is_lost = (quick_end < 0.05) | (quick_gain < gained + more + 1e-5)
+    assert (counts | is_lost | (np.abs(more) <= 1e-5)).all()
+
+
+def test_no_turning_dock_comes_nearer_than_its_clearance():
+    """Exact on one plane, a bound on other ground."""
+    middle, across, onward = _arcs(5, 200)
+    turn = np.linspace(0.0, 2.0 * np.pi, 721)[:, None, None]
+    path = middle + np.cos(turn) * across + np.sin(turn) * onward
+    clearance = {}
+    least = {}
+
+    for kind in ("slope", "solids"):
+        ground = _ground(kind)
+        numbers = np.zeros((200, 2))
+        _follow_arcs(middle, across, onward, np.zeros((200, 4)), ground.array, numbers)
+        clearance[kind] = numbers[:, 1]
+        least[kind] = ground.distance(path.reshape(-1, 3)).reshape(721, 200).min(axis=0)
+
+    np.testing.assert_allclose(least["slope"], clearance["slope"], atol=1e-4)
+    assert (least["solids"] >= clearance["solids"] - 1e-9).all()

@@ -90,6 +90,9 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
     around = structure.dock.reshape(-1, 3)
     by_join = Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}")
     name = "structure" if view.has_truth else "estimate"
+    if view.is_of_engine:
+        by_join = by_join._replace(low="robot  0")
+        name = "swarm"
     scene = build_scene(structure, view.terrain)
     pictures = {name: Picture(scene, by_join)}
     if view.has_truth and view.has_estimate:
@@ -98,7 +101,8 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
         is_of_user = any(coloring is of_user for of_user in view.user_colorings)
         name = re.sub(r"\W+", "-", coloring.label)
         pictures[f"color-{name}" if is_of_user else name] = _colored(view, scene, coloring)
-    pictures["contact-graph"] = _contact_graph(view, around)
+    if not view.is_of_engine:
+        pictures["contact-graph"] = _contact_graph(view, around)
     return pictures
 
 
@@ -134,15 +138,18 @@ def _has_pose(pose: Reals) -> Bools:
 
 def _colored(view: SwarmView, scene: Scene, by: Coloring) -> Picture:
     """Color the structure by a value of each robot."""
-    color, most = paint(by)
     colors = SCALES[by.scale]
     gray: Keys = ()
     if np.isnan(by.value[_has_pose(view.best_pose)]).any():
-        gray = ((UNKNOWN_GRAY, "unknown"),)
+        gray = ((UNKNOWN_GRAY, by.gray),)
     legend: Keys | Scale = (("", by.title), *zip(colors, by.words, strict=False), *gray)
     if not by.words:
-        legend = Scale(colors, f"{by.title}  {by.least:.3g}", three_digits(most), gray)
-    return Picture(scene.painted(view.robots(view.best_pose, color, TRUE_SIZE)), legend)
+        scale = "log scale" if by.logarithmic else ""
+        meaning = ", ".join(filter(None, [by.meaning, scale]))
+        keys = ((("", meaning),) if meaning else ()) + gray
+        high = three_digits(by.last) if by.most is None else f"{by.last:g} or more"
+        legend = Scale(colors, f"{by.title}  {by.least:.3g}", high, keys)
+    return Picture(scene.painted(view.robots(view.best_pose, paint(by), TRUE_SIZE)), legend)
 
 
 def _contact_graph(view: SwarmView, around: Reals) -> Picture:
@@ -177,7 +184,7 @@ def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) ->
     positions: list[tuple[float, float]] = []
     for _, text in keys:
         width = size * 50 + font.getlength(text)
-        if positions and x + width > picture.width:
+        if x > start and x + width > picture.width:
             x = start
             y += size * _LEGEND_HEIGHT
         positions.append((x, y))
@@ -312,8 +319,10 @@ def render_run(
     pictures, used, reason = render_view(read_case_view(chosen), progress, renderer)
     sizes, greatest = build_sizes(run, chosen) if case is None else ([], 0.0)
     if sizes:
-        high = f"{three_digits(greatest)}    {chosen.condition}"
-        legend = Scale(ERROR_COLORS, "error [R]  0", high)
+        legend = Scale(JOIN_COLORS, "join index  first", "last")
+        if chosen.has_estimate:
+            high = f"{three_digits(greatest)}    {chosen.condition}"
+            legend = Scale(ERROR_COLORS, "error [R]  0", high)
         pictures["sizes"] = _encoded(draw_side_by_side(sizes, used), legend)
     suffix = "" if case is None else f"-{case}"
     drawn = []
@@ -344,7 +353,8 @@ class Tile(NamedTuple):
 def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
     """Build a tile for each size of a kind and condition, colored by error, and the greatest error.
 
-    There are none unless a study swept the size.
+    Structures without an estimate are colored by join index. There are none unless a study swept
+    the size.
     """
     cases: dict[int, StoredCase] = {}
     for case in run.cases if run.sweeps_robots else []:
@@ -355,7 +365,9 @@ def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
     greatest = max((float(np.nanmax(view.error, initial=1e-9)) for view in views), default=0.0)
     tiles = []
     for view in views:
-        color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
+        color = view.color_by_join
+        if like.has_estimate:
+            color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
         scene = build_scene(view.robots(view.pose, color, TRUE_SIZE), view.terrain)
         level = np.nanmean(view.pose[:, :3], axis=0)
         level[2] = np.nanmin(view.pose[:, 2])
@@ -366,7 +378,9 @@ def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
 
 
 def _label(view: SwarmView) -> str:
-    """State size and RMSE."""
+    """State size and, of an estimate, RMSE."""
+    if not view.has_estimate:
+        return counted(len(view.pose), "robot")
     error = view.error[np.isfinite(view.error)]
     rmse = f"RMSE {three_digits(math.sqrt(np.mean(error**2)))} R" if len(error) else "no estimate"
     return f"{counted(len(view.pose), 'robot')}\n{rmse}"

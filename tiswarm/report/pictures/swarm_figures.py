@@ -75,6 +75,11 @@ CAPTIONS = {
         "True structure, each robot colored by the force that it senses in its links, "
         "in weights of a dock.",
     ),
+    "margin": figure_style.Caption(
+        "True structure, each robot colored by its margin, the strength of its weakest contact "
+        "over the load of that contact, on a logarithmic scale. The contacts of dark red robots "
+        "are the next to break.",
+    ),
     "sizes": figure_style.Caption(
         "Structures of every size at one scale, each robot colored by its error.",
     ),
@@ -317,7 +322,7 @@ _SHARE = 4
 
 def _joining_painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figure by file name, if a run has structures of several sizes, and such errors."""
-    sizes = {case.robots for cases in run.series.values() for case in cases}
+    sizes = {case.robots for cases in run.localized.values() for case in cases}
     return {"joining": draw_joining} if len(sizes) > 1 and _at_join(run) else {}
 
 
@@ -327,7 +332,7 @@ def draw_joining(run: RunData, max_width: float = np.inf) -> "Figure":
     Each kind of structure has a panel, with a line for each condition. Of a method that places
     robots as they join, it is the error then; a dashed line is that once all robots have joined.
     """
-    done = [case for cases in run.series.values() for case in cases]
+    done = [case for cases in run.localized.values() for case in cases]
     kinds = list(dict.fromkeys(case.kind for case in done))
     names = list(dict.fromkeys(case.condition for case in done))
     sizes = sorted({case.robots for case in done})

@@ -26,7 +26,7 @@ from tiswarm.compute.lang import (
     Static,
     ti,
 )
-from tiswarm.compute.math_kernels import vector_at
+from tiswarm.compute.math_kernels import TIE, turn_order, vector_at
 
 PLANE, SLAB, BOX, CYLINDER, SPHERE, CLOSED_GRID, HEIGHT_GRID, USER = range(8)
 """Kinds of bodies. A height grid continues outward as its border is; a closed one has no border."""
@@ -225,17 +225,54 @@ def on_arc(middle, across, onward, angle):
 
 
 @ti.func
-def arc_angle(middle, across, onward, radius, most, ground: Ref):
+def arc_clearance(middle, across, onward, ground: Ref):
+    """Bound the distance to the ground of a point that turns about an axis from below [R].
+
+    The point is at middle + across cos t + onward sin t. The bound of a plane is exact, so that no
+    search follows docks which slide along it.
+    """
+    swing = across.norm()
+    clearance = ti.cast(FAR, F64)
+    count = ti.cast(ground.array[0], I32)
+    solids = count - ti.static(len(ground.users))
+    for row in range(solids):
+        base = HEADER + row * BodyNumbers.TOTAL
+        distance = ti.cast(0.0, F64)
+        if ground.array[base + BodyNumbers.KIND] == PLANE:
+            a = ti.cast(0.0, F64)
+            b = ti.cast(0.0, F64)
+            for c in ti.static(range(3)):
+                normal = ground.array[base + BodyNumbers.TURN + 6 + c]
+                distance += normal * (middle[c] - ground.array[base + BodyNumbers.POSITION + c])
+                a += normal * across[c]
+                b += normal * onward[c]
+            distance -= ti.sqrt(a * a + b * b)
+        else:
+            distance = body_distance(in_body(middle, ground, base), ground, base)
+            distance -= ground.array[LIPSCHITZ] * swing
+        clearance = ti.min(clearance, distance)
+    for user in ti.static(range(len(ground.users))):
+        base = HEADER + (solids + user) * BodyNumbers.TOTAL
+        distance = ti.static(ground.users[user])(in_body(middle, ground, base))
+        clearance = ti.min(clearance, distance - ground.array[LIPSCHITZ] * swing)
+    return clearance
+
+
+@ti.func
+def arc_angle(middle, across, onward, radius, most, aim, ground: Ref):
     """Find the angle at which a sphere that turns about an axis meets the ground, `most` at most.
 
     The center of the sphere is at middle + across cos t + onward sin t. A sphere that rests on the
     ground may slide along it and leave it; where it would enter at once, the angle is 0.
+    After the angle t, a robot gains cos t aim_0 + sin t aim_1. The angle is 0, too, of ways that
+    gain less than aim_2 wherever they end, or end before aim_3.
     """
     swing = across.norm()
     lipschitz = ground.array[LIPSCHITZ]
     met = most
-    nearest = distance_to(middle, ground) - radius - lipschitz * swing
-    if swing > TOUCH and nearest < TOUCH:
+    if swing > TOUCH and arc_clearance(middle, across, onward, ground) - radius < -0.5 * TOUCH:
+        largest = ti.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
+        best = turn_order(aim[0] / largest, aim[1] / largest)
         t = 0.0 * swing
         before = t
         gap = distance_to(on_arc(middle, across, onward, t), ground) - radius
@@ -244,7 +281,18 @@ def arc_angle(middle, across, onward, radius, most, ground: Ref):
             gap_before = gap
             t += ti.max(gap / lipschitz, SLIDE) / swing
             gap = distance_to(on_arc(middle, across, onward, t), ground) - radius
-            if gap < -TOUCH:
+            is_entered = gap < -TOUCH
+            is_lost = t < aim[3]
+            is_behind = False
+            if t < most and aim[0] < aim[2]:
+                # What gains enough is between two angles, one before the best and one behind it.
+                gains = ti.cos(t) * aim[0] + ti.sin(t) * aim[1]
+                order = turn_order(ti.cos(t), ti.sin(t))
+                is_lost = is_lost or (gains < aim[2] and order < best - TIE)
+                is_behind = gains < aim[2] and order > best + TIE
+            if is_entered and is_lost:
+                met = 0.0
+            elif is_entered:
                 met = before
                 # False position, with the value halved of an end that stays (Illinois): few of the
                 # distances of a bisection are needed.
@@ -270,6 +318,8 @@ def arc_angle(middle, across, onward, radius, most, ground: Ref):
                         met = part
                         gap_before = gap_part
                         gap_high *= 0.5
+            elif is_behind:
+                t = most  # only an end before this one could count, which another dock may meet
     return ti.min(met, most)
 
 

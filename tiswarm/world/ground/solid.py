@@ -119,22 +119,25 @@ class SolidGround:
         )  # fmt: skip
         return length
 
-    def level(self, x: float, y: float, arm: Reals, radius: float) -> float:
-        """Find how high a robot's center is that is put on the ground; minus infinity without any.
+    def levels(self, place: Reals, arm: Reals, radius: float) -> Reals:
+        """Find how high centers of robots are that are put on the ground, one by one [R], (n,).
 
         Args:
-            x: Place of its center [R].
-            y: Place of its center [R].
-            arm: Vectors from its center to its docks [R], shape (docks, 3).
+            place: Places of their centers as seen from above [R], shape (n, 2).
+            arm: Vectors from their centers to their docks [R], shape (n, docks, 3).
             radius: Radius of a dock [R].
+
+        Returns:
+            Heights; minus infinity where there is no ground.
         """
-        above = min(self.top, DEEPEST) + radius - float(arm[:, 2].min()) + kernels.SLIDE
-        fall = np.empty(1)
+        above = min(self.top, DEEPEST) + radius - arm[:, :, 2].min(axis=1) + kernels.SLIDE
+        fall = np.empty(len(place))
         _call(
-            kernels.drop_robots, np.array([[x, y, above]]), _table(arm)[None], 2.0 * DEEPEST,
+            kernels.drop_robots, np.column_stack([place, above]), _table(arm), 2.0 * DEEPEST,
             radius, self.lipschitz, self.array, self.users, fall,
         )  # fmt: skip
-        return above - float(fall[0])
+        level: Reals = above - fall
+        return level
 
     def _measure(self, point: Reals) -> tuple[Reals, Ints]:
         distance: Reals = np.empty(len(point))
