@@ -707,7 +707,7 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
     if early:
         count = counted(len(histories), "structure")
         reasons = {history.ended for history in early}
-        more = f" (and {len(reasons) - 1} more reasons)" if len(reasons) > 1 else ""
+        more = f" (and {counted(len(reasons) - 1, 'more reason')})" if len(reasons) > 1 else ""
         warn(f"{len(early)} of {count} ended before all robots joined: {early[0].ended}{more}")
     return Swarms([GrownStructure.of(history, scenario) for history in histories], scenario)
 
