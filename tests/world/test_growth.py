@@ -117,7 +117,7 @@ def test_a_structure_is_read_back_from_its_arrays():
     again = from_arrays(to_arrays(history), params, FIREANT)
 
     assert _same(history, again)
-    tables = {"sensed", "departures", "broken", "loaded_contacts", "contact_load"}
+    tables = {"sensed", "sent", "departures", "broken", "loaded_contacts", "contact_load"}
     compared_apart = {"walks", "loads"} | tables  # arrays, and NaN in them
     names = {field.name for field in dataclasses.fields(history)} - compared_apart
     assert {name: getattr(again, name) for name in names} == {
