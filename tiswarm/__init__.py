@@ -48,6 +48,8 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.base.robot import RobotGeometry as RobotGeometry
     from tiswarm.compute.lang import ti as ti
     from tiswarm.engine.forces import relax as relax
+    from tiswarm.engine.laws import force as force
+    from tiswarm.engine.laws import integrator as integrator
     from tiswarm.engine.relax import RelaxResult as RelaxResult
     from tiswarm.localization.distributed.channels import channel as channel
     from tiswarm.localization.methods import method as method

@@ -542,3 +542,24 @@ def test_long_growth_shows_its_progress(capsys):
     assert re.search(r"grow: 6 in [\d.]+ s", capsys.readouterr().err)
     library.grow("tower", robots=3, seeds=2, quiet=True)
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("strength", "has_margins"),
+    [(None, False), ({"limit": 250.0}, True), ({"law": "tension", "limit": 69.0}, False)],
+    ids=["any load", "von Mises", "no contact is pulled"],
+)
+def test_the_page_of_structures_shows_margins_where_contacts_have_them(
+    tmp_path, strength, has_margins
+):
+    """In the view and in its tables, where no number is missing."""
+    settings = {"kind": "tower"} if strength is None else {"kind": "tower", "strength": strength}
+    swarms = library.grow(settings, robots=2, seeds=2, quiet=True)
+
+    page = swarms.view(tmp_path / "view.html").read_text()
+
+    assert ('"label":"margin"' in page) == has_margins
+    assert ("least margin" in page) == has_margins
+    assert ("broken contacts" in page) == (strength is not None)
+    assert "nan" not in re.findall(r"<td[^>]*>(.*?)</td>", page)
+    assert "nan to nan" not in page

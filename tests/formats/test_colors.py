@@ -197,7 +197,7 @@ def test_colors_lie_between_those_of_the_scale(values, scale):
     coloring = Coloring("a", "", value, scale, least)
     colors = [rgb(color) for color in SCALES[scale]]
 
-    for v, color in zip(values, paint(coloring)[0], strict=True):
+    for v, color in zip(values, paint(coloring), strict=True):
         if v is None:
             assert color.tolist() == rgb(UNKNOWN_GRAY).tolist()
             continue

@@ -24,6 +24,7 @@ from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view
 
 ROBOTS = "cases/0-baseline/robots.csv"
+LOADS = "cases/0-baseline/loads.csv"
 LOG = "cases/0-baseline/sensing.jsonl"
 TABLE = (
     "condition,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,procrustes_disparity_ci95,"
@@ -41,6 +42,9 @@ def run(run_folder):
     write_table(run_folder / "table.csv", TABLE, [["baseline", 2, 1.0, 0.1, 0.5, 0.2, "", ""]])
     header = "condition,against,measure,structures,difference_mean,smaller,wilcoxon_p"
     write_table(run_folder / "paired.csv", header, [["no-z", "baseline", "rmse_R", 2, 0.1, 1, 0.5]])
+    header = "robot,dock,neighbor,neighbor_dock,axial_W,margin"
+    rows = [[1, 0, "0", 2, -3.5, 1.5], [0, 1, "ground", "", -6.0, 4.0]]
+    write_table(run_folder / LOADS, header, rows)
     (run_folder / "renders").mkdir()
     Image.new("RGB", (4, 4)).save(run_folder / "renders" / "error.png")
     return run_folder
@@ -190,6 +194,11 @@ KINDS = {
         (scenes, ROBOTS, cell("qw", "inf"), ":13: qw: 'inf' is not a number"),
         (scenes, ROBOTS, without("sensed_force"), ":1: sensed_force: there is no such column"),
         (export, ROBOTS, lines(0, 8), ":9: has 7 robots, the log 12"),
+        (page, LOADS, without("margin"), ":1: margin: there is no such column"),
+        (page, LOADS, without("neighbor_dock"), ":1: neighbor_dock: there is no such column"),
+        (page, LOADS, cell("axial_W", "much"), ":3: axial_W: 'much' is not a number"),
+        (page, LOADS, cell("neighbor_dock", "0.5"), ":3: neighbor_dock: 0.5 is no dock"),
+        (export, LOADS, cell("robot", ""), ":3: robot: an empty cell is not"),
         *[
             (command, file, damage, ":")
             for command, file in [
@@ -198,6 +207,7 @@ KINDS = {
                 (page, "summary.csv"),
                 (page, "renders/error.png"),
                 (page, ROBOTS),
+                (page, LOADS),
                 (scenes, LOG),
             ]
             for damage in KINDS.values()

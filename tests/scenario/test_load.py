@@ -74,7 +74,7 @@ def test_a_scenario_names_its_method(tmp_path, text, line):
     assert str(refusal.value) == (
         f"{path}:{line}: localization.method: is missing; write it like localization: "
         "{method: joint}, one of distributed, hop-by-hop, joint, least-squares, none, online, "
-        "virtual-force"
+        "relax, virtual-force"
     )
 
 

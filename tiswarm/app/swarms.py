@@ -30,7 +30,17 @@ from tiswarm.compute import backend
 from tiswarm.evaluation import tables
 from tiswarm.measurements.cues import cue_names
 from tiswarm.records.io import open_input
-from tiswarm.records.measures import DISPARITY, HEIGHT, JOINED, PEAK_STRESS, REACH, RMSE
+from tiswarm.records.measures import (
+    BROKEN,
+    DISPARITY,
+    HEIGHT,
+    JOINED,
+    MARGIN,
+    PEAK_STRESS,
+    REACH,
+    RMSE,
+    STANDING,
+)
 from tiswarm.records.messages import counted
 from tiswarm.records.outputs import Outputs
 from tiswarm.report.page import Page
@@ -108,6 +118,14 @@ class GrownStructure(History):
     def growth(self) -> pd.DataFrame:
         """Size and loads after each join, `growth.csv` of a run."""
         return tables.by_join(self)
+
+    @property
+    def load_table(self) -> pd.DataFrame:
+        """Loads of each contact in the end, from the weakest contact on, `loads.csv` of a run.
+
+        Margins are NaN where docks hold any load.
+        """
+        return tables.by_contact(self, self.scenario.structure.strength)
 
     @cached_property
     def totals(self) -> Mapping[str, float | int | str]:
@@ -217,12 +235,18 @@ class GrownStructure(History):
             estimated_pose=unknown,
             error=unknown[:, 0],
             force=self.sensed_load,
+            margin=self.margin,
             sd=unknown[:, 0],
             stood=pose,
             dock_offset_body=self.robot.dock_offset_body / unit,
             terrain=shown_ground(self),
             read_log=lambda: observe(self, SensingParams()),
+            read_loads=self._read_loads,
         )
+
+    def _read_loads(self) -> pd.DataFrame | None:
+        """Return the loads of contacts; None where docks hold any load."""
+        return None if self.scenario.structure.strength is None else self.load_table
 
     def __str__(self) -> str:
         """Describe the structure in a line."""
@@ -362,6 +386,11 @@ class Swarms(Sequence[GrownStructure]):
         return self._padded(lambda structure: structure.margin)
 
     @property
+    def stability(self) -> list[str]:
+        """Whether each structure on docks that rest stands, tipped or slid; empty where held."""
+        return [structure.stability for structure in self]
+
+    @property
     def broken(self) -> Ints:
         """Contacts that broke, in order, shape (B, 6).
 
@@ -424,9 +453,15 @@ class Swarms(Sequence[GrownStructure]):
     @property
     def growth(self) -> pd.DataFrame:
         """Size and loads after each join, by seed; columns as in `growth.csv` of a run."""
-        return pd.concat(
-            {structure.seed: structure.growth for structure in self}, names=["seed", None]
-        ).reset_index(level=0)
+        return self._by_seed(lambda structure: structure.growth)
+
+    @property
+    def load_table(self) -> pd.DataFrame:
+        """Loads of each contact in the end, by seed; columns as in `loads.csv` of a run.
+
+        Margins are NaN where docks hold any load.
+        """
+        return self._by_seed(lambda structure: structure.load_table)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -547,6 +582,11 @@ class Swarms(Sequence[GrownStructure]):
 
     def _total(self, name: str) -> Reals:
         return np.array([structure.totals[name] for structure in self], np.float64)
+
+    def _by_seed(self, table_of: Callable[[GrownStructure], pd.DataFrame]) -> pd.DataFrame:
+        """Join the tables of all structures, each with its seed in the first column."""
+        tables_by_seed = {structure.seed: table_of(structure) for structure in self}
+        return pd.concat(tables_by_seed, names=["seed", None]).reset_index(level=0)
 
     def _padded(self, values_of: Callable[[GrownStructure], NDArray[_Value]]) -> NDArray[_Value]:
         """Stack the values of all robots of each structure, shape (S, N, ...)."""
@@ -811,11 +851,14 @@ _COLUMNS = {
     PEAK_STRESS.column: "peak stress [dock weight / R^2]",
     "sensed_max": "largest load [dock weights]",
     "recruited": "recruited",
+    STANDING.column: "standing",
+    BROKEN.column: "broken contacts",
+    MARGIN.column: "least margin",
     "flips": "flips",
     "growth_rounds": "rounds",
     "ended": "ended early",
 }
-"""Columns of the table of structures on their page, and their headings."""
+"""Columns of the table of structures on their page, if they have them, and their headings."""
 
 _MOST_STRUCTURES = 100
 """Structures in the 3D view of that page."""
@@ -823,7 +866,9 @@ _MOST_STRUCTURES = 100
 
 def _page(swarms: Swarms) -> Page:
     """Gather what the page of structures shows."""
-    frame = swarms.table[[*_COLUMNS]].rename(columns=_COLUMNS)
+    table = swarms.table
+    stated = [name for name in _COLUMNS if name in table and table[name].notna().any()]
+    frame = table[stated].rename(columns=_COLUMNS)
     numbers = frame.drop(columns=["seed", "ended early"])
     spread = numbers.agg(["mean", "min", "max"]).T.map("{:.4g}".format)
     summary = pd.DataFrame({"quantity": spread.index, "mean": spread["mean"]})
@@ -858,7 +903,10 @@ def _space(swarms: Swarms) -> View:
     room = 1 + np.searchsorted(np.cumsum(swarms.robot_count)[1:], MOST_ROBOTS, side="right")
     views = [structure._shown() for structure in swarms[: min(int(room), _MOST_STRUCTURES)]]  # noqa: SLF001
     shown = [
-        view_data(v, [Coloring("sensed load", "dock weights", v.force, "forces")]) for v in views
+        view_data(
+            v, [Coloring("sensed load", "dock weights", v.force, "forces"), v.margin_coloring]
+        )
+        for v in views
     ]
     lacks = len(views) < len(swarms)
     return View(

@@ -27,6 +27,7 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "online": "tiswarm.localization.online.settings:OnlineParams",
         "distributed": "tiswarm.localization.distributed.settings:DistributedParams",
         "none": "tiswarm.localization.settings:NoneParams",
+        "relax": "tiswarm.localization.relax:RelaxParams",
     },
     "sensor": {
         "fireant-v3": "tiswarm.sensing.suites:FIREANT_V3",
@@ -52,6 +53,15 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "bending": "tiswarm.world.strength:bending",
         "von-mises": "tiswarm.world.strength:von_mises",
     },
+    "force": {
+        "contact": "tiswarm.engine.laws:contact",
+        "lennard-jones": "tiswarm.engine.laws:lennard_jones",
+    },
+    "integrator": {
+        "first-order": "tiswarm.engine.laws:first_order",
+        "verlet": "tiswarm.engine.laws:verlet",
+        "langevin": "tiswarm.engine.laws:langevin",
+    },
     "terrain": {
         "plane": "tiswarm.world.ground.bodies:PlaneParams",
         "slab": "tiswarm.world.ground.bodies:SlabParams",
@@ -68,6 +78,7 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "curve": "tiswarm.report.curve_figures",
         "swarm": "tiswarm.report.pictures.swarm_figures",
         "suite": "tiswarm.report.suite_figure",
+        "relax": "tiswarm.report.relax_figures",
     },
     "export_format": {
         "csv": "tiswarm.formats.exports:encode_csv",
@@ -106,6 +117,7 @@ sensor: a suite with its settings and price, see `sensing.suites`.
 structure: the class of its settings, see `world.params`, in the order of the schema.
 rule: the class of its settings, see `world.params`.
 strength: a function of the loads of contacts, see `world.strength`.
+force, integrator: a function of the kernel language, see `engine.laws`.
 measure: a `records.measures.Measure`, of plug-ins alone; ours are the table MEASURES there.
 figure: a module with a function `painters` and `CAPTIONS`, see `report.figures`.
 export_format: a function of a view, which returns bytes by name of file.

@@ -192,6 +192,17 @@ def settings_class(
         raise InputError(problem) from error
 
 
+def mistake_at(path: tuple[str | int, ...], problem: str) -> ValidationError:
+    """Make an error of a validator whose problem is at a path within the value that it checks."""
+    error: InitErrorDetails = {
+        "type": "value_error",
+        "loc": path,
+        "input": None,
+        "ctx": {"error": ValueError(problem)},
+    }
+    return ValidationError.from_exception_data("mistake", [error])
+
+
 @cache
 def _adapter(settings: type[Any]) -> TypeAdapter[Any]:
     return TypeAdapter(settings)

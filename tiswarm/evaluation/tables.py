@@ -29,7 +29,9 @@ from tiswarm.records.frames import GREATEST
 from tiswarm.records.measures import (
     BROKEN,
     MARGIN,
+    SLID,
     STANDING,
+    TIPPED,
     PluginMeasure,
     plugin_measures,
 )
@@ -37,6 +39,7 @@ from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.climb_kernels import GROUND
 from tiswarm.world.history import History, Walk
+from tiswarm.world.strength import WEIGHTS, StrengthParams
 
 LOSSES = ("left", "fell", "died")
 """Names of what happened to a robot, in the order of `history.departures`."""
@@ -174,6 +177,39 @@ def by_robot(
         sensed_force=history.sensed,
         **({"margin": _in_a_table(history.margin)} if history.breaks else {}),
     )
+
+
+GROUND_WORD = "ground"
+"""Neighbor of a dock on the ground, in tables of loads."""
+
+
+def by_contact(history: History, strength: StrengthParams | None) -> pd.DataFrame:
+    """Tabulate the loads of each contact at rest, from the weakest contact on.
+
+    The robot of a row joined after its neighbor; its dock may also stand on the ground. Columns
+    name the units, those of `strength`: W is the weight of a dock. There are no rows where the
+    mechanics were not solved after the last join.
+    """
+    docks = history.robot.dock_count
+    units = WEIGHTS if strength is None else strength.units_for(docks)
+    earlier, earlier_dock, later, later_dock = history.loaded_contacts.T
+    stands = later < 0
+    neighbor = pd.Series(np.where(stands, -1, earlier)).astype(str)
+    neighbor_dock = pd.Series(earlier_dock, dtype="Int64")
+    table = pd.DataFrame(
+        {
+            "robot": np.where(stands, earlier, later),
+            "dock": np.where(stands, earlier_dock, later_dock),
+            "neighbor": neighbor.mask(stands, GROUND_WORD),
+            "neighbor_dock": neighbor_dock.mask(stands),
+        }
+    )
+    *loads, used = history.contact_load.T
+    for (load, unit), values in zip(units.of_loads.items(), loads, strict=True):
+        table[f"{load}_{unit.suffix}"] = unit.size * values
+    with np.errstate(divide="ignore"):  # a contact without load has any margin
+        table["margin"] = _in_a_table(1.0 / used)
+    return table.sort_values("margin", kind="stable", ignore_index=True)
 
 
 def _in_a_table(margin: Reals) -> Reals:
@@ -319,6 +355,7 @@ def totals(history: History) -> dict[str, float | int]:
         "spawns": history.spawns,
         **({name: grown[name].iloc[-1] for name in (*LOSSES, BROKEN.column) if name in grown}),
         **_strength(history),
+        **_stability(history),
         "crossed": int(history.crossed),
         "beyond_edge": float(is_beyond.mean()) if terrain.has_edge else np.nan,
         **_flips(history),
@@ -336,6 +373,13 @@ def _strength(history: History) -> dict[str, float]:
     margin = _in_a_table(history.margin)
     least = np.nan if np.isnan(margin).all() else float(np.nanmin(margin))
     return {STANDING.column: int(np.count_nonzero(~history.is_gone)), MARGIN.column: least}
+
+
+def _stability(history: History) -> dict[str, int]:
+    """Return whether a structure tipped or slid; empty where the ground holds docks."""
+    if not history.stability:
+        return {}
+    return {measure.column: int(history.stability == measure.column) for measure in (TIPPED, SLID)}
 
 
 def _flips(history: History) -> dict[str, float]:
@@ -569,37 +613,39 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    history: History, log: SensingLog, estimate: Estimate | None, cues: Collection[str]
+    history: History,
+    log: SensingLog,
+    estimate: Estimate | None,
+    cues: Collection[str],
+    strength: StrengthParams | None = None,
 ) -> Evaluation:
     """Compare the estimate of a log, localized by these cues, with the structure it is of.
 
-    Without an estimate, the structure is measured.
+    Without an estimate, the structure is measured. Where docks have a strength, there is a table of
+    the loads of their contacts.
     """
     truth = Truth(
         robot_id=log.robot_id, position=history.position, orientation_wxyz=history.orientation_wxyz
     )
+    tables = {"robots": by_robot(truth, log, estimate, history), "growth": by_join(history)}
+    if strength is not None:
+        tables["loads"] = by_contact(history, strength)
     if estimate is None:
         return Evaluation(
             truth=truth,
             scores=of_structure(truth, log) | totals(history),
             measurements="",
-            tables={
-                "robots": by_robot(truth, log, None, history),
-                "growth": by_join(history),
-            },
+            tables=tables,
         )
     measured = Measured(log)
     rows = measured.rows(cues)
     scores = score(truth, log, estimate, history.robot, rows=rows)
     scores |= outlier_scores(history, estimate, rows=rows) | totals(history)
+    tables["convergence"] = by_iteration(truth, log, estimate)
+    tables["relative"] = by_hops_apart(truth, log, estimate)
     return Evaluation(
         truth=truth,
         scores=scores,
         measurements=", ".join(measured.used(cues)),
-        tables={
-            "robots": by_robot(truth, log, estimate, history),
-            "convergence": by_iteration(truth, log, estimate),
-            "growth": by_join(history),
-            "relative": by_hops_apart(truth, log, estimate),
-        },
+        tables=tables,
     )

@@ -15,9 +15,9 @@ from tiswarm.formats.columns import find_column, robots_of
 from tiswarm.records.io import CsvFile
 from tiswarm.report.figure_style import LABEL_COLORS
 from tiswarm.report.run_data import RunData, StoredCase
-from tiswarm.report.swarm_view import POSE, SD, Coloring
+from tiswarm.report.swarm_view import MARGIN_LABEL, POSE, SD, Coloring
 
-_LABELS_OF_VIEWS = ("error", SD, "sensed force")
+_LABELS_OF_VIEWS = ("error", SD, "sensed force", MARGIN_LABEL)
 
 
 def read_colorings(

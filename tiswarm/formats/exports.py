@@ -84,7 +84,10 @@ def encode_mcap(view: SwarmView) -> dict[str, bytes]:
 
 
 def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
-    """Tabulate poses in the format of `tiswarm import`, and contacts with their positions."""
+    """Tabulate poses in the format of `tiswarm import`, and contacts with their positions.
+
+    Where docks have a strength, the loads of contacts have a table, too.
+    """
     radius = view.log.dock_radius
     unit = view.log.length_unit
     i, a, j, b = view.log.contacts.T
@@ -106,7 +109,8 @@ def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
         tables[name] = tables[name].assign(
             **{coloring.title: _cells(coloring) for coloring in view.user_colorings}
         )
-    return tables
+    loads = view.read_loads()
+    return tables if loads is None else tables | {"loads": loads}
 
 
 def _cells(coloring: Coloring) -> Any:  # noqa: ANN401 - a column

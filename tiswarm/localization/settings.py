@@ -127,6 +127,16 @@ class MethodParams:
         """Whether it estimates positions: all but `none` do."""
         return True
 
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """Key of a setting that no point of a sweep may lack; empty if none is missing."""
+        return ()
+
+    @property
+    def runs_engine(self) -> bool:
+        """Whether cases are runs of the engine, which have no structure: those of `relax` alone."""
+        return False
+
     def seconds(self, robots: int) -> float:
         """Estimate the processor time of one structure, on one core of a server of 2023 [s]."""
         return _ROBOT_S * robots

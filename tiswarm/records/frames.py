@@ -68,6 +68,7 @@ def read_frame(
     numbers: Sequence[str] = (),
     *,
     gaps: Sequence[str] = (),
+    optional: Sequence[str] = (),
     notes: Sequence[str] = (),
     numbers_after: str = "",
     empty: bool = False,
@@ -79,6 +80,7 @@ def read_frame(
         words: Columns of text that the table must have; an empty cell is NaN.
         numbers: Columns of numbers that it must have, without an empty cell.
         gaps: Columns of numbers that it must have, where an empty cell is NaN.
+        optional: Columns of numbers that it may have, where an empty cell is NaN.
         notes: Columns of text that it may have.
         numbers_after: Column that it must have; columns after it are of this kind, `robots` too.
             Those before it have words, unless they are listed.
@@ -98,7 +100,7 @@ def read_frame(
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):
         raise damaged(path, "rows have more cells than the header")
-    columns = [*numbers, *gaps]
+    columns = [*numbers, *gaps, *(name for name in optional if name in table)]
     if table.empty and empty:
         table = table.reindex(columns=list(dict.fromkeys([*header, *columns])))
     for column in filter(None, [*words, *columns, numbers_after]):

@@ -63,7 +63,12 @@ class Measure:
     @property
     def needs_estimate(self) -> bool:
         """Whether only cases whose robots were localized have it."""
-        return self.source not in {_STRUCTURE, _WALKS}
+        return self.source not in {_STRUCTURE, _WALKS, _SWARM}
+
+    @property
+    def is_of_engine(self) -> bool:
+        """Whether runs of the engine have it, and nothing else."""
+        return self.source == _SWARM
 
     @property
     def axis(self) -> str:
@@ -105,6 +110,7 @@ _ESTIMATE = "estimate"
 _LOG = "log, cues"
 _WALKS = "walks"
 _TRAFFIC = "messages"
+_SWARM = "swarm"
 
 
 JOINED = Measure("joined", "1", _STRUCTURE, "robots that joined")
@@ -137,6 +143,16 @@ MARGIN = _larger(
     "least strength of a contact in parts of its load; empty where docks hold any load, or no "
     "contact has load",
     label="Least margin",
+)
+TIPPED, SLID = (
+    Measure(
+        name,
+        "1",
+        _STRUCTURE,
+        f"whether the structure {name} on docks that rest; empty where the ground holds them",
+        label=f"Structures that {name}",
+    )
+    for name in ("tipped", "slid")
 )
 DISCONNECTED = _smaller(
     "disconnected", "1", _ESTIMATE, "robots that no measurement ties to an anchor"
@@ -395,6 +411,40 @@ RECRUITED = Measure(
 SPAWNS = Measure(
     "spawns", "1", _STRUCTURE, "robots spawned, those that never joined included", averaged=False
 )
+SETTLED = _larger(
+    "settled",
+    "1",
+    _SWARM,
+    "whether the longest last step of a robot is shorter than `settled_below`",
+    label="Settled",
+)
+LAST_MOVE = _smaller(
+    "last_move_R", "R", _SWARM, "longest last step of a robot", label="Longest last step"
+)
+OVERLAP = _smaller(
+    "greatest_overlap_R",
+    "R",
+    _SWARM,
+    "most by which two docks that are not connected are nearer than D in the end",
+    label="Greatest overlap",
+)
+CONTACT_GAP = _smaller(
+    "contact_gap_R",
+    "R",
+    _SWARM,
+    "root mean square by which connected docks miss D in the end; empty without any",
+    label="Gap of contacts",
+)
+MOVED = Measure(
+    "moved_R",
+    "R",
+    _SWARM,
+    "root mean square distance of robots from where they started",
+    label="Way of a robot",
+)
+LIST_BUILDS = Measure(
+    "list_builds", "1", _SWARM, "how often neighbor lists were made", label="Neighbor lists"
+)
 
 MEASURES = {value.column: value for value in [*globals().values()] if isinstance(value, Measure)}
 """All measures of the package by column, in the order above."""
@@ -458,9 +508,18 @@ PAGE: Mapping[str, dict[Measure, str]] = {
         TRIES: "flips per robot",
         PEAK_STRESS: "peak stress",
     },
+    "swarms": {
+        SETTLED: "settled",
+        LAST_MOVE: "last step [R]",
+        OVERLAP: "greatest overlap [R]",
+        CONTACT_GAP: "gap of contacts [R]",
+        MOVED: "moved [R]",
+        LIST_BUILDS: "neighbor lists",
+    },
     "cases": {
         JOINED: "joined",
-        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN)},
+        **{measure: measure.column for measure in (LEFT, FELL, DIED, BROKEN, STANDING)},
+        MARGIN: "least margin",
         DISCONNECTED: "disconnected",
         RMSE: "RMSE [R]",
         RMSE_YAW_ALIGNED: "yaw aligned [R]",

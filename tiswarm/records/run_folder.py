@@ -20,6 +20,9 @@ LABEL = "label"
 NO_METHOD = "none"
 """Method of cases whose robots are not localized."""
 
+ENGINE_METHOD = "relax"
+"""Method of cases that are runs of the engine."""
+
 _FOLDERS = ("cases", "structures", "figures", "renders", "export")
 _MANIFEST = "manifest.json"
 

@@ -76,6 +76,10 @@ FORCE_COLORS = ("#A6B8CC", "#E8CC9E", "#F29454", "#D64233", "#870826")
 ERROR_COLORS = ("#FCF0C3", "#F9B64C", "#E4572E", "#8C0D2F")
 """From no error to the greatest: cream over orange to dark red."""
 
+MARGIN_COLORS = ERROR_COLORS[::-1]
+"""From contacts about to break, dark red, to those that bear far less than they can. No color in
+between resembles the gray of robots without load."""
+
 LABEL_COLORS = (
     *("#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#0072B2", "#8C6D46"),
 )
@@ -89,6 +93,7 @@ SCALES: Mapping[str, tuple[str, ...]] = {
     "forces": FORCE_COLORS,
     "joins": JOIN_COLORS,
     "labels": LABEL_COLORS,
+    "margins": MARGIN_COLORS,
 }
 """Scales of colors, by the names that pages give them."""
 

@@ -29,7 +29,7 @@ from tiswarm.report import page_tables
 from tiswarm.report.figure_style import NARROW, SCALES, TRUE_BLUE
 from tiswarm.report.figures import caption_of
 from tiswarm.report.run_data import RunData, read_pairs, stated_scenario
-from tiswarm.report.swarm_view import View, build_view
+from tiswarm.report.swarm_view import View, build_view, read_loads
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -326,7 +326,7 @@ def write_page(run: RunData, progress: Progress) -> Path:
     page = replace(page, figures=show_pictures(run.folder / "figures", room, few=few))
     room -= sum(picture.size for picture in page.figures)
     chosen = run.choose(None) if run.series else None
-    case = f"{chosen.series}, seed {chosen.name.partition('-')[0]}" if chosen else ""
+    case = chosen.title if chosen else ""
     page = replace(page, renders=show_pictures(run.folder / "renders", room, case=case))
     path = run.folder / "report.html"
     write_bytes(path, page.html().encode())
@@ -344,7 +344,10 @@ def _gather(run: RunData) -> Page:
     pairs = read_pairs(run.folder, run.labels)
     words = ["condition", "suite", "way", "needs"]
     suites = run.table("suites.csv", words, [RMSE.mean], after="cases", optional=True)
-    tables = page_tables.result_tables(table, pairs, suites)
+    tables = page_tables.result_tables(table, pairs, suites) + _weakest_contacts(run)
+    if run.is_of_engine:
+        speeds = run.table("throughput.csv", ["condition"], ["robot_count", "steps"], after="cases")
+        tables = [page_tables.throughput_table(speeds), *tables]
     headline = page_tables.headline_table(table, stated.get("question", ""))
     arch = manifest.backend.get("arch", "cpu")
     return Page(
@@ -366,6 +369,20 @@ def _gather(run: RunData) -> Page:
             scenario=path.read_text(encoding="utf-8"),
         ),
     )
+
+
+def _weakest_contacts(run: RunData) -> list[page_tables.PageTable]:
+    """Format the weakest contacts of the case that pictures show, or else of the first with loads.
+
+    Empty if no contact of a series' first case has a load that its strength limits.
+    """
+    if not run.series:
+        return []
+    for case in (run.choose(None), *(cases[0] for cases in run.series.values())):
+        loads = read_loads(case)
+        if loads is not None and loads["margin"].notna().any():
+            return [page_tables.weakest_contacts(loads, case.title)]
+    return []
 
 
 def _in_words(run: RunData, manifest: Manifest) -> str:

@@ -30,6 +30,7 @@ from tiswarm.records.measures import (
     RMSE,
     SD_FACTOR,
     SENT,
+    SETTLED,
     SPARE,
     TESTABLE,
     Measure,
@@ -177,6 +178,8 @@ def headline_table(
     has its further ones beside its name. Verdicts are how many estimates converged and are
     consistent, where not all are; a page has them in a table of their own.
     """
+    if SETTLED.mean in table:
+        return _swarm_table(table)
     if RMSE.mean not in table:
         return _structure_table(table)
     rows = _best_first(table)
@@ -213,6 +216,33 @@ def _notes_on_means(rows: pd.DataFrame) -> list[str]:
     if most > 1 and least < FEWEST:
         notes.append(f"In parentheses: least and greatest, of fewer than {FEWEST} structures.")
     return notes
+
+
+def _swarm_table(table: pd.DataFrame) -> PageTable:
+    """Format whether swarms settled, and how they ended: a row for each point and condition."""
+    columns = _means(table, "swarms")
+    notes = [note.replace("structure", "swarm") for note in _notes_on_means(table)]
+    notes.append("R: a dock's radius.")
+    notes.append(
+        "Last step: the longest of a robot. Overlap: of docks that are not connected. Gap: root "
+        "mean square by which connected docks miss touching. Moved: from where robots started."
+    )
+    return _labeled(_names(table), columns, "Swarms", " ".join(notes))
+
+
+def throughput_table(table: pd.DataFrame) -> PageTable:
+    """Format how fast the engine moved swarms, which differs from run to run."""
+    columns = {
+        "robots": _numbers(table["robot_count"]),
+        "robot steps / CPU s": _numbers(table["robot_steps_per_cpu_s"]),
+        "robot steps / s": _numbers(table["robot_steps_per_wall_s"]),
+        "memory [MB]": _numbers(table["peak_memory_MB"]),
+    }
+    note = (
+        "Steps of a robot, neighbor lists included, in a second of processor time and of time; "
+        "compilation does not count. These depend on the machine and on what else it does."
+    )
+    return replace(_labeled(_names(table), columns, "Throughput", note), is_first=True)
 
 
 _RARE = (LEFT, DIED)
@@ -497,10 +527,13 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
         words["case"] = words["case"].str.replace(r"-.*", "", regex=True)
         words["case"] = shown["series"] + ", seed " + words["case"]
     measures = PAGE["cases"] | plugin_headings()
-    if RMSE.column not in shown:
+    if SETTLED.column in shown:
+        measures = PAGE["swarms"]
+    elif RMSE.column not in shown:
         measures = measures | {REACH: "reach [R]", DEPTH: "depth [R]"} | PAGE["structures"]
     headings = {measure.column: heading for measure, heading in measures.items()}
-    headings = {RMSE.column: headings[RMSE.column], "robots": "robots"} | headings
+    first = {RMSE.column: headings[RMSE.column]} if RMSE.column in headings else {}
+    headings = {**first, "robots": "robots"} | headings
     numbers = {label: _numbers(shown[name]) for name, label in headings.items() if name in shown}
     reasons = shown["reason"].fillna("").astype(str)
     reason = {"reason": reasons} if reasons.any() else {}
@@ -509,6 +542,46 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
     if in_words:
         note += " The column `case` of summary.csv names their folders."
     return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, *reason])
+
+
+_MOST_CONTACTS = 10
+"""Rows of the table of weakest contacts."""
+
+
+def weakest_contacts(loads: pd.DataFrame, case: str) -> PageTable:
+    """Format the loads of the contacts that are nearest to breaking.
+
+    Args:
+        loads: Loads of a case, `loads.csv`, from the weakest contact on.
+        case: What the page calls the case.
+    """
+    shown = loads.head(_MOST_CONTACTS)
+    frame = pd.DataFrame({name: shown[name].astype(str) for name in ("robot", "dock", "neighbor")})
+    frame["neighbor dock"] = (
+        shown["neighbor_dock"].astype(object).where(shown["neighbor_dock"].notna())
+    )
+    names = [*map(str, loads)]
+    for name in names[names.index("neighbor_dock") + 1 :]:
+        frame[_with_unit(name)] = _numbers(shown[name])
+    note = (
+        f"Case {case}: margin is strength over load; the contact in the first row is the next to "
+        "break. Pull is positive. W is the weight of a dock, R its radius. "
+        f"loads.csv in the folder of a case has all its contacts, here {len(loads)}."
+    )
+    return PageTable(
+        frame=frame, words=["neighbor"], title="Weakest contacts", note=note, is_first=True
+    )
+
+
+def _with_unit(column: str) -> str:
+    """Write the name of a column with its unit in brackets.
+
+    >>> [_with_unit(column) for column in ("bending_N_m", "stress_W_per_R2", "margin")]
+    ['bending [N m]', 'stress [W / R^2]', 'margin']
+    """
+    name, _, unit = column.partition("_")
+    unit = unit.replace("_per_", " / ").replace("_", " ").replace("R2", "R^2")
+    return f"{name} [{unit}]" if unit else name
 
 
 def machine_table(manifest: Manifest) -> PageTable:

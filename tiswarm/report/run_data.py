@@ -20,6 +20,7 @@ from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
 from tiswarm.records.measures import DISCONNECTED
 from tiswarm.records.run_folder import (
+    ENGINE_METHOD,
     LABEL,
     NO_METHOD,
     TABLE_NOTES,
@@ -49,20 +50,39 @@ class StoredCase:
     user_colorings: Sequence[Any] = ()  # values of the user that color its robots, `Coloring`s
 
     @property
+    def title(self) -> str:
+        """Series and seed, as captions name the case."""
+        return f"{self.series}, seed {self.name.partition('-')[0]}"
+
+    @property
     def has_estimate(self) -> bool:
         """Whether its robots were localized."""
-        return self.method != NO_METHOD
+        return self.method not in {NO_METHOD, ENGINE_METHOD}
+
+    @property
+    def is_of_engine(self) -> bool:
+        """Whether it is a run of the engine."""
+        return self.method == ENGINE_METHOD
 
     def columns(
-        self, file: str, names: Sequence[str], *, gaps: Sequence[str] = (), empty: bool = False
+        self,
+        file: str,
+        names: Sequence[str],
+        *,
+        gaps: Sequence[str] = (),
+        optional: Sequence[str] = (),
+        empty: bool = False,
     ) -> Reals:
         """Read columns of numbers of a file of the case, shape (rows, names).
 
-        Numbers in the columns `gaps` may be unknown, NaN; the file may have no rows if `empty`.
+        Numbers in the columns `gaps` may be unknown, NaN; the columns `optional` may be missing,
+        too. The file may have no rows if `empty`.
         """
-        required = [name for name in names if name not in gaps]
-        table = read_frame(self.folder / file, numbers=required, gaps=gaps, empty=empty)
-        return table[list(names)].to_numpy(float)
+        required = [name for name in names if name not in (*gaps, *optional)]
+        table = read_frame(
+            self.folder / file, numbers=required, gaps=gaps, optional=optional, empty=empty
+        )
+        return table.reindex(columns=list(names)).to_numpy(float)
 
 
 NO_KEYS = ("condition", "against", "run", "suite", "way", "needs", "point")
@@ -179,6 +199,11 @@ class RunData:
     def has_structures_alone(self) -> bool:
         """Whether no case is one whose robots are localized."""
         return bool(self.cases) and not any(case.has_estimate for case in self.cases)
+
+    @property
+    def is_of_engine(self) -> bool:
+        """Whether cases are runs of the engine, whose robots are swarms and no structures."""
+        return any(case.is_of_engine for case in self.cases)
 
     @property
     def sweeps_robots(self) -> bool:

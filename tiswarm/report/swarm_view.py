@@ -4,6 +4,7 @@ That includes the part of the ground around them, and the data of a page's 3D vi
 """
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,7 +21,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.records.estimate import MOST_WITHIN, Estimate
 from tiswarm.records.frames import EstimateTrace, read_frame, read_trace, thinned
-from tiswarm.records.io import MAX_LOG_BYTES, at_line, digest, numbered_lines, run_file
+from tiswarm.records.io import MAX_LOG_BYTES, at_line, digest, numbered_lines, run_file, way_back
 from tiswarm.records.measures import RMSE
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import HeaderLine, parse_header
@@ -63,6 +64,12 @@ SD = "sd"
 """Label of the coloring by standard deviation, which is also the size of the spheres."""
 
 
+MARGIN_LABEL = "margin"
+"""Label of the coloring by margin."""
+
+_SAFE_MARGIN = 10.0
+"""Margin from which robots have one color: none of their contacts is the next to break."""
+
 Ground = Terrain | GroundSurface
 """Ground that can be shown."""
 
@@ -76,11 +83,32 @@ class Coloring(NamedTuple):
     scale: str = "errors"  # of `SCALES`
     least: float = 0.0  # value of the first color of the scale
     words: Sequence[str] = ()  # labels of robots; empty where values are numbers
+    most: float | None = None  # value of the last color, also of greater ones; None: the greatest
+    logarithmic: bool = False  # whether equal ratios are equal steps of color
+    meaning: str = ""  # what the label means, for legends
+    gray: str = "unknown"  # what robots without a value are
 
     @property
     def title(self) -> str:
         """Label with unit."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+    @property
+    def last(self) -> float:
+        """Value of the last color of the scale."""
+        if self.most is not None:
+            return self.most
+        return max(float(np.nanmax(self.value, initial=self.least)), self.least + 1e-9)
+
+    @property
+    def share(self) -> Reals:
+        """Place of each robot's number on the scale, 0 to 1; NaN where unknown, shape (N,)."""
+        if self.logarithmic:
+            place = np.log(np.maximum(self.value, self.least) / self.least)
+            share = place / math.log(self.last / self.least)
+        else:
+            share = (self.value - self.least) / (self.last - self.least)
+        return np.clip(share, 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,14 +121,18 @@ class SwarmView:
     estimated_pose: Reals  # estimated center [R] and sensed quaternion, shape (N, 7)
     error: Reals  # distance between true and estimated center [R], shape (N,)
     force: Reals  # force that each robot senses in its links [weight of a dock], shape (N,)
+    margin: Reals  # strength over load of each robot's weakest contact [1], shape (N,)
     sd: Reals  # standard deviation of the estimated position [R], shape (N,)
     dock_offset_body: Reals  # vectors from center to dock, body frame [R], shape (docks, 3)
     terrain: Ground | None  # the ground; None where there is none
     stood: Reals  # pose in which each robot last stood, also if it left, shape (N, 7)
     read_log: Callable[[], SensingLog]  # slow for many robots
     read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
+    read_loads: Callable[[], pd.DataFrame | None] = lambda: None  # of contacts, `loads.csv`
     progress: Progress = field(default_factory=Progress)  # what exports the view reports to it
     user_colorings: Sequence[Coloring] = ()  # values of the user
+    further_colorings: Sequence[Coloring] = ()  # values that structures do not have
+    is_of_engine: bool = False  # whether it is a swarm that grew no structure
 
     @cached_property
     def log(self) -> SensingLog:
@@ -150,11 +182,31 @@ class SwarmView:
         unit = self.log.length_unit
         colorings = [
             *self.user_colorings,
+            *self.further_colorings,
             Coloring("error", unit, size * self.error),
             Coloring(SD, unit, size * self.sd),
             Coloring("sensed force", "dock weights", self.force, "forces"),
+            self.margin_coloring,
         ]
         return [coloring for coloring in colorings if np.isfinite(coloring.value).any()]
+
+    @property
+    def margin_coloring(self) -> Coloring:
+        """Margins, from those of contacts about to break to those with a tenth of their load.
+
+        Infinite margins, of robots whose contacts have no load, have no color.
+        """
+        return Coloring(
+            MARGIN_LABEL,
+            "",
+            np.where(np.isfinite(self.margin), self.margin, np.nan),
+            "margins",
+            least=1.0,
+            most=_SAFE_MARGIN,
+            logarithmic=True,
+            meaning="weakest contact: strength / load",
+            gray="no load",
+        )
 
     @property
     def color_by_join(self) -> Reals:
@@ -179,21 +231,25 @@ _logs: WeakValueDictionary[str, SensingLog] = WeakValueDictionary()
 
 def read_case_view(case: StoredCase) -> SwarmView:
     """Read the poses, errors and forces of a case; without an estimate, those of its structure."""
+    if case.is_of_engine:
+        return _read_swarm_view(case)
     estimated_names = [*_ESTIMATED_POSE, "error_R"]
+    further = ["sensed_force", "margin"]
     if case.has_estimate:
         gaps = [*estimated_names, "sensed_force"]
-        table = case.columns("robots.csv", [*POSE, *gaps, "robot"], gaps=gaps)
+        names = [*POSE, *estimated_names, *further, "robot"]
+        table = case.columns("robots.csv", names, gaps=gaps, optional=["margin"])
         sd, is_gone = _spread(case, len(table))
     else:
-        gaps = ["sensed_force"]
-        measured = case.columns("robots.csv", [*POSE, *gaps, "robot"], gaps=gaps)
+        names = [*POSE, *further, "robot"]
+        measured = case.columns("robots.csv", names, gaps=["sensed_force"], optional=["margin"])
         table = np.insert(measured, [len(POSE)] * len(estimated_names), np.nan, axis=1)
         sd = np.full(len(table), np.nan)
         is_gone = _lost(case)
     stood = table[:, :7].copy()
     table[is_gone, :-1] = np.nan  # robots that left are not shown
     pose, estimated, rest = np.split(table, [7, 14], axis=1)
-    error, force, robot = rest.T
+    error, force, margin, robot = rest.T
     path = run_file(case.folder / "sensing.jsonl", MAX_LOG_BYTES)
     number, text = next(numbered_lines(path), (1, ""))
     with at_line(path, number):
@@ -214,14 +270,76 @@ def read_case_view(case: StoredCase) -> SwarmView:
         estimated_pose=estimated,
         error=error,
         force=force,
+        margin=margin,
         sd=sd,
         stood=stood,
         dock_offset_body=np.array(header.dock_offsets) / header.dock_radius,
         terrain=_case_ground(case, header),
         read_log=read_log,
         read_trace=lambda: _read_trace(case, len(robot)),
+        read_loads=lambda: read_loads(case),
         user_colorings=case.user_colorings,
     )
+
+
+_MOST_MOVING = 1000
+"""Robots of a swarm up to which a page plays its steps."""
+
+
+def _read_swarm_view(case: StoredCase) -> SwarmView:
+    """Read the last poses of a run of the engine, its contacts and its trajectory."""
+    values = {"moved": "moved_R", "overlap": "overlap_R"}
+    table = case.columns("robots.csv", [*POSE, *values.values(), "robot"])
+    pose = table[:, : len(POSE)]
+    robot = table[:, -1].astype(np.int64)
+    names = ["robot", "dock", "other_robot", "other_dock"]
+    contacts = case.columns("contacts.csv", names, empty=True).astype(np.int32)
+    unknown = np.full((len(robot), len(POSE)), np.nan)
+    docks = case.columns("docks.csv", ["x_R", "y_R", "z_R"])
+    log = SensingLog(
+        robot_id=robot,
+        dock_radius=1.0,
+        dock_offset_body=docks,
+        anchor_position=pose[0, :3],
+        orientation_wxyz=pose[:, 3:],
+        contacts=contacts,
+        flip_height=np.full(len(robot), np.nan),
+        spawn_position=np.full((len(robot), 3), np.nan),
+    )
+    colorings = [
+        Coloring(label, "R", table[:, column])
+        for column, label in enumerate(values, start=len(POSE))
+    ]
+    return SwarmView(
+        name=case.name,
+        robot=robot,
+        pose=pose,
+        estimated_pose=unknown,
+        error=unknown[:, 0],
+        force=unknown[:, 0],
+        sd=unknown[:, 0],
+        margin=unknown[:, 0],
+        stood=pose,
+        dock_offset_body=docks,
+        terrain=None,
+        read_log=lambda: log,
+        read_trace=lambda: _read_trajectory(case, len(robot)),
+        user_colorings=case.user_colorings,
+        further_colorings=colorings,
+        is_of_engine=True,
+    )
+
+
+def _read_trajectory(case: StoredCase, robots: int) -> EstimateTrace | None:
+    """Read the trajectory of a swarm; None where it has not all robots, or too many."""
+    path = case.folder / "trajectory.csv"
+    if not path.exists() or robots > _MOST_MOVING:
+        return None
+    table = case.columns(path.name, ["step", "robot", "x_R", "y_R", "z_R"])
+    steps = np.unique(table[:, 0])
+    if len(table) != len(steps) * robots:
+        return None
+    return EstimateTrace(steps.astype(np.int64), table[:, 2:].reshape(-1, robots, 3))
 
 
 def _read_trace(case: StoredCase, robots: int) -> EstimateTrace | None:
@@ -235,6 +353,27 @@ def _lost(case: StoredCase) -> Bools:
     lost = table.get("lost", pd.Series("", table.index))
     is_gone: Bools = lost.isin(_GONE).to_numpy()
     return is_gone
+
+
+def read_loads(case: StoredCase) -> pd.DataFrame | None:
+    """Read the loads of contacts of a case; None where docks hold any load."""
+    path = case.folder / "loads.csv"
+    if not os.path.lexists(path):
+        return None
+    table = read_frame(
+        path,
+        ["neighbor"],
+        ["robot", "dock"],
+        gaps=["neighbor_dock", "margin"],
+        numbers_after="neighbor_dock",
+        empty=True,
+    )
+    dock = table["neighbor_dock"]
+    wrong = dock[dock.notna() & (dock % 1.0 != 0.0)]
+    if len(wrong):
+        problem = f"{wrong.iloc[0]:g} is no dock; {way_back(path)}"
+        raise InputError(problem, path=path, line=int(wrong.index[0]) + 2, key="neighbor_dock")
+    return table.assign(neighbor_dock=dock.astype("Int64"))
 
 
 def _case_ground(case: StoredCase, header: HeaderLine) -> Ground | None:
@@ -300,6 +439,7 @@ def view_log(
         estimated_pose=np.column_stack([estimated, turned]),
         error=np.linalg.norm(estimated - center, axis=1),
         force=unknown[:, 0],
+        margin=unknown[:, 0],
         sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit + gone[:, 0],
         stood=stood,
         dock_offset_body=log.dock_offset_body / unit,
@@ -416,6 +556,7 @@ class View(NamedTuple):
     choice: str  # what the menu offers
     note: str
     robots: str = "estimated"  # the robots that colorings color
+    frames: str = "iterations"  # what the page plays beside joins
 
     @property
     def has_truth(self) -> bool:
@@ -460,11 +601,18 @@ def build_view(run: RunData) -> View | None:
         notes.insert(0, f"The view contains {len(shown)} of {done} cases.")
     return View(
         data=space_data(view.dock_offset_body, shown) | {"compared": True},
-        title="Structures" if run.has_structures_alone else "True and estimated positions",
+        title=_title_of(run),
         choice="Condition" if is_grid else "Case",
         note=" ".join(notes),
         robots="robots" if run.has_structures_alone else "estimated",
+        frames="steps" if run.is_of_engine else "iterations",
     )
+
+
+def _title_of(run: RunData) -> str:
+    if run.is_of_engine:
+        return "Swarms"
+    return "Structures" if run.has_structures_alone else "True and estimated positions"
 
 
 def first_series(run: RunData) -> list[str]:

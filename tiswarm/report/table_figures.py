@@ -70,6 +70,8 @@ def painters(run: RunData) -> dict[str, figure_style.Painter]:
     """List the figures that a run has, by file name."""
     if not (run.folder / "table.csv").is_file():
         return {}
+    if run.is_of_engine:
+        return {}
     if run.has_structures_alone:
         return {"structures": draw_structures} if _of_structures(run) else {}
     shape = {"shape": draw_shape} if run.sweeps_robot else {}

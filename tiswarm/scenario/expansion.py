@@ -19,7 +19,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.plugins import load_plugins
 from tiswarm.base.registry import Registered, contents
 from tiswarm.records.messages import Part, dotted
-from tiswarm.records.run_folder import LABEL, variant_name
+from tiswarm.records.run_folder import ENGINE_METHOD, LABEL, variant_name
 from tiswarm.scenario.labels import swept_keys, without_label
 from tiswarm.scenario.model import ADAPTER, Scenario, from_plain, to_plain
 from tiswarm.scenario.validation import (
@@ -46,7 +46,12 @@ _MAX_FAILURES = 1000
 _FEW_VALUES = 20
 """Longest list of values that are checked one by one within the whole scenario."""
 
+_LACKS = "is missing; give a number, or sweep it"
+
 _Sweep = Mapping[str, Sequence[Any]]
+
+_NOT_OF_ENGINE = ("structure", "sensing")
+"""Sections that studies of the engine do not have."""
 
 _MINIMAL: Plain = {
     "name": "minimal",
@@ -139,13 +144,7 @@ def examine(
         if path and path.suffix == ".csv":
             problem += ", or give a table to tiswarm import"
         raise InputError(problem, path=path, line=source.position_of(()).line)
-    settings: list[Setting] = []
-    unread: list[InputError] = []
-    for text in overrides:
-        try:
-            settings.append(parse_setting(text))
-        except InputError as error:
-            unread.append(error)
+    settings, unread = _parsed(overrides)
     swept = any(setting.path[0] == "sweep" for setting in settings)
     for setting in settings:
         problem = set_key(data, setting.path, setting.value)
@@ -155,8 +154,11 @@ def examine(
         if isinstance(sweep, dict):  # the option replaces it
             for key in setting.values:
                 sweep.pop(key, None)
+    useless = _fitted_to_engine(data)
     outcome = from_plain(data)
-    mistakes = _mistakes(data, outcome) or ([] if swept else _swept_over(data))
+    mistakes = [*useless, *_mistakes(data, outcome)]
+    if not mistakes and not swept:
+        mistakes = _swept_over(data)
     mistakes = [_with_sweep(mistake, data, settings) for mistake in mistakes]
     placed = [(mistake.about_key, _placed(mistake, path, source, settings)) for mistake in mistakes]
     placed.sort(key=lambda entry: (not entry[0], entry[1].line is None, entry[1].line))
@@ -165,6 +167,40 @@ def examine(
         problem = f"has more than {MOST_MISTAKES} mistakes; correct those that are listed first"
         errors = [*errors[:MOST_MISTAKES], InputError(problem, path=path)]
     return (outcome if isinstance(outcome, Scenario) else None), errors
+
+
+def _parsed(overrides: Sequence[str]) -> tuple[list[Setting], list[InputError]]:
+    """Parse options `KEY=VALUE`; return the settings, and errors of those that are none."""
+    settings: list[Setting] = []
+    unread: list[InputError] = []
+    for text in overrides:
+        try:
+            settings.append(parse_setting(text))
+        except InputError as error:
+            unread.append(error)
+    return settings, unread
+
+
+def _fitted_to_engine(data: Plain) -> list[Mistake]:
+    """Let a study of the engine do without a structure; list what has no use in one.
+
+    The structure that takes the place of none is not part of the study.
+    """
+    localization = data.get("localization")
+    if not isinstance(localization, dict) or localization.get("method") != ENGINE_METHOD:
+        return []
+    sweep = data.get("sweep")
+    entries = [str(entry) for entry in sweep] if isinstance(sweep, dict) else []
+    useless: list[tuple[str, ...]] = [(name,) for name in _NOT_OF_ENGINE if name in data]
+    useless += [
+        ("sweep", entry)
+        for entry in entries
+        if any(key.partition(".")[0] in _NOT_OF_ENGINE for key in swept_keys(entry))
+    ]
+    data["structure"] = deepcopy(_MINIMAL["structure"])
+    data.pop("sensing", None)
+    problem = f"has no use: {ENGINE_METHOD} moves robots from localization.start; leave it out"
+    return [Mistake(place, problem, about_key=True) for place in useless]
 
 
 def _with_sweep(mistake: Mistake, data: Plain, settings: Sequence[Setting]) -> Mistake:
@@ -335,6 +371,14 @@ def _expand(
         if not isinstance(outcome, Scenario):
             mistakes.update(dict.fromkeys(outcome))
             failures += 1
+        elif outcome.localization.lacks:
+            mistakes[Mistake(("localization", *outcome.localization.lacks), _LACKS)] = None
+        elif outcome.localization.runs_engine != scenario.localization.runs_engine:
+            problem = (
+                f"{ENGINE_METHOD} is a study of its own; no condition or point may change to it"
+            )
+            place = ("conditions", condition) if entries else ("sweep",)
+            mistakes[Mistake(place, f"{problem}, or away")] = None
         elif label.casefold() in by_folder:
             problem = f"two cases would have the name {label}; rename a condition or a value"
             mistakes[Mistake(("sweep" if sweep else "conditions",), problem)] = None

@@ -25,6 +25,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET, Arch
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.base.sections import mistake_at
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario import validation
@@ -204,7 +205,7 @@ class Scenario:
             problem = (
                 "robots navigate by estimates (structure.navigate_by), which none does not make"
             )
-            raise validation.mistake_at(("method",), f"{problem}; choose joint")
+            raise mistake_at(("method",), f"{problem}; choose joint")
         return method
 
     conditions: Annotated[
@@ -237,7 +238,7 @@ class Scenario:
             return structure
         fault = anchor_fault(structure, robots, robot)
         if fault:
-            raise validation.mistake_at(("anchors",), fault)
+            raise mistake_at(("anchors",), fault)
         return structure
 
     @field_validator("structure")
@@ -245,7 +246,7 @@ class Scenario:
     def _start_on_ground(cls, structure: StructureParams, info: ValidationInfo) -> object:
         shape = info.data.get("robot")
         if shape and (fault := ground_fault(structure, shape)):
-            raise validation.mistake_at(("terrain",), fault)
+            raise mistake_at(("terrain",), fault)
         return structure
 
     @property
@@ -270,10 +271,20 @@ def to_plain(scenario: Scenario) -> validation.Plain:
     return data
 
 
+def _stated(scenario: Scenario) -> validation.Plain:
+    """Convert a scenario to what its file states: studies of the engine have no structure."""
+    data = to_plain(scenario)
+    if scenario.localization.runs_engine:
+        del data["structure"], data["sensing"]
+    return data
+
+
 def scenario_schema() -> validation.Plain:
     """Return the JSON Schema of a scenario file, for editors."""
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return {**dialect, **ADAPTER.json_schema()}
+    schema = ADAPTER.json_schema()
+    schema["required"].remove("structure")  # studies of the engine have none
+    return {**dialect, **schema}
 
 
 class _Dumper(yaml.SafeDumper):
@@ -295,7 +306,7 @@ _Dumper.add_representer(str, _represent_text)
 
 def dump_scenario(scenario: Scenario) -> str:
     """Write a scenario as YAML with every default; it loads back to an equal scenario."""
-    data = to_plain(scenario)
+    data = _stated(scenario)
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
@@ -304,7 +315,7 @@ def scenario_hash(scenario: Scenario) -> str:
 
     The order of keys, comments and defaults written out make no difference.
     """
-    data = to_plain(scenario)
+    data = _stated(scenario)
     del data["description"], data["question"]
     for entries in data["conditions"].values():
         entries.pop(LABEL, None)

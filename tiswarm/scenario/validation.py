@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
-from pydantic_core import ErrorDetails, InitErrorDetails
+from pydantic_core import ErrorDetails
 
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import STRICT
@@ -133,17 +133,6 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
         and did_you_mean(cause["loc"][-1], [str(path[-1])])
         for cause in errors
     )
-
-
-def mistake_at(path: tuple[Part, ...], problem: str) -> ValidationError:
-    """Make an error of a validator whose problem is at a path within the value that it checks."""
-    error: InitErrorDetails = {
-        "type": "value_error",
-        "loc": path,
-        "input": None,
-        "ctx": {"error": ValueError(problem)},
-    }
-    return ValidationError.from_exception_data("mistake", [error])
 
 
 def set_key(data: Plain, path: Sequence[str], value: object) -> str:

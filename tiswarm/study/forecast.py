@@ -117,6 +117,8 @@ def _grow_s(settings: Scenario) -> float:
     """Estimate the growth of a structure, whose mechanics are solved at every size [s]."""
     n = settings.robots
     structure = settings.structure
+    if settings.localization.runs_engine:
+        return 0.0
     constant, linear, quadratic = _SOLVE_S[structure.mechanics.model]
     solve = constant + linear * n / 2.0 + quadratic * n**2 / 3.0
     believe = _believe_s(settings) if structure.navigate_by == "estimate" else 0.0

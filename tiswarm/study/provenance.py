@@ -47,6 +47,10 @@ def package_code() -> str:
     return total.hexdigest()[:12]
 
 
+_OF_METHODS = ("channel", "force", "integrator")
+"""Kinds of the registry that settings of methods name."""
+
+
 def plugged(settings: Scenario) -> dict[str, str]:
     """Return what a case names that plug-ins may bring beside its method, by kind."""
     structure = settings.structure
@@ -54,7 +58,7 @@ def plugged(settings: Scenario) -> dict[str, str]:
         "sensor": settings.sensing.suite,
         "structure": structure.kind,
         "rule": structure.rule.name,
-        "channel": getattr(settings.localization, "channel", ""),
+        **{name: getattr(settings.localization, name, "") for name in _OF_METHODS},
     }
 
 
@@ -78,7 +82,7 @@ def _plugin_digests(**used: str) -> list[str]:
 def is_current(method: str, code: str) -> bool:
     """Whether code of this process computed a case of a method, by the digest in its record."""
     package, *plugins = code.split("+")
-    kinds = ("method", "sensor", "structure", "rule", "channel")
+    kinds = ("method", "sensor", "structure", "rule", *_OF_METHODS)
     loaded = {entry.plugin.digest for kind in kinds for entry in registered(kind).values()}
     entry = registered("method").get(method)
     return (

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyPrecision, Arch
 from tiswarm.base.process import naming_shortage
 from tiswarm.base.progress import Advance, Progress, ignore
@@ -207,13 +208,16 @@ class _CaseRunner:
         A structure of a few robots is grown and localized by each method. Nothing of it is stored.
         """
         with self.progress.task("prepare kernels", int(not _compiled)) as advance:
-            self._warm_up_growth()
+            if not self.job.cases[0].settings.localization.runs_engine:
+                self._warm_up_growth()
             for _, cases in groupby(sorted(self.job.cases, key=_device), key=_device):
                 self._warm_up_methods(list(cases))
             advance(1)
 
     def run(self) -> list[CaseRecord]:
         """Compute and store all cases; return their records."""
+        if self.job.cases[0].settings.localization.runs_engine:
+            return [self._move(case) for case in self.job.cases]
         histories = self._grow()
         valid, records = self._store_invalid(histories)
         self.on_stored(len(records))
@@ -360,11 +364,40 @@ class _CaseRunner:
         self.used.add(Used(stage, running, error, numerics.current()))
         return estimates
 
+    def _move(self, case: Case) -> CaseRecord:
+        """Run the engine for a case, and store it; one whose forces diverge is stored as failed.
+
+        Raises:
+            InputError: a function of a user does not compile.
+        """
+        from tiswarm.study.relaxation import StudiedSwarm  # noqa: PLC0415 - slow to import
+
+        self._choose_device(*_device(case))
+        running = backend.device()
+        swarm = StudiedSwarm(case)
+        try:
+            with self._stage("relax", [case], swarm.robot_steps) as advance:
+                results, taken = swarm.move(advance)
+        except InputError as error:
+            self.on_stored(1)
+            return self.job.folder.store_failure(failure(case, str(error)))
+        self.used.add(Used("relax", running, 0.0, numerics.current()))
+        with self._stage("score and store", [case]):
+            moved = swarm.measure(results, taken)
+            record = _record(case, "done", "", moved.scores)
+            record = replace(record, computed_on=f"{running}, numerics {numerics.current().key}")
+            cost = self.costs[case.name]
+            stored = self.job.folder.store(record, tables=moved.tables, cost=cost)
+        self.job.folder.store_cost(case.name, self.costs[case.name])
+        self.on_stored(1)
+        return stored
+
     def _store(
         self, case: Case, history: History, log: SensingLog, estimate: Estimate | None
     ) -> CaseRecord:
         """Evaluate and store one case; its structure alone if it has no estimate."""
-        evaluation = evaluate(history, log, estimate, case.settings.localization.used_cues)
+        cues = case.settings.localization.used_cues
+        evaluation = evaluate(history, log, estimate, cues, case.settings.structure.strength)
         record = _record(case, "done", history.ended, evaluation.scores)
         running = methods.start_for(case.settings.localization)
         on = f"{running}, numerics {numerics.current().key}"

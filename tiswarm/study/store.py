@@ -27,6 +27,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame, write_trace
 from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.run_folder import (
+    ENGINE_METHOD,
     NO_METHOD,
     Manifest,
     cell_of,
@@ -56,10 +57,19 @@ _OF_STRUCTURE = ("robots", "growth")
 _TABLES = (*_OF_STRUCTURE, "convergence", "relative")
 """Tables of a finished case whose robots were localized."""
 
+_FURTHER_TABLES = ("loads",)
+"""Tables that a finished case may have: loads where docks have a strength."""
+
+_OF_ENGINE = ("robots", "docks", "contacts", "moves")
+"""Tables of a finished case of the engine."""
+
+_REQUIRED = {NO_METHOD: _OF_STRUCTURE, ENGINE_METHOD: _OF_ENGINE}
+"""Tables of a finished case by its method, if these are not `_TABLES`."""
+
 _CASE_FILES = {
     *("sensing.jsonl", "truth.csv", "estimate.csv", "trace.csv", "case.json", _COST, TRACEBACK),
     SURFACE_FILE,
-    *(f"{name}.csv" for name in _TABLES),
+    *(f"{name}.csv" for name in (*_TABLES, *_FURTHER_TABLES, *_OF_ENGINE, "trajectory")),
 }
 """All files that a case may have."""
 
@@ -257,7 +267,7 @@ class RunFolder:
             return None
         if record.digest != record.sealed().digest:
             return None
-        tables = _OF_STRUCTURE if record.method == NO_METHOD else _TABLES
+        tables = _REQUIRED.get(record.method, _TABLES)
         complete = not record.is_done or {f"{name}.csv" for name in tables} <= set(record.files)
         intact = all(io.digest(folder / file) == sha for file, sha in record.files.items())
         return record if intact and complete else None
@@ -281,17 +291,19 @@ class RunFolder:
         self,
         record: CaseRecord,
         *,
-        truth: Truth,
-        log: SensingLog,
-        estimate: Estimate | None,
         tables: Mapping[str, pd.DataFrame],
         cost: Mapping[str, Cost],
+        truth: Truth | None = None,
+        log: SensingLog | None = None,
+        estimate: Estimate | None = None,
         surface: GroundSurface | None = None,
     ) -> CaseRecord:
         """Write a case, make it appear at once, and return its record with the digests."""
         with self._new_folder(record.case) as folder:
-            write_sensing_log(log, folder / "sensing.jsonl")
-            write_positions(folder / "truth.csv", truth.robot_id, truth.position)
+            if log is not None:
+                write_sensing_log(log, folder / "sensing.jsonl")
+            if truth is not None:
+                write_positions(folder / "truth.csv", truth.robot_id, truth.position)
             for name, table in tables.items():
                 write_frame(table, folder / f"{name}.csv")
             if estimate is not None:

@@ -6,6 +6,7 @@
 | `table.csv` | condition and point, with the paper's numbers |
 | `paired.csv` | measure and pair of conditions, on the same structures; of cases with estimates |
 | `profiles.csv` | condition and range of robots that are alike; of cases with estimates |
+| `throughput.csv` | condition and number of robots of runs of the engine: robot steps a second |
 | `scaling.csv` | condition, measure and number of robots, threads, workers or movers |
 | `suites.csv` | condition and point, with the price of the sensors |
 """
@@ -33,6 +34,7 @@ from tiswarm.records import measures
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import run_file
+from tiswarm.records.measures import Measure
 from tiswarm.records.messages import counted
 from tiswarm.records.positions import Truth, read_estimate
 from tiswarm.records.run_folder import NO_METHOD
@@ -78,7 +80,10 @@ def write_tables(
         written["profiles"] = profiles(records, run / "cases")
         if {setting.sensing.suite for setting in settings} != {SensingParams().suite}:
             written["suites"] = suites(records, settings, run / "cases")
-    written |= scaling(run, whole.structures, stored, costs)
+    if any(setting.localization.runs_engine for setting in settings):
+        written["throughput"] = throughput(records, settings, costs)
+    else:
+        written |= scaling(run, whole.structures, stored, costs)
     for name, content in written.items():
         write_frame(content, run / f"{name}.csv")
 
@@ -124,7 +129,8 @@ def _with_plugin_scores(
     a measure computes no case again.
     """
     scored = dict(stored)
-    if not registered("measure"):
+    runs_engine = any(case.settings.localization.runs_engine for g in structures for case in g)
+    if runs_engine or not registered("measure"):
         return scored
     for group in structures:
         done = [case for case in group if case.name in stored and stored[case.name].is_done]
@@ -201,7 +207,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "series": record.series,
             "condition": record.condition,
             "point": record.point_text,
-            "kind": setting.structure.kind,
+            "kind": _kind(setting),
             "method": _title(setting.localization),
             **record.point_cells,
             "robots": setting.robots,
@@ -209,7 +215,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "status": record.status,
             "distrust": record.distrust,
             "reason": record.reason,
-            **_edges(structure_ground(setting.structure)),
+            **({} if setting.localization.runs_engine else _edges(_ground(setting))),
             **record.scores,
         }
         for record, setting in zip(records, settings, strict=True)
@@ -220,6 +226,15 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
 def _title(method: LocalizationParams) -> str:
     """Name a method, with what else makes it another one."""
     return " ".join([method.title, *filter(None, [getattr(method, "scheme", None)])])
+
+
+def _kind(setting: Scenario) -> str:
+    """Return the kind of a structure; runs of the engine have a swarm in its place."""
+    return "swarm" if setting.localization.runs_engine else setting.structure.kind
+
+
+def _ground(setting: Scenario) -> Terrain | SolidGround:
+    return structure_ground(setting.structure)
 
 
 def _edges(terrain: Terrain | SolidGround) -> dict[str, float]:
@@ -235,16 +250,17 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
     no case has an estimate, what needs one has no column.
     """
     with_estimates = any(map(_is_localized, settings))
+    averaged = _averaged(settings)
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
     for of_point in _grouped(records, lambda record: record.point_text):
         at_point = []
         for group in _grouped(of_point, lambda record: record.condition):
             first = group[0]
-            statistics = _with_statistics(group, with_estimates=with_estimates)
+            statistics = _with_statistics(group, averaged)
             setting = setting_of[first.case]
             used = {"measurements": _used(record.measurements for record in group)}
-            used |= {"kind": setting.structure.kind, "method": _title(setting.localization)}
+            used |= {"kind": _kind(setting), "method": _title(setting.localization)}
             row = {"condition": first.condition, **first.point_cells, **statistics, **used}
             if with_estimates:
                 row |= _rounds(setting) | _paper(setting, statistics)
@@ -316,18 +332,28 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _with_statistics(
-    records: Sequence[CaseRecord], *, with_estimates: bool = True
-) -> dict[str, Any]:
+def _averaged(settings: Sequence[Scenario]) -> list[Measure]:
+    """List the measures whose means a study has."""
+    all_averaged = [measure for measure in measures.all_measures() if measure.averaged]
+    if any(setting.localization.runs_engine for setting in settings):
+        return [measure for measure in all_averaged if measure.is_of_engine]
+    with_estimates = any(map(_is_localized, settings))
+    return [
+        measure
+        for measure in all_averaged
+        if not measure.is_of_engine and (with_estimates or not measure.needs_estimate)
+    ]
+
+
+def _with_statistics(records: Sequence[CaseRecord], averaged: Sequence[Measure]) -> dict[str, Any]:
     """Count cases, and return means over the finished ones with their uncertainty and range."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    for measure in measures.all_measures():
-        if measure.averaged and (with_estimates or not measure.needs_estimate):
-            column = scores.get(measure.column, pd.Series(dtype=float))
-            values = column.to_numpy(np.float64)
-            statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
-            full |= {measure.statistic(name): value for name, value in statistics.items()}
+    for measure in averaged:
+        column = scores.get(measure.column, pd.Series(dtype=float))
+        values = column.to_numpy(np.float64)
+        statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
+        full |= {measure.statistic(name): value for name, value in statistics.items()}
     return full
 
 
@@ -425,6 +451,40 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         return pd.DataFrame(columns=["condition", "by"])
     rows = pd.concat(profiles_of_series, ignore_index=True)
     return pd.concat([pd.DataFrame(names_of), rows], axis=1)
+
+
+def throughput(
+    records: Sequence[CaseRecord],
+    settings: Sequence[Scenario],
+    costs: Mapping[str, Mapping[str, Cost]],
+) -> pd.DataFrame:
+    """Tabulate how many steps of a robot the engine takes in a second, and its memory.
+
+    Rows are points and conditions; means are over finished cases. Preparation and compilation do
+    not count, neighbor lists do.
+    """
+    setting_of = dict(zip([record.case for record in records], settings, strict=True))
+    rows = []
+    for group in _grouped(records, lambda record: record.series):
+        first = group[0]
+        setting = setting_of[first.case]
+        steps = getattr(setting.localization, "steps", 0)
+        spent = [costs[r.case]["relax"] for r in group if r.is_done and "relax" in costs[r.case]]
+        row = {
+            "condition": first.condition,
+            **first.point_cells,
+            "cases": len(spent),
+            "robot_count": setting.robots,
+            "steps": steps,
+        }
+        for unit in ("cpu_s", "wall_s"):
+            rates = [setting.robots * steps / max(cost[unit], 1e-9) for cost in spent]
+            row[f"robot_steps_per_{unit}"] = float(np.mean(rates)) if rates else math.nan
+            row[f"least_per_{unit}"] = min(rates, default=math.nan)
+            row[f"most_per_{unit}"] = max(rates, default=math.nan)
+        row["peak_memory_MB"] = max((cost["peak_memory_MB"] for cost in spent), default=math.nan)
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def suites(

@@ -15,7 +15,18 @@ Positive Definite Systems, 1981).
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tiswarm.compute.lang import F64, GRAIN, Columns, Ints1, Ints3, Reals2, Reals3, Ref, ti
+from tiswarm.compute.lang import (
+    F64,
+    GRAIN,
+    Columns,
+    Ints1,
+    Ints2,
+    Ints3,
+    Reals2,
+    Reals3,
+    Ref,
+    ti,
+)
 from tiswarm.compute.math_kernels import vector_in
 
 if TYPE_CHECKING:
@@ -364,6 +375,32 @@ def solve(work: Ref, s, nodes):
     return has_room
 
 
+@ti.func
+def solve_again(work: Ref, s, nodes):
+    """Solve a system that `solve` has eliminated for the loads that `motion` has now."""
+    for step in range(nodes):
+        k = work.order[s, step, NodeList.PIVOT]
+        factor = work.block[s, k]
+        y = work.motion[s, k]
+        # y = C^-1 f_k, row by row
+        for i in ti.static(range(6)):
+            for c in ti.static(range(i)):
+                y[i] -= factor[i, c] * y[c]
+            y[i] /= factor[i, i]
+        work.motion[s, k] = y
+        # f_a -= Z_a' y
+        half = work.node[s, k, Node.FIRST]
+        while half >= 0:
+            a = work.half[s, half, HalfEdge.TARGET]
+            edge = half // 2
+            for i in ti.static(range(6)):
+                for j in ti.static(range(6)):
+                    work.motion[s, a][j] -= work.block[s, edge][i, j] * y[i]
+            half = work.half[s, half, HalfEdge.NEXT]
+    for back in range(nodes):
+        _back(work, s, work.order[s, nodes - 1 - back, NodeList.PIVOT])
+
+
 class BeamEnds(Columns):
     """Columns of `FrameArrays.ends`."""
 
@@ -406,6 +443,10 @@ class FrameArrays(NamedTuple):
 
     weight: Sixes
     """Force and moment of the weight on each node, shape (S, M, 6)."""
+
+    slip: Reals3
+    """By how much the ground under each dock has moved: a foot that rests on it opens and slides
+    so, and one that is held has none [R], shape (S, n N, 3)."""
 
 
 class ContactSection(Columns):
@@ -456,6 +497,11 @@ def _assemble(frame: Ref, work: Ref, s):
             if edge >= 0:
                 # The block has the rows of the lower node.
                 work.block[s, edge] += frame.stiffness[s, 4 * beam + (1 if a < b else 2)]
+        else:
+            slip = vector_in(frame.slip, s, frame.ends[s, beam, BeamEnds.DOCK_A])
+            for i in ti.static(range(6)):
+                for c in ti.static(range(3)):
+                    work.motion[s, a][i] -= slip[c] * frame.stiffness[s, 4 * beam + 1][i, c]
 
 
 @ti.func
@@ -483,6 +529,11 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
             for i in ti.static(range(12)):
                 for j in ti.static(range(6)):
                     both[i] += moved[j] * frame.stiffness[s, place + 2 * (i // 6)][i % 6, j]
+    if b < 0:
+        slip = vector_in(frame.slip, s, frame.ends[s, beam, BeamEnds.DOCK_A])
+        for i in ti.static(range(12)):
+            for c in ti.static(range(3)):
+                both[i] += slip[c] * frame.stiffness[s, 4 * beam + 1 + 2 * (i // 6)][i % 6, c]
     span = vector_in(frame.span, s, beam)
     for end in ti.static(range(2)):
         dock = frame.ends[s, beam, BeamEnds.DOCK_A + end]
@@ -527,10 +578,10 @@ def _sense(frame: Ref, loads: Ref, s, robot, docks):
 
 @ti.kernel
 def find_loads(
-    radius: F64, robots: Ints1, due: Ints1,
+    radius: F64, gravity_x: F64, gravity_y: F64, gravity_z: F64, robots: Ints1, due: Ints1,
     # FrameArrays
     node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Blocks, span: Reals3,
-    arm: Reals3, weight: Sixes,
+    arm: Reals3, weight: Sixes, slip: Reals3,
     # EliminationArrays
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
     panel_out: Blocks, motion_out: Sixes,
@@ -542,10 +593,11 @@ def find_loads(
 
     Args:
         radius: Of the beams [R].
+        gravity_x, gravity_y, gravity_z: Weight of a dock.
         robots: Robots of each structure, shape (S,).
         due: Structures to solve, shape (n,).
     """
-    frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight))
+    frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight, slip))
     work = ti.static(
         EliminationArrays(
             node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
@@ -560,9 +612,65 @@ def find_loads(
             _assemble(frame, work, s)
             if solve(work, s, node_count[s]):
                 for dock in range(docks * robots[s]):
-                    acting_out[s, dock] = ti.Vector([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], F64)
+                    acting_out[s, dock] = ti.Vector(
+                        [gravity_x, gravity_y, gravity_z, 0.0, 0.0, 0.0], F64
+                    )
                 for beam in range(beam_count[s]):
                     if ends[s, beam, BeamEnds.DOCK_A] >= 0:
                         _contact_loads(frame, loads, motion_out, s, beam, is_rigid, radius)
                 for robot in range(robots[s]):
                     _sense(frame, loads, s, robot, docks)
+
+
+@ti.kernel
+def find_foot_stiffness(
+    due: Ints1, foot_count: Ints1, foot: Ints2,
+    # FrameArrays
+    node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Blocks, span: Reals3,
+    arm: Reals3, weight: Sixes, slip: Reals3,
+    # EliminationArrays, as `find_loads` left them
+    node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
+    panel_out: Blocks, motion_out: Sixes,
+    # output
+    response_out: Reals3,
+):  # fmt: skip
+    """Find the forces of the ground on all feet from a slip of 1 R of the ground under each.
+
+    Args:
+        due: Structures that `find_loads` has solved, shape (n,).
+        foot_count: Feet of each of them, shape (n,).
+        foot: Their beams to the ground, shape (n, F).
+        response_out: Force at foot g along axis i is in row 3 g + i, the slip at foot h along axis
+            j in column 3 h + j, shape (n, 3 F, 3 F).
+    """
+    frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight, slip))
+    work = ti.static(
+        EliminationArrays(
+            node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
+        )
+    )
+    for n, idle in ti.ndrange(due.shape[0], GRAIN):
+        if idle == 0:
+            s = due[n]
+            for column in range(3 * foot_count[n]):
+                moved = foot[n, column // 3]
+                for a in range(node_count[s]):
+                    motion_out[s, a] = ti.Vector.zero(F64, 6)
+                # The ground moves by a unit vector; K_ab times it loads the foot's node.
+                at = frame.ends[s, moved, BeamEnds.NODE_A]
+                for c in ti.static(range(3)):
+                    if column % 3 == c:
+                        for i in ti.static(range(6)):
+                            motion_out[s, at][i] = -frame.stiffness[s, 4 * moved + 1][i, c]
+                solve_again(work, s, node_count[s])
+                for g in range(foot_count[n]):
+                    beam = foot[n, g]
+                    motion = motion_out[s, frame.ends[s, beam, BeamEnds.NODE_A]]
+                    for i in ti.static(range(3)):
+                        force = 0.0
+                        for j in ti.static(range(6)):
+                            force += frame.stiffness[s, 4 * beam + 2][i, j] * motion[j]
+                        for c in ti.static(range(3)):
+                            if beam == moved and column % 3 == c:
+                                force += frame.stiffness[s, 4 * beam + 3][i, c]
+                        response_out[n, 3 * g + i, column] = force

@@ -28,8 +28,8 @@ from tiswarm.compute.neighbor_kernels import CellList
 from tiswarm.world.choices import ChoiceClimb, ClimbStep
 from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_docks
 from tiswarm.world.ground.solid import SolidGround
-from tiswarm.world.history import DIED, FELL, LEFT, History, Walk, parts
-from tiswarm.world.mechanics import Frames, LoadSummary, StructureFailure
+from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
+from tiswarm.world.mechanics import ContactLoads, Frames, LoadSummary, StructureFailure, parts
 from tiswarm.world.params import (
     ReactiveBuild,
     StructureParams,
@@ -38,6 +38,7 @@ from tiswarm.world.params import (
     structure_ground,
     structure_zones,
 )
+from tiswarm.world.strength import StrengthParams
 from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_belief, recruit
 
 _MAX_TRIES = 64
@@ -710,10 +711,10 @@ class GrowingStructure:
             Whether one broke; the mechanics are due then, unless the whole structure fell.
         """
         strength = self.params.strength
-        if strength is None or self.has_fallen:
+        if strength is None or self.has_fallen or self.frames.has_fallen(self.number):
             return False
         ends, loads = self.frames.contact_loads(self.number)
-        used = strength.used(self.seed, ends, loads, self.docks)
+        used = self._used(strength, ends, loads)
         if not (used > 1.0).any():
             return False
         worst = int(np.argmax(used))
@@ -721,6 +722,13 @@ class GrowingStructure:
         self.frames.part(self.number, ends[worst])
         self._let_fall(np.delete(ends, worst, axis=0))
         return True
+
+    def _used(self, strength: StrengthParams, ends: AnyInts, loads: ContactLoads) -> Reals:
+        """Return the load of each contact in parts of its strength [1], 0 of feet that rest."""
+        used = strength.used(self.seed, ends, loads, self.docks)
+        if self.frames.rests:
+            used[ends[:, 1] < 0] = 0.0
+        return used
 
     def _let_fall(self, ends: AnyInts) -> None:
         """Let robots fall that no contact, rows of (dock, dock or -1), ties to the ground."""
@@ -774,6 +782,7 @@ class GrowingStructure:
             loads = self.frames.loads(self.number)
         except StructureFailure as failure:
             self.ended = str(failure)
+            self.crossed = False
             return
         self.unsolved = 0
         alive = self.alive[: len(loads.sensed)]
@@ -784,7 +793,7 @@ class GrowingStructure:
             peak=loads.peak,
             sensed_max=float(np.nanmax(self.sensed)),
             calling=int(np.count_nonzero(self.call)),
-            least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
+            least_support=float((-loads.ground_force @ self.frames.down).min(initial=np.inf)),
             imbalance=loads.imbalance,
         )
 
@@ -795,7 +804,7 @@ class GrowingStructure:
         ends, loads = self.frames.contact_loads(self.number)
         used = np.full(len(ends), np.nan)
         if self.params.strength is not None:
-            used[:] = self.params.strength.used(self.seed, ends, loads, self.docks)
+            used[:] = self._used(self.params.strength, ends, loads)
         return self._named(ends), np.column_stack([*loads, used])
 
     def _named(self, ends: AnyInts) -> NDArray[np.int32]:
@@ -824,4 +833,5 @@ class GrowingStructure:
             departures=np.array(self.departures, np.int32).reshape(-1, 3),
             crossed=self.crossed,
             ended=self.ended,
+            stability=self.frames.stability[self.number],
         )

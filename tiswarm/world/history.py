@@ -2,18 +2,17 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
 from tiswarm.world.ground.solid import SolidGround
-from tiswarm.world.mechanics import LoadSummary
+from tiswarm.world.mechanics import LoadSummary, parts
+from tiswarm.world.rest import Stability
 
 LEFT, FELL, DIED = range(3)
 """What happened to a robot: it left, it fell as others left, or it died where it stands."""
@@ -93,14 +92,6 @@ class StanceRows(NamedTuple):
     """Dock that stays put as the robot leaves the stance; -1 at the robot's last, shape (L,)."""
 
 
-def parts(pairs: AnyInts, count: int) -> Ints:
-    """Number the parts that pairs join so many things to; the part of each, shape (count,)."""
-    a, b = pairs.T
-    graph = coo_array((np.ones(len(pairs)), (a, b)), shape=(count, count))
-    _, part = connected_components(graph, directed=False)
-    return np.asarray(part, np.int64)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class History:
     """A structure of N robots as it grew; the truth that sensing and evaluation start from."""
@@ -151,6 +142,10 @@ class History:
 
     ended: str = ""
     """Reason why growth stopped before all robots had joined; empty where it did not."""
+
+    stability: Stability | Literal[""] = ""
+    """Whether a structure on docks that rest stands, tipped or slid when the mechanics were solved
+    last; empty where the ground holds them."""
 
     @property
     def robot_count(self) -> int:

@@ -5,7 +5,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import astuple, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from tiswarm.records.io import replacing, run_file
 from tiswarm.world.history import DIED, LEFT, History, Walk
 from tiswarm.world.mechanics import MAX_UNBORNE, LoadSummary
 from tiswarm.world.params import StructureParams, structure_ground
+from tiswarm.world.rest import Stability
 
 _SINGLE = ("recruited", "round")
 """Fields of a walk that are one value each; the others are arrays."""
@@ -27,6 +28,8 @@ _LATER = ("departures", "broken", "loaded_contacts", "contact_load")
 """Tables of a structure that are not written where they are empty."""
 
 _FACTS = ("seed", "spawns", "crossed", "ended")
+_LATER_FACTS = ("stability",)
+"""Facts of a structure that are not written where they are empty."""
 
 _FARTHEST = 1e9
 """Largest coordinate of a center that is read [R]; mechanics of such a structure have no digits."""
@@ -69,8 +72,10 @@ def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> H
 
 def to_arrays(history: History) -> dict[str, NDArray[Any]]:
     """Convert a structure of at least one robot to arrays, which `from_arrays` reads back."""
+    facts = {name: getattr(history, name) for name in _FACTS}
+    facts |= {name: getattr(history, name) for name in _LATER_FACTS if getattr(history, name)}
     arrays: dict[str, NDArray[Any]] = {
-        "facts": np.array(json.dumps({name: getattr(history, name) for name in _FACTS})),
+        "facts": np.array(json.dumps(facts)),
         "sensed": history.sensed,
         "strain": np.array([astuple(load) for load in history.loads]),
     }
@@ -209,11 +214,12 @@ def _array(array: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
 def _facts(text: str) -> dict[str, Any]:
     """Read the facts of a structure that are no arrays."""
     facts: dict[str, Any] = json.loads(text)
-    _require(isinstance(facts, dict) and {*facts} == {*_FACTS}, "facts")
+    _require(isinstance(facts, dict) and {*facts} - {*_LATER_FACTS} == {*_FACTS}, "facts")
     for name in ("seed", "spawns"):
         number = facts[name]
         _require(type(number) is int and 0 <= number <= LARGEST_SEED, name)
     _require(isinstance(facts["crossed"], bool) and isinstance(facts["ended"], str), "facts")
+    _require(facts.get("stability", "stands") in get_args(Stability), "facts")
     return facts
 
 

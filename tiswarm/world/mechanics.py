@@ -1,10 +1,13 @@
-"""Forces in a structure under its own weight: one linear solve after a join.
+"""Forces in a structure under its weight and a payload: one linear solve after a join.
 
 A robot is a center and n docks joined by beams (its links); docks in contact are joined by a
 beam, and a dock on the ground by one to the fixed ground. Weight acts on the docks, so a robot
 weighs n. A robot adds 6 (n + 1) unknowns: the motion of its center and of its docks. In the rigid
 model a robot is one body with 6 unknowns; on average FireAntV3 senses as much in towers and some
 15 % more in cantilevers, on the same side of F = 10 in nine of ten.
+
+Where the ground holds docks, feet are clamped. Where docks rest on it, a foot is a beam that turns
+freely where it touches the ground, and `rest.py` finds which of them open and slide.
 
 The load that a robot senses in a link follows from the forces on its dock in either model: those
 of the dock's contacts and its weight.
@@ -21,19 +24,26 @@ with P = 1 - e e' and S t = t x e (Przemieniecki, Theory of Matrix Structural An
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from numpy.typing import NDArray
+from pydantic import Field, Strict, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 from pydantic.dataclasses import dataclass as parameters
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from tiswarm.base.aliases import AnyInts, Bools, Reals
-from tiswarm.base.params import STRICT
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.base.params import STRICT, UNLESS_SET
 from tiswarm.compute import backend
 from tiswarm.compute.numerics import optimized_by_llvm
-from tiswarm.world import frame_kernels
+from tiswarm.records.messages import shown
+from tiswarm.world import frame_kernels, rest
+
+GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s^2]."""
 
 MAX_UNBORNE = 1e-6
 """Largest share of the weight that ground forces of a standing structure may miss [1]."""
@@ -41,8 +51,61 @@ _SIDE = 6
 """Unknowns of a node."""
 
 
+_DOWN = (0.0, 0.0, -1.0)
+"""Direction of gravity on level ground."""
+
+_SHORTEST = 1e-6
+"""Least length of a vector that has a direction."""
+
+
 class StructureFailure(Exception):  # noqa: N818 - the structure fails, not the program
     """A structure, or a part of it, that nothing supports."""
+
+
+def _one_mistake(at: object, check: ValidatorFunctionWrapHandler) -> object:
+    """Make one mistake of those that a value has as a word and as a place."""
+    try:
+        return check(at)
+    except ValidationError as invalid:
+        raise ValueError(
+            f"{shown(at)} should be top, or a place [x, y, z] within 1e4 R"
+        ) from invalid
+
+
+# A wrapped value passes through Python, where strict checks accept no list for a tuple.
+_Coordinate = Annotated[float, Strict(), Field(ge=-1e4, le=1e4)]
+_Place = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(strict=False)]
+_Component = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+@parameters(frozen=True, kw_only=True, config=STRICT)
+class PayloadParams:
+    """A weight that one robot of the structure carries at its center."""
+
+    weight: Annotated[float, Field(gt=0.0, le=1e6)]
+    """Its weight in weights of a robot; with `robot_mass_kg` its mass in kg."""
+
+    at: Annotated[Literal["top"] | _Place, WrapValidator(_one_mistake)] = "top"
+    """Who carries it at each solve: the highest robot (top), or the one whose center is nearest to
+    a place [x, y, z] [R]."""
+
+    robot_mass_kg: Annotated[float | None, UNLESS_SET, Field(gt=0.0)] = None
+    """Mass of a robot [kg]; with it, `weight` is in kg."""
+
+    def weight_for(self, docks: int) -> float:
+        """Return its weight [weight of a dock], for robots of so many docks."""
+        return self.weight / (self.robot_mass_kg or 1.0) * docks
+
+    def carrier(self, center: Reals, able: AnyInts) -> int:
+        """Choose the robot that carries it, the first of several.
+
+        Args:
+            center: Centers of the robots [R], shape (N, 3).
+            able: Robots that stand, ascending, shape (n,).
+        """
+        if self.at == "top":
+            return int(able[np.argmax(center[able, 2])])
+        return int(able[np.argmin(np.linalg.norm(center[able] - np.array(self.at), axis=1))])
 
 
 @parameters(frozen=True, kw_only=True, config=STRICT)
@@ -63,6 +126,44 @@ class MechanicsParams:
 
     poisson: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.3
     """Poisson's ratio [1]."""
+
+    # Runs without these keys keep their hashes, which name folders.
+    gravity: Annotated[
+        tuple[_Component, _Component, _Component], Field(exclude_if=lambda value: value == _DOWN)
+    ] = _DOWN
+    """Direction of gravity [x, y, z], of any length but 0; not vertical for a slope or a push from
+    the side. Robots climb and spawn as before."""
+
+    ground: Annotated[
+        Literal["holds", "rests"], Field(exclude_if=lambda value: value == "holds")
+    ] = "holds"
+    """Whether the ground holds docks in all directions (holds), or docks rest on it: it presses and
+    rubs, and neither pulls nor turns them (rests). Growth then ends where the structure tips or
+    slides."""
+
+    friction: Annotated[float | None, UNLESS_SET, Field(ge=0.0, le=10.0)] = None
+    """Coefficient of friction of docks on the ground [1]; goes with `ground: rests`."""
+
+    payload: Annotated[PayloadParams | None, UNLESS_SET] = None
+    """A weight that one robot carries; null for none."""
+
+    def __post_init__(self) -> None:
+        """Refuse gravity without a direction, and friction that is missing or says nothing.
+
+        Raises:
+            ValueError: it is so.
+        """
+        if math.hypot(*self.gravity) < _SHORTEST:
+            raise ValueError("gravity has no direction; give a vector like [0, 0, -1]")
+        if self.ground == "rests" and self.friction is None:
+            raise ValueError("docks that rest need a coefficient; add friction, such as 0.5")
+        if self.ground == "holds" and self.friction is not None:
+            raise ValueError("friction goes with ground: rests; set both, or neither")
+
+    @property
+    def down(self) -> Reals:
+        """Unit vector of gravity, the weight of a dock, shape (3,)."""
+        return np.array(self.gravity) / math.hypot(*self.gravity)
 
 
 class ContactLoads(NamedTuple):
@@ -127,7 +228,7 @@ class LoadSummary:
     """Robots that call for help."""
 
     least_support: float = math.nan
-    """Least upward force of the ground on a dock; negative where the ground pulls."""
+    """Least force of the ground on a dock against gravity; negative where the ground pulls."""
 
     imbalance: float = math.nan
     """Difference of weight and ground forces, per weight [1]."""
@@ -143,7 +244,12 @@ class Frames:
         self.params = params
         self.rigid = params.model == "rigid"
         self.shape = (params.beam_radius, params.poisson)
+        self.rests = params.ground == "rests"
+        self.down = params.down
         self.robots = np.zeros(structures, np.int32)
+        self.stability: list[rest.Stability | Literal[""]] = [""] * structures
+        self.carrier = np.full(structures, -1)  # robot with the payload
+        self.center = np.zeros((structures, robots, 3))
         self.gone = np.zeros((structures, robots), np.bool_)
         self.dock = np.zeros((structures, robots, docks, 3))
         self.waiting: list[tuple[Any, ...]] = []  # those that `join` has added since the last solve
@@ -161,6 +267,7 @@ class Frames:
             span=np.empty((structures, beams, 3)),
             arm=np.zeros((structures, docks * robots, 3)),  # read, and not used, for the ground
             weight=np.zeros((structures, nodes, _SIDE)),
+            slip=np.zeros((structures, docks * robots, 3)),
         )
         self.work = frame_kernels.EliminationArrays(
             node=np.zeros((structures, nodes, frame_kernels.Node.TOTAL), np.int32),
@@ -250,6 +357,8 @@ class Frames:
         self.frame.node_count[structure] = 0
         self.frame.beam_count[structure] = 0
         self.frame.weight[structure] = 0.0
+        self.carrier[structure] = -1
+        self.stability[structure] = ""
 
     def _admit(self) -> None:
         """Build the beams of all robots that joined since the last solve."""
@@ -263,6 +372,7 @@ class Frames:
             robot[n] = self.robots[s]
             self.robots[s] += 1
         self.dock[of, robot] = docks
+        self.center[of, robot] = center
         arm = self.dock[of, robot] - np.array(center)[:, None]
         self.frame.arm.reshape(self.dock.shape)[of, robot] = arm
         if self.rigid:
@@ -284,9 +394,9 @@ class Frames:
     def _add_bodies(self, of: AnyInts, robot: AnyInts, arm: Reals) -> None:
         """Add rigid robots: a node each."""
         self.frame.node_count[:] = self.robots
-        self.frame.weight[of, robot, 2] = -arm.shape[1]
+        self.frame.weight[of, robot, :3] = arm.shape[1] * self.down
         # Docks weigh, not the center: their weights turn the body about it.
-        self.frame.weight[of, robot, 3:] = np.cross(arm.sum(axis=1), [0.0, 0.0, -1.0])
+        self.frame.weight[of, robot, 3:] = np.cross(arm.sum(axis=1), self.down)
 
     def _add_links(self, of: AnyInts, robot: AnyInts, arm: Reals) -> None:
         """Add robots that bend: a node for the center, one for each dock, and the links between."""
@@ -295,7 +405,7 @@ class Frames:
         of = np.repeat(of, docks)
         center = np.repeat((docks + 1) * robot, docks)
         dock = center + np.tile(np.arange(1, docks + 1), len(robot))
-        self.frame.weight[of, dock, 2] = -1.0
+        self.frame.weight[of, dock, :3] = self.down
         unused = np.full(len(of), frame_kernels.NO_DOCK)
         ends = np.column_stack([center, dock, unused, unused])
         span = arm.reshape(-1, 3)
@@ -305,6 +415,8 @@ class Frames:
         """Add a beam from each dock `a` to the dock `b`, or the ground, at `target` [R]."""
         span = target - self.dock.reshape(len(self.dock), -1, 3)[of, a]
         stiff = stiffness(span, self.params.contact_axial, *self.shape)
+        if self.rests:
+            stiff[b < 0] = _free_to_turn(stiff[b < 0])
         if self.rigid:
             # Ends of the contact move with the bodies' nodes: K becomes T^T K T.
             follow = np.tile(np.eye(12), (len(of), 1, 1))
@@ -340,14 +452,25 @@ class Frames:
 
     @backend.exclusive()
     def solve(self, structures: Sequence[int]) -> None:
-        """Find the forces at rest under the own weight of some structures."""
+        """Find the forces at rest in some structures under their weight and payloads."""
         self._admit()
         backend.processor()
         due = np.array(structures, np.int32)
+        if self.params.payload is not None:
+            for number in due.tolist():
+                self._put_payload(number, self.params.payload)
+        self.frame.slip[due] = 0.0
+        self._find_loads(due)
+        if self.rests:
+            self._let_slip(due)
+
+    def _find_loads(self, due: NDArray[np.int32]) -> None:
+        """Solve some structures with the slips of their feet."""
         while len(due):
             with optimized_by_llvm():
                 frame_kernels.find_loads(
                     self.params.beam_radius,
+                    *self.down.tolist(),
                     self.robots,
                     due,
                     *self.frame,
@@ -358,6 +481,112 @@ class Frames:
             due = due[self.work.block_count[due] > self.work.block.shape[1]]
             if len(due):
                 self.work = _doubled(self.work, "half", "block")
+
+    def _put_payload(self, structure: int, payload: PayloadParams) -> None:
+        """Put the payload of a structure on the robot that carries it now."""
+        able = np.flatnonzero(~self.gone[structure, : self.robots[structure]])
+        robots, docks = self.gone.shape[1], self.dock.shape[2]
+        # The center is the first node of a robot; in the rigid model its docks weigh on it, too.
+        center = self.frame.weight[structure].reshape(robots, -1, _SIDE)[:, 0, :3]
+        before = self.carrier[structure]
+        own = docks * self.down if self.rigid else np.zeros(3)
+        if before >= 0:
+            center[before] = 0.0 if self.gone[structure, before] else own
+        self.carrier[structure] = -1
+        if len(able):
+            carrier = payload.carrier(self.center[structure], able)
+            center[carrier] = own + payload.weight_for(docks) * self.down
+            self.carrier[structure] = carrier
+
+    def _weight(self, structure: int) -> float:
+        """Sum the weight of a structure and its payload [weight of a dock]."""
+        present = ~self.gone[structure, : self.robots[structure]]
+        docks = self.dock.shape[2]
+        weight = float(np.count_nonzero(present) * docks)
+        if self.params.payload is not None and self.carrier[structure] >= 0:
+            weight += self.params.payload.weight_for(docks)
+        return weight
+
+    def _let_slip(self, due: NDArray[np.int32]) -> None:
+        """Let feet of some structures, solved as if the ground held them, open and slide."""
+        friction = self.params.friction or 0.0
+        feet = {}
+        for number in due.tolist():
+            beams = self._feet(number)
+            held = self.load_arrays.support[number, beams]
+            normal = self._normal(number, beams)
+            excess, _ = rest.sliding(held, normal, friction)
+            press = (held * normal).sum(axis=1)
+            slack = rest.TOLERANCE * self._weight(number)
+            if not self._is_spread(number, beams):
+                self._fall(number, "tipped")
+            elif press.min() >= -slack and excess.max() <= slack:
+                self.stability[number] = "stands"
+            else:
+                feet[number] = beams
+        if not feet:
+            return
+        for (number, beams), stiff in zip(feet.items(), self._foot_stiffness(feet), strict=True):
+            held = self.load_arrays.support[number, beams]
+            normal = self._normal(number, beams)
+            resting = rest.find_slips(stiff, held, normal, friction, self._weight(number))
+            dock = self.frame.ends[number, beams, frame_kernels.BeamEnds.DOCK_A]
+            self.frame.slip[number, dock] = resting.slip
+            self.stability[number] = resting.stability
+        standing = [number for number in feet if self.stability[number] == "stands"]
+        self._find_loads(np.array(standing, np.int32))
+        for number in feet.keys() - standing:
+            self._fall(number, self.stability[number])
+
+    def _feet(self, structure: int) -> Ints:
+        """List the beams of a structure to the ground, shape (G,)."""
+        beams = self.frame.beam_count[structure]
+        dock_b = self.frame.ends[structure, :beams, frame_kernels.BeamEnds.DOCK_B]
+        return np.flatnonzero(dock_b == frame_kernels.GROUND)
+
+    def _normal(self, structure: int, beams: Ints) -> Reals:
+        """Find the unit vectors out of the ground at feet, shape (G, 3).
+
+        A foot is the place on the ground that is nearest to its dock.
+        """
+        span = self.frame.span[structure, beams]
+        normal: Reals = -span / np.linalg.norm(span, axis=1, keepdims=True)
+        return normal
+
+    def _is_spread(self, structure: int, beams: Ints) -> bool:
+        """Whether the feet of each part that contacts join are not all on one line."""
+        robots = int(self.robots[structure])
+        docks = self.dock.shape[2]
+        ends = self.frame.ends[structure, :, frame_kernels.BeamEnds.DOCK_A :]
+        joined = ends[: self.frame.beam_count[structure]]
+        part = parts(joined[(joined >= 0).all(axis=1)] // docks, robots)
+        dock = ends[beams, 0]
+        foot = self.dock[structure].reshape(-1, 3)[dock] + self.frame.span[structure, beams]
+        present = np.unique(part[~self.gone[structure, :robots]]).tolist()
+        return all(rest.are_spread(foot[part[dock // docks] == number]) for number in present)
+
+    def _foot_stiffness(self, feet: Mapping[int, Ints]) -> Iterator[Reals]:
+        """Yield the forces on the feet of each structure from slips of the ground under them."""
+        count = np.array([*map(len, feet.values())], np.int32)
+        beam = np.zeros((len(count), count.max()), np.int32)
+        for row, beams in zip(beam, feet.values(), strict=True):
+            row[: len(beams)] = beams
+        response = np.zeros((len(count), 3 * beam.shape[1], 3 * beam.shape[1]))
+        frame_kernels.find_foot_stiffness(
+            np.array([*feet], np.int32), count, beam, *self.frame, *self.work, response
+        )
+        for unknowns, of_structure in zip((3 * count).tolist(), response, strict=True):
+            yield of_structure[:unknowns, :unknowns]
+
+    def _fall(self, structure: int, stability: rest.Stability | Literal[""]) -> None:
+        """Note that a structure falls: it has no loads at rest."""
+        self.stability[structure] = stability
+        for loads in self.load_arrays:
+            loads[structure] = np.nan
+
+    def has_fallen(self, structure: int) -> bool:
+        """Whether a structure on docks that rest tipped or slid when it was solved last."""
+        return self.stability[structure] in {"tipped", "slid"}
 
     def contact_loads(self, structure: int) -> tuple[AnyInts, ContactLoads]:
         """Return the loads in contacts that the last solve of a structure found.
@@ -377,8 +606,13 @@ class Frames:
         """Return what the last solve of a structure found.
 
         Raises:
-            StructureFailure: nothing supports the structure or a part of it.
+            StructureFailure: nothing supports the structure or a part of it, or it tips or slides.
         """
+        if self.has_fallen(structure):
+            last = self.robots[structure] - 1
+            raise StructureFailure(
+                f"the structure {self.stability[structure]} once robot {last} had joined"
+            )
         beams = slice(self.frame.beam_count[structure])
         robots = int(self.robots[structure])
         dock_b = self.frame.ends[structure, beams, frame_kernels.BeamEnds.DOCK_B]
@@ -386,8 +620,8 @@ class Frames:
         stress = self.load_arrays.stress[structure, beams]
         ground_force = self.load_arrays.support[structure, beams][standing]
         gone = self.gone[structure, :robots]
-        weight = np.count_nonzero(~gone) * self.dock.shape[2]
-        surplus = ground_force.sum(axis=0) - [0.0, 0.0, weight]
+        weight = self._weight(structure)
+        surplus = ground_force.sum(axis=0) + weight * self.down
         imbalance = float(np.abs(surplus).max() / weight)
         # Rounding hides that a matrix is singular, but not that nothing bears the weight.
         if not imbalance <= MAX_UNBORNE:
@@ -408,6 +642,23 @@ def _doubled(arrays: Any, *names: str) -> Any:  # noqa: ANN401 - a bundle
         array = getattr(arrays, name)
         doubled[name] = np.concatenate([array, array], axis=1)
     return arrays._replace(**doubled)
+
+
+def parts(pairs: AnyInts, count: int) -> Ints:
+    """Number the parts that pairs join so many things to; the part of each, shape (count,)."""
+    a, b = pairs.T
+    graph = coo_array((np.ones(len(pairs)), (a, b)), shape=(count, count))
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part, np.int64)
+
+
+def _free_to_turn(stiff: Reals) -> Reals:
+    """Let the second ends of beams, stiffness of shape (n, 12, 12), turn freely."""
+    freed = np.zeros_like(stiff)
+    turn = stiff[:, 9:, :9]
+    follow = turn.swapaxes(1, 2) @ np.linalg.solve(stiff[:, 9:, 9:], turn)
+    freed[:, :9, :9] = stiff[:, :9, :9] - follow
+    return freed
 
 
 def _cross_matrix(vector: Reals) -> Reals:

@@ -339,7 +339,11 @@ class GrowthParams(RecruitParams):
     climb: Annotated[ClimbParams, Field(description="How robots walk.")] = ClimbParams()
 
     mechanics: Annotated[
-        MechanicsParams, Field(description="How stiff robots and contacts are.")
+        MechanicsParams,
+        Field(
+            description="How stiff robots and contacts are, where gravity points, what a robot "
+            "carries, and whether docks rest on the ground."
+        ),
     ] = MechanicsParams()
 
     @field_validator("anchors")
@@ -355,6 +359,23 @@ class GrowthParams(RecruitParams):
         if terrain is not None and not any(map(_is_elsewhere, terrain)):
             ground_of(terrain)
         return terrain
+
+    @field_validator("mechanics")
+    @classmethod
+    def _agree_with(cls, mechanics: MechanicsParams, info: ValidationInfo) -> MechanicsParams:
+        if mechanics.ground == "rests" and info.data.get("plane"):
+            raise ValueError(
+                "robots in a plane stand on a line and tip out of it; leave out ground: rests"
+            )
+        strength = info.data.get("strength")
+        masses = {
+            part.robot_mass_kg
+            for part in (strength, mechanics.payload)
+            if part is not None and part.robot_mass_kg is not None
+        }
+        if len(masses) > 1:
+            raise ValueError("payload and strength have robots of different mass; give one mass")
+        return mechanics
 
     @field_validator("navigate_by")
     @classmethod

@@ -14,6 +14,7 @@ not exceed `limit`. A plug-in adds one:
 Loads are in weights of a dock W and R. With the mass m of a robot of n docks, W = m g / n.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -28,10 +29,7 @@ from tiswarm.base.plugins import call_plugin
 from tiswarm.base.registry import get, register
 from tiswarm.base.sections import NameOf, SendsPlugins
 from tiswarm.compute.math import normal
-from tiswarm.world.mechanics import ContactLoads
-
-GRAVITY = 9.80665
-"""Standard acceleration of gravity [m/s^2]."""
+from tiswarm.world.mechanics import GRAVITY, ContactLoads
 
 _MM = 1e-3
 """A millimeter [m]."""
@@ -59,6 +57,39 @@ _UNITS: Mapping[str, _Unit] = {
     "von-mises": _Unit("MPa", 1e6, -2),
 }
 """Unit of the limit of each law of the package, for robots that have a mass."""
+
+
+class LoadUnit(NamedTuple):
+    """Unit of a load, for robots of one kind."""
+
+    name: str
+    """Name, such as N m; W is the weight of a dock."""
+
+    size: float
+    """A load of 1, in weights of a dock and R, in this unit."""
+
+    @property
+    def suffix(self) -> str:
+        """The unit at the end of a column's name, such as N_m or W_per_R2."""
+        return self.name.replace(" / ", "_per_").replace(" ", "_").replace("^", "")
+
+
+class LoadUnits(NamedTuple):
+    """Units of the loads of contacts."""
+
+    force: LoadUnit
+    moment: LoadUnit
+    stress: LoadUnit
+
+    @property
+    def of_loads(self) -> dict[str, LoadUnit]:
+        """The unit of each load of contacts, by its name in `ContactLoads`."""
+        units = (self.force, self.force, self.moment, self.moment, self.stress)
+        return dict(zip(ContactLoads._fields, units, strict=True))
+
+
+WEIGHTS = LoadUnits(LoadUnit("W", 1.0), LoadUnit("W R", 1.0), LoadUnit("W / R^2", 1.0))
+"""Units of robots without a mass: weight of a dock, and R."""
 
 
 def tension(loads: ContactLoads) -> Reals:
@@ -127,9 +158,31 @@ class StrengthParams(SendsPlugins):
         if self.robot_mass_kg is None:
             return self.limit
         unit = _UNITS[self.law]
-        weight = self.robot_mass_kg * GRAVITY / docks
+        return self.limit * unit.newtons / self._newtons(unit.lengths, docks)
+
+    def units_for(self, docks: int) -> LoadUnits:
+        """Return the units of `limit`, in which users read loads of robots of so many docks.
+
+        Robots that have a mass but no radius have forces in N, and lengths in R.
+        """
+        if self.robot_mass_kg is None:
+            return WEIGHTS
+        if self.radius_mm is None:
+            weight = self._newtons(0, docks)
+            names = (unit.name.replace("W", "N") for unit in WEIGHTS)
+            return LoadUnits(*(LoadUnit(name, weight) for name in names))
+        return LoadUnits(
+            *(
+                LoadUnit(unit.name, self._newtons(unit.lengths, docks) / unit.newtons)
+                for unit in (_UNITS["tension"], _UNITS["bending"], _UNITS["von-mises"])
+            )
+        )
+
+    def _newtons(self, lengths: int, docks: int) -> float:
+        """Return the weight of a dock times a power of R [N m^lengths]; R is 1 mm if not stated."""
+        weight = (self.robot_mass_kg or math.nan) * GRAVITY / docks
         radius = _MM * (self.radius_mm or 1.0)
-        return self.limit * unit.newtons / (weight * radius**unit.lengths)
+        return weight * radius**lengths
 
     def strength(self, seed: int, ends: AnyInts, docks: int) -> Reals:
         """Draw the load from which contacts break [weights of a dock and R], shape (C,).

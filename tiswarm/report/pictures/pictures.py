@@ -90,6 +90,9 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
     around = structure.dock.reshape(-1, 3)
     by_join = Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}")
     name = "structure" if view.has_truth else "estimate"
+    if view.is_of_engine:
+        by_join = by_join._replace(low="robot  0")
+        name = "swarm"
     scene = build_scene(structure, view.terrain)
     pictures = {name: Picture(scene, by_join)}
     if view.has_truth and view.has_estimate:
@@ -98,7 +101,8 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
         is_of_user = any(coloring is of_user for of_user in view.user_colorings)
         name = re.sub(r"\W+", "-", coloring.label)
         pictures[f"color-{name}" if is_of_user else name] = _colored(view, scene, coloring)
-    pictures["contact-graph"] = _contact_graph(view, around)
+    if not view.is_of_engine:
+        pictures["contact-graph"] = _contact_graph(view, around)
     return pictures
 
 
@@ -134,15 +138,18 @@ def _has_pose(pose: Reals) -> Bools:
 
 def _colored(view: SwarmView, scene: Scene, by: Coloring) -> Picture:
     """Color the structure by a value of each robot."""
-    color, most = paint(by)
     colors = SCALES[by.scale]
     gray: Keys = ()
     if np.isnan(by.value[_has_pose(view.best_pose)]).any():
-        gray = ((UNKNOWN_GRAY, "unknown"),)
+        gray = ((UNKNOWN_GRAY, by.gray),)
     legend: Keys | Scale = (("", by.title), *zip(colors, by.words, strict=False), *gray)
     if not by.words:
-        legend = Scale(colors, f"{by.title}  {by.least:.3g}", three_digits(most), gray)
-    return Picture(scene.painted(view.robots(view.best_pose, color, TRUE_SIZE)), legend)
+        scale = "log scale" if by.logarithmic else ""
+        meaning = ", ".join(filter(None, [by.meaning, scale]))
+        keys = ((("", meaning),) if meaning else ()) + gray
+        high = three_digits(by.last) if by.most is None else f"{by.last:g} or more"
+        legend = Scale(colors, f"{by.title}  {by.least:.3g}", high, keys)
+    return Picture(scene.painted(view.robots(view.best_pose, paint(by), TRUE_SIZE)), legend)
 
 
 def _contact_graph(view: SwarmView, around: Reals) -> Picture:
@@ -177,7 +184,7 @@ def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) ->
     positions: list[tuple[float, float]] = []
     for _, text in keys:
         width = size * 50 + font.getlength(text)
-        if positions and x + width > picture.width:
+        if x > start and x + width > picture.width:
             x = start
             y += size * _LEGEND_HEIGHT
         positions.append((x, y))

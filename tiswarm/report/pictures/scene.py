@@ -621,16 +621,13 @@ def encode_ply(view: swarm_view.SwarmView) -> dict[str, bytes]:
     return {f"{name}.ply": _ply(shape, view.log) for name, shape in _shapes(view).items()}
 
 
-def paint(by: swarm_view.Coloring) -> tuple[Reals, float]:
-    """Color robots by values, gray where unknown, shape (N, 3); returns the last value too."""
+def paint(by: swarm_view.Coloring) -> Reals:
+    """Color robots by values, gray where unknown, shape (N, 3)."""
     colors = SCALES[by.scale]
-    most = max(float(np.nanmax(by.value, initial=by.least)), by.least + 1e-9)
-    if by.words:
-        most = len(colors) - 1.0
-    share = (by.value - by.least) / (most - by.least)
+    share = by.value / (len(colors) - 1.0) if by.words else by.share
     color = colors_along(np.nan_to_num(share), colors)
     color[np.isnan(share)] = rgb(UNKNOWN_GRAY)
-    return color, most
+    return color
 
 
 def _shapes(view: swarm_view.SwarmView, *, gamma: float = 1.0) -> dict[str, Any]:
@@ -644,7 +641,7 @@ def _shapes(view: swarm_view.SwarmView, *, gamma: float = 1.0) -> dict[str, Any]
     from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
 
     by = next(iter(view.colorings), None)
-    color = view.color_by_join if by is None else paint(by)[0]
+    color = view.color_by_join if by is None else paint(by)
     colors = {"structure": color if view.user_colorings else view.color_by_join, "estimate": color}
     shapes = {
         name: _solid(view.robots(view.from_origin(pose), colors[name], TRUE_SIZE), gamma)

@@ -75,6 +75,11 @@ CAPTIONS = {
         "True structure, each robot colored by the force that it senses in its links, "
         "in weights of a dock.",
     ),
+    "margin": figure_style.Caption(
+        "True structure, each robot colored by its margin, the strength of its weakest contact "
+        "over the load of that contact, on a logarithmic scale. The contacts of dark red robots "
+        "are the next to break.",
+    ),
     "sizes": figure_style.Caption(
         "Structures of every size at one scale, each robot colored by its error.",
     ),

@@ -98,7 +98,7 @@ function showSpace(view) {
   const boxes = ["truth", "estimate", "error", "spheres", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
   const balls = { unknown: ball(UNKNOWN_COLOR) };
   if (data.cases.every(({ ground }) => !ground.length)) byId("show-ground").parentElement.hidden = true;
-  for (const scale of ["--errors", "--forces", "--joins", "--labels"]) balls[scale] = shadesOf(colorsOf(scale));
+  for (const scale of ["--errors", "--forces", "--joins", "--labels", "--margins"]) balls[scale] = shadesOf(colorsOf(scale));
   const every = [view, byId("view-beside")].map((canvas) => paneOf(canvas, data));
   let look = { ...START }, panes = [], box, due = 0, began = null, followed = null;
   const points = [...new Set(data.cases.map((each) => each.point ?? ""))];
@@ -193,7 +193,7 @@ function showSpace(view) {
     return found;
   };
   const nameRobot = ({ case: shown, colorings }, found) => {
-    const values = colorings.slice(0, -2).map(({ label, unit, value, words }) => `${label} ${value[found] === null ? "unknown" : words[value[found]] ?? `${value[found]} ${unit}`}`.trimEnd());
+    const values = colorings.slice(0, -2).map(({ label, unit, value, words, gray }) => `${label} ${value[found] === null ? gray : words[value[found]] ?? `${value[found]} ${unit}`}`.trimEnd());
     pointed.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join index ${found}: ${values.join(", ")}.`;
   };
   // Keeps a robot in the middle from now on, or no longer.

@@ -8,7 +8,7 @@ const NEARBY = 12; // distance within which the pointer selects a robot [pixels]
 const SIDES = [0, 1, 2]; // x, y, z
 const START = { turn: -1.0, tilt: 0.22, zoom: 1, right: 0, down: 0 }; // the last two in pixels
 const GHOST = { opacity: 0.25, gap: 0.3, back: 1 }; // of true robots beside estimated ones: opacity; error from which they are drawn, and how much they are drawn behind their place [R]
-const ROOM = { above: 52, below: 74, side: 36 }; // around the box, for the title, numbers and labels [pixels]
+const ROOM = { above: 52, below: 84, side: 36 }; // around the box, for the title, numbers and labels [pixels]
 const EARTH = 0.75; // opacity of the ground
 const SPHERE = 0.3; // opacity of spheres
 const RAISED = 1.5; // contacts are drawn as if they were this much nearer [R]
@@ -42,8 +42,18 @@ function along(colors, share) {
   return mixed(colors[k], colors[k + 1], place - k);
 }
 
-// The share of a scale at which a value lies.
-const shareOf = ({ least, most }, value) => (value - least) / (most - least || 1);
+// The share of a scale at which a value lies, 0 to 1.
+function shareOf({ least, most, logarithmic }, value) {
+  const share = logarithmic ? Math.log(value / least) / Math.log(most / least) : (value - least) / (most - least || 1);
+  return Math.max(0, Math.min(1, share));
+}
+
+// The values along a scale that its legend states: 1, 2, 5, 10, ... where it is logarithmic, or else both ends and the middle.
+function marksOf({ least, most, logarithmic }) {
+  if (!logarithmic) return [0, 0.5, 1].map((share) => least + share * (most - least || 1));
+  const powers = Array.from({ length: Math.ceil(Math.log10(most / least)) + 1 }, (_, n) => 10 ** (Math.floor(Math.log10(least)) + n));
+  return powers.flatMap((power) => [power, 2 * power, 5 * power]).filter((value) => value >= least && value <= most);
+}
 
 // Balls in the colors of a scale.
 function shadesOf(colors) {
@@ -140,10 +150,11 @@ function drawBox(pen, box, { radius, unit }, { toward, place }) {
 }
 
 // The color scale of the estimate, or its labels, and what gray means.
-function drawScale(pen, { label, unit, least, most, scale, words, value }, width, height) {
+function drawScale(pen, legend, width, height) {
+  const { label, unit, least, most, scale, words, value, meaning, gray, isCapped } = legend;
   const [wide, tall, right] = [Math.min(180, width / 2), 10, width - 22], [left, top] = [right - wide, height - 34];
   const small = "12px system-ui, sans-serif", colors = colorsOf(scale);
-  const keys = [...words.map((word, n) => [word, colors[n]]), ...(value.includes(null) ? [["unknown", UNKNOWN_COLOR]] : [])];
+  const keys = [...words.map((word, n) => [word, colors[n]]), ...(value.includes(null) ? [[gray, UNKNOWN_COLOR]] : [])];
   const key = ([word, color], x, y) => { pen.fillText(word, x - 18, y); pen.drawImage(ball(color), x - 14, y - 7, 14, 14); };
   pen.fillStyle = textOf("--ink");
   pen.textBaseline = "middle";
@@ -152,7 +163,8 @@ function drawScale(pen, { label, unit, least, most, scale, words, value }, width
   if (words.length) keys.forEach((each, n) => key(each, right, height - 16 - 18 * (keys.length - 1 - n)));
   else keys.forEach((each) => key(each, left - 14, top + 5));
   pen.font = "600 13px system-ui, sans-serif";
-  pen.fillText(unit ? `${label} [${unit}]` : label, right, words.length ? height - 16 - 18 * keys.length : top - 12);
+  const title = [label, unit && `[${unit}]`, meaning && `(${meaning})`].filter(Boolean).join(" ");
+  pen.fillText(title, right, words.length ? height - 16 - 18 * keys.length : top - 12);
   if (words.length) return;
   const bar = pen.createLinearGradient(left, 0, right, 0), span = most - least || 1;
   colors.forEach((color, n, all) => bar.addColorStop(n / (all.length - 1), rgb(color)));
@@ -162,7 +174,10 @@ function drawScale(pen, { label, unit, least, most, scale, words, value }, width
   pen.textAlign = "center";
   pen.font = small;
   const digits = (least ? 3 : 2) + Math.floor(Math.log10(Math.max(Math.abs(least), Math.abs(most), span) / span));
-  for (const share of [0, 0.5, 1]) pen.fillText(String(Number((least + share * span).toPrecision(Math.min(digits, 12)))), left + share * wide, top + tall + 11);
+  for (const mark of marksOf(legend)) {
+    const number = String(Number(mark.toPrecision(Math.min(digits, 12))));
+    pen.fillText(isCapped && mark === most ? `≥ ${number}` : number, left + shareOf(legend, mark) * wide, top + tall + 11);
+  }
 }
 
 // The pieces of ground from the farthest to the nearest: drawn faces, and whether the piece hides a point from the eye.
@@ -219,7 +234,7 @@ function shapesOf(shown, count, offsets, wanted, coloring, place, balls) {
   if (wanted.estimate) {
     const shades = balls[coloring.scale];
     const shade = (n) => coloring.value[n] === null ? balls.unknown
-      : shades[Math.round((SHADES - 1) * Math.min(1, shareOf(coloring, coloring.value[n])))];
+      : shades[Math.round((SHADES - 1) * shareOf(coloring, coloring.value[n]))];
     robots(shown.estimate, shown.sensed, textOf("--arm"), shade);
   }
   const line = (a, b, color, wide, raised) => {
@@ -277,11 +292,12 @@ function coloringsOf({ colors, robot, contacts }) {
   const given = colors.map((each) => ({
     ...each,
     scale: `--${each.scale}`,
-    most: each.words.length ? colorsOf(`--${each.scale}`).length - 1 : each.value.reduce((most, v) => Math.max(most, v ?? most), each.least) || each.least + 1,
+    isCapped: each.most !== null,
+    most: each.most !== null ? each.most : each.words.length ? colorsOf(`--${each.scale}`).length - 1 : each.value.reduce((most, v) => Math.max(most, v ?? most), each.least) || each.least + 1,
   }));
   const counted = (label, count) => {
     let value;
-    return { label, unit: "", scale: "--joins", least: 0, words: [], get value() { return value ||= count(); }, get most() { return this.value.reduce((most, v) => Math.max(most, v), 1); } };
+    return { label, unit: "", scale: "--joins", least: 0, words: [], gray: "unknown", get value() { return value ||= count(); }, get most() { return this.value.reduce((most, v) => Math.max(most, v), 1); } };
   };
   return [...given, counted("hops from the first robot", () => hopsOf({ robot, contacts })), counted("join index", () => robot.map((_, n) => n))];
 }
