@@ -1,6 +1,7 @@
 """Environments keep the conventions of gymnasium and PettingZoo, and grow what growth grows."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,11 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402 - of a library t
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
 import tiswarm.learn  # noqa: E402
-from tiswarm.learn.observations import action_of  # noqa: E402
+from tiswarm.learn.observations import (  # noqa: E402
+    FLIP_FEATURES,
+    ROBOT_FEATURES,
+    action_of,
+)
 
 ROBOTS = 5
 STAY = 36
@@ -208,6 +213,17 @@ def test_actions_outside_the_space_are_refused(actions, problem):
 
     with pytest.raises(tiswarm.InputError, match=problem):
         environment.step(np.array(actions))
+
+
+def test_the_guide_lists_tasks_and_features():
+    """Whoever writes a policy reads there what each number is."""
+    page = (Path(__file__).parents[2] / "docs/guides/learning.md").read_text(encoding="utf-8")
+
+    for name, task in tiswarm.learn.TASKS.items():
+        assert f"| `{name}` | {task.aim} | {task.measure.__name__} | {task.unit} |" in page
+    for entry in (*FLIP_FEATURES, *ROBOT_FEATURES):
+        bounds = f"{entry.low:g} | {entry.high:g}"
+        assert f"| `{entry.name}` | {entry.unit} | {bounds} | {entry.meaning} |" in page
 
 
 def test_agents_of_a_row_without_a_climber_may_only_stay():

@@ -4,7 +4,7 @@ The return of an episode is the measure of its finished structure: rewards are c
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,6 +83,7 @@ class Task:
 
 
 _RUBBLE = [{"kind": "plane"}, {"kind": "mesh", "file": "terrain/rubble.stl", "resolution": 0.5}]
+_PAYLOAD = {"payload": {"weight": 5.0}}  # of robots; the highest one carries it
 
 
 def _bridge(gap: float, **settings: object) -> Task:
@@ -105,12 +106,15 @@ TASKS: Mapping[str, Task] = {
     "Bridge": _bridge(20.0),
     "Bridge30": _bridge(30.0),
     "Bridge40": _bridge(40.0),
-    "BreakingBridge": _bridge(20.0, strength={"limit": 500.0}),
+    "BreakingBridge": replace(
+        _bridge(20.0, strength={"limit": 500.0}), aim="close a gap of 20 R with docks that break"
+    ),
     "RubbleTower": Task(
-        aim="build high on rubble",
-        structure={"kind": "tower", "terrain": _RUBBLE},
+        aim="carry a payload high on rubble",
+        structure={"kind": "tower", "terrain": _RUBBLE, "mechanics": _PAYLOAD},
         measure=height,
         unit="R",
+        most_steps=8000,  # robots climb stones, too, and most start several times
     ),
 }
 """Tasks by name."""
