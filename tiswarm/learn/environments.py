@@ -19,7 +19,6 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.learn.episodes import Episodes, infos_of
 from tiswarm.learn.observations import FLIP_FEATURES, ROBOT_FEATURES, Feature
-from tiswarm.learn.tasks import task_of
 from tiswarm.world.choices import ClimbStep
 
 Observed = dict[str, NDArray[Any]]
@@ -137,10 +136,14 @@ class TaskVectorEnv(VectorEnv[Observed, Ints, NDArray[Any]]):
         Raises:
             InputError: an argument has a mistake.
         """
-        self._episodes = Episodes(task, num_envs, robots=robots, settings=settings, threads=threads)
-        self._most_steps = max_episode_steps
-        if max_episode_steps is None:
-            self._most_steps = task_of(task).most_steps
+        self._episodes = Episodes(
+            task,
+            num_envs,
+            robots=robots,
+            settings=settings,
+            most_steps=max_episode_steps,
+            threads=threads,
+        )
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self._episodes)
         self.single_action_space = spaces.Discrete(self._episodes.action_count)
@@ -148,7 +151,7 @@ class TaskVectorEnv(VectorEnv[Observed, Ints, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._is_seeded = False
         self._steps = np.zeros(num_envs, np.int64)
-        self._is_done = np.zeros(num_envs, np.bool_)
+        self._is_done: Bools = np.zeros(num_envs, np.bool_)
 
     @property
     def climb_step(self) -> ClimbStep:
@@ -192,7 +195,7 @@ class TaskVectorEnv(VectorEnv[Observed, Ints, NDArray[Any]]):
         self._is_done[:] = False
         return self._observed()
 
-    def step(self, actions: ArrayLike) -> tuple[Observed, Reals, Bools, Bools, Infos]:  # type: ignore[override]
+    def step(self, actions: ArrayLike) -> tuple[Observed, Reals, Bools, Bools, Infos]:
         """Let all climbers act, and begin the episodes that were over before.
 
         Raises:
@@ -205,7 +208,7 @@ class TaskVectorEnv(VectorEnv[Observed, Ints, NDArray[Any]]):
         self._steps[begins] = 0
         rewards[begins] = 0.0
         terminated = is_over & ~begins
-        truncated = ~terminated & (self._steps >= self._most_steps)
+        truncated = ~terminated & (self._steps >= self._episodes.most_steps)
         self._is_done = terminated | truncated
         observed, infos = self._observed()
         return observed, rewards, terminated, truncated, infos
@@ -218,16 +221,18 @@ class TaskVectorEnv(VectorEnv[Observed, Ints, NDArray[Any]]):
         return observation._asdict(), infos
 
 
-def observation_space(episodes: Episodes) -> spaces.Dict:
-    """Return the space of what one climber observes."""
+def observation_space(episodes: Episodes) -> spaces.Space[Observed]:
+    """Return the space of what one climber observes, a dictionary."""
     flips = episodes.action_count - 2
-    return spaces.Dict(
+    space: Any = spaces.Dict(
         {
             "flips": _box(FLIP_FEATURES, (flips, len(FLIP_FEATURES))),
             "robot": _box(ROBOT_FEATURES, (len(ROBOT_FEATURES),)),
             "action_mask": spaces.MultiBinary(episodes.action_count),
         }
     )
+    observed: spaces.Space[Observed] = space
+    return observed
 
 
 def _box(features: tuple[Feature, ...], shape: tuple[int, ...]) -> spaces.Box:

@@ -32,6 +32,7 @@ class Episodes:
         robots: int | None = None,
         movers: int = 1,
         settings: Mapping[str, ArrayLike] | None = None,
+        most_steps: int | None = None,
         threads: int | None = None,
     ) -> None:
         """Let the first robots start.
@@ -42,12 +43,15 @@ class Episodes:
             robots: Robots in each; as many as the task says if None.
             movers: Robots that climb at the same time.
             settings: Keys of the structure, with a value for each of S, or one for all.
+            most_steps: Steps after which an episode is cut off; the task's if None.
             threads: CPU threads; all that this process may use if None.
 
         Raises:
             InputError: an argument has a mistake.
         """
         self.task = task_of(task)
+        self.most_steps = self.task.most_steps if most_steps is None else most_steps
+        """Steps after which an episode is cut off."""
         self.robots = self.task.robots if robots is None else robots
         structure: dict[str, Any] = {**self.task.structure, "movers": movers}
         self.growth = Growth(

@@ -21,7 +21,7 @@ from tiswarm.learn.episodes import Episodes, infos_of
 _MOST_SEEDS = 2**31
 
 
-class TaskParallelEnv(ParallelEnv[str, Observed, np.int64]):
+class TaskParallelEnv(ParallelEnv[str, Observed, np.int64]):  # type: ignore[misc] # no types
     """A structure that grows by the choices of several climbers."""
 
     metadata: dict[str, Any] = {"render_modes": [], "name": "tiswarm_v0"}  # noqa: RUF012 - as PettingZoo
@@ -50,11 +50,14 @@ class TaskParallelEnv(ParallelEnv[str, Observed, np.int64]):
             InputError: an argument has a mistake.
         """
         self._episodes = Episodes(
-            task, 1, robots=robots, movers=movers, settings=settings, threads=threads
+            task,
+            1,
+            robots=robots,
+            movers=movers,
+            settings=settings,
+            most_steps=max_episode_steps,
+            threads=threads,
         )
-        self._most_steps = max_episode_steps
-        if max_episode_steps is None:
-            self._most_steps = self._episodes.task.most_steps
         self.possible_agents = [f"climber_{row}" for row in range(self._episodes.rows)]
         self.agents: list[str] = []
         self.render_mode = None
@@ -66,7 +69,7 @@ class TaskParallelEnv(ParallelEnv[str, Observed, np.int64]):
         self._steps = 0
         self._is_seeded = False
 
-    def observation_space(self, agent: str) -> spaces.Dict:
+    def observation_space(self, agent: str) -> spaces.Space[Observed]:
         """Return the space of what an agent observes."""
         return self._observation_spaces[agent]
 
@@ -110,7 +113,7 @@ class TaskParallelEnv(ParallelEnv[str, Observed, np.int64]):
         chosen = [int(actions.get(agent, stay)) for agent in self.possible_agents]
         reward, is_over = self._episodes.step(np.array(chosen))
         self._steps += 1
-        is_cut_off = not is_over[0] and self._steps >= self._most_steps
+        is_cut_off = not is_over[0] and self._steps >= self._episodes.most_steps
         observed, infos = self._observed()
         agents = self.agents
         if is_over[0] or is_cut_off:
