@@ -103,6 +103,20 @@ def test_steps_tell_who_joined_and_who_was_lost():
     assert growth.present.sum(axis=1).tolist() == (joined - lost).tolist()
 
 
+def test_a_caller_lets_robots_leave():
+    """Founders stay; who hangs on those that leave falls, and the others are solved anew."""
+    growth = tiswarm.Growth("tower", robots=8, seeds=2)
+
+    while not growth.is_over.all():
+        leave = growth.present & (growth.robot_count == 5)[:, None]
+        growth.step(tiswarm.reactive_build(growth.observe()), leave=leave)
+
+    for structure in growth.swarms():
+        assert len(structure.walks) == 8
+        assert sorted(structure.departures[:, 0].tolist()) == [1, 2, 3, 4]
+        assert np.isnan(structure.sensed[1:5]).all()
+
+
 def test_equal_seeds_take_different_choices():
     """A population is compared on one draw of starts."""
     growth = tiswarm.Growth("tower", robots=6, seeds=[5, 5])
@@ -148,6 +162,10 @@ WRONG = {
     "choices that are no integers": (
         lambda: tiswarm.Growth("tower", seeds=2).step([0.5, 1.5]),
         "choices are float64; give integers",
+    ),
+    "leavers of another shape": (
+        lambda: tiswarm.Growth("tower", robots=5, seeds=2).step([-1, -1], leave=[True, False]),
+        r"leave: is bool of shape \(2,\); give truth values of shape \(2, 5\)",
     ),
     "a structure that is not there": (
         lambda: tiswarm.Growth("tower", seeds=2).reset([2]),

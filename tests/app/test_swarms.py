@@ -487,6 +487,16 @@ class Idle:
 """
 
 
+@pytest.mark.parametrize(("seeds", "more"), [(2, "1 more reason"), (3, "2 more reasons")])
+def test_a_warning_counts_the_reasons_that_it_leaves_out(seeds, more):
+    """Towers of weak docks that fall after different joins; one reason is singular."""
+    tower = {"kind": "tower", "recruit_limit": 0, "strength": {"limit": 60.0}}
+    early = rf"^{seeds} of {seeds} structures ended .* the structure fell once .* \(and {more}\)$"
+
+    with pytest.warns(ResultWarning, match=early):
+        library.grow(tower, robots=12, seeds=seeds, quiet=True)
+
+
 @pytest.mark.usefixtures("_forget")
 def test_structures_that_end_early_are_one_warning(bridges, tmp_path):
     """Its reason names the rule that was chosen; a bridge that closes is no early end."""

@@ -291,6 +291,36 @@ def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
     assert registry.contents() == ()
 
 
+@pytest.mark.parametrize(
+    "decorator",
+    [
+        'strength("own")',
+        'method("own")',
+        'sensor("own", fills="ranges")',
+        'channel("own")',
+        'force("own")',
+        'integrator("own")',
+        'measure("own", meaning="nothing")',
+        'export_format("own", ".own")',
+        'import_format("own", ".own")',
+        'figure("own", "Nothing.")',
+    ],
+)
+@pytest.mark.parametrize("wrong", ["class Own:\n    size: float = 1.0\n", "5"])
+def test_what_has_to_be_a_function_is_nothing_else(files, decorator, wrong):
+    """The line of the decorator, before anything is checked or computed."""
+    code = f"import tiswarm\n\n\n@tiswarm.{decorator}\n{wrong}"
+    if wrong == "5":
+        code = f"import tiswarm\n\ntiswarm.{decorator}(5)\n"
+    (files / "own.py").write_text(code)
+
+    with pytest.raises(InputError, match=r"own.py:[34]: .* own is (the class Own|5); ") as caught:
+        library.check("own.yaml", plugins=["own.py"])
+
+    assert "define a function" in caught.value.problem
+    assert registry.contents() == ()
+
+
 def test_a_plugin_that_is_missing_is_a_line(tiswarm, files):
     """A wrong path is no traceback."""
     done = tiswarm("check", "own.yaml", "--plugin", "none.py", cwd=files)

@@ -232,16 +232,41 @@ def test_a_law_of_a_plugin_breaks_contacts():
     assert len(history.broken)
 
 
-def test_what_a_law_wrongly_returns_is_a_line():
+@pytest.mark.parametrize("least", [-1.0, -0.0])
+def test_a_load_below_zero_loads_nothing(least):
+    """A contact that a law finds pressed has no margin, as one that `tension` finds pressed."""
+
+    @tiswarm.strength("pull-of-a-test")
+    def pull(loads):
+        return np.where(loads.axial > 0.0, loads.axial, least * np.abs(loads.axial))
+
+    law = StrengthParams(law="pull-of-a-test", limit=1e3)
+
+    history = grown(TowerParams(strength=law), robots=12, seed=2000)
+
+    tension = StrengthParams(law="tension", limit=1e3)
+    expected = grown(TowerParams(strength=tension), robots=12, seed=2000)
+    assert (history.contact_load[:, 0] < 0.0).any()
+    assert not np.signbit(history.contact_load[:, 5]).any()
+    np.testing.assert_array_equal(history.contact_load, expected.contact_load)
+    np.testing.assert_array_equal(history.margin, expected.margin)
+
+
+@pytest.mark.parametrize(
+    ("law", "problem"),
+    [
+        (lambda _loads: 1.0, "return numbers of shape"),
+        (lambda loads: np.full_like(loads.axial, np.nan), "not finite; return finite numbers"),
+        (lambda loads: np.full_like(loads.axial, -np.inf), "not finite; return finite numbers"),
+    ],
+)
+def test_what_a_law_wrongly_returns_is_a_line(law, problem):
     """Of another shape, or not finite."""
+    tiswarm.strength("wrong-of-a-test")(law)
 
-    @tiswarm.strength("one-of-a-test")
-    def one(_loads):
-        return 1.0
+    params = TowerParams(strength=StrengthParams(law="wrong-of-a-test", limit=1.0))
 
-    params = TowerParams(strength=StrengthParams(law="one-of-a-test", limit=1.0))
-
-    with pytest.raises(tiswarm.base.plugins.PluginError, match="return numbers of shape"):
+    with pytest.raises(tiswarm.base.plugins.PluginError, match=problem):
         grown(params, robots=3, seed=0)
 
 

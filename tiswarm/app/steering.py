@@ -43,7 +43,7 @@ class StepOutcome(NamedTuple):
 class Growth:
     """S structures of up to N robots that grow by choices of the caller.
 
-    Robots start, climb flip by flip as `step` is told, join where they stay, and make calls for
+    Robots start, climb flip by flip as `step` says, join where they stay, and make calls for
     help by their settings. A structure does not wait for others. What grows depends on its seed,
     settings and choices alone: not on other structures, nor on the number of threads.
     """
@@ -105,12 +105,15 @@ class Growth:
         return self._steered.observe()
 
     @backend.exclusive()
-    def step(self, choices: ArrayLike) -> StepOutcome:
+    def step(self, choices: ArrayLike, *, leave: ArrayLike | None = None) -> StepOutcome:
         """Let climbers do what was chosen.
 
         Args:
             choices: For each of the M climbers of `observe`, the number of a possible flip, -1 to
-                stay, or `step.back(s)` to go back to stance s and stay there; integers, shape (M,).
+                stay, `step.back(s)` to go back to stance s and stay there, or `step.wait` to stand
+                there until the next round; integers, shape (M,).
+            leave: Robots that leave when the round of their structure ends, shape (S, N); nobody if
+                None. Founders stay.
 
         Raises:
             InputError: a climber cannot do what was chosen; nothing has changed then.
@@ -123,6 +126,12 @@ class Growth:
         fault = fault_of_choice(chosen, observed)
         if fault:
             raise InputError(f"choices are {fault}", argument="choices")
+        if leave is not None:
+            leavers = np.asarray(leave)
+            if leavers.dtype.kind != "b" or leavers.shape != self._batch.leaves.shape:
+                problem = f"is {leavers.dtype} of shape {leavers.shape}; give truth values of shape"
+                raise InputError(f"{problem} {self._batch.leaves.shape}", argument="leave")
+            self._batch.leaves |= leavers
         joined = self.robot_count
         present = self.present.sum(axis=1)
         self._steered.step(chosen.astype(np.int32))
@@ -213,7 +222,7 @@ class Growth:
         if any(of_structure != params[0] for of_structure in params):
             problem = "structures of different settings do not go together; ask for those of one"
             raise InputError(problem, argument="numbers")
-        histories = [self._batch.structures[number].history() for number in chosen]
+        histories = self._batch.histories(np.array(chosen))
         for history in histories:
             if not history.walks:
                 raise InputError(f"seed {history.seed}: no robot joined: {history.ended}")
@@ -274,7 +283,7 @@ def _changed(settings: Any, path: Sequence[str], value: object, key: str) -> Any
 
 
 def _seeds(given: int | Sequence[int]) -> list[int]:
-    """List seeds, of which one may occur often.
+    """List seeds; one may occur often.
 
     Raises:
         InputError: they are no seeds.

@@ -29,7 +29,7 @@ from tiswarm.base.params import METHOD, AnyMovie
 from tiswarm.compute import backend
 from tiswarm.evaluation import tables
 from tiswarm.measurements.cues import cue_names
-from tiswarm.records.io import open_input
+from tiswarm.records.io import DAMAGED, open_input
 from tiswarm.records.measures import (
     BROKEN,
     DISPARITY,
@@ -60,7 +60,7 @@ from tiswarm.sensing import SensingParams, observe
 from tiswarm.world import growth
 from tiswarm.world.ground.surface import shown_ground
 from tiswarm.world.history import History, StanceRows
-from tiswarm.world.history_file import DAMAGED, find_fault, from_arrays, to_arrays
+from tiswarm.world.history_file import find_fault, from_arrays, to_arrays
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -391,6 +391,15 @@ class Swarms(Sequence[GrownStructure]):
         return [structure.stability for structure in self]
 
     @property
+    def sent(self) -> Ints:
+        """Bytes that robots sent by the rule of growth, 0 without messages, shape (S, N)."""
+        return self._padded(
+            lambda structure: (
+                structure.sent if len(structure.sent) else np.zeros(structure.robot_count, np.int64)
+            )
+        )
+
+    @property
     def broken(self) -> Ints:
         """Contacts that broke, in order, shape (B, 6).
 
@@ -698,7 +707,7 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
     if early:
         count = counted(len(histories), "structure")
         reasons = {history.ended for history in early}
-        more = f" (and {len(reasons) - 1} more reasons)" if len(reasons) > 1 else ""
+        more = f" (and {counted(len(reasons) - 1, 'more reason')})" if len(reasons) > 1 else ""
         warn(f"{len(early)} of {count} ended before all robots joined: {early[0].ended}{more}")
     return Swarms([GrownStructure.of(history, scenario) for history in histories], scenario)
 

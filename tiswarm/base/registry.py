@@ -156,6 +156,9 @@ class Registered:
     value: Any
 
 
+_OF_CLASSES = ("structure", "rule", "terrain")
+"""Kinds that plug-ins may add as classes; all others are functions."""
+
 _entries: dict[tuple[str, str], Registered] = {}
 """By kind and name, what plug-ins registered."""
 
@@ -213,8 +216,11 @@ def register(kind: str, name: str, value: object, source: Callable[..., object])
         source: Function of the plug-in, whose file and code count.
 
     Raises:
-        InputError: the package or another plug-in has the name.
+        InputError: the package or another plug-in has the name, or the source is no function of a
+            kind that is one.
     """
+    if kind not in _OF_CLASSES:
+        require_function(kind, name, source)
     if name in BUILT_IN[kind]:
         problem = f"{_words(kind, name)} is taken by {_PACKAGE} itself; choose another name"
         raise InputError(problem)
@@ -224,6 +230,24 @@ def register(kind: str, name: str, value: object, source: Callable[..., object])
         problem = f"{_words(kind, name)} is taken by {entry.plugin.file}; choose another name"
         raise InputError(problem)
     _entries[kind, name] = Registered(plugin=plugin, value=value)
+
+
+def require_function(kind: str, name: str, value: object) -> None:
+    """Refuse what is no function; the call of a class would only fail while something is computed.
+
+    Args:
+        kind: Kind of what a plug-in registers.
+        name: Its name.
+        value: What is decorated.
+
+    Raises:
+        InputError: it cannot be called, or is a class.
+    """
+    if callable(value) and not isinstance(value, type):
+        return
+    described = f"the class {value.__name__}" if isinstance(value, type) else repr(value)
+    advice = "define a function, which may read numbers of its module"
+    raise InputError(f"{_words(kind, name)} is {described}; {advice}")
 
 
 @contextmanager

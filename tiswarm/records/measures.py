@@ -20,7 +20,7 @@ from inspect import Parameter, signature
 from typing import Any, Literal, TypeVar
 
 from tiswarm.base.errors import InputError
-from tiswarm.base.registry import register, registered
+from tiswarm.base.registry import register, registered, require_function
 
 FEWEST = 5
 """Structures below which there is a range, but no confidence interval and no test, and no error is
@@ -604,6 +604,7 @@ def measure(
         raise InputError(f"measure {name} is taken by tiswarm itself; choose another name")
 
     def add(value: _Value) -> _Value:
+        require_function("measure", name, value)  # before its arguments are read
         asks, optional, by_name = _asked(name, value)
         made = PluginMeasure(
             name,

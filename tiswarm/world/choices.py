@@ -1,7 +1,7 @@
 """Climbs that are steered flip by flip, by a rule in Python or from outside.
 
-Kernels list what each climber touches and which flips it may take; whoever steers chooses for all
-climbers of all structures at once.
+Kernels list what each climber touches and which flips it may take; a rule or a
+caller chooses for all climbers of all structures at once.
 """
 
 from functools import cached_property
@@ -30,13 +30,17 @@ _DRAW_BITS = 16
 STAY = -1
 """A climber's choice to stay where it is."""
 
+WAIT = int(np.iinfo(np.int32).min)
+"""A climber's choice to wait at its stance until the next round."""
+
 
 class ClimbStep:
     """What climbers that choose see: M of them in S structures, each with K flips.
 
-    A choice is the number of a possible flip, -1 to stay at the current stance, or `back(s)` to
-    go back to an earlier stance and stay there. Who stays where it touches no robot is taken away
-    and starts again. Arrays of the structures cannot be written: copy them first.
+    A choice is the number of a possible flip, -1 to stay at the current stance, `back(s)` to
+    go back to an earlier stance and stay there, or `wait` to stand there for a round. Who stays
+    where it touches no robot is taken away and starts again. Arrays of the structures cannot be
+    written: copy them first.
     """
 
     def __init__(
@@ -48,8 +52,13 @@ class ClimbStep:
         slots: _Slots,
         sensed: Reals,
         present: AnyInts,
+        memory: Reals,
+        said: Reals,
     ) -> None:
         """Take the arrays of all slots, and the slots of those who choose, shape (M,)."""
+        self._said = said
+        self.memory: Reals = memory[slots]
+        """Numbers that each robot keeps, `memory` of the rule; those written stay, (M, W)."""
         self._walks = walks
         self._structures = structures
         self._flips = flips
@@ -102,6 +111,14 @@ class ClimbStep:
     def pivot(self) -> AnyInts:
         """Dock about which each flip turns, shape (K,)."""
         return np.repeat(np.arange(self._walks.docks), self.angle.shape[1] // self._walks.docks)
+
+    @cached_property
+    def heard(self) -> Reals:
+        """Last message of the dock that each dock touches, or NaN, shape (M, n, B)."""
+        docks = self._walks.docks
+        robot, dock = np.divmod(np.maximum(self.touching[:, :, 0], 0), docks)
+        heard = self._said[self.structure[:, None], robot, dock]
+        return np.where((self.touching[:, :, 0] >= 0)[:, :, None], heard, np.nan)
 
     @cached_property
     def end(self) -> Reals:
@@ -158,6 +175,11 @@ class ClimbStep:
         draw = (self.stance.astype(np.int64) << _DRAW_BITS)[:, None] + np.arange(count)
         return uniform(self._walks.seed[self._slots, None], stream, self.robot[:, None], draw)
 
+    @property
+    def wait(self) -> int:
+        """The choice to stand at the current stance until the next round."""
+        return WAIT
+
     def back(self, stance: AnyInts | int) -> AnyInts:
         """Return the choice to go back to a stance, 0 up to the current one, and stay there.
 
@@ -171,7 +193,13 @@ class ChoiceClimb:
     """Robots that climb by choices: those that still walk, and the flips that they may take."""
 
     def __init__(
-        self, walks: Walks, structures: StructureArrays, sensed: Reals, present: AnyInts
+        self,
+        walks: Walks,
+        structures: StructureArrays,
+        sensed: Reals,
+        present: AnyInts,
+        memory: Reals,
+        said: Reals,
     ) -> None:
         """Reserve room for the flips of all slots.
 
@@ -180,7 +208,11 @@ class ChoiceClimb:
             structures: What they climb.
             sensed: Load that each robot sensed at the last solve, shape (S, N).
             present: Whether each robot has not left, shape (S, N).
+            memory: What climbers keep, shape (slots, W).
+            said: What each dock of those that have joined said last, shape (S, N, n, B).
         """
+        self._memory = memory
+        self._said = said
         self._walks = walks
         self._structures = structures
         self._sensed = sensed
@@ -194,9 +226,12 @@ class ChoiceClimb:
             visited=np.zeros((slots, self._flip_count), np.int32),
         )
         self._met = np.zeros((slots, Sensed.TOTAL), np.int32)
+        self.waits = np.zeros(slots, np.bool_)
+        """Whether the robot in each slot waits for the next round, shape (slots,)."""
         self.is_walking = np.zeros(slots, np.bool_)
         """Whether the robot in each slot has not stayed yet, shape (slots,)."""
         self._asked: _Slots = np.empty(0, np.int32)
+        self._step: ClimbStep | None = None
 
     def begin(self, slots: _Slots) -> None:
         """Let robots walk on from their first stance."""
@@ -204,6 +239,7 @@ class ChoiceClimb:
         walks.stances.last[slots] = walks.climbers.first_stance[slots]
         walks.state[slots] = WALKING
         self.is_walking[slots] = True
+        self.waits[slots] = False
 
     def observe(self) -> ClimbStep:
         """List what all that walk may choose; those that are put stay where they start."""
@@ -218,7 +254,7 @@ class ChoiceClimb:
         put = walking[is_put]
         self._stay(put, walks.stances.last[put])
         self._asked = walking[~is_put]
-        return ClimbStep(
+        self._step = ClimbStep(
             walks,
             self._structures,
             self._flips,
@@ -226,15 +262,22 @@ class ChoiceClimb:
             self._asked,
             self._sensed,
             self._present,
+            self._memory,
+            self._said,
         )
+        return self._step
 
     def take(self, choice: AnyInts) -> None:
         """Let those that were listed last do what was chosen, shape (M,)."""
         stances = self._walks.stances
+        if self._step is not None:
+            self._memory[self._asked] = self._step.memory
         last = stances.last[self._asked]
         goes = choice >= 0
-        stay = np.where(choice < STAY, -2 - choice, last)
+        waits = choice == WAIT
+        stay = np.where(waits | (choice == STAY), last, -2 - choice)
         self._stay(self._asked[~goes], stay[~goes])
+        self.waits[self._asked[waits]] = True
         walking = self._asked[goes]
         stance = last[goes]
         flip = choice[goes]
@@ -293,13 +336,14 @@ def fault_of_choice(choice: AnyInts, step: ClimbStep) -> str:
     flips = np.flatnonzero(choice >= 0)
     last = step.possible.shape[1] - 1
     cannot = flips[~step.possible[flips, np.minimum(choice[flips], last)]]
-    cannot = np.append(cannot, np.flatnonzero((choice > last) | (choice < step.back(step.stance))))
+    is_too_low = (choice < step.back(step.stance)) & (choice != WAIT)
+    cannot = np.append(cannot, np.flatnonzero((choice > last) | is_too_low))
     if not len(cannot):
         return ""
     m = int(cannot.min())
     return (
-        f"{choice[m]} for climber {m}; return a possible flip, {STAY} to stay, or step.back(s) "
-        f"for an earlier stance s of its {step.stance[m] + 1}"
+        f"{choice[m]} for climber {m}; return a possible flip, {STAY} to stay, step.wait, or "
+        f"step.back(s) for an earlier stance s of its {step.stance[m] + 1}"
     )
 
 

@@ -14,12 +14,13 @@ to their aid (`walks.py`).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import AnyInts, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
@@ -30,6 +31,7 @@ from tiswarm.world.climb_kernels import BelievedDocks, StructureArrays, list_doc
 from tiswarm.world.ground.solid import SolidGround
 from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
 from tiswarm.world.mechanics import ContactLoads, Frames, LoadSummary, StructureFailure, parts
+from tiswarm.world.members import LocalStep, MemberArrays
 from tiswarm.world.params import (
     ReactiveBuild,
     StructureParams,
@@ -80,12 +82,13 @@ def grow(
     if hasattr(params.rule, "choose"):
         steered = SteeredGrowth(batch, together=True, on_progress=on_progress)
         while not steered.is_over.all():
-            steered.step(params.rule.choose(steered.observe()))
+            steered.step(chosen_by(params.rule, steered.observe()))
     else:
         while len(movers := batch.spawn(batch.numbers)):
             batch.walks.climb_by_score(batch.arrays, batch.believed, movers)
-            on_progress(batch.end_round(movers))
-    return [structure.history() for structure in batch.structures]
+            on_progress(batch.end_round(movers, np.unique(batch.structure_of[movers])))
+        batch.act_on(batch.numbers)
+    return batch.histories(batch.numbers)
 
 
 _OWN_CLIMB = ("patience", "settle", "max_spawns")
@@ -119,7 +122,14 @@ class SteeredGrowth:
         self._batch = batch
         self._together = together
         self._on_progress = on_progress
-        self._climb = ChoiceClimb(batch.walks, batch.arrays, batch.sensed, batch.present)
+        self._climb = ChoiceClimb(
+            batch.walks,
+            batch.arrays,
+            batch.sensed,
+            batch.present,
+            batch.members.memory_of_climber,
+            batch.members.said,
+        )
         self._step: ClimbStep | None = None
         self.is_over = np.zeros(len(batch.structures), np.bool_)
         """Whether each structure is complete, or ended early, shape (S,)."""
@@ -154,9 +164,12 @@ class SteeredGrowth:
 
     def _begin(self, numbers: AnyInts) -> None:
         """Let robots start, or walk on, in structures where nobody walks."""
-        movers = self._batch.spawn(numbers)
+        batch = self._batch
+        movers = batch.spawn(numbers)
         self._climb.begin(movers)
-        self.is_over[np.setdiff1d(numbers, self._batch.structure_of[movers])] = True
+        complete = np.setdiff1d(numbers, batch.structure_of[movers])
+        batch.act_on(complete)
+        self.is_over[complete] = True
 
     def _end_rounds(self) -> bool:
         """End the round where all climbers have stayed, and begin the next one; whether any did."""
@@ -168,9 +181,20 @@ class SteeredGrowth:
             return False
         movers = np.flatnonzero(batch.moving & ends[batch.structure_of]).astype(np.int32)
         self._climb.settle(movers)
-        self._on_progress(batch.end_round(movers))
-        self._begin(np.flatnonzero(ends))
+        numbers = np.flatnonzero(ends)
+        self._on_progress(batch.end_round(movers, numbers, self._climb.waits))
+        self._begin(numbers)
         return True
+
+
+def chosen_by(rule: Any, step: ClimbStep) -> AnyInts:  # noqa: ANN401 - settings of any rule
+    """Let a rule choose for all climbers, each by what it knows itself if the rule is local."""
+    if not getattr(rule, "is_local", False):
+        return np.asarray(rule.choose(step))
+    local = LocalStep(step)
+    choice: AnyInts = rule.choose(local)
+    local.remember()
+    return choice
 
 
 class GrowthBatch:
@@ -197,7 +221,9 @@ class GrowthBatch:
         """
         self.robots = robots
         self.believe = believe
-        self.loses = any(of.departures is not None or of.strength is not None for of in params)
+        self.rule = params[0].rule
+        self.loses = hasattr(self.rule, "act")
+        self.loses |= any(of.departures is not None or of.strength is not None for of in params)
         self.turn = turn
         robot = params[0].robot(robot)
         self.robot = robot
@@ -230,6 +256,16 @@ class GrowthBatch:
         self.call = np.zeros((count, robots), np.int32)
         self.rounds = np.zeros(count, np.int32)
         self.present = np.ones((count, robots), np.int32)
+        self.leaves = np.zeros((count, robots), np.bool_)
+        """Robots that are to leave at the end of the round, if they may, shape (S, N)."""
+        self.members = MemberArrays(
+            self.rule,
+            structures=count,
+            robots=robots,
+            slots=len(self.structure_of),
+            docks=robot.dock_count,
+        )
+        self.members.seed[:] = seeds
         self.mute = np.zeros((count, robots), np.bool_)
         self.sensed = np.zeros((count, robots))
 
@@ -245,6 +281,8 @@ class GrowthBatch:
         self.present[number] = 1
         self.mute[number] = False
         self.rounds[number] = 0
+        self.leaves[number] = False
+        self.members.clear(number, seed)
         slots = self.structure_of == number
         self.moving[slots] = False
         self.walks.restart(number, slots, seed, params)
@@ -281,6 +319,7 @@ class GrowthBatch:
         for slot, spawn in self._place(starts).items():
             structure = self.structures[self.structure_of[slot]]
             self.walks.start(slot, spawn)
+            self.members.memory_of_climber[slot] = 0.0
             if self.turn:
                 number = len(structure.walks) + int(climbing[structure.number])
                 turns = self.walks.turn[slot]
@@ -323,39 +362,119 @@ class GrowthBatch:
         for (place, _), height in zip(poses, level, strict=True):
             place[2] = height
 
-    def end_round(self, movers: NDArray[np.int32]) -> int:
-        """Let all movers of some structures join that can, in their slots of shape (M,).
+    def histories(self, numbers: AnyInts) -> list[History]:
+        """Return the histories of some structures, shape (k,)."""
+        histories = []
+        for number in numbers:
+            history = self.structures[number].history()
+            if self.members.said.shape[-1]:
+                sent = self.members.sent[number, : len(history.walks)]
+                history = replace(history, sent=sent.copy())
+            histories.append(history)
+        return histories
+
+    def act_on(self, numbers: AnyInts) -> None:
+        """Let robots of complete structures, shape (k,), act for the rounds that the rule asks."""
+        if not hasattr(self.rule, "act"):
+            return
+        acting = np.array([n for n in numbers if self.structures[n].walks], np.int64)
+        for _ in range(int(getattr(self.rule, "rounds_after", 0)) if len(acting) else 0):
+            self._act(acting, [])
+            self.rounds[acting] += 1
+
+    def end_round(
+        self, movers: NDArray[np.int32], numbers: AnyInts, waits: Bools | None = None
+    ) -> int:
+        """Let all movers of some structures join that can, and robots that have joined act.
+
+        Args:
+            movers: Slots of the robots that climbed, shape (M,).
+            numbers: Structures whose round ends, shape (k,).
+            waits: Whether the robot in each slot waits for the next round, shape (slots,).
 
         Returns:
-            How many did.
+            How many joined.
         """
         walks = self.walks
         walks.refuse_overlaps(movers)
         climbed = self.structure_of[movers]
-        numbers = np.unique(climbed)
+        is_waiting = np.zeros(len(movers), np.bool_) if waits is None else waits[movers]
         wants = np.zeros(len(self.structure_of), np.int32)
         founding = np.zeros(len(self.structures), np.bool_)
         founding[numbers] = [self.structures[number].founding for number in numbers]
         touching = walks.stances.touching[movers, walks.stances.stay[movers], :, 0].max(axis=1) >= 0
-        wants[movers] = touching | founding[climbed]
+        wants[movers] = (touching | founding[climbed]) & ~is_waiting
         walks.join(self.arrays, movers, wants)
         # A walk that an earlier join disturbed goes on from its first stance that changed.
         joined = walks.joined[movers] >= 0
-        goes_on = ~joined & (walks.disturbed[movers] > 0)
+        disturbed = walks.disturbed[movers]
+        goes_on = ~joined & ((disturbed > 0) | (is_waiting & (disturbed < 0)))
         self.moving[movers] = goes_on
-        walks.climbers.first_stance[movers[goes_on]] = walks.disturbed[movers[goes_on]]
+        first_stance = np.where(disturbed < 0, walks.stances.last[movers], disturbed)
+        walks.climbers.first_stance[movers[goes_on]] = first_stance[goes_on]
         for slot in movers[~goes_on]:
             structure = self.structures[self.structure_of[slot]]
             if walks.joined[slot] >= 0:
                 walk = walks.walk(slot, int(self.rounds[structure.number]))
+                self._admit_member(slot, structure.number)
                 structure.join(walk, self.arrays.dock[structure.number])
             elif not wants[slot]:
                 structure.turn_away()
+        for number in np.setdiff1d(climbed[is_waiting], climbed[joined]):
+            self.structures[number].wait()
         self.rounds[numbers] += 1
         grown = [self.structures[s] for s in np.unique(climbed[joined])]
+        self._act(numbers, grown)
+        has_ended = np.zeros(len(self.structures), np.bool_)
+        has_ended[numbers] = [bool(self.structures[number].ended) for number in numbers]
+        self.moving &= ~has_ended[self.structure_of]
+        if self.believe and grown:
+            self._update_beliefs(grown, self.believe)
+        return int(joined.sum())
+
+    def _admit_member(self, slot: int, number: int) -> None:
+        """Let a robot that joins keep its memory."""
+        members = self.members
+        place = (number, self.walks.joined[slot])
+        stay = self.walks.stances.stay[slot]
+        members.memory[place] = members.memory_of_climber[slot]
+        members.joined_in[place] = members.rounds[number]
+        members.goal[place] = self.walks.climbers.goal[slot]
+        members.center[place] = self.walks.stances.center[slot, stay]
+        members.orientation[place] = self.walks.stances.orientation[slot, stay]
+        members.on_ground[place] = self.walks.stances.on_ground[slot, stay] != 0
+
+    def _let_members_act(self, numbers: AnyInts) -> None:
+        """Let the robots of some structures act by the rule, and note who leaves."""
+        if not hasattr(self.rule, "act"):
+            return
+        members = self.members
+        members.sensed[:] = self.sensed
+        numbers = np.asarray(numbers)
+        docks = self.walks.docks
+        joints = self.frames.joints(numbers)
+        ends = np.concatenate([joints, joints[:, ::-1]])
+        place, dock = np.divmod(ends, self.robots * docks)
+        robot, which = np.divmod(dock, docks)
+        members.contacts = np.column_stack(
+            [numbers[place[:, 0]], robot[:, 0], which[:, 0], robot[:, 1], which[:, 1]]
+        )
+        is_here = self.present != 0
+        is_here &= np.arange(self.robots) < self.arrays.robot_count[:, None]
+        self.leaves |= members.act(self.rule.act, numbers, is_here)
+
+    def _act(self, numbers: AnyInts, grown: "Sequence[GrowingStructure]") -> None:
+        """Let robots act, leave or die, then solve the structures that changed."""
+        self._let_members_act(numbers)
+        leavers = [self.structures[number] for number in numbers if self.leaves[number].any()]
+        lost = [structure for structure in leavers if structure.leave(self.leaves)]
         if self.loses:
-            self._list_remaining([structure for structure in grown if structure.lose()])
-        due = [structure.number for structure in grown if structure.is_due(self.robots)]
+            lost += [structure for structure in grown if structure.lose()]
+        self.leaves[numbers] = False
+        self.loses |= len(lost) > 0
+        self._list_remaining(lost)
+        changed = {structure.number: structure for structure in (*grown, *lost)}
+        due = [n for n, structure in changed.items() if structure.is_due(self.robots)]
         self.frames.solve(due)
         self._break([number for number in due if self.structures[number].params.strength])
         for number in due:
@@ -364,13 +483,7 @@ class GrowthBatch:
             sensed = self.structures[number].sensed
             self.call[number, : len(call)] = call
             self.sensed[number, : len(sensed)] = sensed
-        self._pass_calls_on(grown)
-        has_ended = np.zeros(len(self.structures), np.bool_)
-        has_ended[numbers] = [bool(self.structures[number].ended) for number in numbers]
-        self.moving &= ~has_ended[self.structure_of]
-        if self.believe and grown:
-            self._update_beliefs(grown, self.believe)
-        return int(joined.sum())
+        self._pass_calls_on([*changed.values()])
 
     def _pass_calls_on(self, grown: "Sequence[GrowingStructure]") -> None:
         """Spread the calls of structures that grew."""
@@ -483,6 +596,7 @@ class GrowingStructure:
         self.unsolved = 0  # joins since the mechanics were solved last
         self.spawned = 0
         self.rejected = 0  # robots in a row that found no place
+        self.waited = 0  # rounds in a row in which robots waited and none joined
         self.crossed = False
         self.ended = ""
         self._forget()
@@ -624,6 +738,13 @@ class GrowingStructure:
         """Square of the ground below a place; its side is the clearance."""
         return int(place[0] // self.clearance), int(place[1] // self.clearance)
 
+    def wait(self) -> None:
+        """Count a round in which robots waited and none joined; end growth after too many."""
+        self.waited += 1
+        if self.waited >= self.params.climb.max_spawns:
+            problem = f"robots waited for {self.waited} rounds, and none joined"
+            self.ended = f"{problem}; raise structure.climb.max_spawns, or let them stay"
+
     def turn_away(self) -> None:
         """Count a robot that found no place; end growth after too many in a row."""
         self.rejected += 1
@@ -639,6 +760,7 @@ class GrowingStructure:
         """Make a robot part of the structure; `docks` are the structure's [R], shape (n, 3)."""
         j = len(self.walks)
         self.rejected = 0
+        self.waited = 0
         self.walks.append(walk)
         joining_dock, touched_robot, touched_dock = walk.at_rest(walk.contacts).T
         contacts = np.column_stack(
@@ -695,14 +817,34 @@ class GrowingStructure:
                 self.departures.append((robot, joined, event))
         if len(self.departures) == departures_before:
             return False
-        if params.kind == "leave":
+        self._part(is_leaving=params.kind == "leave")
+        return True
+
+    def leave(self, leaves: Bools) -> bool:
+        """Let robots leave of their own accord, shape (S, N); return whether any did.
+
+        Founders stay, and so do robots that have died.
+        """
+        joined = len(self.walks)
+        leavers = np.flatnonzero(leaves[self.number, :joined] & self.alive[:joined])
+        leavers = leavers[leavers >= self.params.founder_count]
+        self.departures += [(robot, joined, LEFT) for robot in leavers.tolist()]
+        self.alive[leavers] = False
+        if len(leavers):
+            self._part(is_leaving=True)
+        return len(leavers) > 0
+
+    def _part(self, *, is_leaving: bool) -> None:
+        """Take robots that have left, and those that nothing holds without them, away."""
+        joined = len(self.walks)
+        if is_leaving:
             fallen = np.flatnonzero(self.alive[:joined] & ~self.history().is_held)
             self.departures += [(robot, joined, FELL) for robot in fallen.tolist()]
             self.alive[fallen] = False
-            self.frames.remove(self.number, np.flatnonzero(~self.alive))
+            gone = [robot for robot, _, event in self.departures if event != DIED]
+            self.frames.remove(self.number, np.unique(gone))
             self._forget()
         self.unsolved += self.params.solve_every  # the mechanics are due
-        return True
 
     def break_worst(self) -> bool:
         """Break the contact that is farthest over its strength, and let robots fall.
@@ -774,9 +916,9 @@ class GrowingStructure:
 
     def note_loads(self) -> None:
         """Note what the last solve of its mechanics found, and who calls for help."""
+        self.sensed = np.full(len(self.walks), np.nan)
+        self.call = np.zeros(len(self.walks), np.int32)
         if self.has_fallen:
-            self.sensed = np.full(len(self.walks), np.nan)
-            self.call = np.zeros(len(self.walks), np.int32)
             return
         try:
             loads = self.frames.loads(self.number)

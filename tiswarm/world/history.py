@@ -123,6 +123,10 @@ class History:
     number joined and left in between two walks.
     """
 
+    sent: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    """Bytes that each robot has sent by the rule of growth, shape (N,), or empty without
+    messages."""
+
     broken: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 5), np.int32))
     """Contacts that broke, in order, rows of (robot, dock, robot, dock, robots that had joined by
     then), the earlier robot first; robot and dock are -1 for the ground, shape (B, 5)."""

@@ -1,7 +1,6 @@
 """Histories as arrays, as files of these, and the faults that one may have."""
 
 import json
-import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import astuple, fields, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from scipy.spatial import cKDTree
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.records.io import replacing, run_file
+from tiswarm.records.io import DAMAGED, replacing, run_file
 from tiswarm.world.history import DIED, LEFT, History, Walk
 from tiswarm.world.mechanics import MAX_UNBORNE, LoadSummary
 from tiswarm.world.params import StructureParams, structure_ground
@@ -24,7 +23,7 @@ _SINGLE = ("recruited", "round")
 """Fields of a walk that are one value each; the others are arrays."""
 
 _TABLES = tuple(field.name for field in fields(Walk) if field.name not in _SINGLE)
-_LATER = ("departures", "broken", "loaded_contacts", "contact_load")
+_LATER = ("departures", "sent", "broken", "loaded_contacts", "contact_load")
 """Tables of a structure that are not written where they are empty."""
 
 _FACTS = ("seed", "spawns", "crossed", "ended")
@@ -42,9 +41,6 @@ _NOT_UNIT = 1e-6
 
 _MAX_OVERLAP = 1e-9
 """Deepest overlap that rounding may leave [R]."""
-
-DAMAGED = (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile)
-"""Errors of reading a damaged file of structures."""
 
 
 def write_history(history: History, path: Path) -> None:
@@ -128,6 +124,8 @@ def from_arrays(
     _require_within(robot_of, 0, robots, "departures")
     _require_within(joined, 1, robots + 1, "departures")
     _require_within(event, LEFT, DIED + 1, "departures")
+    sent = _array(arrays.get("sent", np.empty(0, np.int32)), "i", 0)
+    _require(len(sent) in {0, robots} and (sent >= 0).all(), "bytes that robots sent")
     broken = _array(arrays.get("broken", np.empty((0, 5), np.int32)), "i", 5)
     _check_contacts(broken[:, :4], robots, geometry.dock_count, "broken")
     _require_within(broken[:, 4], 1, robots + 1, "broken")
@@ -144,6 +142,7 @@ def from_arrays(
         loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
         sensed=sensed,
         departures=departures,
+        sent=sent.astype(np.int64),
         broken=broken,
         loaded_contacts=loaded,
         contact_load=contact_load,

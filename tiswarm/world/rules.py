@@ -34,13 +34,14 @@ from tiswarm.base.sections import settings_class
 from tiswarm.compute.user_functions import is_kernel_function
 from tiswarm.records.terrain import Terrain
 from tiswarm.world.choices import fault_of_choice, read_only
+from tiswarm.world.members import Members
 from tiswarm.world.params import GrowthParams
 from tiswarm.world.walks import asked_settings
 
 _MOST_CALLED = 2**30
 """Largest call of a plug-in."""
 
-_METHODS = ("choose", "score", "call", "spread")
+_METHODS = ("choose", "score", "call", "spread", "act")
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _SHAPES: Mapping[str, Callable[..., tuple[int, ...]]] = {
@@ -59,7 +60,7 @@ _Kind = TypeVar("_Kind", bound=GrowthParams)
 _Class = TypeVar("_Class", bound=type)
 
 
-def rule(name: str) -> Callable[[_Class], _Class]:
+def rule(name: str, *, local: bool = False) -> Callable[[_Class], _Class]:
     """Register a class as a rule of growth, which scenarios choose as `structure.rule`.
 
     Its annotated fields are settings. It has one of these methods:
@@ -75,12 +76,19 @@ def rule(name: str) -> Callable[[_Class], _Class]:
 
     - `call(sensed, params)`: the call that each robot of a structure makes, integers from 0 up, by
       the loads that they sense [weight of a dock], both of shape (N,).
+    - `act(members)`: what robots that have joined do in each round: what they write to their
+      memory, say, and whether they leave, truth values of shape (P,), or None for nobody;
+      `help(tiswarm.world.members.Members)` lists what they have.
     - `spread(call, contacts)`: the call that each dock passes on, shape (n N,), by the calls that
       N robots of n docks make. Docks n i + a and n j + b touch if `contacts`, (C, 2), has such a
       row.
 
+    These plain attributes, or settings, are numbers: `memory` that a robot keeps, those of a
+    `message`, and the rounds in which robots act when the structure is complete, `rounds_after`.
+
     Args:
         name: Name of the rule: words of letters and digits, with "-".
+        local: Whether climbers see what they touch, remember and hear alone, a `LocalStep`.
 
     Raises:
         InputError: the name is taken or invalid, the class lacks a method, or a field cannot be
@@ -101,6 +109,7 @@ def rule(name: str) -> Callable[[_Class], _Class]:
             for method in _METHODS
             if hasattr(rule_class, method)
         }
+        guards["is_local"] = local
         section: _Class = settings_class("rule", name, rule_class, rule_class, guards)
         register("rule", name, section, next(iter(functions), rule_class))
         return section
@@ -121,6 +130,17 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
             read_only(argument) if isinstance(argument, np.ndarray) else argument
             for argument in arguments
         ]
+        if method == "act":
+            members = arguments[1]
+            return call_plugin(
+                "rule",
+                name,
+                partial(unguarded, *shown),
+                partial(_fault_of_leaving, members),
+                method=method,
+                repeats=unguarded,
+                owner=arguments[0],
+            )
         if method == "score":
             return call_plugin(
                 "rule",
@@ -167,6 +187,18 @@ def _described(value: object) -> str:
     """Name what a method returned in place of a function of the kernel language."""
     name = getattr(value, "__name__", "")
     return f"{name}, a function of Python" if name else f"a {type(value).__name__}"
+
+
+def _fault_of_leaving(members: Members, returned: object) -> str:
+    nobody = np.zeros(len(members.age), np.bool_)
+    leaves: NDArray[Any] = np.asarray(nobody if returned is None else returned)
+    if leaves.dtype.kind != "b" or leaves.shape != members.age.shape:
+        have = f"{leaves.dtype} of shape {leaves.shape}"
+        return f"{have}; return True for each of {len(members.age)} robots that leaves, or None"
+    for written in ("memory", "say"):
+        if np.shape(getattr(members, written)) != members.shape_of[written]:
+            return f"a {written} of another shape; write into members.{written}"
+    return ""
 
 
 def _fault_of_score(settings: object, returned: object) -> str:

@@ -202,9 +202,11 @@ class StrengthParams(SendsPlugins):
     def used(self, seed: int, ends: AnyInts, loads: ContactLoads, docks: int) -> Reals:
         """Return the load of each contact in parts of its strength [1], shape (C,).
 
-        Arguments are those of `strength`, and the contacts' loads.
+        A contact whose load is 0 or less by the law bears nothing: 0. Arguments are those of
+        `strength`, and the contacts' loads.
         """
         demand: Reals = get("strength", self.law)(loads)
+        demand = np.where(demand > 0.0, demand, 0.0)  # -0 would be a margin of minus infinity
         return demand / self.strength(seed, ends, docks)
 
 
@@ -212,13 +214,15 @@ def strength(name: str) -> Callable[[_Law], _Law]:
     """Register a function as a law of strength, which scenarios choose as `structure.strength.law`.
 
     The function takes the loads of C contacts, `axial` (positive for a pull), `shear`, `bending`,
-    `torsion` and `stress`, and returns the one that may not exceed `limit`, shape (C,).
+    `torsion` and `stress`, and returns the one that may not exceed `limit`, shape (C,). A contact
+    with a load of 0 or less, such as one that docks press, does not break and has no margin. A load
+    that is not finite is refused.
 
     Args:
         name: Name of the law.
 
     Raises:
-        InputError: the name is taken.
+        InputError: the name is taken, or this is no function.
     """
 
     def add(law: _Law) -> _Law:

@@ -1,0 +1,214 @@
+"""Rules by what robots sense, remember, say and hear: local views, waiting, leaving."""
+
+import numpy as np
+import pytest
+
+import tiswarm
+from tests.rules import SEED, assert_same_growth, grow_seeds
+from tiswarm.base import plugins, registry
+from tiswarm.world.choices import reactive_build
+from tiswarm.world.growth import GrowthBatch, SteeredGrowth, chosen_by
+from tiswarm.world.history import LEFT
+from tiswarm.world.members import BYTES, LocalStep, MemberArrays
+from tiswarm.world.params import BridgeParams, TowerParams
+
+RULES = '''
+import numpy as np
+import tiswarm
+
+
+@tiswarm.rule("local-reactive-build", local=True)
+class LocalReactiveBuild:
+    def choose(self, step):
+        return tiswarm.reactive_build(step)
+
+
+@tiswarm.rule("polite", local=True)
+class Polite:
+    """Wait for two rounds at the first robot, then climb on; leave after five rounds."""
+
+    memory = 2
+    message = 1
+    rounds_after = 6
+
+    def choose(self, step):
+        touches = (step.touching >= 0).any(axis=(1, 2))
+        waits = touches & (step.memory[:, 0] < 2)
+        step.memory[waits, 0] += 1
+        heard = np.nanmax(step.heard, axis=(1, 2), initial=0)
+        step.memory[:, 1] = np.fmax(step.memory[:, 1], heard)
+        return np.where(waits, step.wait, tiswarm.reactive_build(step))
+
+    def act(self, members):
+        members.say[:] = members.memory[:, None, 1:] + 1
+        np.fmax.at(members.memory[:, 1], members.contacts[:, 0], members.heard[:, 0])
+        return members.age > 5
+
+
+@tiswarm.rule("global", local=True)
+class Global:
+    def choose(self, step):
+        return -1 * (step.dock[0, 0, 0] > 0)
+
+
+@tiswarm.rule("wrong-act")
+class WrongAct:
+    def choose(self, step):
+        return tiswarm.reactive_build(step)
+
+    def act(self, members):
+        return [1.5]
+'''
+
+
+@pytest.fixture
+def rules(tmp_path):
+    """File with local rules, loaded."""
+    file = tmp_path / "local_rules.py"
+    file.write_text(RULES)
+    plugins.load_plugins([file])
+    yield file
+    plugins.forget()
+
+
+def params_of(name, kind=TowerParams, **settings):
+    """Settings of a structure that grows by a rule of the file."""
+    return kind(rule=registry.get("rule", name)(), **settings)
+
+
+def states(name, robots=8):
+    """Yield the rule and each step of climbers of two structures that grow by it."""
+    params = params_of(name)
+    batch = GrowthBatch([params] * 2, robots, [SEED, SEED + 1], tiswarm.RobotGeometry(), None, None)
+    steered = SteeredGrowth(batch)
+    while not steered.is_over.all():
+        step = steered.observe()
+        yield params.rule, batch, step
+        steered.step(chosen_by(params.rule, step))
+
+
+@pytest.mark.usefixtures("rules")
+def test_reactive_build_needs_no_more_than_its_own_senses():
+    """Growth by what climbers touch and hear alone is that of the rule that sees all."""
+    assert_same_growth(
+        grow_seeds(TowerParams(), 10, [SEED]),
+        grow_seeds(params_of("local-reactive-build"), 10, [SEED]),
+    )
+
+
+@pytest.mark.usefixtures("rules")
+@pytest.mark.parametrize("name", ["local-reactive-build", "polite"])
+def test_a_local_choice_does_not_depend_on_what_a_robot_does_not_know(name):
+    """Robots out of reach move, loads and calls of all change, and each climber chooses alone."""
+    rng = np.random.default_rng(0)
+    steps = 0
+    for rule, batch, step in states(name):
+        chosen = [
+            int(rule.choose(LocalStep(step, np.array([m])))[0]) for m in range(len(step.stance))
+        ]
+        saved = [batch.arrays.dock.copy(), batch.sensed.copy(), batch.members.said.copy()]
+        for m in range(len(step.stance)):
+            dock = batch.arrays.dock[step.structure[m]]
+            is_far = np.linalg.norm(dock - step.center[m], axis=1) > 9.0
+            dock[is_far] += rng.normal(size=(is_far.sum(), 3))
+            touched = step.touching[m][step.touching[m] >= 0] // 3
+            untouched = np.setdiff1d(np.arange(batch.robots), touched)
+            batch.members.said[step.structure[m], untouched] = rng.normal()
+            batch.sensed[:] = rng.normal(size=batch.sensed.shape)
+            alone = LocalStep(step, np.array([m]))
+            assert rule.choose(alone).tolist() == [chosen[m]]
+        batch.arrays.dock[:], batch.sensed[:], batch.members.said[:] = saved
+        steps += 1
+
+    assert steps > 20
+
+
+@pytest.mark.usefixtures("rules")
+def test_a_local_rule_that_looks_at_others_is_refused():
+    """The line says what a climber knows."""
+    with pytest.raises(plugins.PluginError, match="a climber of a local rule does not know dock"):
+        grow_seeds(params_of("global"), 4, [SEED])
+
+
+@pytest.mark.usefixtures("rules")
+def test_robots_wait_remember_and_leave_of_their_own_accord():
+    """Each waits two rounds; the structure dissolves but for its founder."""
+    [history] = grow_seeds(params_of("polite"), 6, [SEED])
+
+    joined = np.array([walk.round for walk in history.walks])
+    assert (np.diff(joined) >= 3).all()
+    assert len(history.walks) == 6
+    left = history.departures[history.departures[:, 2] == LEFT, 0]
+    assert 0 not in left
+    assert history.is_held.sum() < 6
+
+
+@pytest.mark.usefixtures("rules")
+def test_members_hear_what_those_that_they_touch_said_a_round_before():
+    """Compared with a walk over contacts, robot by robot; bytes are counted by contact."""
+    arrays = MemberArrays(
+        registry.get("rule", "polite")(), structures=1, robots=3, slots=1, docks=2
+    )
+    arrays.contacts = np.array([[0, 0, 1, 1, 0], [0, 1, 0, 0, 1], [0, 1, 1, 2, 0], [0, 2, 0, 1, 1]])
+    heard = []
+
+    def act(members):
+        heard.append([tuple(row) for row in np.column_stack([members.contacts, members.heard])])
+        members.say[:, :, 0] = 10.0 * np.arange(3)[:, None] + np.arange(2) + 100.0 * len(heard)
+        return np.array([False, False, True])
+
+    present = np.ones((1, 3), bool)
+    leaves = arrays.act(act, np.array([0]), present)
+    arrays.act(act, np.array([0]), present)
+
+    assert leaves.tolist() == [[False, False, True]]
+    assert all(np.isnan(row[4]) for row in heard[0])
+    said = {(robot, dock): 100.0 + 10 * robot + dock for robot in range(3) for dock in range(2)}
+    assert heard[1] == [(*row, said[row[2], row[3]]) for row in arrays.contacts[:, 1:].tolist()]
+    assert arrays.sent.tolist() == [[2 * BYTES, 4 * BYTES, 2 * BYTES]]
+
+
+@pytest.mark.usefixtures("rules")
+def test_a_bridge_dissolves_without_those_that_only_it_held():
+    """Those who leave take with them whom nothing else holds; the others stay sound."""
+    params = params_of("polite", BridgeParams, gap=8.0)
+
+    [history] = grow_seeds(params, 10, [SEED])
+
+    assert len(history.departures) > 0
+    assert history.is_held[0]
+
+
+@pytest.mark.usefixtures("page_rules")
+def test_robots_that_hear_of_no_joiner_leave_from_the_top():
+    """The rule of the guide: who leaves was nearer to the goal than whoever stood beside it."""
+    [history] = grow_seeds(params_of("visit"), 8, [SEED])
+
+    robot, _, event = history.departures.T
+    distance = np.linalg.norm(history.position - [0.0, 0.0, 65.0], axis=1)
+    first = robot[event == LEFT][0]
+    neighbors = [pair for pair in history.contacts[:, [0, 2]].tolist() if first in pair]
+    assert len(history.walks) == 8
+    assert (event == LEFT).sum() >= 4
+    assert all(distance[first] <= distance[pair].min() for pair in neighbors)
+    assert (history.sent > 0).all()
+
+
+@pytest.mark.usefixtures("rules")
+def test_what_act_wrongly_returns_is_a_line():
+    """It says what to return."""
+    with pytest.raises(plugins.PluginError, match=r"wrong-act\.act .*return True for each of 1"):
+        grow_seeds(params_of("wrong-act"), 4, [SEED])
+
+
+def test_a_caller_may_let_climbers_wait():
+    """Waiting ends growth only after as many rounds as robots may be spawned in vain."""
+    growth = tiswarm.Growth({"kind": "tower", "climb": {"max_spawns": 4}}, robots=4, seeds=1)
+
+    while not growth.is_over.all():
+        step = growth.observe()
+        touches = (step.touching >= 0).any(axis=(1, 2))
+        growth.step(np.where(touches, step.wait, reactive_build(step)))
+
+    assert growth.robot_count.tolist() == [1]
+    assert growth.ended[0].startswith("robots waited for 4 rounds, and none joined; raise")
