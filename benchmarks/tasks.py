@@ -149,8 +149,8 @@ def by_hand() -> Reals:
     return np.array([terms.get(name, 0.0) for name in names()])
 
 
-def evolve(task: str, *, cpu_minutes: float, seed: int, episodes: int) -> dict[str, Any]:
-    """Evolve a linear policy from the one by hand, by CMA-ES, for so many CPU minutes.
+def evolve(task: str, *, generations: int, seed: int, episodes: int) -> dict[str, Any]:
+    """Evolve a linear policy from the one by hand, by CMA-ES.
 
     A generation plays its candidates on the same training seeds, which the next one replaces.
     """
@@ -158,9 +158,8 @@ def evolve(task: str, *, cpu_minutes: float, seed: int, episodes: int) -> dict[s
 
     start = time.process_time()
     optimizer = CMA(mean=by_hand(), sigma=0.5, seed=seed, population_size=_POPULATION)
-    generation = 0
     progress = []
-    while time.process_time() - start < 60.0 * cpu_minutes:
+    for generation in range(generations):
         candidates = [optimizer.ask() for _ in range(optimizer.population_size)]
         first = generation * episodes
         seeds = np.tile(np.arange(first, first + episodes), len(candidates))
@@ -179,15 +178,15 @@ def evolve(task: str, *, cpu_minutes: float, seed: int, episodes: int) -> dict[s
         played = play(task, seeds, act, most_steps=_TRAINING_STEPS)
         measure = played.measure.reshape(len(candidates), episodes).mean(axis=1)
         optimizer.tell(list(zip(candidates, (-measure).tolist(), strict=True)))
-        generation += 1
         progress.append(round(float(measure.mean()), 4))
         minutes = (time.process_time() - start) / 60.0
-        print(f"generation {generation}: {measure.mean():.3f}, {minutes:.1f} CPU min", flush=True)
+        print(
+            f"generation {generation + 1}: {measure.mean():.3f}, {minutes:.1f} CPU min", flush=True
+        )
     return {
-        "command": f"python -m benchmarks.tasks --evolve {task} --minutes {cpu_minutes:g} "
+        "command": f"python -m benchmarks.tasks --evolve {task} --generations {generations} "
         f"--seed {seed} --episodes {episodes}",
-        "training_seeds": f"0 to {generation * episodes - 1}",
-        "generations": generation,
+        "training_seeds": f"0 to {generations * episodes - 1}",
         "mean_measure_of_generations": progress,
         "weights": dict(zip(names(), optimizer.mean.round(4).tolist(), strict=True)),
     }
@@ -261,7 +260,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=256)
     parser.add_argument("--tune", action="store_true")
     parser.add_argument("--evolve", metavar="TASK")
-    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--generations", type=int, default=7)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--speed", action="store_true")
     given = parser.parse_args()
@@ -276,7 +275,7 @@ def main() -> None:
         if WEIGHTS.is_file():
             kept = json.loads(WEIGHTS.read_text(encoding="utf-8"))
         kept[given.evolve] = evolve(
-            given.evolve, cpu_minutes=given.minutes, seed=given.seed, episodes=given.episodes
+            given.evolve, generations=given.generations, seed=given.seed, episodes=given.episodes
         )
         WEIGHTS.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
         return
