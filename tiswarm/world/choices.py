@@ -65,6 +65,8 @@ class ClimbStep:
         self._slots = slots
         self.structure: AnyInts = walks.climbers.structure[slots]
         """Structure that each climbs, shape (M,)."""
+        self.slot: AnyInts = slots
+        """Which of the structures' movers each is, all those of a structure in a row, (M,)."""
         self.robot: AnyInts = walks.robot[slots]
         """Robots that started in that structure before it, shape (M,)."""
         self.stance: AnyInts = walks.stances.last[slots]
