@@ -36,6 +36,9 @@ EPYC = "AMD EPYC family 26 model 2"
 OLDER_EPYC = "AMD EPYC family 25 model 17"
 """Kind of processor of lossy channels, and of own messages over 20 R."""
 
+XEON = "Intel(R) Xeon(R) Processor family 6 model 167"
+"""Kind of processor of errors on slopes."""
+
 PLAIN_EPYC = f"{EPYC}, libraries without AVX2 and FMA"
 """The same processor with other numerical libraries."""
 
@@ -918,3 +921,31 @@ def _of_names(condition: str, structure: str) -> Statement:
 for _name, _condition in VIBRATION.items():
     for _structure in BOTH:
         statement(f"{_name}-{_structure}")(_of_names(_condition, _structure))
+
+
+SLOPES = {
+    "plane": "",
+    "plane, docks on it not listed": ", terrain: [{kind: plane, pitch_deg: 360.0}]",
+    "slope of 10 deg": ", terrain: [{kind: plane, pitch_deg: 10.0}]",
+    "slope of 20 deg": ", terrain: [{kind: plane, pitch_deg: 20.0}]",
+    "hill": (
+        ", terrain: [{kind: plane}, {kind: sphere, position: [0.0, 0.0, -40.0], radius: 60.0}]"
+    ),
+    "rubble": (
+        ", terrain: [{kind: plane}, {kind: mesh, file: terrain/rubble.stl, resolution: 0.5}]"
+    ),
+}
+"""Grounds of the scenario slopes, by their names: ends of the names of its points."""
+
+
+@statement("slopes")
+def _slopes(results: Results) -> str:
+    rows = []
+    for name, end in SLOPES.items():
+        point = f"structure={{kind: tower{end}}}"
+        rmse, contacts, consistent = (
+            results.of("slopes", "baseline", point, measure, XEON)
+            for measure in ("rmse_R", "contacts_per_robot", "consistent")
+        )
+        rows.append([name, interval(rmse, 2), fixed(contacts.mean, 2), count(consistent)])
+    return table(["ground", "RMSE [R]", "contacts of a robot", "consistent"], rows)

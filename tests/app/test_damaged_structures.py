@@ -10,7 +10,8 @@ import pytest
 import tiswarm as library
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.world.history_file import DAMAGED, from_arrays, read_history, to_arrays, write_history
+from tiswarm.records.io import DAMAGED
+from tiswarm.world.history_file import from_arrays, read_history, to_arrays, write_history
 from tiswarm.world.params import TowerParams
 
 

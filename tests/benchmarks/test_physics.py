@@ -36,3 +36,18 @@ def test_the_comparison_runs(capsys, tmp_path, monkeypatch):
         if "MuJoCo, springs" in row[1] or "without loops" in row[1] or "PyNite" in row[1]:
             assert row[2] == row[5] == "1.000"
     assert (tmp_path / "physics-loads.png").stat().st_size > 10_000
+
+
+@pytest.mark.trial
+def test_docks_that_rest_are_compared(capsys, monkeypatch):
+    """Towers on three anchors stand in MuJoCo where the mechanics says so, or not much else."""
+    monkeypatch.setattr(physics, "RESTING", {"tower": (physics.TowerParams(anchors=3), 12)})
+    monkeypatch.setattr(physics, "FRICTIONS", (0.5,))
+    monkeypatch.setattr(physics, "_SEEDS", range(7000, 7003))
+
+    physics.compare_resting()
+
+    (row,) = (line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[4:])
+    assert row[0] == "tower, 12"
+    assert sum(map(int, row[2:5])) == 3
+    assert row[5] in {"2 of 3", "3 of 3"}

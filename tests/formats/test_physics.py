@@ -12,6 +12,8 @@ from tests import frames
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.formats.physics import FIREANT_RADIUS, encode_mjcf, encode_wbt
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.world.ground.surface import shown_ground
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.params import BridgeParams, CantileverParams, DepartureParams, TowerParams
@@ -437,3 +439,87 @@ def test_the_guide_loads_a_tower_into_mujoco(tmp_path, monkeypatch):
 
     np.testing.assert_allclose(names["ground"], [0.0, 0.0, 300.0], atol=1e-6)
     assert names["data"].time == pytest.approx(2.0)
+
+
+@pytest.fixture(scope="module")
+def uneven():
+    """A structure on a hill with a hole in the plane around it, and its view."""
+    hill = [
+        {"kind": "slab", "position": [12.0, 0.0, 0.0]},
+        {"kind": "sphere", "position": [0.0, 0.0, -40.0], "radius": 45.0},
+    ]
+    section = {"kind": "tower", "terrain": hill}
+    given = {"name": "hill", "structure": section, "localization": {"method": "joint"}}
+    history = _grown(load_scenario(given).structure, 6)
+    return history, replace(frames.view_of(history), terrain=shown_ground(history))
+
+
+def _places(surface, margin):
+    """Draw places inside a surface, seen from above."""
+    rng = np.random.default_rng(2)
+    return rng.uniform(surface.corner + margin, surface.end - margin, (60, 2))
+
+
+def test_the_surface_of_uneven_ground_is_where_the_ground_is(uneven):
+    """Each height is the highest point of the ground below it, and feet are on it."""
+    history, view = uneven
+    surface = view.terrain
+    i, j = np.meshgrid(*(np.arange(n) for n in surface.height.shape), indexing="ij")
+    x, y = surface.corner[:, None, None] + surface.cell * np.array([i, j])
+    point = np.stack([x, y, surface.height], axis=-1).reshape(-1, 3)
+
+    distance = history.terrain.distance(point)
+
+    has_ground = point[:, 2] > surface.height.min() + 1e-9
+    assert np.abs(distance[has_ground]).max() < 1e-6
+    assert has_ground.mean() > 0.5
+    assert np.abs(history.terrain.distance(surface.foot)).max() < 1e-6
+    assert len(surface.foot) == len(history.edge_docks) > 0
+
+
+def test_mujoco_has_the_heights_of_uneven_ground(uneven, simulation):
+    """Rays from above meet the field where the surface is, in the frame of the anchor."""
+    mujoco = pytest.importorskip("mujoco")
+    history, view = uneven
+    (xml,) = encode_mjcf(view).values()
+    world = simulation(xml)
+    unit = world.radius
+    surface = view.terrain
+    places = _places(surface, 1.0)
+    anchor = history.position[0]
+    group = np.zeros(6, np.uint8)
+    ground = world.model.geom("ground").id
+    group[world.model.geom_group[ground]] = 1
+
+    heights = []
+    for place in places:
+        start = unit * (np.array([*place, 200.0]) - anchor)
+        met = np.array([-1], np.int32)
+        way = np.array([0.0, 0.0, -1.0])
+        length = mujoco.mj_ray(world.model, world.data, start, way, None, 1, -1, met)
+        while met[0] >= 0 and met[0] != ground:  # a dock above the ground
+            start = start + (length + 1e-9) * way
+            length = mujoco.mj_ray(world.model, world.data, start, way, None, 1, -1, met)
+        heights.append((start[2] - length) / unit + anchor[2] if met[0] == ground else np.nan)
+
+    # Within a cell MuJoCo has two triangles, and the surface is bilinear: they differ at edges.
+    is_close = np.abs(np.array(heights) - surface.height_at(places)) < 0.05
+    assert is_close.mean() > 0.8
+
+
+def test_webots_has_the_heights_of_uneven_ground(uneven):
+    """An elevation grid, in rows along x from the least y on."""
+    history, view = uneven
+    surface = view.terrain
+    (text,) = encode_wbt(view).values()
+
+    grids = re.findall(r"ElevationGrid \{(.*?)\}", text.decode(), re.DOTALL)
+
+    expected = (surface.height - history.position[0, 2]).T.ravel()
+    assert len(grids) == 2  # what is shown, and what collides
+    for grid in grids:
+        numbers = re.search(r"height \[ (.*?) \]", grid, re.DOTALL)
+        assert numbers is not None
+        height = np.array(numbers[1].replace(",", " ").split(), float)
+        assert re.search(rf"xDimension {surface.height.shape[0]}\b", grid)
+        np.testing.assert_allclose(height / FIREANT_RADIUS, expected, atol=1e-6)

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import tiswarm as api
-from tests.runs import QUIET, assert_same_bytes
+from tests.runs import QUIET, REPOSITORY, assert_same_bytes
 from tiswarm import study
 from tiswarm.app.drawing import draw_all
 from tiswarm.base import plugins
@@ -179,6 +179,19 @@ def test_throughput_has_its_table_and_figure(relaxed):
     assert [*relaxed.answer][:3] == ["point", "condition", "settled"]
 
 
+def test_columns_of_the_engine_that_the_page_of_files_lists_are_there(relaxed):
+    """Readers of a file look them up."""
+    page = pd.read_csv(REPOSITORY / "docs" / "columns.csv", keep_default_na=False)
+    case = "0-robots=12,contact"
+    columns = {f"{name}.csv": {*relaxed.frame(name, case=case)} for name in ("moves", "trajectory")}
+    columns["throughput.csv"] = {*relaxed.frame("throughput")}
+
+    for file, names in columns.items():
+        listed = ", ".join(page[page["file"] == file]["column"]).split(", ")
+
+        assert {*listed} <= names
+
+
 def test_positions_repeat_and_cases_are_kept(relaxed, tmp_path):
     """All but times repeat to the byte; a case that lost a table is computed again."""
     scenario = load_scenario(DATA)
@@ -247,6 +260,11 @@ def test_forces_and_integrators_of_a_user_are_chosen(own):
         (
             "  parameters: {stiffness: 1.0}\nsweep: {structure.kind: [tower]}\n",
             "9: sweep.structure.kind",
+            "no use",
+        ),
+        (
+            "  parameters: {stiffness: 1.0}\nconditions: {a: {sensing.tilt_noise_deg: 1.0}}\n",
+            "9: conditions.a.sensing.tilt_noise_deg",
             "no use",
         ),
         (

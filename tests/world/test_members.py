@@ -179,6 +179,21 @@ def test_a_bridge_dissolves_without_those_that_only_it_held():
     assert history.is_held[0]
 
 
+@pytest.mark.usefixtures("page_rules")
+def test_robots_that_hear_of_no_joiner_leave_from_the_top():
+    """The rule of the guide: who leaves was nearer to the goal than whoever stood beside it."""
+    [history] = grow_seeds(params_of("visit"), 8, [SEED])
+
+    robot, _, event = history.departures.T
+    distance = np.linalg.norm(history.position - [0.0, 0.0, 65.0], axis=1)
+    first = robot[event == LEFT][0]
+    neighbors = [pair for pair in history.contacts[:, [0, 2]].tolist() if first in pair]
+    assert len(history.walks) == 8
+    assert (event == LEFT).sum() >= 4
+    assert all(distance[first] <= distance[pair].min() for pair in neighbors)
+    assert (history.sent > 0).all()
+
+
 @pytest.mark.usefixtures("rules")
 def test_what_act_wrongly_returns_is_a_line():
     """It says what to return."""

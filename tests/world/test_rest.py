@@ -278,6 +278,8 @@ def test_growth_ends_where_a_structure_tips_or_slides():
         last = history.robot_count - 1
         assert history.ended == f"the structure tipped once robot {last} had joined"
         assert not len(history.contact_load)
+        assert np.isnan(history.sensed).all()
+        assert len(history.sensed) == history.robot_count
 
 
 def test_a_slope_that_is_too_steep_ends_growth_at_once():
@@ -335,6 +337,8 @@ def test_a_batch_tips_and_slides_as_each_structure_alone():
     ("settings", "message"),
     [
         ({"gravity": [0.0, 0.0, 0.0]}, "gravity has no direction"),
+        ({"gravity": [0.0, 1.0]}, r"should be a vector"),
+        ({"gravity": "down"}, r"should be a vector"),
         ({"ground": "rests"}, "add friction"),
         ({"friction": 0.5}, "goes with ground: rests"),
         ({"ground": "rests", "friction": -0.1}, "greater than or equal to 0"),

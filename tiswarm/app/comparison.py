@@ -133,7 +133,7 @@ def _read_table(run: Path) -> pd.DataFrame:
         msg = "has no table.csv; give a folder that `tiswarm run` made"
         raise InputError(msg, path=run)
     if "rmse_R_mean" not in read_frame(path, ["condition"], ["cases"], notes=TABLE_NOTES):
-        problem = "has no estimates to compare; give runs whose localization is not method: none"
+        problem = "has no estimates to compare; give runs whose method is neither none nor relax"
         raise InputError(problem, path=run)
     table = read_frame(
         path,

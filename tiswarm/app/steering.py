@@ -43,7 +43,7 @@ class StepOutcome(NamedTuple):
 class Growth:
     """S structures of up to N robots that grow by choices of the caller.
 
-    Robots start, climb flip by flip as `step` is told, join where they stay, and make calls for
+    Robots start, climb flip by flip as `step` says, join where they stay, and make calls for
     help by their settings. A structure does not wait for others. What grows depends on its seed,
     settings and choices alone: not on other structures, nor on the number of threads.
     """
@@ -283,7 +283,7 @@ def _changed(settings: Any, path: Sequence[str], value: object, key: str) -> Any
 
 
 def _seeds(given: int | Sequence[int]) -> list[int]:
-    """List seeds, of which one may occur often.
+    """List seeds; one may occur often.
 
     Raises:
         InputError: they are no seeds.

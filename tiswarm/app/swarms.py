@@ -29,7 +29,7 @@ from tiswarm.base.params import METHOD, AnyMovie
 from tiswarm.compute import backend
 from tiswarm.evaluation import tables
 from tiswarm.measurements.cues import cue_names
-from tiswarm.records.io import open_input
+from tiswarm.records.io import DAMAGED, open_input
 from tiswarm.records.measures import (
     BROKEN,
     DISPARITY,
@@ -60,7 +60,7 @@ from tiswarm.sensing import SensingParams, observe
 from tiswarm.world import growth
 from tiswarm.world.ground.surface import shown_ground
 from tiswarm.world.history import History, StanceRows
-from tiswarm.world.history_file import DAMAGED, find_fault, from_arrays, to_arrays
+from tiswarm.world.history_file import find_fault, from_arrays, to_arrays
 
 _Value = TypeVar("_Value", bound=np.generic)
 

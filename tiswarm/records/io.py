@@ -11,6 +11,8 @@ import secrets
 import stat
 import sys
 import time
+import zipfile
+import zlib
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
@@ -28,6 +30,12 @@ from pydantic import TypeAdapter
 from tiswarm.base import files
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
+
+DAMAGED = (
+    OSError, EOFError, LookupError, TypeError, ValueError, RuntimeError, zipfile.BadZipFile,
+    zlib.error,
+)  # fmt: skip
+"""Errors of reading a damaged file of arrays."""
 
 _LENGTH = 200
 """Bytes of a name that its temporary name keeps; file systems allow 255 in all."""

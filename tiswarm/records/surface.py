@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.records.io import damaged, replacing, run_file
+from tiswarm.records.io import DAMAGED, damaged, replacing, run_file
 from tiswarm.records.terrain import NO_EDGE
 
 SURFACE_FILE = "ground.npz"
 """File of a case that has it."""
 
-_DAMAGED = (OSError, EOFError, LookupError, TypeError, ValueError)
 _MOST = 1024
 """Most heights along x or y that are read."""
 
@@ -133,7 +132,7 @@ def read_surface(path: Path) -> GroundSurface:
                 foot_dock=np.asarray(entries["foot_dock"], np.int64).reshape(-1, 2),
                 foot=np.asarray(entries["foot"], np.float64).reshape(-1, 3),
             )
-    except _DAMAGED as error:
+    except DAMAGED as error:
         raise damaged(path, "it is damaged") from error
     numbers = np.concatenate([surface.corner, [surface.cell], surface.height.ravel()])
     is_whole = (

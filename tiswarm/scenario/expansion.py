@@ -197,6 +197,13 @@ def _fitted_to_engine(data: Plain) -> list[Mistake]:
         for entry in entries
         if any(key.partition(".")[0] in _NOT_OF_ENGINE for key in swept_keys(entry))
     ]
+    conditions = data.get("conditions")
+    useless += [
+        ("conditions", str(name), str(key))
+        for name, settings in (conditions.items() if isinstance(conditions, dict) else ())
+        for key in (settings if isinstance(settings, dict) else ())
+        if str(key).partition(".")[0] in _NOT_OF_ENGINE
+    ]
     data["structure"] = deepcopy(_MINIMAL["structure"])
     data.pop("sensing", None)
     problem = f"has no use: {ENGINE_METHOD} moves robots from localization.start; leave it out"

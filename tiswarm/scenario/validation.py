@@ -380,8 +380,9 @@ def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any], data: object) ->
     section = schema
     for part in path[:-1]:
         if isinstance(part, int):
-            if isinstance(data, list):  # else one entry stands for a list of it
-                data = data[part]
+            if not isinstance(data, list):  # one entry stands for a list of it
+                continue
+            data = data[part]
             section = _settings(schema, _entries(section), data)
         else:
             data = data.get(part) if isinstance(data, dict) else None

@@ -1,7 +1,7 @@
 """Climbs that are steered flip by flip, by a rule in Python or from outside.
 
-Kernels list what each climber touches and which flips it may take; whoever steers chooses for all
-climbers of all structures at once.
+Kernels list what each climber touches and which flips it may take; a rule or a
+caller chooses for all climbers of all structures at once.
 """
 
 from functools import cached_property

@@ -916,9 +916,9 @@ class GrowingStructure:
 
     def note_loads(self) -> None:
         """Note what the last solve of its mechanics found, and who calls for help."""
+        self.sensed = np.full(len(self.walks), np.nan)
+        self.call = np.zeros(len(self.walks), np.int32)
         if self.has_fallen:
-            self.sensed = np.full(len(self.walks), np.nan)
-            self.call = np.zeros(len(self.walks), np.int32)
             return
         try:
             loads = self.frames.loads(self.number)

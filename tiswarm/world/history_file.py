@@ -1,7 +1,6 @@
 """Histories as arrays, as files of these, and the faults that one may have."""
 
 import json
-import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import astuple, fields, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from scipy.spatial import cKDTree
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.records.io import replacing, run_file
+from tiswarm.records.io import DAMAGED, replacing, run_file
 from tiswarm.world.history import DIED, LEFT, History, Walk
 from tiswarm.world.mechanics import MAX_UNBORNE, LoadSummary
 from tiswarm.world.params import StructureParams, structure_ground
@@ -42,9 +41,6 @@ _NOT_UNIT = 1e-6
 
 _MAX_OVERLAP = 1e-9
 """Deepest overlap that rounding may leave [R]."""
-
-DAMAGED = (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile)
-"""Errors of reading a damaged file of structures."""
 
 
 def write_history(history: History, path: Path) -> None:

@@ -62,20 +62,27 @@ class StructureFailure(Exception):  # noqa: N818 - the structure fails, not the 
     """A structure, or a part of it, that nothing supports."""
 
 
-def _one_mistake(at: object, check: ValidatorFunctionWrapHandler) -> object:
-    """Make one mistake of those that a value has as a word and as a place."""
-    try:
-        return check(at)
-    except ValidationError as invalid:
-        raise ValueError(
-            f"{shown(at)} should be top, or a place [x, y, z] within 1e4 R"
-        ) from invalid
+def _one_mistake(expected: str) -> WrapValidator:
+    """Make one mistake of those that a value has part by part: it should be what is expected."""
+
+    def checked(value: object, check: ValidatorFunctionWrapHandler) -> object:
+        try:
+            return check(value)
+        except ValidationError as invalid:
+            raise ValueError(f"{shown(value)} should be {expected}") from invalid
+
+    return WrapValidator(checked)
 
 
 # A wrapped value passes through Python, where strict checks accept no list for a tuple.
 _Coordinate = Annotated[float, Strict(), Field(ge=-1e4, le=1e4)]
 _Place = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(strict=False)]
-_Component = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Component = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]
+_Direction = Annotated[
+    tuple[_Component, _Component, _Component],
+    Strict(strict=False),
+    _one_mistake("a vector [x, y, z] of numbers within 1e6"),
+]
 
 
 @parameters(frozen=True, kw_only=True, config=STRICT)
@@ -85,7 +92,9 @@ class PayloadParams:
     weight: Annotated[float, Field(gt=0.0, le=1e6)]
     """Its weight in weights of a robot; with `robot_mass_kg` its mass in kg."""
 
-    at: Annotated[Literal["top"] | _Place, WrapValidator(_one_mistake)] = "top"
+    at: Annotated[
+        Literal["top"] | _Place, _one_mistake("top, or a place [x, y, z] within 1e4 R")
+    ] = "top"
     """Who carries it at each solve: the highest robot (top), or the one whose center is nearest to
     a place [x, y, z] [R]."""
 
@@ -128,9 +137,7 @@ class MechanicsParams:
     """Poisson's ratio [1]."""
 
     # Runs without these keys keep their hashes, which name folders.
-    gravity: Annotated[
-        tuple[_Component, _Component, _Component], Field(exclude_if=lambda value: value == _DOWN)
-    ] = _DOWN
+    gravity: Annotated[_Direction, Field(exclude_if=lambda value: value == _DOWN)] = _DOWN
     """Direction of gravity [x, y, z], of any length but 0; not vertical for a slope or a push from
     the side. Robots climb and spawn as before."""
 

@@ -1,4 +1,4 @@
-"""What robots keep and tell each other while a structure grows, and what each may know.
+"""What robots keep and say to each other while a structure grows, and what each may know.
 
 A rule may give robots a memory and messages. In every round each robot that has joined acts by what
 it senses, remembers and hears from the robots that it touches; what it says is heard a round later.

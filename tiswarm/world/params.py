@@ -27,10 +27,12 @@ from tiswarm.base.sections import Section
 from tiswarm.compute.math import uniform
 from tiswarm.records.messages import shown
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
-from tiswarm.world.ground.bodies import ZONE_KINDS, BodyParams, FileParams, ground_of, zones_of
 from tiswarm.world.ground.solid import SolidGround, Zones
 from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.strength import StrengthParams
+
+if TYPE_CHECKING:
+    from tiswarm.world.ground.bodies import BodyParams
 
 ANCHORS_APART = 10.0
 """Distance of neighbors where anchors are given by their number [R]."""
@@ -64,7 +66,7 @@ def _as_list(bodies: object) -> object:
     return [bodies] if isinstance(bodies, Mapping) else bodies
 
 
-def _be_zones(zones: tuple[BodyParams, ...]) -> tuple[BodyParams, ...]:
+def _be_zones(zones: "tuple[BodyParams, ...]") -> "tuple[BodyParams, ...]":
     """Refuse bodies whose distance costs too much for zones, or has no end."""
     for zone in zones:
         kind = getattr(zone, "kind", "")
@@ -73,17 +75,14 @@ def _be_zones(zones: tuple[BodyParams, ...]) -> tuple[BodyParams, ...]:
     return zones
 
 
-def _is_elsewhere(body: BodyParams) -> bool:
-    """Whether the file of a body of a stored run is not here; its digest is known."""
-    return isinstance(body, FileParams) and not body.is_here
+ZONE_KINDS = ("box", "cylinder", "sphere")
+"""Kinds of bodies that regions which robots may not enter can have."""
 
-
-_Bodies = Annotated[
-    # A wrapped value passes through Python, where strict checks accept no list for a tuple.
-    Annotated[tuple[Annotated[BodyParams, Section("terrain")], ...], Strict(False)],  # noqa: FBT003
-    Field(min_length=1, max_length=1000),
-    BeforeValidator(_as_list),
-]
+# Bodies are imported where a scenario has some. A wrapped value passes through Python, where strict
+# checks accept no list for a tuple.
+_Body = Annotated[Any, Section("terrain")]
+_Listed = Annotated[tuple[_Body, ...], Strict(strict=False), Field(min_length=1, max_length=1000)]
+_Bodies = Annotated[_Listed, BeforeValidator(_as_list, json_schema_input_type=_Body | _Listed)]
 _Zones = Annotated[_Bodies, AfterValidator(_be_zones)]
 
 
@@ -355,9 +354,11 @@ class GrowthParams(RecruitParams):
 
     @field_validator("terrain")
     @classmethod
-    def _make_ground(cls, terrain: tuple[BodyParams, ...] | None) -> tuple[BodyParams, ...] | None:
-        if terrain is not None and not any(map(_is_elsewhere, terrain)):
-            ground_of(terrain)
+    def _make_ground(
+        cls, terrain: "tuple[BodyParams, ...] | None"
+    ) -> "tuple[BodyParams, ...] | None":
+        if terrain is not None and all(body.is_here for body in terrain):
+            _united(terrain)
         return terrain
 
     @field_validator("mechanics")
@@ -601,16 +602,27 @@ def structure_ground(params: StructureParams) -> Terrain | SolidGround:
     default: Terrain = params.default_terrain
     if params.terrain is None:
         return default
-    ground = ground_of(params.terrain)
+    ground = _united(params.terrain)
     if isinstance(ground, SolidGround):
         # Heights and reaches of a kind are measured from the same places on any ground.
         return replace(ground, left_edge=default.left_edge, right_edge=default.right_edge)
     return ground
 
 
+def _united(terrain: "tuple[BodyParams, ...]") -> Terrain | SolidGround:
+    """Unite bodies to a ground."""
+    from tiswarm.world.ground.bodies import ground_of  # noqa: PLC0415 - slow to import
+
+    return ground_of(terrain)
+
+
 def structure_zones(params: StructureParams) -> Zones | None:
     """Return the regions that robots may not enter; None without any."""
-    return None if params.no_entry is None else zones_of(params.no_entry)
+    if params.no_entry is None:
+        return None
+    from tiswarm.world.ground.bodies import zones_of  # noqa: PLC0415 - slow to import
+
+    return zones_of(params.no_entry)
 
 
 def sides_of_bodies(params: StructureParams, shape: RobotGeometry) -> dict[int, int]:
@@ -638,9 +650,13 @@ def ground_fault(params: StructureParams, shape: RobotGeometry) -> str:
     if not isinstance(ground, SolidGround):
         return ""
     starts = [params.start(side, 0.0, np.array([0.5, 0.5])) for side in range(params.sides)]
+    for body in params.terrain or ():
+        fault: str = body.fault(np.array(starts))
+        if fault:
+            return fault
     bodies = _bodies_at(params, shape, np.array(starts))
-    for (x, y), body in zip(starts, bodies, strict=True):
-        if body < 0:
+    for (x, y), number in zip(starts, bodies, strict=True):
+        if number < 0:
             return f"there is no ground at [{x:.4g}, {y:.4g}], where robots start; put some there"
     if len(set(bodies)) < params.sides:
         return (

@@ -7,6 +7,7 @@ from PIL import Image
 
 from tiswarm.base.errors import InputError
 from tiswarm.scenario.expansion import load_scenario
+from tiswarm.scenario.model import scenario_schema
 from tiswarm.world.ground.bodies import HeightsParams, MeshParams
 from tiswarm.world.ground.solid import SolidGround
 from tiswarm.world.params import structure_ground
@@ -23,6 +24,17 @@ def test_one_body_needs_no_list():
     body = {"kind": "sphere", "position": [0.0, 0.0, -50.0], "radius": 60.0}
 
     assert _structure(body).terrain == _structure([body]).terrain
+
+
+def test_the_schema_takes_one_body_and_a_list_of_them():
+    """Editors accept what scenarios accept."""
+    settings = scenario_schema()["$defs"]["TowerParams"]["properties"]
+
+    forms = [settings[key]["anyOf"] for key in ("terrain", "no_entry")]
+
+    for form in forms:
+        assert any("discriminator" in choice for choice in form)
+        assert any(choice.get("type") == "array" for choice in form)
 
 
 def test_rows_of_heights_run_from_the_greatest_y(tmp_path):
@@ -107,7 +119,7 @@ def test_what_is_wrong_with_a_file_is_a_line(tmp_path, name):
     with pytest.raises(InputError) as caught:
         _structure([{"kind": "plane"}, {**body, "file": str(tmp_path / name)}])
 
-    assert caught.value.key.startswith("structure.terrain")
+    assert caught.value.key == "structure.terrain[1].file"
     assert problem in caught.value.problem
     assert "\n" not in caught.value.problem
 
@@ -186,7 +198,9 @@ def test_too_fine_a_grid_is_refused(tmp_path):
     """Before its memory is taken."""
     trimesh.creation.box([500.0, 500.0, 500.0]).export(tmp_path / "box.stl")
 
-    with pytest.raises(InputError, match="raise resolution"):
+    with pytest.raises(
+        InputError, match=r"terrain\[0\]\.resolution: .* distances, .* at most; give more R"
+    ):
         _structure({"kind": "mesh", "file": str(tmp_path / "box.stl")})
 
 

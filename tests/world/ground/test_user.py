@@ -150,3 +150,32 @@ def test_a_distance_that_grows_by_less_than_the_way_is_refused(load):
 
     with pytest.raises(InputError, match=r"lipschitz of 0.5 for waves; give 1 or more"):
         load(source, {"kind": "waves"})
+
+
+FAULTY = {
+    "steep": ("3.0 * (point[2] - ti.sin(0.5 * point[0]))", "more than its lipschitz=1; divide it"),
+    "no number": ("ti.sqrt(point[2])", "is no number at .*; return one for all points"),
+    "inside": ("point[2] - 1e4", "waves is negative at all points near .* positive outside"),
+    "outside": ("point[2] + 3e4", "there is no ground at"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_a_function_that_is_no_distance_is_refused(load, name):
+    """Where robots start, as a scenario is read."""
+    formula, problem = FAULTY[name]
+    source = WAVES.replace("(point[2] - ti.sin(0.5 * point[0])) / 1.12", formula)
+
+    with pytest.raises(InputError, match=problem) as caught:
+        load(source, [{"kind": "waves"}])
+
+    assert caught.value.key == "structure.terrain"
+
+
+def test_a_function_may_change_as_fast_as_it_states(load):
+    """Three times as fast as a distance, where it says so."""
+    steep = WAVES.replace("/ 1.12", "* 3.0").replace('"waves")', '"waves", lipschitz=3.4)')
+
+    params = load(steep, [{"kind": "waves"}])
+
+    assert structure_ground(params).lipschitz == 3.4

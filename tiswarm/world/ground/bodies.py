@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.params import STRICT
+from tiswarm.base.sections import mistake_at
+from tiswarm.compute.math import uniform
 from tiswarm.records.terrain import Terrain
 from tiswarm.world.ground import grids, kernels
 from tiswarm.world.ground.grids import DistanceGrid
@@ -58,6 +60,18 @@ class BodyParams:
         return Rotation.from_euler(
             "xyz", [self.roll_deg, self.pitch_deg, self.yaw_deg], degrees=True
         )
+
+    @property
+    def is_here(self) -> bool:
+        """Whether all that it is made of can be found."""
+        return True
+
+    def fault(self, start: Reals) -> str:  # noqa: ARG002 - of functions of users
+        """Find what is wrong with its distance near where robots start, (n, 2); empty if nothing.
+
+        Bodies of the package have none.
+        """
+        return ""
 
     def body(self) -> Body:
         """Return its numbers."""
@@ -220,10 +234,24 @@ class FileParams(BodyParams):
         path = _path(info.data["file"])
         if digest and not path.is_file():  # of a run that is shown elsewhere
             return digest
-        content = _digest(_read(path))
+        try:
+            content = _digest(_read(path))
+        except ValueError:
+            return digest  # `_read_file` says so, at the key of the file
         if digest not in {"", content}:
             raise ValueError(f"{path} has changed: it is {content} now; leave out digest")
         return content
+
+    @model_validator(mode="after")
+    def _read_file(self) -> "FileParams":
+        if self.is_here or not self.digest:
+            try:
+                self.grid()
+            except ValidationError:
+                raise
+            except ValueError as error:
+                raise mistake_at(("file",), str(error)) from error
+        return self
 
     @property
     def is_here(self) -> bool:
@@ -246,10 +274,8 @@ class FileParams(BodyParams):
         """Raise an error if the grid around a box is too large."""
         needed = grids.values_needed(low, high, self.resolution)
         if needed > grids.MOST_VALUES:
-            raise ValueError(
-                f"{self.file} would need {needed:,} distances, {grids.MOST_VALUES:,} at most; "
-                "raise resolution"
-            )
+            problem = f"{self.file} would need {needed:,} distances, {grids.MOST_VALUES:,} at most"
+            raise mistake_at(("resolution",), f"{problem}; give more R")
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -360,13 +386,61 @@ class UserParams(BodyParams):
         """Return the function of a point in the body's frame."""
         raise NotImplementedError
 
+    def fault(self, start: Reals) -> str:
+        """Find what is wrong with its distance near where robots start, (n, 2); empty if nothing.
+
+        Points and ways between them are drawn, always the same ones.
+        """
+        kind = getattr(self, "kind", "")
+        draw = uniform(0, "terrain", np.arange(_PAIRS)[:, None], np.arange(6))
+        point = _FARTHEST * (2.0 * draw[:, :3] - 1.0)
+        point[:, :2] += start[np.arange(_PAIRS) % len(start)]
+        z = 2.0 * draw[:, 3] - 1.0
+        around = 2.0 * np.pi * draw[:, 4]
+        flat = np.sqrt(1.0 - z**2)
+        length = _WAYS[0] * (_WAYS[1] / _WAYS[0]) ** draw[:, 5]
+        way = length[:, None] * np.column_stack([flat * np.cos(around), flat * np.sin(around), z])
+        ground = solid_ground([self.body()])
+        distance = ground.distance(point)
+        distance_ahead = ground.distance(point + way)
+        # No number is less than the distance to no ground, which is returned in its place.
+        is_wrong = ~(np.maximum(np.abs(distance), np.abs(distance_ahead)) < kernels.FAR)
+        change = np.abs(distance_ahead - distance) / length
+        if is_wrong.any():
+            return f"{kind} is no number at {_shown(point[is_wrong][0])}; return one for all points"
+        steepest = int(np.argmax(change))
+        if change[steepest] > self.lipschitz * (1.0 + _ROUNDING):
+            where = f"{change[steepest]:.3g} R a R at {_shown(point[steepest])}"
+            limit = f"lipschitz={self.lipschitz:g}"
+            return f"{kind} changes by {where}, more than its {limit}; divide it, or state another"
+        if (distance < 0.0).all():
+            return (
+                f"{kind} is negative at all points near {_shown(point.mean(axis=0))}; return the "
+                "distance, positive outside of the ground"
+            )
+        return ""
+
     def body(self) -> Body:
         """Return its numbers."""
         return self._placed(kernels.USER, user=self.function(), lipschitz=self.lipschitz)
 
 
-ZONE_KINDS = ("box", "cylinder", "sphere")
-"""Kinds of bodies that regions which robots may not enter can have."""
+_PAIRS = 4096
+"""Pairs of points at which functions of users are compared."""
+
+_FARTHEST = 20.0
+"""How far these points are from where robots start, at most, along x, y and z [R]."""
+
+_WAYS = (0.01, 3.0)
+"""Least and greatest distance of the two points of a pair [R]."""
+
+_ROUNDING = 1e-6
+"""Share by which a distance may change more than it should: rounding may be behind it."""
+
+
+def _shown(point: Reals) -> str:
+    """Write a point for a message."""
+    return "[" + ", ".join(f"{number:.3g}" for number in point) + "]"
 
 
 @lru_cache(maxsize=8)
