@@ -718,6 +718,89 @@ def test_a_mistake_in_settings_of_a_structure_has_its_place(files, code, scenari
     assert re.match(problem, str(mistake)), str(mistake)
 
 
+CHECKED = {
+    "method": (
+        "localization",
+        """
+        from dataclasses import dataclass
+        import tiswarm
+        @dataclass(frozen=True)
+        class Own:
+            size: float = 1.0
+            def __post_init__(self):
+                CHECK
+        @tiswarm.method("own", settings=Own)
+        def locate(log, settings):
+            pass
+        """,
+        {"localization": {"method": "own", "size": -1.0}},
+    ),
+    "structure": (
+        "structure",
+        """
+        import tiswarm
+        from tiswarm.world.params import TowerParams
+        @tiswarm.structure("own")
+        class Own(TowerParams):
+            size: float = 1.0
+            def __post_init__(self):
+                CHECK
+        """,
+        {"structure": {"kind": "own", "size": -1.0}},
+    ),
+    "rule": (
+        "structure.rule",
+        """
+        import tiswarm
+        @tiswarm.rule("own")
+        class Own:
+            size: float = 1.0
+            def __post_init__(self):
+                CHECK
+            def choose(self, step):
+                return -1
+        """,
+        {"structure": {"kind": "tower", "rule": {"name": "own", "size": -1.0}}},
+    ),
+    "terrain": (
+        "structure.terrain",
+        """
+        import tiswarm
+        from tiswarm import ti
+        @tiswarm.terrain("own")
+        class Own:
+            size: float = 1.0
+            def __post_init__(self):
+                CHECK
+            def distance(self):
+                return ti.func(lambda point: point[2])
+        """,
+        {"structure": {"kind": "tower", "terrain": [{"kind": "own", "size": -1.0}]}},
+    ),
+}
+"""By kind whose plug-ins are classes with settings, the place of these, code and scenario."""
+
+
+@pytest.mark.parametrize(
+    ("check", "problem"),
+    [
+        ("raise ValueError(f'{self.size:g} is too small')", "-1 is too small"),
+        ("self.sise", r".*own.py:\d+: own.__post_init__ failed: AttributeError: .*; correct the"),
+        ("raise SystemExit(3)", r".*own.py:\d+: own.__post_init__ failed: SystemExit: 3; correct"),
+    ],
+)
+@pytest.mark.parametrize("kind", CHECKED)
+def test_what_a_class_says_of_its_settings_is_a_line(files, kind, check, problem):
+    """At the section, for each kind of plug-in that is a class."""
+    place, code, section = CHECKED[kind]
+    (files / "own.py").write_text(textwrap.dedent(code).replace("CHECK", check))
+    usual = {"name": "own", "structure": {"kind": "tower"}, "localization": {"method": "joint"}}
+
+    [mistake] = library.check(usual | section, plugins=["own.py"]).mistakes
+
+    assert re.match(rf"{place}(\[0\])?: {problem}", str(mistake)), str(mistake)
+
+
 def test_the_schema_describes_settings_of_a_structure(files):
     """Those that it inherits, too."""
     (files / "own.py").write_text(LEANING)

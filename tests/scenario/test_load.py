@@ -50,6 +50,62 @@ def scenario(tmp_path):
     return write
 
 
+@pytest.mark.parametrize(
+    ("key", "section"),
+    [
+        ("structure.kind", {"structure": {"kind": "own"}}),
+        ("structure.rule", {"structure": {"kind": "tower", "rule": "own"}}),
+        ("structure.rule.name", {"structure": {"kind": "tower", "rule": {"name": "own"}}}),
+        ("structure.terrain[0].kind", {"structure": {"kind": "tower", "terrain": {"kind": "own"}}}),
+        (
+            "structure.strength.law",
+            {"structure": {"kind": "tower", "strength": {"law": "own", "limit": 1.0}}},
+        ),
+        ("localization.method", {"localization": {"method": "own"}}),
+        ("localization.channel", {"localization": {"method": "distributed", "channel": "own"}}),
+        ("localization.force", {"localization": {"method": "relax", "force": "own"}}),
+        ("localization.integrator", {"localization": {"method": "relax", "integrator": "own"}}),
+        ("sensing.suite", {"sensing": {"suite": "own"}}),
+    ],
+)
+def test_each_name_that_a_plug_in_may_add_says_how_to_load_it(key, section):
+    """An unknown one may be that of a plug-in that the user forgot to name."""
+    usual = {"name": "x", "structure": {"kind": "tower"}, "localization": {"method": "joint"}}
+
+    mistakes = find_mistakes(usual | section)
+
+    [line] = [str(mistake) for mistake in mistakes if mistake.key == key]
+    assert line.endswith(", or one of a plug-in that you load (--plugin FILE)")
+
+
+TWO_BODIES = """\
+name: ground
+structure:
+  kind: tower
+  terrain: [{kind: plane}, {kind: sphere, position: [0, 0, -40], radius: 60}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("setting", "problem"),
+    [
+        ("structure.terrain[1].radius=9", "terrain[1] is an entry of a list"),
+        ("structure.terrain[7].radius=9", "terrain[7] is an entry of a list"),
+        ("structure.terrain[1]={kind: plane}", "terrain[1] is an entry of a list"),
+        ("structure.terrain.radius=9", "terrain is a list"),
+        ("structure.terrain.0.radius=9", "terrain is a list"),
+        ("sweep={'structure.terrain[1].radius': [9, 8]}", "terrain[1] is an entry of a list"),
+        ("sweep.structure.terrain.radius=[9, 8]", "terrain is a list"),
+    ],
+)
+def test_a_list_is_set_as_a_whole(scenario, setting, problem):
+    """The path that errors print of an entry is no key; the line says what to set."""
+    with pytest.raises(InputError) as caught:
+        load_scenario(scenario(TWO_BODIES), [setting])
+
+    assert f"structure.{problem}; set structure.terrain as a whole" in str(caught.value)
+
+
 def test_name_kind_and_method_are_enough(scenario):
     """Everything else has a default."""
     small = load_scenario(scenario(f"{SMALL}localization: {ALGORITHM_1}\n"))

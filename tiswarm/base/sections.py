@@ -34,6 +34,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticKnownError, core
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
+from tiswarm.base.plugins import PluginError, call_plugin
 from tiswarm.base.registry import Plugin, get, names, registered
 
 SELECTORS: Mapping[str, str] = {
@@ -152,11 +153,15 @@ def settings_class(
 ) -> Any:  # noqa: ANN401 - a class
     """Make the class that checks a section from a class of a plug-in.
 
+    The class of the plug-in may check values in its `__post_init__`: a ValueError is a mistake of
+    the section.
+
     Args:
         kind: Kind of the registry.
         name: Name by which scenarios select the section.
         settings: Dataclass whose fields are further keys, described by the docstrings below them.
-        base: Base class of the section.
+        base: Base class of the section; unless that is `settings` or derived from it,
+            `settings_object` makes objects of `settings`.
         namespace: Further attributes.
 
     Raises:
@@ -167,11 +172,14 @@ def settings_class(
     selector: Any = Annotated[Literal[name], Field(description=f"Name of the {noun}.")]
     annotations: dict[str, Any] = {key: selector}
     attributes: dict[str, Any] = {key: name, **namespace, "__reduce__": _sent(kind)}
+    check = _check_of(kind, settings, base)
+    if check is not None:
+        attributes["__post_init__"] = _guarded(kind, name, check)
     if settings is not None:
         hints = get_type_hints(settings, include_extras=True)
         texts = _texts(settings)
         for setting in fields(settings):
-            if setting.name == key:
+            if setting.name == key or not setting.init:
                 continue
             text = texts.get(setting.name) or _inherited_text(settings, setting.name)
             description = Field(description=text)
@@ -192,6 +200,18 @@ def settings_class(
         raise InputError(problem) from error
 
 
+def settings_object(kind: str, section: Any, settings: type[Any]) -> Any:  # noqa: ANN401 - of a plug-in
+    """Make an object of a plug-in's class of settings from a section that `settings_class` checks.
+
+    Args:
+        kind: Kind of the registry.
+        section: The checked section.
+        settings: Dataclass of the plug-in.
+    """
+    names = [setting.name for setting in fields(settings) if setting.init]
+    return settings(**{name: getattr(section, name) for name in names if name != SELECTORS[kind]})
+
+
 def mistake_at(path: tuple[str | int, ...], problem: str) -> ValidationError:
     """Make an error of a validator whose problem is at a path within the value that it checks."""
     error: InitErrorDetails = {
@@ -201,6 +221,43 @@ def mistake_at(path: tuple[str | int, ...], problem: str) -> ValidationError:
         "ctx": {"error": ValueError(problem)},
     }
     return ValidationError.from_exception_data("mistake", [error])
+
+
+def _check_of(
+    kind: str, settings: type[Any] | None, base: type[Any]
+) -> Callable[[Any], object] | None:
+    """Return what checks the values of a section as the class of a plug-in does; None if nothing.
+
+    A class that is no base of the section checks values where an object of it is made.
+    """
+    if settings is None:
+        return None
+    if issubclass(base, settings):
+        check: Callable[[Any], object] | None = getattr(settings, "__post_init__", None)
+        return check
+    return lambda section: settings_object(kind, section, settings)
+
+
+def _guarded(kind: str, name: str, check: Callable[[Any], object]) -> Callable[[Any], None]:
+    """Wrap a check of a plug-in: any exception is a mistake of the section, in one line."""
+
+    def post_init(section: Any) -> None:  # noqa: ANN401 - of any plug-in
+        refusals: list[Exception] = []
+
+        def call() -> None:
+            try:
+                check(section)
+            except (ValueError, AssertionError) as refusal:  # what pydantic takes from a check
+                refusals.append(refusal)
+
+        try:
+            call_plugin(kind, name, call, method="__post_init__")
+        except PluginError as error:
+            raise ValueError(f"{error.problem}; correct the plug-in") from error
+        if refusals:
+            raise refusals[0]
+
+    return post_init
 
 
 @cache

@@ -26,7 +26,7 @@ from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.plugins import call_plugin, fault_of_numbers
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.base.registry import get, register
-from tiswarm.base.sections import Section, settings_class
+from tiswarm.base.sections import Section, settings_class, settings_object
 from tiswarm.localization.settings import DOCKS_UNKNOWN, MethodParams, all_cues
 from tiswarm.measurements.flips import fit_orientations
 from tiswarm.measurements.observability import observability
@@ -289,10 +289,7 @@ class PluginMethodParams(MethodParams):
         """Settings as the plug-in defines them; None if it has none."""
         if self.plugin_settings is None:
             return None
-        names = (setting.name for setting in fields(self))  # type: ignore[arg-type]
-        return self.plugin_settings(
-            **{name: getattr(self, name) for name in names if name != "method"}
-        )
+        return settings_object("method", self, self.plugin_settings)
 
     @staticmethod
     def localize(
@@ -414,12 +411,7 @@ def _section(
     Raises:
         InputError: a field of the settings cannot be checked.
     """
-
-    def check(params: PluginMethodParams) -> None:
-        params.settings  # noqa: B018 - raises what the plug-in's own check finds
-
     namespace = {
-        "__post_init__": check,
         "plugin_function": staticmethod(locate),
         "plugin_settings": settings,
         "plugin_cues": tuple(cues),

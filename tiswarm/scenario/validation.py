@@ -45,13 +45,36 @@ MOST_MISTAKES = 20
 """Mistakes of a scenario that are listed; of more, the list says that there are others."""
 
 _METHOD = ("localization", "method")
-_KIND = ("structure", "kind")
-_RULE = ("structure", "rule", "name")
+
+_NAMES = frozenset(
+    {
+        _METHOD,
+        ("localization", "channel"),
+        ("localization", "force"),
+        ("localization", "integrator"),
+        ("sensing", "suite"),
+        ("structure", "kind"),
+        ("structure", "rule"),
+        ("structure", "rule", "name"),
+        ("structure", "strength", "law"),
+        ("structure", "terrain", "kind"),
+    }
+)
+"""Keys, without indices, whose values are names that plug-ins may add."""
+
+_UNKNOWN_NAME = frozenset({"union_tag_invalid", "literal_error"})
+"""Types of errors of a name that is none of those listed."""
 
 _MOVED: Mapping[tuple[Part, ...], tuple[Part, ...]] = {
     ("localization", cue): ("localization", "cues", cue) for cue in SWITCHES
 }
 """Keys of earlier versions that are somewhere else now."""
+
+_ENTRY = re.compile(r"(?P<name>.+)\[-?\d+\]")
+"""Entry of a list, as errors name it."""
+
+_WITH_KEYS = ("conditions", "sweep")
+"""Sections whose keys are names, or keys of other sections, which are checked one by one."""
 
 _CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+|label))?")
 _Checked = TypeVar("_Checked")
@@ -137,8 +160,16 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
 
 def set_key(data: Plain, path: Sequence[str], value: object) -> str:
     """Set a value in plain data in place; return why that is impossible, or nothing."""
+    for place, part in enumerate(path, start=1):
+        entry = _ENTRY.fullmatch(part)
+        if entry and path[0] not in _WITH_KEYS:
+            whole = dotted([*path[: place - 1], entry["name"]])
+            return f"{dotted(path[:place])} is an entry of a list; set {whole} as a whole"
     for place, part in enumerate(path[:-1], start=1):
         data = data.setdefault(part, {})
+        if isinstance(data, list):
+            whole = dotted(path[:place])
+            return f"{whole} is a list; set {whole} as a whole"
         if not isinstance(data, dict):
             return f"{dotted(path[:place])} is a single value, not a section; correct the key"
     data[path[-1]] = deepcopy(value)
@@ -287,8 +318,8 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> Mis
         problem = f"is missing; write it like localization: {{method: joint}}, one of {methods}"
         return Mistake(_METHOD, problem)
     problem = explain(error, _allowed(path, adapter, data))
-    is_name_of_rule = path == _RULE[:2] and error["type"] == "literal_error"
-    if path in {_METHOD, _KIND, _RULE} or is_name_of_rule:
+    keys = tuple(part for part in path if not isinstance(part, int))
+    if keys in _NAMES and error["type"] in _UNKNOWN_NAME:
         if not problem.endswith("?"):
             problem += ", or one of a plug-in that you load (--plugin FILE)"
         elif not contents():  # no plug-in is loaded that would have a name so near

@@ -80,6 +80,43 @@ def test_a_setting_of_a_user_is_checked_as_any_other(load):
         load(WAVES, {"kind": "cone", "hight": 3.0})
 
 
+def test_a_class_of_a_user_checks_its_settings(load):
+    """The ValueError of `__post_init__` is a line at the body."""
+    check = """
+    def __post_init__(self):
+        if self.height <= 0.0:
+            raise ValueError(f"height should be above 0, not {self.height:g}")
+
+    def distance"""
+    source = WAVES.replace("\n    def distance", check)
+
+    with pytest.raises(InputError, match=r"terrain\[1\]: height should be above 0, not -1$"):
+        load(source, [{"kind": "waves"}, {"kind": "cone", "height": -1.0}])
+
+    assert load(source, {"kind": "cone", "height": 1.0}).terrain[0].height == 1.0
+
+
+def test_a_distance_may_use_what_its_class_has(load):
+    """Its methods, constants, and what `__post_init__` derives."""
+    derived = """
+    STEEPNESS = 2.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "tip", 0.5 * self.height)
+
+    def doubled(self):
+        return self.STEEPNESS * self.tip
+
+    def distance"""
+    source = WAVES.replace("\n    def distance", derived)
+    source = source.replace("height = self.height", "height = self.doubled()")
+
+    ground = structure_ground(load(source, {"kind": "cone", "height": 4.0}))
+
+    place = np.array([[3.0, 4.0, 6.0]])
+    np.testing.assert_allclose(ground.distance(place), 7.0 / 2**0.5, atol=1e-12)
+
+
 def test_a_function_that_does_not_compile_is_a_line_with_its_place(load):
     """The file and the line of the function."""
     source = WAVES.replace("ti.sin(0.5 * point[0])", "no_such_name")

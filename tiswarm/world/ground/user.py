@@ -17,7 +17,7 @@ import numpy as np
 from tiswarm.base.errors import InputError
 from tiswarm.base.plugins import call_plugin
 from tiswarm.base.registry import register
-from tiswarm.base.sections import settings_class
+from tiswarm.base.sections import settings_class, settings_object
 from tiswarm.compute.user_functions import is_kernel_function, reads, undecorated
 from tiswarm.world.ground.bodies import UserParams
 
@@ -36,7 +36,8 @@ def terrain(name: str, *, lipschitz: float = 1.0) -> Callable[[_Form], _Form]:
     [R] to the distance to the ground [R], negative inside. It should be true up to 3 R from the
     surface, for docks rest where it is their radius; farther away it may be less. A class instead
     has annotated fields, which are keys of the body, and a method `distance`, which returns such a
-    function. Points are in the body's frame.
+    function. Its `__post_init__` may raise ValueError for values that it cannot take. Points are in
+    the body's frame.
 
     Args:
         name: Name of the ground: words of letters and digits, with "-".
@@ -60,7 +61,7 @@ def terrain(name: str, *, lipschitz: float = 1.0) -> Callable[[_Form], _Form]:
             source: Any = vars(form)["distance"]
             if "__dataclass_fields__" not in vars(form):
                 settings = dataclass(frozen=True, kw_only=True)(form)
-            namespace["function"] = _guarded(name, source)
+            namespace["function"] = _guarded(name, settings)
         elif is_kernel_function(form):
             source = undecorated(form)
             settings = None
@@ -76,14 +77,20 @@ def terrain(name: str, *, lipschitz: float = 1.0) -> Callable[[_Form], _Form]:
     return add
 
 
-def _guarded(name: str, distance: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Wrap the method of a plug-in that returns its function."""
+def _guarded(name: str, settings: type[Any]) -> Callable[[Any], Any]:
+    """Wrap the method of a plug-in's class that returns its function."""
 
-    def function(self: Any) -> Any:  # noqa: ANN401 - of the kernel language
+    def function(body: Any) -> Any:  # noqa: ANN401 - of the kernel language
+        ground = settings_object("terrain", body, settings)
         returned = call_plugin(
-            "terrain", name, lambda: distance(self), _fault, method="distance", repeats=distance,
-            owner=self,
-        )  # fmt: skip
+            "terrain",
+            name,
+            ground.distance,
+            _fault,
+            method="distance",
+            repeats=settings.distance,
+            owner=ground,
+        )
         return _kept(returned)
 
     return function
