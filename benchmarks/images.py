@@ -4,6 +4,7 @@ for kind in tower cantilever bridge chain; do tiswarm run scenarios/$kind.yaml -
 python -m benchmarks.images reports/tower-* reports/cantilever-* reports/bridge-* reports/chain-*
 
 `python -m benchmarks.images --large` grows a tower of 10,000 robots, and draws picture and film.
+`python -m benchmarks.images --grounds reports/terrain-*` draws a structure on each ground alone.
 `python -m benchmarks.images --repair repair.py` draws only the film of robots that leave, with the
 rule of docs/guides/repair.md in that file.
 """
@@ -200,6 +201,13 @@ def draw_forces(views: Sequence[tuple[str, SwarmView]], renderer: str) -> Image.
     return add_legend(draw_side_by_side(tiles, renderer), legend)
 
 
+def draw_grounds(run: RunData, renderer: str) -> Image.Image:
+    """Draw the first structure on each ground, colored by the force that its robots sense."""
+    first = {case.point: case for case in reversed(run.cases) if case.done}
+    points = list(dict.fromkeys(run.summary["point"]))
+    return draw_forces([(point, read_case_view(first[point])) for point in points], renderer)
+
+
 def _case_of(run: RunData, condition: str) -> StoredCase:
     """Find the first case of a condition, by its name in the scenario."""
     cases = (case for case in run.cases if case.done)
@@ -225,6 +233,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("runs", type=Path, nargs="*", help="run folders; the first is the tower")
     parser.add_argument("--large", action="store_true", help="draw a large structure alone")
+    parser.add_argument("--grounds", type=Path, help="folder of a run of the scenario terrain")
     parser.add_argument("--repair", type=Path, help="file of the rule `repair`")
     parser.add_argument("--renderer", default="open3d", choices=["open3d", "taichi"])
     arguments = parser.parse_args()
@@ -233,6 +242,9 @@ def main() -> None:
         picture, film = draw_large(arguments.renderer)
         save(picture, "large")
         (_IMAGES / "large.webp").write_bytes(film)
+        return
+    if arguments.grounds:
+        save(draw_grounds(load_run(arguments.grounds), arguments.renderer), "grounds")
         return
     if arguments.repair:
         film = draw_departures(arguments.repair, arguments.renderer)
