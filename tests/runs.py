@@ -14,13 +14,18 @@ from unittest.mock import patch
 
 from tiswarm import study
 from tiswarm.base.progress import Progress
+from tiswarm.base.registry import BUILT_IN
 from tiswarm.cli import main
+from tiswarm.records.run_folder import ENGINE_METHOD, NO_METHOD
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.run import RunResult
 
 REPOSITORY = Path(__file__).parents[1]
 MEASURED = {"manifest.json", "cost.json", "report.html"}
 """Files of a run that depend on the machine and the clock."""
+
+LOCALIZERS = [name for name in BUILT_IN["method"] if name not in {NO_METHOD, ENGINE_METHOD}]
+"""Methods that localize robots by their logs."""
 
 QUIET = Progress()
 """Shows nothing."""

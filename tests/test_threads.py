@@ -24,13 +24,12 @@ from tests.localization.test_joint_estimates import BIASED
 from tests.localization.test_joint_estimates import SHORT as JOINT
 from tests.localization.test_together import SHORT as TOGETHER
 from tests.localization.test_virtual_force import CUES
-from tests.runs import REPOSITORY, repeated_files
+from tests.runs import LOCALIZERS, REPOSITORY, repeated_files
 from tests.sensing.suites.test_sight import cloud, views
 from tests.structures import NOISY, silent
 from tests.world.test_growth import FIREANT, KINDS
 from tiswarm import relax, study
 from tiswarm.base.progress import Progress
-from tiswarm.base.registry import BUILT_IN
 from tiswarm.compute import backend
 from tiswarm.localization.chains.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.methods import localize_many
@@ -259,7 +258,7 @@ def test_threads_change_no_bit(found, name):
     assert two == one
 
 
-@pytest.mark.parametrize("method", BUILT_IN["method"])
+@pytest.mark.parametrize("method", LOCALIZERS)
 def test_every_method_is_among_them(method):
     """A new method brings a work of its own."""
     assert any(f"{name} ".startswith(f"{method} ") for name in WORKS)

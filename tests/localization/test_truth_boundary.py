@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.runs import LOCALIZERS
 from tiswarm.base.registry import BUILT_IN
 from tiswarm.localization import methods
 from tiswarm.localization.methods import settings_of
@@ -27,7 +28,7 @@ def _is_covered(module: str) -> bool:
     return f"{module}.".startswith(rooms)
 
 
-@pytest.mark.parametrize("name", BUILT_IN["method"])
+@pytest.mark.parametrize("name", LOCALIZERS)
 def test_every_method_is_covered(name):
     """Settings and code of a method are in rooms that cannot reach the truth."""
     settings = BUILT_IN["method"][name].partition(":")[0]

@@ -86,7 +86,7 @@ def test_columns_that_the_page_of_files_lists_are_in_tables(scaled):
     ]
 
     of_engine = {"throughput.csv", "moves.csv", "trajectory.csv"}
-    others = {"robots.csv", "suites.csv", "swarms.npz", *of_engine}
+    others = {"robots.csv", "loads.csv", "suites.csv", "swarms.npz", *of_engine}
     assert {file for file, _ in listed} == {*names, *others}
     assert [each for each in listed if each[0] in names and each[1] not in names[each[0]]] == []
 
