@@ -579,12 +579,12 @@ def measure(
 
     The names of the function's arguments say what of a case it receives, all in join order:
 
-    truth: `tiswarm.records.positions.Truth` [R].
-    estimate: `tiswarm.records.estimate.Estimate` as a run stores it [R]. A case without one has no
-        value, unless the argument has a default.
-    log: `tiswarm.records.sensing_log.SensingLog`.
-    history: `tiswarm.world.history.History` of the structure, as `tiswarm.grow` returns it.
-    settings: `tiswarm.scenario.model.Scenario` of the case, without its seed.
+    - truth: `tiswarm.records.positions.Truth` [R].
+    - estimate: `tiswarm.records.estimate.Estimate` as a run stores it [R]. A case without one has
+      no value, unless the argument has a default.
+    - log: `tiswarm.records.sensing_log.SensingLog`.
+    - history: `tiswarm.world.history.History` of the structure, as `tiswarm.grow` returns it.
+    - settings: `tiswarm.scenario.model.Scenario` of the case, without its seed.
 
     It returns a number, NaN where it is unknown.
 
