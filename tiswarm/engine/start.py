@@ -20,7 +20,7 @@ class Ball:
     """Center to dock [R], shape (1, 3)."""
 
 
-class Placed(NamedTuple):
+class PlacedSwarm(NamedTuple):
     """N robots with docks of radius R, and the docks that are connected."""
 
     position: Reals  # centers [R], shape (N, 3)
@@ -36,7 +36,7 @@ class Placed(NamedTuple):
 
 def place(
     robots: int, seed: int, *, robot: Robot, pitch: float, jitter: float, turned: bool, band: float
-) -> Placed:
+) -> PlacedSwarm:
     """Place robots on a cubic lattice, filled layer by layer.
 
     Args:
@@ -57,7 +57,7 @@ def place(
     if turned:
         turn = normal(seed, "turn", index[:, None], np.arange(4))
         turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-    unconnected = Placed(pitch * cell + jitter * shift, turn, np.empty((0, 4), np.int64))
+    unconnected = PlacedSwarm(pitch * cell + jitter * shift, turn, np.empty((0, 4), np.int64))
     if band == 0.0:
         return unconnected
     pairs, distance = dock_pairs(unconnected, robot, robot.spacing + band)
@@ -65,7 +65,7 @@ def place(
     return unconnected._replace(contacts=contacts)
 
 
-def dock_pairs(placed: Placed, robot: Robot, reach: float) -> tuple[Ints, Reals]:
+def dock_pairs(placed: PlacedSwarm, robot: Robot, reach: float) -> tuple[Ints, Reals]:
     """List the pairs of docks of two robots that are nearer than a reach.
 
     Returns:

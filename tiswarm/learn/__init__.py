@@ -13,7 +13,7 @@ installs both libraries.
 
 from typing import TYPE_CHECKING
 
-from tiswarm.learn.tasks import TASKS, Task
+from tiswarm.learn.tasks import TASKS, GrowthTask
 
 try:
     import gymnasium
@@ -24,7 +24,7 @@ except ModuleNotFoundError as error:
 if TYPE_CHECKING:
     from tiswarm.learn.parallel import TaskParallelEnv
 
-__all__ = ["TASKS", "Task", "parallel_env"]
+__all__ = ["TASKS", "GrowthTask", "parallel_env"]
 
 
 def parallel_env(task: str = "Tower", **arguments: object) -> "TaskParallelEnv":

@@ -60,7 +60,7 @@ def closure(structures: Structures) -> Reals:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class GrowthTask:
     """What grows, and what it is worth."""
 
     aim: str
@@ -86,8 +86,8 @@ _RUBBLE = [{"kind": "plane"}, {"kind": "mesh", "file": "terrain/rubble.stl", "re
 _PAYLOAD = {"payload": {"weight": 5.0}}  # of robots; the highest one carries it
 
 
-def _bridge(gap: float, **settings: object) -> Task:
-    return Task(
+def _bridge(gap: float, **settings: object) -> GrowthTask:
+    return GrowthTask(
         aim=f"close a gap of {gap:g} R with few robots",
         structure={"kind": "bridge", "gap": gap, **settings},
         measure=closure,
@@ -95,9 +95,9 @@ def _bridge(gap: float, **settings: object) -> Task:
     )
 
 
-TASKS: Mapping[str, Task] = {
-    "Tower": Task(aim="build high", structure={"kind": "tower"}, measure=height, unit="R"),
-    "Cantilever": Task(
+TASKS: Mapping[str, GrowthTask] = {
+    "Tower": GrowthTask(aim="build high", structure={"kind": "tower"}, measure=height, unit="R"),
+    "Cantilever": GrowthTask(
         aim="build far out over an edge",
         structure={"kind": "cantilever"},
         measure=reach,
@@ -109,7 +109,7 @@ TASKS: Mapping[str, Task] = {
     "BreakingBridge": replace(
         _bridge(20.0, strength={"limit": 500.0}), aim="close a gap of 20 R with docks that break"
     ),
-    "RubbleTower": Task(
+    "RubbleTower": GrowthTask(
         aim="carry a payload high on rubble",
         structure={"kind": "tower", "terrain": _RUBBLE, "mechanics": _PAYLOAD},
         measure=height,
@@ -120,7 +120,7 @@ TASKS: Mapping[str, Task] = {
 """Tasks by name."""
 
 
-def task_of(name: str) -> Task:
+def task_of(name: str) -> GrowthTask:
     """Return a task.
 
     Raises:

@@ -640,18 +640,18 @@ def _asked(
         return _NAMELESS, (), False
     several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
     arguments = [argument for argument in arguments if argument.kind not in several]
-    known = [argument for argument in arguments if argument.name in PARTS]
+    part_arguments = [argument for argument in arguments if argument.name in PARTS]
     needed = [argument for argument in arguments if argument.default is Parameter.empty]
-    if not known and len(needed) == len(_NAMELESS):
+    if not part_arguments and len(needed) == len(_NAMELESS):
         return _NAMELESS, (), False
-    unknown = [argument.name for argument in needed if argument.name not in PARTS]
-    if unknown or not known:
-        named = f"argument {unknown[0]}" if unknown else "no argument"
+    nameless = [argument.name for argument in needed if argument.name not in PARTS]
+    if nameless or not part_arguments:
+        named = f"argument {nameless[0]}" if nameless else "no argument"
         problem = f"measure {name}: {named} is none of {', '.join(PARTS)}; name what it asks for"
         raise InputError(problem)
-    optional = tuple(argument.name for argument in known if argument not in needed)
-    by_name = all(argument.kind != Parameter.POSITIONAL_ONLY for argument in known)
-    return tuple(argument.name for argument in known), optional, by_name
+    optional = tuple(argument.name for argument in part_arguments if argument not in needed)
+    by_name = all(argument.kind != Parameter.POSITIONAL_ONLY for argument in part_arguments)
+    return tuple(argument.name for argument in part_arguments), optional, by_name
 
 
 def plugin_measures() -> dict[str, PluginMeasure]:

@@ -18,7 +18,7 @@ from tiswarm.compute import backend
 from tiswarm.engine import laws
 from tiswarm.engine.forces import MovingSwarm
 from tiswarm.engine.relax import RelaxResult
-from tiswarm.engine.start import Ball, Placed, are_connected, dock_pairs, place
+from tiswarm.engine.start import Ball, PlacedSwarm, are_connected, dock_pairs, place
 from tiswarm.localization.relax import RelaxParams
 from tiswarm.scenario.expansion import Case
 
@@ -30,7 +30,7 @@ _SEEDS = 2**31
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moved:
+class SwarmResult:
     """What a swarm did: tables and scores of a case."""
 
     tables: Mapping[str, pd.DataFrame]
@@ -107,7 +107,7 @@ class StudiedSwarm:
             advance(steps * robots)
         return results, np.array(taken)
 
-    def measure(self, results: list[RelaxResult], taken: Ints) -> Moved:
+    def measure(self, results: list[RelaxResult], taken: Ints) -> SwarmResult:
         """Tabulate and score the swarm at its last step."""
         end = results[-1]
         last = self._start._replace(position=end.position)
@@ -142,14 +142,14 @@ class StudiedSwarm:
             "moved_R": _rms(robots["moved_R"].to_numpy()),
             "list_builds": sum(result.list_builds for result in results),
         }
-        return Moved(tables=tables, scores=scores)
+        return SwarmResult(tables=tables, scores=scores)
 
     @property
     def robot_steps(self) -> int:
         """Steps of all robots together."""
         return len(self._start.position) * self._params.steps
 
-    def _overlap(self, placed: Placed) -> Reals:
+    def _overlap(self, placed: PlacedSwarm) -> Reals:
         """Return by how much a dock of each robot is nearer than D to one not connected, (N,)."""
         spacing = self._robot.spacing
         pairs, distance = dock_pairs(placed, self._robot, spacing)
@@ -160,7 +160,7 @@ class StudiedSwarm:
             np.maximum.at(overlap, robot, spacing - distance[free])
         return overlap
 
-    def _contact_gap(self, placed: Placed) -> float:
+    def _contact_gap(self, placed: PlacedSwarm) -> float:
         """Return the root mean square by which connected docks miss D [R]; NaN without contacts."""
         if not len(placed.contacts):
             return float("nan")

@@ -19,7 +19,13 @@ from tiswarm.world.climb_kernels import (
     Manner,
     StructureArrays,
 )
-from tiswarm.world.rule_kernels import FlipArrays, Sensed, list_flips, sense_ends, settle_walks
+from tiswarm.world.rule_kernels import (
+    FlipArrays,
+    StanceColumn,
+    list_flips,
+    sense_ends,
+    settle_walks,
+)
 from tiswarm.world.walks import Walks
 
 _Slots = NDArray[np.int32]
@@ -225,7 +231,7 @@ class ChoiceClimb:
             orientation=np.zeros((slots, self._flip_count, 4)),
             visited=np.zeros((slots, self._flip_count), np.int32),
         )
-        self._met = np.zeros((slots, Sensed.TOTAL), np.int32)
+        self._met = np.zeros((slots, StanceColumn.TOTAL), np.int32)
         self.waits = np.zeros(slots, np.bool_)
         """Whether the robot in each slot waits for the next round, shape (slots,)."""
         self.is_walking = np.zeros(slots, np.bool_)
@@ -249,7 +255,7 @@ class ChoiceClimb:
             walks.limits, walking, self._met, *self._climbed, *walks.climbers,
             *walks.stances, *self._flips, walks.laws,
         )  # fmt: skip
-        walks.state[walking] |= self._met[walking, Sensed.OVERFLOW]
+        walks.state[walking] |= self._met[walking, StanceColumn.OVERFLOW]
         is_put = walks.climbers.manner[walking, Manner.PATIENCE] == 0
         put = walking[is_put]
         self._stay(put, walks.stances.last[put])
@@ -258,7 +264,7 @@ class ChoiceClimb:
             walks,
             self._structures,
             self._flips,
-            self._met[:, Sensed.CALLED],
+            self._met[:, StanceColumn.CALLED],
             self._asked,
             self._sensed,
             self._present,
@@ -306,7 +312,9 @@ class ChoiceClimb:
         walks = self._walks
         walks.stances.best[slots] = stance
         walks.stances.stay[slots] = stance
-        recruited = (self._met[slots, Sensed.CALLED] != 0) & (stance == walks.stances.last[slots])
+        recruited = (self._met[slots, StanceColumn.CALLED] != 0) & (
+            stance == walks.stances.last[slots]
+        )
         walks.state[slots] |= np.where(recruited, RECRUITED, ENDED)
         self.is_walking[slots] = False
 

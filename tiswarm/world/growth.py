@@ -307,7 +307,7 @@ class GrowthBatch:
 
     def _fill(self, slots: AnyInts, climbing: AnyInts) -> None:
         """Let a robot start in each of some slots of different structures, if one is due."""
-        starts: dict[int, Start] = {}
+        starts: dict[int, DueStart] = {}
         for slot in slots.tolist():
             structure = self.structures[self.structure_of[slot]]
             climbing_count = climbing[structure.number]
@@ -327,7 +327,7 @@ class GrowthBatch:
             self.moving[slot] = True
             climbing[structure.number] += 1
 
-    def _place(self, starts: "dict[int, Start]") -> dict[int, Spawn]:
+    def _place(self, starts: "dict[int, DueStart]") -> dict[int, Spawn]:
         """Draw places of robots, by slot, until nothing stands there; end growth if all are taken.
 
         On uneven ground, robots of all structures come down in one call, which costs less.
@@ -416,7 +416,8 @@ class GrowthBatch:
             structure = self.structures[self.structure_of[slot]]
             if walks.joined[slot] >= 0:
                 walk = walks.walk(slot, int(self.rounds[structure.number]))
-                self._admit_member(slot, structure.number)
+                if hasattr(self.rule, "act"):
+                    self._admit_member(slot, structure.number)
                 structure.join(walk, self.arrays.dock[structure.number])
             elif not wants[slot]:
                 structure.turn_away()
@@ -538,7 +539,7 @@ class GrowthBatch:
         self._list(grown, *cells, dock)
 
 
-class Start(NamedTuple):
+class DueStart(NamedTuple):
     """A robot that is to start in a structure, wherever there is room."""
 
     robot: int
@@ -606,7 +607,7 @@ class GrowingStructure:
         """Whether the next robot may stay without touching another."""
         return len(self.walks) < self.params.founder_count
 
-    def start(self, docks: Reals) -> Start:
+    def start(self, docks: Reals) -> DueStart:
         """Say how the next robot starts.
 
         Draws depend on the seed and the number of robots spawned before alone.
@@ -635,9 +636,9 @@ class GrowingStructure:
             patience = climb.patience
             if climb.settle > 0.0 and not params.plane:
                 settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle)
-        return Start(index, side, rim, anchor_place, patience, settles)
+        return DueStart(index, side, rim, anchor_place, patience, settles)
 
-    def pose(self, start: Start, trial: int) -> tuple[Reals, Reals]:
+    def pose(self, start: DueStart, trial: int) -> tuple[Reals, Reals]:
         """Put a robot on its lowest docks, or upright on one in a plane, turned at random.
 
         Returns:
@@ -659,7 +660,7 @@ class GrowingStructure:
         arm = dock_offsets(orientation[None], body)[0]
         return place - arm[arm[:, 2].argmin()], orientation
 
-    def spawn(self, start: Start, center: Reals, orientation: Reals) -> Spawn:
+    def spawn(self, start: DueStart, center: Reals, orientation: Reals) -> Spawn:
         """Let a robot start at a free place [R], shape (3,), with an orientation, shape (4,)."""
         return Spawn(
             center=center,

@@ -496,13 +496,13 @@ class Frames:
         # The center is the first node of a robot; in the rigid model its docks weigh on it, too.
         center = self.frame.weight[structure].reshape(robots, -1, _SIDE)[:, 0, :3]
         before = self.carrier[structure]
-        own = docks * self.down if self.rigid else np.zeros(3)
+        weight_of_one = docks * self.down if self.rigid else np.zeros(3)
         if before >= 0:
-            center[before] = 0.0 if self.gone[structure, before] else own
+            center[before] = 0.0 if self.gone[structure, before] else weight_of_one
         self.carrier[structure] = -1
         if len(able):
             carrier = payload.carrier(self.center[structure], able)
-            center[carrier] = own + payload.weight_for(docks) * self.down
+            center[carrier] = weight_of_one + payload.weight_for(docks) * self.down
             self.carrier[structure] = carrier
 
     def _weight(self, structure: int) -> float:

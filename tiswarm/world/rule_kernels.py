@@ -64,7 +64,7 @@ class FlipArrays(NamedTuple):
     """Whether the walk has been there before, shape (slots, K)."""
 
 
-class Sensed(Columns):
+class StanceColumn(Columns):
     """What a climber meets at a stance."""
 
     CALLED = 1
@@ -104,7 +104,7 @@ def list_flips(
     Args:
         limits_of_one: Distances and limits, and the terrain of one structure.
         movers: Slots of the robots that move, shape (M,).
-        sensed_out: Columns of `Sensed`, shape (slots, 2).
+        sensed_out: Columns of `StanceColumn`, shape (slots, 2).
         laws: Form of the ground: a `Laws`.
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
@@ -130,14 +130,14 @@ def list_flips(
                 called |= sense_contacts(
                     limits, site, structures, structure[m], walks, m, last[m], k, point
                 )
-            sensed_out[m, Sensed.CALLED] = called
-            sensed_out[m, Sensed.OVERFLOW] = 0
+            sensed_out[m, StanceColumn.CALLED] = called
+            sensed_out[m, StanceColumn.OVERFLOW] = 0
             for column in range(angle_out.shape[1]):
                 angle_out[m, column] = 0.0
             for k in range(dock_offset_body.shape[0]):
                 # One is kept for settling.
                 if last[m] + 2 < center.shape[1] and is_attached(walks, m, last[m], k):
-                    sensed_out[m, Sensed.OVERFLOW] |= _flips_about(
+                    sensed_out[m, StanceColumn.OVERFLOW] |= _flips_about(
                         limits, structures, believed, climbers, walks, m, k, flips, laws
                     )
 
