@@ -1,0 +1,131 @@
+"""Recordings with everyday noise give the stances, and the geometry, of the robots."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks.recordings import (
+    RADIUS_MM,
+    RHO,
+    Camera,
+    Walks,
+    counted_stances,
+    grown,
+    imported,
+    recorded,
+)
+from tiswarm.base.robot import RobotGeometry
+
+OFFSET_MM = RHO * RADIUS_MM
+BODY = RADIUS_MM * RobotGeometry(rho=RHO).dock_offset_body
+
+
+@pytest.fixture(scope="module")
+def walks():
+    """Walks of five robots of a tower, with small flips and ways back."""
+    return grown(5, 11)
+
+
+@pytest.fixture(scope="module")
+def recording(walks):
+    """Their recording at 30 Hz, 0.3 mm and 0.2 deg, of which 2 % are lost."""
+    return recorded(walks, Camera(), 0)
+
+
+@pytest.fixture(scope="module")
+def result(recording, tmp_path_factory):
+    """What the import makes of it, without knowing the robot."""
+    return imported(recording, tmp_path_factory.mktemp("recording"))
+
+
+def test_stances_come_back_from_noise(walks, result):
+    """At least 98 % of them are there, and at most 2 % are invented."""
+    count = counted_stances(walks, result.log)
+
+    assert count.true == 71
+    assert count.found >= 0.98 * count.true
+    assert count.invented <= 0.02 * count.true
+
+
+def test_the_log_states_the_noise_of_the_recording(result):
+    """Scatter within rests is measured, to some percent."""
+    noise = result.log.noise
+
+    assert noise.tilt_deg == pytest.approx(0.2, rel=0.1)
+    assert noise.yaw_deg == pytest.approx(0.2, rel=0.1)
+
+
+def test_flips_state_the_dock_offset_with_an_error_bar(result):
+    """It is off by less than 0.05 mm, and the note says by how much it may be."""
+    (note,) = [note for note in result.notes if note.startswith("dock offset")]
+    value, sd = map(float, re.match(r"dock offset (\S+) \+- (\S+) mm, by \d+ flips", note).groups())
+
+    assert abs(value - OFFSET_MM) < 0.05
+    assert abs(value - OFFSET_MM) < 4.0 * sd
+    assert result.warnings == []
+
+
+def test_error_bars_of_the_dock_offset_cover_its_errors(walks, tmp_path):
+    """Over seeds of noise, errors are about as large as stated."""
+    errors = []
+
+    for seed in range(12):
+        few = recorded(first_robots(walks, 2), Camera(rest_s=0.5, flip_s=1.0, rate_hz=20.0), seed)
+        notes = imported(few, tmp_path).notes
+        match = next(filter(None, (re.match(r"dock offset (\S+) \+- (\S+)", n) for n in notes)))
+        value, sd = map(float, match.groups())
+        errors.append((value - OFFSET_MM) / sd)
+
+    # Chi-square of 12 degrees of freedom: between these with a probability of 99.8 %.
+    assert 2.2 < np.square(errors).sum() < 33.0
+
+
+def first_robots(walks, count):
+    """Choose the walks of the first robots."""
+    return Walks(*(column[walks.robot < count] for column in walks))
+
+
+def test_a_wrong_dock_offset_is_named_with_the_right_one(recording, tmp_path):
+    """Flips contradict what the user states."""
+    warnings = imported(recording, tmp_path, dock_offset_body=0.99 * BODY).warnings
+
+    (warning,) = [text for text in warnings if "from the center as stated" in text]
+    said = float(re.search(r"flips say (\S+) \+-", warning)[1])
+    assert said == pytest.approx(OFFSET_MM, abs=0.05)
+
+
+def test_a_wrong_dock_radius_is_named_with_the_right_one(recording, tmp_path):
+    """Flips state the offset without the radius, and contacts state the radius then."""
+    warnings = imported(recording, tmp_path, dock_radius=RADIUS_MM - 0.6).warnings
+
+    (warning,) = [text for text in warnings if "have a radius of" in text]
+    said = float(re.search(r"contacts? say (\S+) \+-", warning)[1])
+    assert said == pytest.approx(RADIUS_MM, abs=0.1)
+
+
+def test_ground_at_another_height_is_measured(recording, tmp_path):
+    """Docks that stand say where the ground is."""
+    lifted = recording.assign(z_mm=recording["z_mm"] + 0.5)
+
+    warnings = imported(lifted, tmp_path).warnings
+
+    (warning,) = [text for text in warnings if "correct --ground-z" in text]
+    assert float(re.search(r"z = (\S+) \+-", warning)[1]) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 5])
+def test_exact_poses_state_no_noise(walks, tmp_path, samples):
+    """Scatter between stances is motion, however many samples a rest has."""
+    rows = np.repeat(np.arange(len(walks.robot)), samples)
+    wxyz = walks.orientation_wxyz[rows]
+    table = pd.DataFrame(
+        np.column_stack([walks.center[rows], wxyz]),
+        columns=["x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"],
+    ).assign(robot=walks.robot[rows], time=np.arange(len(rows)))
+
+    exact = imported(table, tmp_path)
+
+    assert exact.log.noise is None
+    assert counted_stances(walks, exact.log) == (71, 71, 0)
