@@ -25,7 +25,7 @@ _OTHER_WORDS = {
 """Words in the name of a type, of a topic or of a field that has no pose of a robot."""
 
 _SHARED_FRAMES = ("earth", "map", "world")
-"""Frames that all robots share, whatever the namespace of their transforms (REP 105)."""
+"""Frames that all robots share, in any namespace of transforms (REP 105)."""
 
 _PAIRS = (("position", "orientation"), ("translation", "rotation"))
 """Fields of a pose and of a transform."""

@@ -1,4 +1,4 @@
-"""Reads bags of ROS: which topics are poses of robots, of which robot, in which frame, and when.
+"""Reads bags of ROS: the topics that are poses of robots, with robot, frame and time.
 
     identity   what a message states: a name, an id, the child frame; else the topic
     frame      poses are composed up to the root of the tree that transforms form
@@ -234,8 +234,8 @@ def _robot_frames(tracks: Sequence[BodyTrack]) -> list[BodyTrack]:
     """Return the bodies that are robots: of transforms, those of the frames of bodies.
 
     These are the frames `base_link` if there are any, else the last ones of the tree that are not
-    static. Frames that never move in a moving frame, or of which one frame has several, are parts
-    of a robot, as docks and sensors are.
+    static. Frames that never move are parts of a robot, as docks and sensors are, where the frame
+    that holds them moves, or holds several.
     """
     others = [track for track in tracks if not track.is_transform]
     if others:
