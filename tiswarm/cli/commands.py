@@ -280,6 +280,13 @@ def import_(
     column: Annotated[
         str, Option(metavar="NAME=COLUMN,...", help="Columns, such as x=center_x,robot=label.")
     ] = "",
+    topic: Annotated[
+        str,
+        Option(metavar="PATTERN", help="Topics of a bag that have the poses, as '/bot_*/pose'."),
+    ] = "",
+    bodies: Annotated[
+        str, Option(metavar="PATTERN", help="Bodies of a bag that are robots, such as 'bot_*'.")
+    ] = "",
     ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
     glitch_frames: Annotated[
         int, Option(min=0, help="Most poses in a row to leave out as one error of tracking.")
@@ -346,6 +353,8 @@ def import_(
             up=up,
             euler=euler,
             columns=named,
+            topic=topic,
+            bodies=bodies,
             left_handed=left_handed,
             conjugate=conjugate,
             ground_z=ground_z,

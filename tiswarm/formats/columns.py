@@ -125,6 +125,8 @@ _OTHER_FILES = {
     b"PK\x03\x04": "a workbook or an archive; save the sheet as CSV",
     b"\xd0\xcf\x11\xe0": "an old workbook; save the sheet as CSV",
     b"PAR1": "a Parquet file; write its table as CSV",
+    b"\x89MCAP": "a part of a bag of ROS 2; name its folder, made whole by ros2 bag reindex",
+    b"SQLite format 3": "a part of a bag of ROS 2; name its folder, made whole by ros2 bag reindex",
     b"\x89HDF": "an HDF5 file; write its table as CSV",
     b"MATLAB 5.0": "a MAT file; write its table as CSV",
     b"\x93NUMPY": "an array without names of columns; write a CSV with a head",

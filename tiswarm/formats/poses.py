@@ -68,6 +68,12 @@ class Assumptions:
     """Columns of the table by what they mean, `x` or `robot` for example, where names do not say
     so."""
 
+    topic: str = ""
+    """Topics of a bag of ROS that have the poses, as a shell's pattern; found if empty."""
+
+    bodies: str = ""
+    """Names of the bodies of a bag of ROS that are robots, as a shell's pattern; all if empty."""
+
     beacons: Path | None = None
     """Table of beacons, where the file has ranges instead of poses."""
 
