@@ -44,6 +44,15 @@ def localize(
     arch: options.OneArch = "cpu",
     threads: options.Threads = None,
     precision: Annotated[AnyPrecision, Option(help="Floating-point type of joint.")] = "auto",
+    within: Annotated[
+        float | None,
+        Option(
+            metavar="LENGTH",
+            help="Distance, in the log's unit: state the probability that each robot is within it "
+            "of its estimated position (default: the radius of a dock).",
+            show_default=False,
+        ),
+    ] = None,
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     verbose: Annotated[bool, Option("--verbose", "-v", help="List the solutions.")] = False,
@@ -75,6 +84,7 @@ def localize(
             arch=arch,
             threads=threads,
             precision=precision,
+            within=within,
             plugins=plugins,
             out=out,
             report=report,
