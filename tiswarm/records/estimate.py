@@ -86,14 +86,13 @@ class Convergence:
     """Whether the search found one least cost from several starts, with no robot out of reach of
     its measurements."""
 
-    consistent: bool
-    """Whether noise as stated explains the least cost, outliers left out. True without any check
-    unless `testable`, and where the search did not find one least cost: it says nothing about the
-    measurements then."""
+    consistent: bool | None
+    """Whether noise as stated explains the least cost, outliers left out. None where nothing was
+    tested: unless `testable`, and where the search did not find one least cost, which says nothing
+    about the measurements."""
 
     testable: bool = True
-    """Whether the log could be found not consistent: it was, or its spare measurements are at least
-    a quarter of the unknown coordinates."""
+    """Whether the log could be found not consistent: it was, or it has spare measurements."""
 
     spare: int | None = None
     """Spare measurements: those beyond the unknowns that they determine, the degrees of freedom of
@@ -119,8 +118,8 @@ class Convergence:
 
     @property
     def trusted(self) -> bool:
-        """Whether both verdicts are good."""
-        return self.converged and self.consistent
+        """Whether the search converged, and no test contradicts the measurements."""
+        return self.converged and self.consistent is not False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -369,7 +368,7 @@ class Estimate:
             parts.append(f"sd {np.median(self.sd[np.isfinite(self.sd)]):.2g} in the median")
         if self.convergence is not None:
             parts.append("converged" if self.convergence.converged else "not converged")
-            if not self.convergence.consistent:
+            if self.convergence.consistent is False:
                 parts.append("not consistent")
         if self.is_open is not None and self.is_open.any():
             parts.append(f"{counted(int(self.is_open.sum()), 'robot')} not determined")
