@@ -125,7 +125,7 @@ def generated(number: int) -> Case:
     tilt, yaw = rng.uniform(0.0, 3.0), rng.uniform(0.0, 5.0)
     if lie == "noise understated":
         tilt, yaw = max(tilt, 1.0), max(yaw, 1.0)
-    log, truth = _drawn(kind, number, rng, (tilt, yaw), heights=rng.random() < 0.5)  # noqa: PLR2004
+    log, truth = drawn(kind, number, rng, (tilt, yaw), heights=rng.random() < 0.5)  # noqa: PLR2004
     if lie != NONE:
         log = lies.LIES[lie](log, truth, rng)
     elif rng.integers(_RANGES_EACH) == 0:
@@ -133,7 +133,7 @@ def generated(number: int) -> Case:
     return Case(kind=kind, lie=lie, log=log, truth=truth)
 
 
-def _drawn(
+def drawn(
     kind: str,
     seed: int,
     rng: np.random.Generator,
@@ -281,7 +281,7 @@ def torn(number: int) -> Case:
     kind = list(_TORN)[number % len(_TORN)]
     noise_deg = rng.uniform(0.0, 2.0), rng.uniform(0.0, 3.0)
     heights = bool(rng.integers(2))
-    log, truth = _drawn(
+    log, truth = drawn(
         kind, number, rng, noise_deg, heights=heights, sizes=(20, 60), docks_of_towers=[8]
     )
     lie = _TORN[kind]

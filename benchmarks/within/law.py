@@ -73,7 +73,7 @@ def fitted(table: pd.DataFrame) -> dict[str, Any]:
 
 def _maximized(start: ErrorLaw, share: Reals) -> tuple[float, ErrorLaw]:
     """Maximize the likelihood from a law on; return the loss and the law."""
-    end = minimize(  # type: ignore[call-overload]  # stubs lack functions of Any
+    end = minimize(  # type: ignore[call-overload]
         lambda values: _loss(_law(values), share),
         _values(start).tolist(),
         method="Nelder-Mead",

@@ -259,6 +259,16 @@ def import_(
         Option(metavar="CSV", help="Import ranges tag,beacon,range instead: beacon,x,y,z."),
     ] = None,
     range_sd: Annotated[float | None, Option(min=0.0, help="Noise of a range, 1 sd.")] = None,
+    orientations: Annotated[
+        Path | None,
+        Option(metavar="CSV", help="Import robots' own contacts instead: robot,time,qw,qx,qy,qz."),
+    ] = None,
+    ground: Annotated[
+        Path | None, Option(metavar="CSV", help="Docks on the ground beside them: robot,dock,time.")
+    ] = None,
+    first_dock: Annotated[
+        int | None, Option(min=0, max=1, help="Number of the first dock there: 0 or 1.")
+    ] = None,
     report: Annotated[
         Path | None, Option(metavar="PAGE", help="Also localize by joint, and write a page.")
     ] = None,
@@ -292,6 +302,13 @@ def import_(
     column: Annotated[
         str, Option(metavar="NAME=COLUMN,...", help="Columns, such as x=center_x,robot=label.")
     ] = "",
+    topic: Annotated[
+        str,
+        Option(metavar="PATTERN", help="Topics of a bag that have the poses, as '/bot_*/pose'."),
+    ] = "",
+    bodies: Annotated[
+        str, Option(metavar="PATTERN", help="Bodies of a bag that are robots, such as 'bot_*'.")
+    ] = "",
     ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
     glitch_frames: Annotated[
         int, Option(min=0, help="Most poses in a row to leave out as one error of tracking.")
@@ -321,7 +338,7 @@ def import_(
     debug: options.Debug = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Convert poses of any program to a sensing log and a truth.
+    """Convert poses of any program to a sensing log and a truth, or what robots recorded to a log.
 
     A column `run` names the structure of each row; each then has a folder of its own in --out.
     """
@@ -332,11 +349,6 @@ def import_(
 
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")
-    try:
-        anchors = tuple(map(int, anchor.split(","))) if anchor else ()
-    except ValueError:
-        problem = f"{anchor!r} is not a list of robots; write it like 0,5"
-        raise InputError(problem, argument="anchor") from None
     estimate = out / "estimate.csv"
     if report is not None:  # refuse it before a log is written beside it
         Outputs(overwrite=overwrite).check({"out": estimate, "report": report})
@@ -354,10 +366,12 @@ def import_(
             gap=gap,
             overlap=overlap,
             contacts=contacts,
-            anchors=anchors,
+            anchors=_robots_of(anchor),
             up=up,
             euler=euler,
             columns=named,
+            topic=topic,
+            bodies=bodies,
             left_handed=left_handed,
             conjugate=conjugate,
             ground_z=ground_z,
@@ -368,6 +382,9 @@ def import_(
             tilt_deg=tilt_deg,
             yaw_deg=yaw_deg,
             length_unit=length_unit,
+            orientations=orientations,
+            ground=ground,
+            first_dock=first_dock,
             beacons=beacons,
             range_sd=range_sd,
         )
@@ -383,6 +400,17 @@ def import_(
             debug=debug,
             quiet=quiet,
         )
+
+
+def _robots_of(anchor: str) -> tuple[int, ...]:
+    """Read a list of robots, such as 0,5."""
+    from tiswarm.base.errors import InputError
+
+    try:
+        return tuple(map(int, anchor.split(","))) if anchor else ()
+    except ValueError:
+        problem = f"{anchor!r} is not a list of robots; write it like 0,5"
+        raise InputError(problem, argument="anchor") from None
 
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")

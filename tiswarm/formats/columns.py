@@ -125,6 +125,8 @@ _OTHER_FILES = {
     b"PK\x03\x04": "a workbook or an archive; save the sheet as CSV",
     b"\xd0\xcf\x11\xe0": "an old workbook; save the sheet as CSV",
     b"PAR1": "a Parquet file; write its table as CSV",
+    b"\x89MCAP": "a part of a bag of ROS 2; name its folder, made whole by ros2 bag reindex",
+    b"SQLite format 3": "a part of a bag of ROS 2; name its folder, made whole by ros2 bag reindex",
     b"\x89HDF": "an HDF5 file; write its table as CSV",
     b"MATLAB 5.0": "a MAT file; write its table as CSV",
     b"\x93NUMPY": "an array without names of columns; write a CSV with a head",
@@ -668,7 +670,7 @@ def _read_long_rows(
         if name not in {"robot", "time"}
     }
     if "time" in columns:
-        numbers["time"] = _times(table, columns["time"])
+        numbers["time"] = times_of(table, columns["time"])
     rows = pd.DataFrame({"robot": robots, **numbers, "line": [*table.rows]})
     rows = rows.assign(run=_runs(table, label_columns))
     if "time" in columns:
@@ -683,7 +685,9 @@ def _read_wide_rows(
     names = [_listed_name(table, body.name) for body in bodies]
     robots, notes = robot_numbers(names)
     lines = np.array([*table.rows])
-    time = _times(table, label_columns["time"]) if "time" in label_columns else lines.astype(float)
+    time = (
+        times_of(table, label_columns["time"]) if "time" in label_columns else lines.astype(float)
+    )
     clock = pd.DataFrame({"robot": 0, "run": "", "time": time, "line": lines})
     _refuse_clocks_set_anew(clock, table.path, label_columns.get("time", ""))
     rows_of_robots = []
@@ -716,7 +720,7 @@ def _read_wide_rows(
 _PARTS_OF_SECONDS = ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs")
 
 
-def _times(table: CsvFile, column: str) -> Reals:
+def times_of(table: CsvFile, column: str) -> Reals:
     """Read times: numbers, seconds beside a column of nanoseconds, dates, or times of a day [s]."""
     cells = table.words(column).tolist()
     if cells and re.match(r"\s*\d+[-/:.]\d+[-/:]", cells[0]):

@@ -86,14 +86,13 @@ class Convergence:
     """Whether the search found one least cost from several starts, with no robot out of reach of
     its measurements."""
 
-    consistent: bool
-    """Whether noise as stated explains the least cost, outliers left out. True without any check
-    unless `testable`, and where the search did not find one least cost: it says nothing about the
-    measurements then."""
+    consistent: bool | None
+    """Whether noise as stated explains the least cost, outliers left out. None where nothing was
+    tested: unless `testable`, and where the search did not find one least cost, which says nothing
+    about the measurements."""
 
     testable: bool = True
-    """Whether the log could be found not consistent: it was, or its spare measurements are at least
-    a quarter of the unknown coordinates."""
+    """Whether the log could be found not consistent: it was, or it has spare measurements."""
 
     spare: int | None = None
     """Spare measurements: those beyond the unknowns that they determine, the degrees of freedom of
@@ -119,8 +118,8 @@ class Convergence:
 
     @property
     def trusted(self) -> bool:
-        """Whether both verdicts are good."""
-        return self.converged and self.consistent
+        """Whether the search converged, and no test contradicts the measurements."""
+        return self.converged and self.consistent is not False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -410,7 +409,7 @@ class Estimate:
                 "converged": self.convergence.converged,
                 "consistent": self.convergence.consistent,
             }
-            parts += [f"not {word}" for word, is_good in words.items() if not is_good]
+            parts += [f"not {word}" for word, is_good in words.items() if is_good is False]
         return f"Estimate({'; '.join(parts)})"
 
     def columns(self) -> dict[str, Sequence[object]]:
