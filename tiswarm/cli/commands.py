@@ -93,7 +93,9 @@ def localize(
             **seeded,
         )
     if not quiet:
-        typer.echo(f"{localized} -> {out}")
+        typer.echo(f"{localized.findings.statement} -> {out}")
+        for line in localized.findings.reasons:
+            typer.echo(line)
         if verbose:
             for line in localized.findings.solutions:
                 typer.echo(line)
