@@ -306,7 +306,7 @@ def speed(task: str, counts: Sequence[int], steps: int) -> None:
             observed, *_ = environment.step(reactive(environment.unwrapped, observed))
         choices = 0
         start = time.process_time()
-        for _ in range(steps):
+        for _ in range(max(steps, 400 // count)):
             choices += int(observed["robot"][:, 0].sum())
             observed, *_ = environment.step(reactive(environment.unwrapped, observed))
         rate = choices / (time.process_time() - start)
