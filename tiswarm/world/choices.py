@@ -109,7 +109,7 @@ class ClimbStep:
     @cached_property
     def walk(self) -> Reals:
         """Centers of its stances up to the current one, then NaN [R], (M, most stances, 3)."""
-        centers: Reals = self._walks.stances.center[self._slots, : self.stance.max() + 1]
+        centers: Reals = self._walks.stances.center[self._slots, : self.stance.max(initial=0) + 1]
         centers[np.arange(centers.shape[1]) > self.stance[:, None]] = np.nan
         return centers
 
