@@ -20,7 +20,8 @@ import tiswarm
 import tiswarm.learn
 from tiswarm.base.aliases import AnyInts, Bools, Reals
 from tiswarm.learn.environments import TaskVectorEnv
-from tiswarm.learn.observations import FLIP_FEATURES, ROBOT_FEATURES, action_of
+from tiswarm.learn.features import FLIP_FEATURES, ROBOT_FEATURES
+from tiswarm.learn.observations import action_of
 
 WEIGHTS = Path(__file__).with_name("policies.json")
 """Weights of evolved policies, by task, each with its command and seeds."""

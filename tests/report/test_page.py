@@ -456,7 +456,7 @@ def test_an_estimate_is_consistent_only_where_it_could_not_be():
     """A chi-square without spare measurements shows no lie; one that is too large does."""
     table = pd.DataFrame({"condition": [*"abcd"], "cases": 5, "paper_rmse_radii": None})
     table = table.assign(
-        rmse_R_mean=1.0, consistent_mean=[1.0, 0.8, 1.0, np.nan],
+        rmse_R_mean=1.0, consistent_mean=[1.0, 0.5, np.nan, np.nan],
         testable_mean=[1.0, 0.4, 0.0, np.nan], spare_measurements_mean=[900.0, 60.0, 28.0, np.nan],
     )  # fmt: skip
 

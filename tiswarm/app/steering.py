@@ -23,7 +23,7 @@ from tiswarm.base.plugins import load_plugins
 from tiswarm.compute import backend
 from tiswarm.records.messages import shown
 from tiswarm.study.navigation import navigate
-from tiswarm.world.choices import ClimbStep, fault_of_choice
+from tiswarm.world.choices import ClimbStep, fault_of_choice, read_only
 from tiswarm.world.growth import GrowthBatch, SteeredGrowth, shared_settings
 from tiswarm.world.history_file import LARGEST_SEED
 from tiswarm.world.params import StructureParams
@@ -179,20 +179,24 @@ class Growth:
         if seeds is not None:
             new_seeds = _seeds(np.broadcast_to(np.asarray(seeds), chosen.shape).tolist())
         params = self._with_settings([self._params[n] for n in chosen], chosen, settings)
+        if not len(chosen):
+            return
         backend.processor()
         for number, seed, of_structure in zip(chosen.tolist(), new_seeds, params, strict=True):
             self._seeds[number] = seed
             self._params[number] = of_structure
-            self._steered.reset(number, seed, of_structure)
+        self._steered.reset(chosen, new_seeds, params)
 
     @property
     def dock(self) -> Reals:
         """True dock centers of robots that have joined, in join order [R], shape (S, N, n, 3).
 
-        Rows of other robots are meaningless.
+        Rows of other robots are meaningless. The array cannot be written, and changes as robots
+        join: copy it first.
         """
-        dock: Reals = self._batch.arrays.dock
-        return dock.reshape(len(self), -1, self._batch.robot.dock_count, 3).copy()
+        docks: Any = read_only(self._batch.arrays.dock)
+        by_robot: Reals = docks.reshape(len(self), -1, self._batch.robot.dock_count, 3)
+        return by_robot
 
     @property
     def seeds(self) -> Ints:

@@ -44,6 +44,15 @@ def localize(
     arch: options.OneArch = "cpu",
     threads: options.Threads = None,
     precision: Annotated[AnyPrecision, Option(help="Floating-point type of joint.")] = "auto",
+    within: Annotated[
+        float | None,
+        Option(
+            metavar="LENGTH",
+            help="Distance, in the log's unit: state the probability that each robot is within it "
+            "of its estimated position (default: the radius of a dock).",
+            show_default=False,
+        ),
+    ] = None,
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     verbose: Annotated[bool, Option("--verbose", "-v", help="List the solutions.")] = False,
@@ -75,6 +84,7 @@ def localize(
             arch=arch,
             threads=threads,
             precision=precision,
+            within=within,
             plugins=plugins,
             out=out,
             report=report,
@@ -247,6 +257,16 @@ def import_(
         Option(metavar="CSV", help="Import ranges tag,beacon,range instead: beacon,x,y,z."),
     ] = None,
     range_sd: Annotated[float | None, Option(min=0.0, help="Noise of a range, 1 sd.")] = None,
+    orientations: Annotated[
+        Path | None,
+        Option(metavar="CSV", help="Import robots' own contacts instead: robot,time,qw,qx,qy,qz."),
+    ] = None,
+    ground: Annotated[
+        Path | None, Option(metavar="CSV", help="Docks on the ground beside them: robot,dock,time.")
+    ] = None,
+    first_dock: Annotated[
+        int | None, Option(min=0, max=1, help="Number of the first dock there: 0 or 1.")
+    ] = None,
     report: Annotated[
         Path | None, Option(metavar="PAGE", help="Also localize by joint, and write a page.")
     ] = None,
@@ -316,7 +336,7 @@ def import_(
     debug: options.Debug = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Convert poses of any program to a sensing log and a truth.
+    """Convert poses of any program to a sensing log and a truth, or what robots recorded to a log.
 
     A column `run` names the structure of each row; each then has a folder of its own in --out.
     """
@@ -327,11 +347,6 @@ def import_(
 
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")
-    try:
-        anchors = tuple(map(int, anchor.split(","))) if anchor else ()
-    except ValueError:
-        problem = f"{anchor!r} is not a list of robots; write it like 0,5"
-        raise InputError(problem, argument="anchor") from None
     estimate = out / "estimate.csv"
     if report is not None:  # refuse it before a log is written beside it
         Outputs(overwrite=overwrite).check({"out": estimate, "report": report})
@@ -349,7 +364,7 @@ def import_(
             gap=gap,
             overlap=overlap,
             contacts=contacts,
-            anchors=anchors,
+            anchors=_robots_of(anchor),
             up=up,
             euler=euler,
             columns=named,
@@ -365,6 +380,9 @@ def import_(
             tilt_deg=tilt_deg,
             yaw_deg=yaw_deg,
             length_unit=length_unit,
+            orientations=orientations,
+            ground=ground,
+            first_dock=first_dock,
             beacons=beacons,
             range_sd=range_sd,
         )
@@ -380,6 +398,17 @@ def import_(
             debug=debug,
             quiet=quiet,
         )
+
+
+def _robots_of(anchor: str) -> tuple[int, ...]:
+    """Read a list of robots, such as 0,5."""
+    from tiswarm.base.errors import InputError
+
+    try:
+        return tuple(map(int, anchor.split(","))) if anchor else ()
+    except ValueError:
+        problem = f"{anchor!r} is not a list of robots; write it like 0,5"
+        raise InputError(problem, argument="anchor") from None
 
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")

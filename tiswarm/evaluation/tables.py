@@ -547,7 +547,9 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
         scores["coverage_90"] = _mean(error <= MOST_WITHIN * sd)
     convergence = estimate.convergence
     if convergence is not None:
-        scores |= {"converged": convergence.converged, "consistent": convergence.consistent}
+        scores["converged"] = convergence.converged
+        if convergence.consistent is not None:
+            scores["consistent"] = convergence.consistent
         scores |= {"testable": convergence.testable, "misfit_sd": convergence.misfit_sd}
         if convergence.spare is not None:
             scores["spare_measurements"] = convergence.spare

@@ -670,7 +670,7 @@ def _read_long_rows(
         if name not in {"robot", "time"}
     }
     if "time" in columns:
-        numbers["time"] = _times(table, columns["time"])
+        numbers["time"] = times_of(table, columns["time"])
     rows = pd.DataFrame({"robot": robots, **numbers, "line": [*table.rows]})
     rows = rows.assign(run=_runs(table, label_columns))
     if "time" in columns:
@@ -685,7 +685,9 @@ def _read_wide_rows(
     names = [_listed_name(table, body.name) for body in bodies]
     robots, notes = robot_numbers(names)
     lines = np.array([*table.rows])
-    time = _times(table, label_columns["time"]) if "time" in label_columns else lines.astype(float)
+    time = (
+        times_of(table, label_columns["time"]) if "time" in label_columns else lines.astype(float)
+    )
     clock = pd.DataFrame({"robot": 0, "run": "", "time": time, "line": lines})
     _refuse_clocks_set_anew(clock, table.path, label_columns.get("time", ""))
     rows_of_robots = []
@@ -718,7 +720,7 @@ def _read_wide_rows(
 _PARTS_OF_SECONDS = ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs")
 
 
-def _times(table: CsvFile, column: str) -> Reals:
+def times_of(table: CsvFile, column: str) -> Reals:
     """Read times: numbers, seconds beside a column of nanoseconds, dates, or times of a day [s]."""
     cells = table.words(column).tolist()
     if cells and re.match(r"\s*\d+[-/:.]\d+[-/:]", cells[0]):

@@ -66,8 +66,10 @@ def verdict(estimate: Estimate) -> str:
     if convergence is None:
         return ""
     if not convergence.converged:
-        return "not converged" if convergence.consistent else "neither converged nor consistent"
-    return "converged" if convergence.consistent else "not consistent"
+        if convergence.consistent is False:
+            return "neither converged nor consistent"
+        return "not converged"
+    return "not consistent" if convergence.consistent is False else "converged"
 
 
 def distrust(log: SensingLog, estimate: Estimate) -> str:
@@ -82,7 +84,7 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
     if convergence.trusted:
         return ""
     text = verdict(estimate) + (f": {convergence.reason}" if convergence.reason else "")
-    misfit = "" if convergence.consistent else describe_misfit(convergence.misfit_sd)
+    misfit = "" if convergence.consistent is not False else describe_misfit(convergence.misfit_sd)
     if misfit:
         text += f" ({misfit})"
     clauses = [text] if convergence.converged else [text, "positions and sd may be far off"]

@@ -249,14 +249,16 @@ PRECISION = _larger(
 RECALL = _larger("outlier_recall", "1", _BOTH, "reported outliers among wrong contacts")
 CONVERGED = _larger("converged", "1", _ESTIMATE, "whether the method converged")
 CONSISTENT = _larger(
-    "consistent", "1", _ESTIMATE, "whether noise as stated explains the measurements"
+    "consistent",
+    "1",
+    _ESTIMATE,
+    "whether noise as stated explains the measurements; empty where that was not tested",
 )
 TESTABLE = Measure(
     "testable",
     "1",
     _ESTIMATE,
-    "whether the log could be found not consistent: it was, or its spare measurements are at least "
-    "a quarter of the unknown coordinates",
+    "whether the log could be found not consistent: it was, or it has spare measurements",
 )
 SPARE = Measure(
     "spare_measurements",

@@ -414,7 +414,7 @@ def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
         note += (
             " Converged: several searches found one least cost. Consistent: noise as stated "
             "explains it; where not, the factor multiplies standard deviations. Not testable: "
-            "fewer measurements are spare than a quarter of the unknown coordinates."
+            "no measurements are spare."
         )
     if "mirrored robots" in columns:
         note += (
@@ -441,16 +441,16 @@ def _robots_on_anchor(table: pd.DataFrame) -> Iterator[PageTable]:
 
 def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
     """Format the share of consistent estimates among those that were tested, by label."""
-    if not {CONSISTENT.mean, TESTABLE.mean} <= set(table):
+    if TESTABLE.mean not in table:
         return {}
     tested = table[TESTABLE.mean].astype(float)
-    share = (table[CONSISTENT.mean].astype(float) - (1.0 - tested)) / tested.where(tested > 0.0)
+    share = table.get(CONSISTENT.mean, tested * math.nan).astype(float)
     spare = _numbers(table.get(SPARE.mean, tested * math.nan))
     tested_share = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
     texts = np.where(
         tested > 0.0, _numbers(share) + tested_share, "not testable (" + spare + " spare)"
     )
-    has_verdict = table[CONSISTENT.mean].notna()
+    has_verdict = tested.notna()
     if not has_verdict.any():
         return {}
     column = pd.Series(texts, table.index, dtype=str).where(has_verdict, "")

@@ -40,7 +40,7 @@ from tiswarm.world.walks import Walks
 _Slots = NDArray[np.int32]
 
 _DRAW_BITS = 16
-"""A climber draws up to two to this number of a stream at a stance."""
+"""A climber draws up to two to this number of a stream for each try."""
 
 STAY = -1
 """A climber's choice to stay where it is."""
@@ -288,9 +288,18 @@ class ClimbStep:
         return called
 
     def uniform(self, stream: str, count: int) -> Reals:
-        """Draw numbers in [0, 1), shape (M, count), by seed, stream, robot and stance alone."""
-        draw = (self.stance.astype(np.int64) << _DRAW_BITS)[:, None] + np.arange(count)
+        """Draw numbers in [0, 1), shape (M, count), by seed, stream, robot and `tries` alone."""
+        draw = (self.tries.astype(np.int64) << _DRAW_BITS)[:, None] + np.arange(count)
         return uniform(self._walks.seed[self._slots, None], stream, self.robot[:, None], draw)
+
+    def for_kernels(self) -> tuple[Walks, StructureArrays, Sight, Failures]:
+        """Return the arrays of the engine, by slot: for kernels, which do not write them."""
+        return self._walks, self._structures, self._sight, self._failures
+
+    @property
+    def by_belief(self) -> bool:
+        """Whether climbers go by places that they believe."""
+        return bool(self._walks.limits.by_belief)
 
     @property
     def wait(self) -> int:
@@ -367,6 +376,8 @@ class ChoiceClimb:
         """Whether the robot in each slot waits for the next round, shape (slots,)."""
         self.is_walking = np.zeros(slots, np.bool_)
         """Whether the robot in each slot has not stayed yet, shape (slots,)."""
+        self._is_listed = np.zeros(slots, np.bool_)
+        """Whether the flips of the robot in each slot are those of its last stance, (slots,)."""
         self._asked: _Slots = np.empty(0, np.int32)
         self._step: ClimbStep | None = None
 
@@ -383,23 +394,25 @@ class ChoiceClimb:
         failed_count[slots] = np.where(is_to_come, 0, failed_count[slots])
         self._failures.has_failed[slots] = False
         self.is_walking[slots] = True
+        self._is_listed[slots] = False
         self.waits[slots] = False
 
     def observe(self) -> ClimbStep:
         """List what all that walk may choose; those that are put stay where they start."""
         walks = self._walks
-        walking = np.flatnonzero(self.is_walking).astype(np.int32)
+        # What stands around a climber stays as it is while the climber walks: others' flips hold.
+        arrived = np.flatnonzero(self.is_walking & ~self._is_listed).astype(np.int32)
         list_flips(
-            walks.limits_by_truth, walking, self._met, *self._climbed, *walks.climbers,
+            walks.limits_by_truth, arrived, self._met, *self._climbed, *walks.climbers,
             *walks.stances, *self._flips, walks.laws,
         )  # fmt: skip
         if self._by_belief:
-            self._plan(walking)
-        walks.state[walking] |= self._met[walking, StanceColumn.OVERFLOW]
-        is_put = walks.climbers.manner[walking, Manner.PATIENCE] == 0
-        put = walking[is_put]
+            self._plan(arrived)
+        walks.state[arrived] |= self._met[arrived, StanceColumn.OVERFLOW]
+        self._is_listed[arrived] = True
+        put = arrived[walks.climbers.manner[arrived, Manner.PATIENCE] == 0]
         self._stay(put, walks.stances.last[put])
-        self._asked = walking[~is_put]
+        self._asked = np.flatnonzero(self.is_walking).astype(np.int32)
         self._step = ClimbStep(
             walks,
             self._structures,
@@ -426,8 +439,7 @@ class ChoiceClimb:
         self._stay(self._asked[~goes], stay[~goes])
         self.waits[self._asked[waits]] = True
         fails = self._fails(self._asked[goes], choice[goes])
-        self._failures.has_failed[self._asked[goes][fails], choice[goes][fails]] = True
-        self._failures.failed_count[self._asked[goes][fails], last[goes][fails]] += 1
+        self._fail(self._asked[goes][fails], choice[goes][fails])
         walking = self._asked[goes][~fails]
         stance = last[goes][~fails]
         flip = choice[goes][~fails]
@@ -439,6 +451,7 @@ class ChoiceClimb:
         self._failures.has_failed[walking] = False
         if self._by_belief:
             self._planned[walking, stance] = self._sight.flips.orientation[walking, flip]
+        self._is_listed[walking] = False
 
     def _fails(self, slots: _Slots, flip: AnyInts) -> Bools:
         """Whether flips that climbers take fail, shape (n,); none does where they know the truth.
@@ -450,26 +463,37 @@ class ChoiceClimb:
         fails: Bools = (self._flips.angle[slots, flip] == 0.0) | is_revisit
         return fails
 
-    def _plan(self, walking: _Slots) -> None:
+    def _fail(self, slots: _Slots, flip: AnyInts) -> None:
+        """Let flips of climbers, shape (n,), fail: these stand where they stood."""
+        self._failures.has_failed[slots, flip] = True
+        self._failures.failed_count[slots, self._walks.stances.last[slots]] += 1
+        self._sight.flips.angle[slots, flip] = 0.0
+        self._stop_after_most_flips(slots)
+
+    def _stop_after_most_flips(self, slots: _Slots) -> None:
+        """Leave no flip to climbers that have tried as many as a walk has room for."""
+        stances = self._walks.stances
+        tries = stances.last[slots] + self._failures.failed_count[slots].sum(axis=1)
+        # One stance is kept for settling.
+        self._sight.flips.angle[slots[tries + 2 >= stances.center.shape[1]]] = 0.0
+
+    def _plan(self, arrived: _Slots) -> None:
         """List what climbers believe: where they are, and where their flips end."""
         walks = self._walks
         climbers = walks.climbers
         stances = walks.stances
         plans = self._sight.flips
         believed = self._sight.docks
-        walks.believe(self._structures, believed, walking, self._unbelieved, stances.last)
-        self._unbelieved[walking] = stances.last[walking]
+        walks.believe(self._structures, believed, arrived, self._unbelieved, stances.last)
+        self._unbelieved[arrived] = stances.last[arrived] + 1
         plan_flips(
-            walks.limits, self._is_local, walking, *self._structures.cells, self._structures.dock,
+            walks.limits, self._is_local, arrived, *self._structures.cells, self._structures.dock,
             *believed.cells, believed.dock, walks.turn, climbers.structure,
             climbers.dock_offset_body, climbers.near, climbers.obstacle, climbers.ground,
             climbers.of_structure, stances.center, stances.orientation, stances.touching,
             stances.on_ground, stances.last, *plans, walks.laws,
         )  # fmt: skip
-        # One stance is kept for settling.
-        tries = stances.last + self._failures.failed_count.sum(axis=1)
-        plans.angle[tries + 2 >= stances.center.shape[1]] = 0.0
-        plans.angle[self._failures.has_failed] = 0.0
+        self._stop_after_most_flips(arrived)
 
     def end(self, movers: _Slots) -> None:
         """End the round of robots that have stayed: those turn that settle, and plans are noted."""

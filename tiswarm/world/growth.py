@@ -157,13 +157,14 @@ class SteeredGrowth:
         self._step = None
         self._end_rounds()
 
-    def reset(self, number: int, seed: int, params: StructureParams) -> None:
-        """Let a structure begin anew, from a seed."""
-        self._batch.reset(number, seed, params)
-        self._climb.is_walking[self._batch.structure_of == number] = False
-        self.is_over[number] = False
+    def reset(
+        self, numbers: AnyInts, seeds: Sequence[int], params: Sequence[StructureParams]
+    ) -> None:
+        """Let structures, shape (n,), begin anew, each from a seed."""
+        self._climb.is_walking[self._batch.reset(numbers, seeds, params)] = False
+        self.is_over[numbers] = False
         self._step = None
-        self._begin(np.array([number]))
+        self._begin(numbers)
 
     def _begin(self, numbers: AnyInts) -> None:
         """Let robots start, or walk on, in structures where nobody walks."""
@@ -278,25 +279,35 @@ class GrowthBatch:
         self.mute = np.zeros((count, robots), np.bool_)
         self.sensed = np.zeros((count, robots))
 
-    def reset(self, number: int, seed: int, params: StructureParams) -> None:
-        """Let a structure begin anew, without robots."""
-        self.frames.clear(number)
-        self.structures[number] = GrowingStructure(number, seed, params, self.robot, self.frames)
-        self.arrays.robot_count[number] = 0
-        self.arrays.cells.head[number] = -1
-        self.believed.cells.head[number] = -1
-        self.sd[number] = 0.0
-        self.arrays.relay[number] = 0
-        self.call[number] = 0
-        self.sensed[number] = 0.0
-        self.present[number] = 1
-        self.mute[number] = False
-        self.rounds[number] = 0
-        self.leaves[number] = False
-        self.members.clear(number, seed)
-        slots = self.structure_of == number
+    def reset(
+        self, numbers: AnyInts, seeds: Sequence[int], params: Sequence[StructureParams]
+    ) -> Bools:
+        """Let structures, shape (n,), begin anew, without robots.
+
+        Returns:
+            Whether each slot is one of theirs, shape (slots,).
+        """
+        self.frames.clear(numbers)
+        for number, seed, of_structure in zip(numbers.tolist(), seeds, params, strict=True):
+            self.structures[number] = GrowingStructure(
+                number, seed, of_structure, self.robot, self.frames
+            )
+        self.arrays.robot_count[numbers] = 0
+        self.arrays.cells.head[numbers] = -1
+        self.believed.cells.head[numbers] = -1
+        self.sd[numbers] = 0.0
+        self.arrays.relay[numbers] = 0
+        self.call[numbers] = 0
+        self.sensed[numbers] = 0.0
+        self.present[numbers] = 1
+        self.mute[numbers] = False
+        self.rounds[numbers] = 0
+        self.leaves[numbers] = False
+        self.members.clear(numbers, seeds)
+        self.walks.restart(numbers, seeds, params)
+        slots: Bools = np.isin(self.structure_of, numbers)
         self.moving[slots] = False
-        self.walks.restart(number, slots, seed, params)
+        return slots
 
     def spawn(self, numbers: AnyInts) -> NDArray[np.int32]:
         """Fill the free slots of unfinished structures, shape (n,).

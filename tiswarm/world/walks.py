@@ -263,10 +263,13 @@ class Walks:
                 np.zeros((slots, stances, 3)), np.zeros((slots, stances, 4))
             )
 
-    def restart(self, structure: int, slots: Bools, seed: int, params: GrowthParams) -> None:
-        """Let the slots of a structure, shape (slots,), climb by a seed and settings of it."""
-        self.seed[slots] = seed
-        self.climbers.of_structure[structure] = structure_rows([params])[0]
+    def restart(
+        self, structures: AnyInts, seeds: Sequence[int], params: Sequence[GrowthParams]
+    ) -> None:
+        """Let robots climb structures, shape (n,), by other seeds and settings of these."""
+        for structure, seed in zip(structures.tolist(), seeds, strict=True):
+            self.seed[self.climbers.structure == structure] = seed
+        self.climbers.of_structure[structures] = structure_rows(params)
 
     def start(self, slot: int, spawn: Spawn) -> None:
         """Put a new robot in a slot."""

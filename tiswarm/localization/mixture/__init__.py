@@ -79,10 +79,6 @@ class MixtureSettings:
     """Excess of a cost over that of a minimum, in the latter, up to which chains agree on a misfit
     [1]: wrong measurements are in all chains, and trapped chains differ by more."""
 
-    spare: float = 0.25
-    """Least degrees of freedom of a chi-square, in unknown coordinates [1]: where measurements are
-    hardly more than these, the search leaves as much."""
-
     least_weight: float = 1e-3
     """Weight below which an end does not count [1]."""
 
