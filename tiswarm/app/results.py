@@ -3,7 +3,7 @@
 import html
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, is_dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -319,6 +319,15 @@ def plain(values: Mapping[str, object]) -> dict[str, object]:
             problem = f"{error}; give numbers, strings, lists or dictionaries"
             raise InputError(problem, key=key) from error
     return plain_values
+
+
+def as_section(settings: object, key: str) -> object:
+    """Write a section of a scenario as plain data; `key` selects which settings it has."""
+    if isinstance(settings, str):
+        return {key: settings}
+    if is_dataclass(settings):
+        return asdict(settings() if isinstance(settings, type) else settings)
+    return settings
 
 
 def as_texts(overrides: Overrides) -> Sequence[str]:
