@@ -244,6 +244,27 @@ def test_an_episode_that_is_over_begins_anew_with_the_next_step():
     assert observed["robot"][first, 0] == 1.0
 
 
+@pytest.mark.parametrize("make", ["alone", "one of one"])
+def test_an_episode_ends_where_nobody_else_climbs(make):
+    """With no climber left there is still an observation, zeros, and only staying is possible."""
+    if make == "alone":
+        environment = gymnasium.make("tiswarm/Tower-v0", robots=ROBOTS).unwrapped
+    else:
+        environment = vector(count=1)
+    environment.reset(seed=5)
+    over = False
+    while not over:
+        step = environment.climb_step
+        action = action_of(tiswarm.reactive_build(step), step, 1)
+        observed, _, over, _, _ = environment.step(action if make != "alone" else action[0])
+
+    nobody = tiswarm.reactive_build(environment.climb_step)
+
+    assert nobody.shape == (0,)
+    assert not observed["robot"].any()
+    assert np.flatnonzero(observed["action_mask"]).tolist() == [STAY, BACK]
+
+
 def test_later_episodes_are_drawn_from_the_seed():
     """A structure has a seed of its own in each episode, alone and beside others."""
     environment = vector(count=2)

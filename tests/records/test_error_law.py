@@ -1,6 +1,7 @@
 """P(error < x) follows from sd by one law, and is stated only where a method knows its error."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,8 +106,6 @@ def test_a_distance_is_a_positive_number(log, distance):
 
 def test_tables_have_the_probability_of_r_and_of_a_distance_of_the_user(log, tmp_path):
     """R is that of the dock in any unit; a table read again states the same."""
-    from dataclasses import replace  # noqa: PLC0415 - of this test alone
-
     path = tmp_path / "estimate.csv"
     of_mm = replace(log, dock_radius=20.0, length_unit="mm")
     estimate = _estimate(
@@ -121,3 +120,59 @@ def test_tables_have_the_probability_of_r_and_of_a_distance_of_the_user(log, tmp
     assert columns["within_5mm"] == estimate.within(5.0).round(4).tolist()
     again = read_estimate(of_mm, path)
     assert again.within(20.0).tolist() == estimate.within(20.0).tolist()
+
+
+@pytest.mark.parametrize(
+    ("sd", "fields", "statement"),
+    [
+        (None, {}, "the method states no error of the positions of 5 robots"),
+        (0.1, {}, "all 5 robots are within 1 R of where they are shown (95 %)"),
+        (
+            0.1,
+            {"length_unit": "mm", "dock_radius": 30.0},
+            "all 5 robots are within 30 mm (1 R) of where they are shown (95 %)",
+        ),
+        (
+            0.1,
+            {"length_unit": "mm", "dock_radius": 30.0, "tolerance": 2.5},
+            "all 5 robots are within 2.5 mm of where they are shown (95 %)",
+        ),
+        (
+            0.1,
+            {"free_frame": ("rotation",)},
+            "all 5 robots are within 1 R of where they are shown, up to a motion of all, (95 %)",
+        ),
+        (
+            1.0,
+            {},
+            (
+                "none of 5 robots is known to be within 1 R of where it is shown (95 %); 5 may be "
+                "anywhere within 2.2 R"
+            ),
+        ),
+        (
+            [0.0, 0.1, 0.1, 1.0, 100.0],
+            {},
+            (
+                "3 of 5 robots are within 1 R of where they are shown (95 %); 2 may be anywhere "
+                "within 220 R"
+            ),
+        ),
+        (
+            [0.0, 2.0, 0.1, 0.1, 0.1],
+            {"disconnected": np.arange(5) // 2 == 1, "gone": np.arange(5) == 4},
+            (
+                "1 of 4 robots is within 1 R of where it is shown (95 %); 1 may be anywhere within "
+                "4.3 R; the positions of 2 are guesses"
+            ),
+        ),
+    ],
+)  # fmt: skip
+def test_a_sentence_says_how_many_robots_are_near_where_they_are_shown(log, sd, fields, statement):
+    """It has the distance of the user, and how far off the others may be."""
+    stated = None if sd is None else np.broadcast_to(np.asarray(sd, float), 5)
+
+    estimate = _estimate(log, sd=stated, **fields)
+
+    assert estimate.statement == statement
+    assert repr(estimate) == f"Estimate({statement})"

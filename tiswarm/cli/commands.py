@@ -93,7 +93,9 @@ def localize(
             **seeded,
         )
     if not quiet:
-        typer.echo(f"{localized} -> {out}")
+        typer.echo(f"{localized.findings.statement} -> {out}")
+        for line in localized.findings.reasons:
+            typer.echo(line)
         if verbose:
             for line in localized.findings.solutions:
                 typer.echo(line)
@@ -248,7 +250,9 @@ def import_(
             "robot; .tum; .gsd; .bag; an export of Motive, Qualisys or Vicon."
         ),
     ],
-    out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
+    out: Annotated[
+        Path | None, Option(help="Folder for sensing.jsonl and truth.csv; needless with --check.")
+    ] = None,
     dock_radius: Annotated[
         float | None, Option(min=1e-9, max=1e9, help="Radius of a dock sphere (default: 1).")
     ] = None,
@@ -318,6 +322,9 @@ def import_(
     ] = "unit",
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
+    check: Annotated[
+        bool, Option("--check", help="Print what would be imported, and write nothing.")
+    ] = False,
     heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
     conjugate: Annotated[
         bool, Option("--conjugate", help="Read quaternions as world to body, not body to world.")
@@ -347,7 +354,12 @@ def import_(
 
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")
-    estimate = out / "estimate.csv"
+    if check and (out is not None or report is not None):
+        raise InputError("writes nothing; leave --out and --report away", argument="--check")
+    if out is None and not check:
+        raise InputError("give a folder for the log, or --check", argument="--out")
+    folder = Path() if out is None else out
+    estimate = folder / "estimate.csv"
     if report is not None:  # refuse it before a log is written beside it
         Outputs(overwrite=overwrite).check({"out": estimate, "report": report})
     body = None if dock_offset is None else docks_in_plane(dock_offset)
@@ -388,10 +400,11 @@ def import_(
         )
     if not quiet:
         for run, imported in imports.items():
-            typer.echo("\n".join(imported.notes) + f" -> {out / run}")
+            written = "" if out is None else f" -> {out / run}"
+            typer.echo("\n".join(imported.notes) + written)
     if report is not None:
         localize(
-            out / "sensing.jsonl",
+            folder / "sensing.jsonl",
             out=estimate,
             report=report,
             overwrite=overwrite,

@@ -93,7 +93,7 @@ class _Robot:
 
     @property
     def arrival(self) -> tuple[float, bool]:
-        """When it reached its final rest, and whether it then felt the contact itself.
+        """Time of its final rest, and whether one of its own rows closes a contact then.
 
         Of two robots whose contact closes, the one whose row it is came later.
         """

@@ -8,8 +8,8 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records.error_law import ERRORS
-from tiswarm.records.messages import counted
+from tiswarm.records.error_law import ERRORS, SURE, sure_ratio
+from tiswarm.records.messages import counted, two_digits
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -361,18 +361,56 @@ class Estimate:
             probability = ERRORS.probability(distance / self.sd)
         return np.where(self.is_guess | ~np.isfinite(self.sd), np.nan, probability)
 
+    @property
+    def statement(self) -> str:
+        """State in a sentence how many robots are near where they are shown.
+
+        Near is within `tolerance`, or R. Robots that have left do not count.
+        """
+        stays = np.ones(self.robot_count, np.bool_) if self.gone is None else ~self.gone
+        robots = int(stays.sum())
+        distance = self.dock_radius if self.tolerance is None else self.tolerance
+        probability = self.within(distance)
+        if self.sd is None or probability is None:
+            return f"the method states no error of the positions of {counted(robots, 'robot')}"
+        is_sure = probability >= SURE
+        sure = int((stays & is_sure).sum())
+        is_one = sure <= 1
+        who = f"{sure} of {counted(robots, 'robot')} {'is' if is_one else 'are'}"
+        if sure == 0:
+            who = f"none of {counted(robots, 'robot')} is known to be"
+        elif sure == robots > 1:
+            who = f"all {robots} robots are"
+        near = f"within {self._length(distance)} of where {'it is' if is_one else 'they are'} shown"
+        if self.free_frame:
+            near += ", up to a motion of all,"
+        clauses = [f"{who} {near} ({100.0 * SURE:g} %)"]
+        unsure = stays & (probability < SURE)
+        guesses = int((stays & np.isnan(probability)).sum())
+        if unsure.any():
+            farthest = self._length(sure_ratio() * float(self.sd[unsure].max()), in_radii=False)
+            clauses.append(f"{unsure.sum()} may be anywhere within {farthest}")
+        if guesses:
+            of_one = "the position of 1 is a guess"
+            clauses.append(of_one if guesses == 1 else f"the positions of {guesses} are guesses")
+        return "; ".join(clauses)
+
+    def _length(self, length: float, *, in_radii: bool = True) -> str:
+        """Write a length [log unit] with two digits, and R beside its length in another unit."""
+        text = f"{two_digits(length)} {self.length_unit}"
+        is_radius = in_radii and length == self.dock_radius and self.length_unit != "R"
+        return f"{text} (1 R)" if is_radius else text
+
     def __repr__(self) -> str:
         """Describe the estimate in a line."""
-        parts = [f"{counted(self.robot_count, 'robot')}, lengths in {self.length_unit}"]
-        if self.sd is not None and np.isfinite(self.sd).any():
-            parts.append(f"sd {np.median(self.sd[np.isfinite(self.sd)]):.2g} in the median")
-        if self.convergence is not None:
-            parts.append("converged" if self.convergence.converged else "not converged")
-            if self.convergence.consistent is False:
-                parts.append("not consistent")
-        if self.is_open is not None and self.is_open.any():
-            parts.append(f"{counted(int(self.is_open.sum()), 'robot')} not determined")
-        return f"Estimate({', '.join(parts)})"
+        parts = [self.statement]
+        if self.convergence is not None and not self.convergence.trusted:
+            words = {
+                "converged": self.convergence.converged,
+                "consistent": self.convergence.consistent,
+            }
+            parts += [f"not {word}" for word, is_good in words.items() if is_good is False]
+        return f"Estimate({'; '.join(parts)})"
 
     def columns(self) -> dict[str, Sequence[object]]:
         """List the columns of `estimate.csv` by name."""

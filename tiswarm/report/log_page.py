@@ -9,7 +9,7 @@ import pandas as pd
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.contacts import contact_count
-from tiswarm.measurements.verdicts import IMAGES_APART, distrust, headline, verdict
+from tiswarm.measurements.verdicts import IMAGES_APART, distrust, in_brief
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog
@@ -65,30 +65,28 @@ def gather_log_page(
 
 
 def _result(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -> str:
-    """State in a sentence what was found."""
-    unit = view.log.length_unit
-    sd = _tied_sd(view, estimate)
-    accuracy = []
-    if len(sd):
-        accuracy.append(f"a standard deviation of {np.median(sd):.2g} {unit} in the median")
+    """State in sentences how many robots are near where they are shown, and their error."""
+    sentences = [_capital(estimate.statement)]
     if scores:
-        accuracy.append(f"an RMSE of {scores['RMSE']:.3g} {unit}")
+        sentences.append(f"The RMSE is {scores['RMSE']:.3g} {view.log.length_unit}")
     departed = len(view.log.gone)
-    result = f"{counted(len(view.robot) - departed, 'robot')} located"
-    if accuracy:
-        result += f" with {' and '.join(accuracy)}"
-    return f"{result}. {departed} left." if departed else f"{result}."
+    if departed:
+        sentences.append(f"{departed} left")
+    return " ".join(f"{sentence}." for sentence in sentences)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _in_words(log: SensingLog, estimate: Estimate) -> str:
-    """State in a line whether to trust the estimate, and what limits it."""
+    """State in a line why robots may not be where they are shown."""
+    text = in_brief(log, estimate)
     if distrust(log, estimate):
-        text = f"{verdict(estimate)}: see Warnings"
-    else:
-        text = headline(log, estimate)
+        text += ": see Warnings"
     sentences = []
     if text:
-        sentences.append(text[:1].upper() + text[1:])
+        sentences.append(_capital(text))
     floppy = estimate.known.count("floppy")
     if floppy:
         sentences.append(f"Floppy modes move {counted(floppy, 'robot')}")

@@ -434,13 +434,15 @@ class GrowthBatch:
         self.moving[movers] = goes_on
         first_stance = np.where(disturbed < 0, walks.stances.last[movers], disturbed)
         walks.climbers.first_stance[movers[goes_on]] = first_stance[goes_on]
+        joiners = movers[joined]
+        rounds = self.rounds[self.structure_of[joiners]]
+        walk_of = dict(zip(joiners.tolist(), walks.walks(joiners, rounds), strict=True))
         if hasattr(self.rule, "act"):
-            self._admit_members(movers[joined])
-        for slot in movers[~goes_on]:
+            self._admit_members(joiners)
+        for slot in movers[~goes_on].tolist():
             structure = self.structures[self.structure_of[slot]]
-            if walks.joined[slot] >= 0:
-                walk = walks.walk(slot, int(self.rounds[structure.number]))
-                structure.join(walk, self.arrays.dock[structure.number])
+            if slot in walk_of:
+                structure.join(walk_of[slot], self.arrays.dock[structure.number])
             elif not wants[slot]:
                 structure.turn_away()
         for number in np.setdiff1d(climbed[is_waiting], climbed[joined]):
@@ -551,6 +553,8 @@ class GrowthBatch:
 
     def _list(self, structures: "Sequence[GrowingStructure]", *docks: NDArray[Any]) -> None:
         """List anew the docks of some structures, given as in `BelievedDocks`."""
+        if not structures:
+            return
         chosen = np.array([structure.number for structure in structures], np.int32)
         dock_count = self.walks.docks * self.arrays.robot_count
         backend.processor()
@@ -616,9 +620,11 @@ class GrowingStructure:
         if isinstance(self.terrain, SolidGround) and params.sides > 1:
             self.side_of_body = sides_of_bodies(params, robot)
         self.docks = robot.dock_count
+        self.dock_offset_body = robot.dock_offset_body
         self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
-        self.clearance = robot.extent + robot.spacing
+        self.extent = robot.extent
+        self.clearance = self.extent + robot.spacing
         self.leads = params.spawn_behind == "leading"
         self.anchors = anchor_places(params, robot)
         self.walks: list[Walk] = []
@@ -690,7 +696,7 @@ class GrowingStructure:
             x, y = start.anchor_place
         half = np.pi * draw[2]
         place = np.array([x, y, self.level])
-        body = self.robot.dock_offset_body
+        body = self.dock_offset_body
         if not self.params.plane:
             place[2] -= body[:, 2].min()
             return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
@@ -744,7 +750,7 @@ class GrowingStructure:
             else:
                 self.rim[side] = max(behind)
         # Robots spawn on the ground: docks higher than they are stand in nobody's way.
-        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
+        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.extent
         if isinstance(self.terrain, SolidGround):
             is_low[:] = True  # ground of any height may be below them
         for dock in new[is_low]:
@@ -763,7 +769,7 @@ class GrowingStructure:
         if not np.isfinite(center[2]):
             return False
         if self.zones is not None:
-            dock = center + dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
+            dock = center + dock_offsets(orientation[None], self.dock_offset_body)[0]
             if self.zones.depth(dock, self.robot.dock_radius).max() > 0.0:
                 return False
         x, y = self._square(center)
@@ -802,12 +808,8 @@ class GrowingStructure:
         self.waited = 0
         self.walks.append(walk)
         joining_dock, touched_robot, touched_dock = walk.at_rest(walk.contacts).T
-        contacts = np.column_stack(
-            [
-                self.docks * touched_robot + touched_dock,
-                self.docks * j + joining_dock,
-            ]
-        )
+        ends = [self.docks * touched_robot + touched_dock, self.docks * j + joining_dock]
+        contacts = np.array(ends).T
         feet = np.concatenate([walk.ground_docks, walk.edge_docks])
         standing = self.docks * j + walk.at_rest(feet)[:, 0]
         self.frames.join(
@@ -955,15 +957,16 @@ class GrowingStructure:
 
     def note_loads(self) -> None:
         """Note what the last solve of its mechanics found, and who calls for help."""
-        self.sensed = np.full(len(self.walks), np.nan)
-        self.call = np.zeros(len(self.walks), np.int32)
-        if self.has_fallen:
-            return
-        try:
-            loads = self.frames.loads(self.number)
-        except StructureFailure as failure:
-            self.ended = str(failure)
-            self.crossed = False
+        loads = None
+        if not self.has_fallen:
+            try:
+                loads = self.frames.loads(self.number)
+            except StructureFailure as failure:
+                self.ended = str(failure)
+                self.crossed = False
+        if loads is None:
+            self.sensed = np.full(len(self.walks), np.nan)
+            self.call = np.zeros(len(self.walks), np.int32)
             return
         self.unsolved = 0
         alive = self.alive[: len(loads.sensed)]
@@ -972,7 +975,7 @@ class GrowingStructure:
         self.call = call(np.where(alive, loads.sensed, 0.0), self.params)
         self.loads[-1] = LoadSummary(
             peak=loads.peak,
-            sensed_max=float(np.nanmax(self.sensed)),
+            sensed_max=float(np.fmax.reduce(self.sensed)),
             calling=int(np.count_nonzero(self.call)),
             least_support=float((-loads.ground_force @ self.frames.down).min(initial=np.inf)),
             imbalance=loads.imbalance,
