@@ -15,7 +15,12 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402 - of a library t
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
 import tiswarm.learn  # noqa: E402
-from tiswarm.learn.features import FLIP_FEATURES, ROBOT_FEATURES  # noqa: E402
+from tiswarm.learn.features import (  # noqa: E402
+    BELIEVED_FLIP_FEATURES,
+    BELIEVED_ROBOT_FEATURES,
+    FLIP_FEATURES,
+    ROBOT_FEATURES,
+)
 from tiswarm.learn.observations import action_of  # noqa: E402
 
 ROBOTS = 5
@@ -92,7 +97,7 @@ def closure(structure, gap):
     return 1.0 - max(after - before for before, after in pairwise(x)) / gap
 
 
-@pytest.mark.parametrize("task", ["Tower", "Bridge"])
+@pytest.mark.parametrize("task", ["Tower", "Bridge", "BelievedBridge"])
 def test_an_environment_passes_the_checker_of_gymnasium(task):
     """Spaces, seeds, returned values: all as gymnasium's users expect, without a warning."""
     environment = gymnasium.make(f"tiswarm/{task}-v0", robots=ROBOTS).unwrapped
@@ -116,13 +121,14 @@ def test_all_tasks_are_registered():
         assert spec.vector_entry_point
 
 
-def test_parallel_environments_pass_the_checkers_of_pettingzoo():
+@pytest.mark.parametrize("task", ["Tower", "BelievedBridge"])
+def test_parallel_environments_pass_the_checkers_of_pettingzoo(task):
     """Climbers that act at the same time are agents by its conventions."""
-    environment = tiswarm.learn.parallel_env("Tower", movers=2, robots=ROBOTS)
+    environment = tiswarm.learn.parallel_env(task, movers=2, robots=ROBOTS)
 
     pettingzoo_test.parallel_api_test(environment, num_cycles=60)
     pettingzoo_test.parallel_seed_test(
-        lambda: tiswarm.learn.parallel_env("Tower", movers=2, robots=ROBOTS), num_cycles=5
+        lambda: tiswarm.learn.parallel_env(task, movers=2, robots=ROBOTS), num_cycles=5
     )
 
 
@@ -175,6 +181,48 @@ def test_returns_are_measures_of_what_is_grown(task):
         expected = [max(row[name], 0.0) for row in table]
 
     np.testing.assert_allclose(earned, expected, atol=1e-9)
+
+
+def test_robots_that_estimate_grow_by_reactive_build_what_grow_grows():
+    """Observed are places as believed, with their sd; rewards are those of the true structure."""
+    environment = vector("BelievedBridge", count=2, settings={"gap": 12.0})
+    observed, _ = environment.reset(seed=3)
+    earned = np.zeros(2)
+    is_over = np.zeros(2, bool)
+    digests = {}
+    most_sd = 0.0
+    misplaced = 0.0
+    while not is_over.all():
+        step = environment.climb_step
+        rows = step.slot
+        to_goal = np.linalg.norm(step.goal - step.center, axis=1)
+        np.testing.assert_allclose(observed["robot"][rows, 1], to_goal, rtol=1e-5)
+        np.testing.assert_allclose(observed["robot"][rows, -1], step.sd, rtol=1e-5)
+        end_sd = np.where(step.possible, step.end_sd, 0.0)
+        np.testing.assert_allclose(observed["flips"][rows, :, -1], end_sd, rtol=1e-5)
+        most_sd = max(most_sd, observed["robot"][..., -1].max())
+        growth = environment.unwrapped._episodes.growth  # noqa: SLF001 - for true docks
+        true = growth.dock.reshape(step.dock.shape)
+        joined = np.repeat(growth.present, 3, axis=1)
+        misplaced = max(misplaced, np.abs(step.dock - true)[joined].max(initial=0.0))
+        observed, reward, over, _, _ = environment.step(act_as_reactive_build(environment))
+        earned[~is_over] += reward[~is_over]
+        for number in np.flatnonzero(over & ~is_over):
+            digests[number] = growth.swarms([number])[0].digest
+        is_over |= over
+
+    swarms = tiswarm.grow(
+        {"kind": "bridge", "gap": 12.0},
+        robots=ROBOTS,
+        seeds=[3, 4],
+        believe="online",
+        sensing={"tilt_noise_deg": 1.0, "yaw_noise_deg": 2.0},
+        quiet=True,
+    )
+    assert [digests[0], digests[1]] == [swarm.digest for swarm in swarms]
+    np.testing.assert_allclose(earned, [closure(swarm, 12.0) for swarm in swarms], atol=1e-9)
+    assert 0.0 < most_sd < 10.0
+    assert misplaced > 0.1
 
 
 def test_an_episode_that_is_over_begins_anew_with_the_next_step():
@@ -296,7 +344,7 @@ def test_the_guide_lists_tasks_and_features():
 
     for name, task in tiswarm.learn.TASKS.items():
         assert f"| `{name}` | {task.aim} | {task.measure.__name__} | {task.unit} |" in page
-    for entry in (*FLIP_FEATURES, *ROBOT_FEATURES):
+    for entry in (*BELIEVED_FLIP_FEATURES, *BELIEVED_ROBOT_FEATURES):
         bounds = f"{entry.low:g} | {entry.high:g}"
         assert f"| `{entry.name}` | {entry.unit} | {bounds} | {entry.meaning} |" in page
 

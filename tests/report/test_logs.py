@@ -181,9 +181,11 @@ def test_a_page_needs_no_truth(log, estimate, tmp_path):
     assert 'id="show-truth"' not in text
     assert [case["name"] for case in data["cases"]] == ["estimate", "solution 1", "solution 2"]
     assert all(case["true"] == [] for case in data["cases"])
-    (sd,) = data["cases"][0]["colors"]
-    assert sd["label"] == "sd"
-    assert sd["value"][7] is None
+    within, sd = data["cases"][0]["colors"]
+    assert (within["label"], within["unit"], sd["label"]) == ("within 33 mm (1 R)", "%", "sd")
+    assert within["value"][0] == 100.0
+    assert within["value"][7] is sd["value"][7] is None
+    assert ">within 33 mm (1 R) [%]<" in text
 
 
 def test_guesses_do_not_stretch_the_scale(log, estimate, tmp_path):
@@ -197,8 +199,9 @@ def test_guesses_do_not_stretch_the_scale(log, estimate, tmp_path):
 
     assert "The estimate judges 2 measurements wrong." in text
     assert "(95 %); the position of 1 is a guess." in text
-    (color,) = data["cases"][0]["colors"]
+    within, color = data["cases"][0]["colors"]
     assert color["value"] == [2.0] * 29 + [None]
+    assert [value is None for value in within["value"]] == [False] * 29 + [True]
     assert "disconnected from the anchor are gray" in text
 
 
@@ -231,7 +234,7 @@ def test_a_page_says_which_robots_are_mirrored_and_what_each_solution_weighs(
     assert 'class="text">mirrored</td>' in text
     assert "mirrored if configurations that fit" in text
     assert [[color["label"] for color in case["colors"]] for case in data["cases"]] == [
-        ["sd"],
+        ["within 33 mm (1 R)", "sd"],
         ["distance from the estimate", "sd"],
         ["distance from the estimate", "sd"],
     ]
@@ -261,7 +264,9 @@ def test_a_page_without_truth_works_in_a_browser(log, estimate, tmp_path):
 
     assert seen["troubles"] == []
     assert seen["first"] != seen["second"]
-    assert re.fullmatch(r"Robot \d+, join index \d+: sd [\d.]+ mm\.", seen["pointed"])
+    assert re.fullmatch(
+        r"Robot \d+, join index \d+: within 33 mm \(1 R\) [\d.]+ %, sd [\d.]+ mm\.", seen["pointed"]
+    )
     assert seen["quantity"] == "distance from the estimate"
 
 
@@ -333,7 +338,7 @@ def test_with_a_truth_a_page_shows_errors(log, estimate, true, tmp_path):
     text, data = _page(tmp_path, log, estimate, true=true)
 
     assert f"a guess. The RMSE is {5.0 * np.sqrt(29 / 30):.3g} mm." in text
-    error, sd = data["cases"][0]["colors"]
+    error, _, sd = data["cases"][0]["colors"]
     assert (error["label"], error["unit"], sd["label"]) == ("error", "mm", "sd")
     assert error["value"] == [0.0] + [5.0] * 29
     assert 'id="show-truth"' in text

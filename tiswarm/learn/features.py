@@ -49,11 +49,30 @@ ROBOT_FEATURES = (
     Feature("to_y", "R", -200, 200, "goal from its center, along y"),
     Feature("to_z", "R", -200, 200, "goal from its center, up"),
     Feature("best", "R", 0, 200, "least distance to the goal in its walk"),
-    Feature("flips", "1", 0, 1000, "flips that it has taken"),
-    Feature("since_best", "1", 0, 1000, "flips since it was nearest to the goal"),
+    Feature("flips", "1", 0, 1000, "flips that it has tried"),
+    Feature("since_best", "1", 0, 1000, "flips tried since it was nearest to the goal"),
     Feature("called", "1", 0, 1, "whether it touches a dock that passes a call on"),
     Feature("touches", "1", 0, 12, "docks of robots that it touches"),
     Feature("ground", "1", 0, 12, "docks on the ground"),
     Feature("load", "weight of a dock", 0, 100, "greatest load sensed by robots that it touches"),
 )
 """Features of the climber."""
+
+BELIEVED_FLIP_FEATURES = (
+    *FLIP_FEATURES,
+    Feature("sd", "R", 0, 200, "standard deviation of the place where it ends"),
+)
+"""Features of each flip where robots do not know the truth."""
+
+BELIEVED_ROBOT_FEATURES = (
+    *ROBOT_FEATURES,
+    Feature("sd", "R", 0, 200, "standard deviation of its place"),
+)
+"""Features of the climber where robots do not know the truth."""
+
+
+def features_of(*, by_belief: bool) -> tuple[tuple[Feature, ...], tuple[Feature, ...]]:
+    """Return the features of each flip and of the climber, by whether it goes by beliefs."""
+    if by_belief:
+        return BELIEVED_FLIP_FEATURES, BELIEVED_ROBOT_FEATURES
+    return FLIP_FEATURES, ROBOT_FEATURES

@@ -35,8 +35,8 @@ def observe(
     # Climbers
     structure: Ints1, goal: Reals2, dock_offset_body: Reals2, ground: Reals1,
     of_structure: Reals2,
-    # WalkArrays
-    center: Reals3, touching: Ints4, on_ground: Ints3, last: Ints1,
+    # WalkArrays, where climbers believe them; flips that failed
+    center: Reals3, touching: Ints4, on_ground: Ints3, last: Ints1, failed_count: Ints2,
     # FlipArrays
     angle: Reals2, end: Reals3, turned: Reals3, visited: Ints2,
     # EndContacts of one stance
@@ -51,6 +51,7 @@ def observe(
         movers: Slots of the robots that move, shape (M,).
         called: Whether each touches a dock that passes a call on, shape (M,).
         sensed: Load that each robot of the structures sensed, NaN for none, shape (S, N).
+        failed_count: Flips that failed from each stance, shape (slots, stances).
         touching_out: Scratch: docks that each dock touches at an end, shape (slots, 1, n, most).
         on_ground_out: Scratch: ground on which they stand there, shape (slots, 1, n).
         flips_out: `FLIP_FEATURES`, 0 where there is no flip, shape (slots, K, F).
@@ -78,9 +79,15 @@ def observe(
                 if walked <= least:
                     least = walked
                     best = stance
+            tries = last[m]
+            since_best = last[m] - best
+            for stance in range(last[m] + 1):
+                tries += failed_count[m, stance]
+                if stance >= best:
+                    since_best += failed_count[m, stance]
             met = _met(sensed, here, s, m, last[m], dock_offset_body.shape[0])
             robot = ti.Vector([
-                1.0, distance, to_goal[0], to_goal[1], to_goal[2], least, last[m], last[m] - best,
+                1.0, distance, to_goal[0], to_goal[1], to_goal[2], least, tries, since_best,
                 called[i], met[0], met[1], met[2],
             ])  # fmt: skip
             for c in ti.static(range(len(ROBOT_FEATURES))):

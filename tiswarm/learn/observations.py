@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import AnyInts, Ints
 from tiswarm.compute import backend
-from tiswarm.learn.features import FLIP_FEATURES, ROBOT_FEATURES
+from tiswarm.learn.features import features_of
 from tiswarm.learn.kernels import observe
 from tiswarm.world.choices import STAY, ClimbStep
 
@@ -19,10 +19,10 @@ class Observation(NamedTuple):
     """What rows of climbers observe; a row without a climber is 0, and may only stay."""
 
     flips: Singles
-    """`FLIP_FEATURES` of each of K flips, shape (rows, K, F)."""
+    """Features of each of K flips, shape (rows, K, F)."""
 
     robot: Singles
-    """`ROBOT_FEATURES`, shape (rows, G)."""
+    """Features of the climber, shape (rows, G)."""
 
     action_mask: Mask
     """Whether each action is possible, shape (rows, K + 2)."""
@@ -32,14 +32,15 @@ class Observation(NamedTuple):
 def observation_of(step: ClimbStep, rows: int) -> Observation:
     """Return what climbers observe, by their slots, rows of them."""
     flip_count = step.possible.shape[1]
+    of_flip, of_robot = features_of(by_belief=step.by_belief)
     observation = Observation(
-        np.zeros((rows, flip_count, len(FLIP_FEATURES)), np.float32),
-        np.zeros((rows, len(ROBOT_FEATURES)), np.float32),
+        np.zeros((rows, flip_count, len(of_flip)), np.float32),
+        np.zeros((rows, len(of_robot)), np.float32),
         np.zeros((rows, flip_count + 2), np.int8),
     )
     observation.action_mask[:, flip_count:] = 1
     observation.action_mask[step.slot, :flip_count] = step.possible
-    walks, structures, flips = step.for_kernels()
+    walks, structures, sight, failures = step.for_kernels()
     climbers = walks.climbers
     stances = walks.stances
     backend.processor()
@@ -48,25 +49,32 @@ def observation_of(step: ClimbStep, rows: int) -> Observation:
         step.slot,
         step.called.astype(np.int32),
         step.sensed,
-        *structures.cells,
-        structures.dock,
+        *sight.obstacles.cells,
+        sight.obstacles.dock,
         structures.relay,
         climbers.structure,
         climbers.goal,
         climbers.dock_offset_body,
         climbers.ground,
         climbers.of_structure,
-        stances.center,
+        sight.walks.center,
         stances.touching,
         stances.on_ground,
         stances.last,
-        *flips,
+        failures.failed_count,
+        *sight.flips,
         np.empty((rows, 1, *stances.touching.shape[2:]), np.int32),
         np.empty((rows, 1, walks.docks), np.int32),
         observation.flips,
         observation.robot,
         walks.laws,
     )
+    if step.by_belief:
+        # An sd that nobody knows is as large as it may be.
+        most = of_robot[-1].high
+        end_sd = np.nan_to_num(step.end_sd, nan=most).clip(max=most)
+        observation.flips[step.slot, :, -1] = np.where(step.possible, end_sd, 0.0)
+        observation.robot[step.slot, -1] = np.nan_to_num(step.sd, nan=most).clip(max=most)
     return observation
 
 

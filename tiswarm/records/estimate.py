@@ -362,15 +362,26 @@ class Estimate:
         return np.where(self.is_guess | ~np.isfinite(self.sd), np.nan, probability)
 
     @property
+    def near_distance(self) -> float:
+        """Distance that counts as near in words: `tolerance`, or R [log unit]."""
+        return self.dock_radius if self.tolerance is None else self.tolerance
+
+    @property
+    def near(self) -> str:
+        """That distance with its unit; R also in that of the log."""
+        text = f"{two_digits(self.near_distance)} {self.length_unit}"
+        is_radius = self.tolerance is None and self.length_unit != "R"
+        return f"{text} (1 R)" if is_radius else text
+
+    @property
     def statement(self) -> str:
         """State in a sentence how many robots are near where they are shown.
 
-        Near is within `tolerance`, or R. Robots that have left do not count.
+        Near is within `near_distance`. Robots that have left do not count.
         """
         stays = np.ones(self.robot_count, np.bool_) if self.gone is None else ~self.gone
         robots = int(stays.sum())
-        distance = self.dock_radius if self.tolerance is None else self.tolerance
-        probability = self.within(distance)
+        probability = self.within(self.near_distance)
         if self.sd is None or probability is None:
             return f"the method states no error of the positions of {counted(robots, 'robot')}"
         is_sure = probability >= SURE
@@ -381,25 +392,19 @@ class Estimate:
             who = f"none of {counted(robots, 'robot')} is known to be"
         elif sure == robots > 1:
             who = f"all {robots} robots are"
-        near = f"within {self._length(distance)} of where {'it is' if is_one else 'they are'} shown"
+        near = f"within {self.near} of where {'it is' if is_one else 'they are'} shown"
         if self.free_frame:
             near += ", up to a motion of all,"
         clauses = [f"{who} {near} ({100.0 * SURE:g} %)"]
         unsure = stays & (probability < SURE)
         guesses = int((stays & np.isnan(probability)).sum())
         if unsure.any():
-            farthest = self._length(sure_ratio() * float(self.sd[unsure].max()), in_radii=False)
-            clauses.append(f"{unsure.sum()} may be anywhere within {farthest}")
+            farthest = two_digits(sure_ratio() * float(self.sd[unsure].max()))
+            clauses.append(f"{unsure.sum()} may be anywhere within {farthest} {self.length_unit}")
         if guesses:
             of_one = "the position of 1 is a guess"
             clauses.append(of_one if guesses == 1 else f"the positions of {guesses} are guesses")
         return "; ".join(clauses)
-
-    def _length(self, length: float, *, in_radii: bool = True) -> str:
-        """Write a length [log unit] with two digits, and R beside its length in another unit."""
-        text = f"{two_digits(length)} {self.length_unit}"
-        is_radius = in_radii and length == self.dock_radius and self.length_unit != "R"
-        return f"{text} (1 R)" if is_radius else text
 
     def __repr__(self) -> str:
         """Describe the estimate in a line."""

@@ -197,7 +197,7 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
     radius = view.log.dock_radius
     unit = view.log.length_unit
     tied = replace(view, name="estimate", sd=np.where(estimate.disconnected, np.nan, view.sd))
-    shown = [view_data(tied, tied.colorings)]
+    shown = [view_data(tied, tied.page_colorings)]
     solutions = estimate.solutions if len(estimate.solutions) > 1 else ()
     room = max(MOST_ROBOTS // len(view.robot) - len(shown), 0)
     for number, solution in enumerate(solutions[:room], start=1):
@@ -241,6 +241,9 @@ def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
     for label, values in [("sd", view.sd * size), ("error", view.error * size)]:
         if np.isfinite(values).any():
             columns[f"{label} [{unit}]"] = ["" if math.isnan(v) else f"{v:.3g}" for v in values]
+    if view.within is not None:
+        shares = view.within.tolist()
+        columns[f"within {view.near} [%]"] = ["" if math.isnan(p) else percent(p) for p in shares]
     columns["contacts"] = [str(many) for many in contact_count(log)]
     if estimate.gone is not None:
         columns["gone"] = ["yes" if gone else "" for gone in estimate.gone.tolist()]

@@ -13,7 +13,7 @@ contacts that bear too much break (`strength.py`). Robots under great load call 
 to their aid (`walks.py`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -41,7 +41,7 @@ from tiswarm.world.params import (
     structure_zones,
 )
 from tiswarm.world.strength import StrengthParams
-from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_belief, recruit
+from tiswarm.world.walks import Belief, Spawn, Turn, Walks, climb_limits, note_belief, recruit
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -56,7 +56,7 @@ def grow(
     robots: int,
     seeds: Sequence[int],
     robot: RobotGeometry,
-    believe: Believe | None = None,
+    believe: "Believe | None" = None,
     turn: Turn | None = None,
     on_progress: Advance = ignore,
 ) -> list[History]:
@@ -67,8 +67,8 @@ def grow(
         robots: Robots in each structure.
         seeds: One seed a structure.
         robot: The robots' shape.
-        believe: Where robots believe the docks of those that have joined; called after each round
-            with the structures that grew. None where all know the truth.
+        believe: What robots that have joined believe; called after each round with the structures
+            that grew. None where all know the truth.
         turn: By how much orientations that robots sense as they climb are wrong, if they believe;
             None for not at all.
         on_progress: Called after each round with the number of robots that joined in it.
@@ -125,10 +125,13 @@ class SteeredGrowth:
         self._climb = ChoiceClimb(
             batch.walks,
             batch.arrays,
+            batch.believed,
+            batch.sd,
             batch.sensed,
             batch.present,
             batch.members.memory_of_climber,
             batch.members.said,
+            is_local=getattr(batch.rule, "is_local", False),
         )
         self._step: ClimbStep | None = None
         self.is_over = np.zeros(len(batch.structures), np.bool_)
@@ -181,7 +184,7 @@ class SteeredGrowth:
         if not ends.any() or (self._together and walks.any()):
             return False
         movers = np.flatnonzero(batch.moving & ends[batch.structure_of]).astype(np.int32)
-        self._climb.settle(movers)
+        self._climb.end(movers)
         numbers = np.flatnonzero(ends)
         self._on_progress(batch.end_round(movers, numbers, self._climb.waits))
         self._begin(numbers)
@@ -207,7 +210,7 @@ class GrowthBatch:
         robots: int,
         seeds: Sequence[int],
         robot: RobotGeometry,
-        believe: Believe | None,
+        believe: "Believe | None",
         turn: Turn | None,
     ) -> None:
         """Reserve room for structures of so many robots.
@@ -245,14 +248,19 @@ class GrowthBatch:
             relay=np.zeros((count, docks), np.int32),
             robot_count=np.zeros(count, np.int32),
         )
+        self.sd = np.zeros((count, robots))
+        """Standard deviation of the place that each robot believes [R], shape (S, N)."""
         self.believed = BelievedDocks(self.arrays.cells, self.arrays.dock)
         if believe:
             self.believed = BelievedDocks(CellList.allocate(count, docks), 0.0 * self.arrays.dock)
         movers = min(params[0].movers, robots)
         self.structure_of = np.repeat(np.arange(count, dtype=np.int32), movers)
         by_belief = believe is not None
-        limits = climb_limits(params[0].climb, robot, self.ground, by_belief=by_belief)
-        self.walks = Walks(self.structure_of, limits, params, robot, seeds)
+        limits, limits_by_truth = (
+            climb_limits(params[0].climb, robot, self.ground, by_belief=goes_by)
+            for goes_by in (by_belief, False)
+        )
+        self.walks = Walks(self.structure_of, limits, limits_by_truth, params, robot, seeds)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
         self.rounds = np.zeros(count, np.int32)
@@ -267,6 +275,7 @@ class GrowthBatch:
             docks=robot.dock_count,
         )
         self.members.seed[:] = seeds
+        self.members.sd = self.sd
         self.mute = np.zeros((count, robots), np.bool_)
         self.sensed = np.zeros((count, robots))
 
@@ -285,6 +294,8 @@ class GrowthBatch:
             )
         self.arrays.robot_count[numbers] = 0
         self.arrays.cells.head[numbers] = -1
+        self.believed.cells.head[numbers] = -1
+        self.sd[numbers] = 0.0
         self.arrays.relay[numbers] = 0
         self.call[numbers] = 0
         self.sensed[numbers] = 0.0
@@ -424,14 +435,13 @@ class GrowthBatch:
         first_stance = np.where(disturbed < 0, walks.stances.last[movers], disturbed)
         walks.climbers.first_stance[movers[goes_on]] = first_stance[goes_on]
         joiners = movers[joined]
+        if hasattr(self.rule, "act"):
+            self._admit_members(joiners)
         rounds = self.rounds[self.structure_of[joiners]]
         walk_of = dict(zip(joiners.tolist(), walks.walks(joiners, rounds), strict=True))
-        acts = hasattr(self.rule, "act")
         for slot in movers[~goes_on].tolist():
             structure = self.structures[self.structure_of[slot]]
             if slot in walk_of:
-                if acts:
-                    self._admit_member(slot, structure.number)
                 structure.join(walk_of[slot], self.arrays.dock[structure.number])
             elif not wants[slot]:
                 structure.turn_away()
@@ -447,17 +457,22 @@ class GrowthBatch:
             self._update_beliefs(grown, self.believe)
         return int(joined.sum())
 
-    def _admit_member(self, slot: int, number: int) -> None:
-        """Let a robot that joins keep its memory."""
+    def _admit_members(self, slots: NDArray[np.int32]) -> None:
+        """Let robots that join, shape (k,), keep their memory, and what they believe so far."""
         members = self.members
-        place = (number, self.walks.joined[slot])
-        stay = self.walks.stances.stay[slot]
-        members.memory[place] = members.memory_of_climber[slot]
+        walks = self.walks
+        number = self.structure_of[slots]
+        place = (number, walks.joined[slots])
+        stay = walks.stances.stay[slots]
+        walks.believe(self.arrays, self.believed, slots, walks.stances.stay, walks.stances.stay)
+        source = walks.sources(slots, stay)[:, 0]
+        members.memory[place] = members.memory_of_climber[slots]
         members.joined_in[place] = members.rounds[number]
-        members.goal[place] = self.walks.climbers.goal[slot]
-        members.center[place] = self.walks.stances.center[slot, stay]
-        members.orientation[place] = self.walks.stances.orientation[slot, stay]
-        members.on_ground[place] = self.walks.stances.on_ground[slot, stay] != 0
+        members.goal[place] = walks.climbers.goal[slots]
+        members.center[place] = walks.believed.center[slots, stay]
+        members.orientation[place] = walks.believed.orientation[slots, stay]
+        members.on_ground[place] = walks.stances.on_ground[slots, stay] != 0
+        self.sd[place] = np.where(source >= 0, self.sd[number, source], 0.0)
 
     def _let_members_act(self, numbers: AnyInts) -> None:
         """Let the robots of some structures act by the rule, and note who leaves."""
@@ -533,6 +548,8 @@ class GrowthBatch:
             for slot in np.flatnonzero(self.moving & (self.structure_of == number)):
                 self.moving[slot] = present[self.walks.touched(slot)].all()
         self._list(lost, *self.arrays.cells, self.arrays.dock)
+        if self.believe:
+            self._list(lost, *self.believed.cells, self.believed.dock)
 
     def _list(self, structures: "Sequence[GrowingStructure]", *docks: NDArray[Any]) -> None:
         """List anew the docks of some structures, given as in `BelievedDocks`."""
@@ -543,15 +560,20 @@ class GrowthBatch:
         backend.processor()
         list_docks(self.walks.limits.inverse_edge, chosen, dock_count, self.present, *docks)
 
-    def _update_beliefs(self, grown: "Sequence[GrowingStructure]", believe: Believe) -> None:
-        """Put the docks of structures that grew where robots believe them from now on."""
+    def _update_beliefs(self, grown: "Sequence[GrowingStructure]", believe: "Believe") -> None:
+        """Put the robots of structures that grew where they believe to be from now on."""
         cells, dock = self.believed
-        beliefs = believe([structure.history() for structure in grown])
-        for structure, (docks, sent) in zip(grown, beliefs, strict=True):
+        for structure, belief in zip(grown, believe(grown), strict=True):
+            offset = dock_offsets(belief.orientation_wxyz, self.robot.dock_offset_body)
+            docks = (belief.center[:, None] + offset).reshape(-1, 3)
+            joined = (structure.number, slice(len(belief.center)))
             dock[structure.number, : len(docks)] = docks
+            self.sd[joined] = belief.sd
+            self.members.center[joined] = belief.center
+            self.members.orientation[joined] = belief.orientation_wxyz
             true = self.arrays.dock[structure.number, : len(docks)]
             error = (docks - true).reshape(-1, self.walks.docks, 3).mean(axis=1)
-            note_belief(structure.walks, structure.history().contacts, error, sent)
+            note_belief(structure.walks, structure.history().contacts, error, belief.sent)
         self._list(grown, *cells, dock)
 
 
@@ -575,6 +597,10 @@ class DueStart(NamedTuple):
 
     settles: bool
     """Whether it turns, where it stays, until a third dock touches."""
+
+
+Believe = Callable[[Sequence["GrowingStructure"]], Sequence[Belief]]
+"""Returns what the robots of structures that have grown so far believe."""
 
 
 class GrowingStructure:

@@ -25,6 +25,7 @@ from tiswarm.compute.lang import Ref, ti
 from tiswarm.compute.user_functions import is_of_library, mistake_of_user, reads, undecorated
 from tiswarm.records.terrain import Terrain
 from tiswarm.world import climb_kernels
+from tiswarm.world.belief_kernels import BelievedWalks, believe_stances
 from tiswarm.world.climb_kernels import (
     EDGE,
     FLAT,
@@ -41,7 +42,7 @@ from tiswarm.world.climb_kernels import (
 )
 from tiswarm.world.ground.kernels import HEADER
 from tiswarm.world.ground.solid import SolidGround, with_zones
-from tiswarm.world.history import History, Walk
+from tiswarm.world.history import Walk
 from tiswarm.world.params import (
     ClimbParams,
     GrowthParams,
@@ -56,16 +57,18 @@ _Slots = NDArray[np.int32]
 class Belief(NamedTuple):
     """What the N robots of a structure that has grown so far believe."""
 
-    docks: Reals
-    """Where their docks are [R]; dock k of n of robot i is in row n i + k, shape (n N, 3)."""
+    center: Reals
+    """Where their centers are [R], shape (N, 3)."""
+
+    orientation_wxyz: Reals
+    """How they stand, body to world, shape (N, 4)."""
+
+    sd: Reals
+    """Standard deviation of each center, over all three axes [R], shape (N,); NaN if unknown."""
 
     sent: Reals = np.array([np.nan])
     """Bytes that each robot has sent for that, shape (N,); NaN where robots send none."""
 
-
-Believe = Callable[[Sequence[History]], Sequence[Belief]]
-"""Returns what the robots of structures that have grown so far believe: of each structure where
-their docks are."""
 
 Turn = Callable[[int, int, int], Reals]
 """Returns the turns from the orientations of a robot to those that it senses, at as many stances:
@@ -195,6 +198,7 @@ class Walks:
         self,
         structure_of: _Slots,
         limits: ClimbLimits,
+        limits_by_truth: ClimbLimits,
         params: Sequence[GrowthParams],
         robot: RobotGeometry,
         seeds: Sequence[int],
@@ -204,6 +208,7 @@ class Walks:
         Args:
             structure_of: Structure that each slot's robots climb, ascending, shape (slots,).
             limits: Numbers that do not change.
+            limits_by_truth: The same for robots that do not go by beliefs.
             params: Settings of each structure: how robots climb, and by which rule.
             robot: The robots' shape.
             seeds: Seed of each structure.
@@ -225,6 +230,7 @@ class Walks:
             true_near_most = 1
             believed_stances = 0
         self.limits = limits
+        self.limits_by_truth = limits_by_truth
         self.docks = docks
         self.climbers = Climbers(
             structure=structure_of,
@@ -251,6 +257,12 @@ class Walks:
         self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
         self.flips = np.zeros((slots, believed_stances, 2), np.int32)
         self.turn = np.tile([1.0, 0.0, 0.0, 0.0], (slots, believed_stances, 1))
+        self.believed = BelievedWalks(self.stances.center, self.stances.orientation)
+        """Where robots believe the stances of their walks; where they are, if they know."""
+        if limits.by_belief:
+            self.believed = BelievedWalks(
+                np.zeros((slots, stances, 3)), np.zeros((slots, stances, 4))
+            )
 
     def restart(
         self, structures: AnyInts, seeds: Sequence[int], params: Sequence[GrowthParams]
@@ -293,6 +305,57 @@ class Walks:
             if mistake is None:
                 raise
             raise mistake from error
+
+    def believe(
+        self,
+        structures: StructureArrays,
+        believed: BelievedDocks,
+        slots: _Slots,
+        first: _Slots,
+        last: _Slots,
+    ) -> None:
+        """Put stances of walks where their robots believe them, unless these know.
+
+        Args:
+            structures: Structures that they climb.
+            believed: Where robots believe the docks of these.
+            slots: Slots of the robots, shape (M,).
+            first: First stance of each slot to put, shape (slots,).
+            last: Last one, shape (slots,).
+        """
+        if not self.limits.by_belief:
+            return
+        climbers = self.climbers
+        stances = self.stances
+        believe_stances(
+            self.limits, slots, first, last, structures.dock, believed.dock, self.turn,
+            climbers.structure, climbers.dock_offset_body, climbers.of_structure, stances.center,
+            stances.orientation, stances.touching, *self.believed,
+        )  # fmt: skip
+
+    def sources(self, slots: _Slots, stance: AnyInts) -> AnyInts:
+        """List the robots from whose docks climbers take their places, as the kernels do.
+
+        A climber takes its place from a robot that it touches, with the dock about which it turns
+        if it can, else from the one that it touched last.
+
+        Args:
+            slots: Slots of the climbers, shape (M,).
+            stance: Stance of each, shape (M,).
+
+        Returns:
+            By dock about which each turns, robots, or -1 where it has touched none, shape (M, n).
+        """
+        items = self.stances.touching[slots, : int(stance.max(initial=0)) + 1, :, 0]
+        touches = (items >= 0).any(axis=2)
+        touches &= np.arange(items.shape[1]) <= np.asarray(stance)[:, None]
+        latest = items.shape[1] - 1 - touches[:, ::-1].argmax(axis=1)
+        item = items[np.arange(len(items)), latest]
+        pivot = np.arange(self.docks)
+        by_pivot = item[:, (pivot[:, None] + pivot) % self.docks]
+        first = (by_pivot >= 0).argmax(axis=2)
+        source = np.take_along_axis(by_pivot, first[:, :, None], axis=2)[:, :, 0]
+        return np.where(touches.any(axis=1)[:, None], source // self.docks, -1)
 
     def refuse_overlaps(self, movers: _Slots) -> None:
         """Raise an error if a robot met more docks than fit around it."""
