@@ -19,7 +19,7 @@ import numpy as np
 import tiswarm
 import tiswarm.learn
 from tiswarm.base.aliases import AnyInts, Bools, Reals
-from tiswarm.learn.environments import TaskVectorEnv
+from tiswarm.learn.episodes import Episodes
 from tiswarm.learn.features import FLIP_FEATURES, ROBOT_FEATURES
 from tiswarm.learn.observations import action_of
 
@@ -73,31 +73,21 @@ def play(
     settings: dict[str, Any] | None = None,
     most_steps: int | None = None,
 ) -> Played:
-    """Play an episode from each seed, cut off after most steps, or those of the task.
-
-    Robots of an environment whose episode is over take the first flip that they can, which costs
-    little, until all are.
-    """
+    """Play an episode from each seed, cut off after most steps, or those of the task."""
     start = time.process_time()
     count = len(seeds)
-    environment = TaskVectorEnv(
-        count, task, settings=settings, max_episode_steps=most_steps, threads=1
-    )
-    observed, infos = environment.reset(seed=seeds.tolist())
-    is_over = np.zeros(count, np.bool_)
-    measure = np.zeros(count)
-    robots = np.zeros(count, np.int64)
+    episodes = Episodes(task, count, settings=settings, most_steps=most_steps, threads=1)
+    episodes.seed(np.arange(count), seeds)
+    is_over: Bools = np.zeros(count, np.bool_)
     choices = np.zeros(count, np.int64)
-    while not is_over.all():
-        idle = observed["action_mask"].argmax(axis=1)
-        actions = np.where(is_over, idle, act(environment.unwrapped, observed))
-        observed, _, terminated, truncated, infos = environment.step(actions)
-        plays = ~is_over
-        measure[plays] = infos["measure"][plays]
-        robots[plays] = infos["robots"][plays]
-        choices += plays
-        is_over |= terminated | truncated
-    return Played(measure, measure >= 1.0, robots, choices, time.process_time() - start)
+    for _ in range(episodes.most_steps):
+        choices += ~is_over
+        _, is_over = episodes.step(act(episodes, episodes.observe()._asdict()))
+        if is_over.all():
+            break
+    measure = episodes.measure
+    cpu_s = time.process_time() - start
+    return Played(measure, measure >= 1.0, episodes.joined, choices, cpu_s)
 
 
 def draw(seed: int) -> _Act:
@@ -112,10 +102,10 @@ def draw(seed: int) -> _Act:
     return act
 
 
-def reactive(environment: Any, _observed: object) -> AnyInts:  # noqa: ANN401 - it has a climb step
+def reactive(episodes: Any, observed: dict[str, Any]) -> AnyInts:  # noqa: ANN401 - has a climb step
     """Act as ReactiveBuild."""
-    step = environment.climb_step
-    return action_of(tiswarm.reactive_build(step), step, environment.num_envs)
+    step = episodes.climb_step
+    return action_of(tiswarm.reactive_build(step), step, len(observed["action_mask"]))
 
 
 def linear(weights: Reals) -> _Act:
