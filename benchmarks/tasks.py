@@ -9,7 +9,7 @@ python -m benchmarks.tasks --speed             choices a CPU second
 import argparse
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,7 +73,11 @@ def play(
     settings: dict[str, Any] | None = None,
     most_steps: int | None = None,
 ) -> Played:
-    """Play an episode from each seed, cut off after most steps, or those of the task."""
+    """Play an episode from each seed, cut off after most steps, or those of the task.
+
+    Robots of an environment whose episode is over take the first flip that they can, which costs
+    little, until all are.
+    """
     start = time.process_time()
     count = len(seeds)
     environment = TaskVectorEnv(
@@ -85,7 +89,8 @@ def play(
     robots = np.zeros(count, np.int64)
     choices = np.zeros(count, np.int64)
     while not is_over.all():
-        actions = act(environment.unwrapped, observed)
+        idle = observed["action_mask"].argmax(axis=1)
+        actions = np.where(is_over, idle, act(environment.unwrapped, observed))
         observed, _, terminated, truncated, infos = environment.step(actions)
         plays = ~is_over
         measure[plays] = infos["measure"][plays]
@@ -184,10 +189,13 @@ def patience_of(task: str) -> float:
     return float(settings.get("climb.patience", TRIED["climb.patience"][0]))
 
 
-def evolve(task: str, *, generations: int, seed: int, episodes: int) -> dict[str, Any]:
+def evolve(task: str, *, generations: int, seed: int, episodes: int) -> Iterator[dict[str, Any]]:
     """Evolve a linear policy from ReactiveBuild's terms, by CMA-ES.
 
     A generation plays its candidates on the same training seeds, which the next one replaces.
+
+    Yields:
+        What so many generations come to, after each of them.
     """
     from cmaes import CMA  # noqa: PLC0415 - of the extra bench
 
@@ -219,14 +227,14 @@ def evolve(task: str, *, generations: int, seed: int, episodes: int) -> dict[str
         print(
             f"generation {generation + 1}: {measure.mean():.3f}, {minutes:.1f} CPU min", flush=True
         )
-    return {
-        "cpu_min": round((time.process_time() - start) / 60.0, 1),
-        "command": f"python -m benchmarks.tasks --evolve {task} --generations {generations} "
-        f"--seed {seed} --episodes {episodes}",
-        "training_seeds": f"0 to {generations * episodes - 1}",
-        "mean_measure_of_generations": progress,
-        "weights": dict(zip(names(), optimizer.mean.round(4).tolist(), strict=True)),
-    }
+        yield {
+            "cpu_min": round(minutes, 1),
+            "command": f"python -m benchmarks.tasks --evolve {task} "
+            f"--generations {generation + 1} --seed {seed} --episodes {episodes}",
+            "training_seeds": f"0 to {(generation + 1) * episodes - 1}",
+            "mean_measure_of_generations": progress,
+            "weights": dict(zip(names(), optimizer.mean.round(4).tolist(), strict=True)),
+        }
 
 
 def tune(task: str, episodes: int) -> dict[str, Any]:
@@ -235,12 +243,15 @@ def tune(task: str, episodes: int) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     means: dict[str, dict[str, float]] = {}
     for name, values in TRIED.items():
-        means[name] = {}
-        for value in values:
-            played = play(task, np.arange(episodes), reactive, {**settings, name: value})
-            means[name][str(value)] = round(float(played.measure.mean()), 4)
-            print(f"{task}, {name} {value}: {means[name][str(value)]}", flush=True)
-        settings[name] = max(values, key=lambda value: means[name][str(value)])
+        seeds = np.tile(np.arange(episodes), len(values))
+        tried = {**settings, name: np.repeat(values, episodes)}
+        played = play(task, seeds, reactive, tried)
+        mean = played.measure.reshape(len(values), episodes).mean(axis=1)
+        means[name] = {
+            str(value): round(float(m), 4) for value, m in zip(values, mean, strict=True)
+        }
+        settings[name] = values[int(mean.argmax())]
+        print(f"{task}, {name}: {means[name]}", flush=True)
     return {
         "cpu_min": round((time.process_time() - start) / 60.0, 1),
         "command": f"python -m benchmarks.tasks --tune --tasks {task} --episodes {episodes}",
@@ -267,12 +278,10 @@ def policies(task: str) -> dict[str, tuple[_Act, dict[str, Any] | None]]:
     return listed
 
 
-def row(task: str, policy: str, played: Sequence[Played]) -> str:
+def row(task: str, policy: str, played: Played) -> str:
     """Return a row of the table; intervals are of 95 %, over the episodes of all sets."""
-    measure = np.concatenate([of_set.measure for of_set in played])
-    closed = np.concatenate([of_set.closed for of_set in played])
-    robots = np.concatenate([of_set.robots for of_set in played])
-    choices = np.concatenate([of_set.choices for of_set in played])
+    measure = played.measure
+    closed = played.closed
     half = _CONFIDENCE * measure.std(ddof=1) / np.sqrt(len(measure))
     shown = "-"
     if tiswarm.learn.TASKS[task].structure["kind"] == "bridge":
@@ -280,7 +289,7 @@ def row(task: str, policy: str, played: Sequence[Played]) -> str:
         shown = f"{100 * closed.mean():.0f} ({100 * low:.0f} to {100 * high:.0f})"
     return (
         f"| `{task}` | {policy} | {len(measure)} | {measure.mean():.2f} ± {half:.2f} | {shown} "
-        f"| {robots.mean():.1f} | {choices.mean():.0f} |"
+        f"| {played.robots.mean():.1f} | {played.choices.mean():.0f} |"
     )
 
 
@@ -334,13 +343,13 @@ def main() -> None:
         speed("Bridge", (1, 64, 1024, 4096), 40)
         return
     if arguments.evolve:
-        evolved = evolve(
+        for evolved in evolve(
             arguments.evolve,
             generations=arguments.generations,
             seed=arguments.seed,
             episodes=arguments.episodes,
-        )
-        keep("evolved", arguments.evolve, evolved)
+        ):
+            keep("evolved", arguments.evolve, evolved)
         return
     print("| task | policy | episodes | measure | closed, % | robots | choices |")
     print("|---|---|---|---|---|---|---|")
@@ -348,11 +357,9 @@ def main() -> None:
         for policy, (act, settings) in policies(task).items():
             if policy not in arguments.policies:
                 continue
-            sets = []
-            for number in range(arguments.sets):
-                seeds = FIRST_TEST_SEED + 1000 * number + np.arange(arguments.episodes)
-                sets.append(play(task, seeds, act, settings))
-            print(row(task, POLICIES[policy], sets), flush=True)
+            first = FIRST_TEST_SEED + 1000 * np.arange(arguments.sets)
+            seeds = (first[:, None] + np.arange(arguments.episodes)).ravel()
+            print(row(task, POLICIES[policy], play(task, seeds, act, settings)), flush=True)
 
 
 if __name__ == "__main__":
