@@ -41,7 +41,7 @@ from tiswarm.app.results import (
 from tiswarm.base.errors import InputError, require_name, warn
 from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.plugins import load_plugins
-from tiswarm.records.estimate import Estimate
+from tiswarm.records.estimate import Estimate, refuse_distance
 from tiswarm.records.outputs import Outputs, refuse_same
 from tiswarm.records.positions import write_estimate
 from tiswarm.records.sensing_file import log_lines
@@ -80,6 +80,7 @@ def localize(
     arch: AnyArch = "cpu",
     threads: int | None = None,
     precision: AnyPrecision = "auto",
+    within: float | None = None,
     plugins: Sequence[File] = (),
     out: File | None = None,
     report: File | None = None,
@@ -101,6 +102,8 @@ def localize(
         threads: CPU threads; all that this process may use if None.
         precision: Floating-point type on that device; `auto` takes f64 where it computes that at
             half the rate of f32. Other methods compute in f64.
+        within: Distance [log unit]: table, verdict and page state for each robot the probability
+            that it is within this distance of its estimated position; R if None.
         plugins: Python files that register methods, see `tiswarm.method`.
         out: Table of positions to write; none if None.
         report: Page to write; none if None.
@@ -121,10 +124,13 @@ def localize(
     page = None if report is None else as_path(report, "report")
     Outputs(inputs=[log, *plugins], overwrite=overwrite).check({"out": table, "report": page})
     load_plugins(plugins)
-    method_params(method, cues, overrides, settings)  # before a log is read, which may take long
+    # Before a log is read, which may take long.
+    method_params(method, cues, overrides, settings)
+    if within is not None:
+        refuse_distance(within)
     found = open_log(log).localize(
         method, cues=cues, overrides=overrides, solution=solution, arch=arch, threads=threads,
-        precision=precision, quiet=quiet, **settings,
+        precision=precision, within=within, quiet=quiet, **settings,
     )  # fmt: skip
     if table is not None:
         found.write(table, overwrite=overwrite)

@@ -24,6 +24,27 @@ def finished(growth):
     return growth
 
 
+def played(kind, robots, episodes, places):
+    """Play episodes of seeds 0, 1, ... in some places; where one is over, the next one begins.
+
+    Returns:
+        Their structures, by seed.
+    """
+    growth = tiswarm.Growth(kind, robots=robots, seeds=places)
+    structures = {}
+    next_seed = places
+    while len(structures) < episodes:
+        growth.step(tiswarm.reactive_build(growth.observe()))
+        over = np.flatnonzero(growth.is_over)
+        for place in over:
+            structures.setdefault(int(growth.seeds[place]), growth.swarms([place])[0])
+        begins = over[: episodes - next_seed]
+        if len(begins):
+            growth.reset(begins, seeds=next_seed + np.arange(len(begins)))
+            next_seed += len(begins)
+    return [structures[seed] for seed in range(episodes)]
+
+
 def content(structures):
     """List all that structures are made of, as bytes."""
     return [
@@ -49,15 +70,23 @@ def content(structures):
 
 
 @pytest.mark.filterwarnings("ignore::tiswarm.base.errors.ResultWarning")
-@pytest.mark.parametrize("kind", KINDS)
-def test_episodes_of_reactive_build_are_those_of_grow(kind):
-    """Each structure goes at its own pace, and still none differs in a byte."""
-    seeds = [3, 4, 5]
-    expected = tiswarm.grow(KINDS[kind], robots=ROBOTS, seeds=seeds, quiet=True)
+@pytest.mark.parametrize(
+    ("kind", "robots", "episodes", "places"),
+    [
+        *[(kind, ROBOTS, 5, 3) for kind in KINDS.values()],
+        *[
+            pytest.param(kind, 60, 64, 16, marks=pytest.mark.slow)
+            for kind in ("tower", "cantilever", "bridge", "chain")
+        ],
+    ],
+)
+def test_episodes_of_reactive_build_are_those_of_grow(kind, robots, episodes, places):
+    """Structures go and begin anew at their own pace, and still none differs in a byte."""
+    expected = tiswarm.grow(kind, robots=robots, seeds=episodes, quiet=True)
 
-    growth = finished(tiswarm.Growth(KINDS[kind], robots=ROBOTS, seeds=seeds))
+    structures = played(kind, robots, episodes, places)
 
-    assert content(growth.swarms()) == content(expected)
+    assert content(structures) == content(expected)
 
 
 def test_an_episode_depends_on_seed_and_settings_alone():

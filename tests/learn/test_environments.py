@@ -15,11 +15,8 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402 - of a library t
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
 import tiswarm.learn  # noqa: E402
-from tiswarm.learn.observations import (  # noqa: E402
-    FLIP_FEATURES,
-    ROBOT_FEATURES,
-    action_of,
-)
+from tiswarm.learn.features import FLIP_FEATURES, ROBOT_FEATURES  # noqa: E402
+from tiswarm.learn.observations import action_of  # noqa: E402
 
 ROBOTS = 5
 STAY = 36
@@ -46,6 +43,45 @@ def drawn(environment, rng, observed):
 def content(observed):
     """List an observation as bytes."""
     return [values.tobytes() for values in observed.values()]
+
+
+def norm(vector):
+    """Return the length of a vector, summed in order."""
+    x, y, z = vector.tolist()
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def contacts(step, climber, touching, on_ground):
+    """Count docks touched and docks on the ground, and find the greatest load touched."""
+    touched = touching[touching >= 0]
+    sensed = step.sensed[step.structure[climber], touched // 3]
+    return [len(touched), np.count_nonzero(on_ground), max([0.0, *sensed[~np.isnan(sensed)]])]
+
+
+def features(step, climber):
+    """Compute what a climber observes from what it sees, number by number."""
+    place = step.center[climber]
+    goal = step.goal[climber]
+    walked = [norm(stance - goal) for stance in step.walk[climber, : step.stance[climber] + 1]]
+    flips = np.zeros((STAY, len(FLIP_FEATURES)))
+    for k in np.flatnonzero(step.possible[climber]):
+        end = step.end[climber, k]
+        flips[k] = [
+            1.0, norm(end - goal), walked[-1] - norm(end - goal), *(end - place),
+            step.angle[climber, k], step.visited[climber, k], step.end_called[climber, k],
+            *contacts(
+                step, climber, step.end_touching[climber, k], step.end_on_ground[climber, k]
+            ),
+        ]  # fmt: skip
+    robot = [
+        1.0, walked[-1], *(goal - place), min(walked), step.stance[climber],
+        step.stance[climber] - walked.index(min(walked)), step.called[climber],
+        *contacts(step, climber, step.touching[climber], step.on_ground[climber]),
+    ]  # fmt: skip
+    return [
+        np.clip(values, [f.low for f in of], [f.high for f in of]).astype(np.float32)
+        for values, of in ((flips, FLIP_FEATURES), (robot, ROBOT_FEATURES))
+    ]
 
 
 def closure(structure, gap):
@@ -160,6 +196,27 @@ def test_an_episode_that_is_over_begins_anew_with_the_next_step():
     assert observed["robot"][first, 0] == 1.0
 
 
+@pytest.mark.parametrize("make", ["alone", "one of one"])
+def test_an_episode_ends_where_nobody_else_climbs(make):
+    """With no climber left there is still an observation, zeros, and only staying is possible."""
+    if make == "alone":
+        environment = gymnasium.make("tiswarm/Tower-v0", robots=ROBOTS).unwrapped
+    else:
+        environment = vector(count=1)
+    environment.reset(seed=5)
+    over = False
+    while not over:
+        step = environment.climb_step
+        action = action_of(tiswarm.reactive_build(step), step, 1)
+        observed, _, over, _, _ = environment.step(action if make != "alone" else action[0])
+
+    nobody = tiswarm.reactive_build(environment.climb_step)
+
+    assert nobody.shape == (0,)
+    assert not observed["robot"].any()
+    assert np.flatnonzero(observed["action_mask"]).tolist() == [STAY, BACK]
+
+
 def test_later_episodes_are_drawn_from_the_seed():
     """A structure has a seed of its own in each episode, alone and beside others."""
     environment = vector(count=2)
@@ -183,6 +240,24 @@ def test_an_episode_is_cut_off_after_most_steps():
     assert [outcome[3].all() for outcome in outcomes] == [False, False, True, False]
     assert not any(outcome[2].any() for outcome in outcomes)
     assert (outcomes[3][4]["robots"] == 0).all()
+
+
+def test_observations_are_what_robots_may_know():
+    """Each number is what the guide says, to the byte, calls and loads among them."""
+    environment = vector("Bridge", settings={"gap": 8.0, "force_threshold": 0.5})
+    observed, _ = environment.reset(seed=3)
+    seen = []
+    for _ in range(60):
+        observed, *_ = environment.step(act_as_reactive_build(environment))
+        step = environment.unwrapped.climb_step
+        for climber, row in enumerate(step.slot):
+            flips, robot = features(step, climber)
+            seen.append(np.max([robot, *flips], axis=0))
+
+            assert observed["flips"][row].tobytes() == flips.tobytes()
+            assert observed["robot"][row].tobytes() == robot.tobytes()
+
+    assert np.max(seen, axis=0)[-4:].all()  # calls, contacts, ground and loads occur
 
 
 def test_masks_say_which_actions_differ_from_staying():

@@ -260,14 +260,16 @@ class Run:
 
     def __str__(self) -> str:
         """Write the first table of the page, or how many cases parts lack."""
-        from tiswarm.report.page_tables import console_text  # noqa: PLC0415 - slow to import
+        from tiswarm.report.page_tables import console_text, statement_of  # noqa: PLC0415
 
         if self.missing:
             return f"this part is done; other parts still lack {counted(self.missing, 'case')}"
         table = self._labeled_table()
         if not table["cases"].any():
             return "no case was finished"
-        return console_text(self._headline(table, with_verdicts=True))
+        text = console_text(self._headline(table, with_verdicts=True))
+        statement = statement_of(self._data().summary)
+        return "\n".join(filter(None, [statement, text]))
 
     def _repr_html_(self) -> str:
         if self.missing:

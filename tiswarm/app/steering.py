@@ -165,11 +165,13 @@ class Growth:
         if seeds is not None:
             new_seeds = _seeds(np.broadcast_to(np.asarray(seeds), chosen.shape).tolist())
         params = self._with_settings([self._params[n] for n in chosen], chosen, settings)
+        if not len(chosen):
+            return
         backend.processor()
         for number, seed, of_structure in zip(chosen.tolist(), new_seeds, params, strict=True):
             self._seeds[number] = seed
             self._params[number] = of_structure
-            self._steered.reset(number, seed, of_structure)
+        self._steered.reset(chosen, new_seeds, params)
 
     @property
     def seeds(self) -> Ints:

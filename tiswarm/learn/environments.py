@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.learn.episodes import Episodes, infos_of
-from tiswarm.learn.observations import FLIP_FEATURES, ROBOT_FEATURES, Feature
+from tiswarm.learn.features import FLIP_FEATURES, ROBOT_FEATURES, Feature
 from tiswarm.world.choices import ClimbStep
 
 Observed = dict[str, NDArray[Any]]

@@ -105,7 +105,8 @@ TASKS: Mapping[str, GrowthTask] = {
     ),
     "Bridge": _bridge(20.0),
     "Bridge30": _bridge(30.0),
-    "Bridge40": _bridge(40.0),
+    # Half bridges of 60 robots end before they meet, and at a threshold of 10 so do those of 120.
+    "Bridge40": replace(_bridge(40.0, force_threshold=25.0), robots=120),
     "BreakingBridge": replace(
         _bridge(20.0, strength={"limit": 500.0}), aim="close a gap of 20 R with docks that break"
     ),

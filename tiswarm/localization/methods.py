@@ -258,6 +258,7 @@ def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
     return replace(
         estimate,
         length_unit=log.length_unit,
+        dock_radius=log.dock_radius,
         gone=log.is_gone if log.gone.size else None,
         position=estimate.position + by,
         trace=estimate.trace + by,

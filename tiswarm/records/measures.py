@@ -243,6 +243,16 @@ COVERAGE_50 = Measure(
 COVERAGE_90 = Measure(
     "coverage_90", "1", _BOTH, "share of robots, without anchors, in their 90 % interval"
 )
+SURE = _larger(
+    "sure_1R",
+    "1",
+    _ESTIMATE,
+    "share of robots, without anchors, that are within 1 R of their estimated positions with a "
+    "probability of 95 % or more, `within_1R`; empty if the method states no `sd_R`",
+)
+SURE_OFF = Measure(
+    "sure_off_1R", "1", _BOTH, "share of these that are off by 1 R or more; empty without any"
+)
 PRECISION = _larger(
     "outlier_precision", "1", _BOTH, "wrong contacts among those reported as outliers"
 )
@@ -485,6 +495,8 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     "calibration": {
         COVERAGE_50: "robots in their 50 % interval",
         COVERAGE_90: "robots in their 90 % interval",
+        SURE: "robots within 1 R (95 %)",
+        SURE_OFF: "of these off by more",
         PRECISION: "precision of outliers",
         RECALL: "recall of outliers",
         CONVERGED: "converged estimates",

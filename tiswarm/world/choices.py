@@ -109,7 +109,7 @@ class ClimbStep:
     @cached_property
     def walk(self) -> Reals:
         """Centers of its stances up to the current one, then NaN [R], (M, most stances, 3)."""
-        centers: Reals = self._walks.stances.center[self._slots, : self.stance.max() + 1]
+        centers: Reals = self._walks.stances.center[self._slots, : self.stance.max(initial=0) + 1]
         centers[np.arange(centers.shape[1]) > self.stance[:, None]] = np.nan
         return centers
 
@@ -181,6 +181,10 @@ class ClimbStep:
         draw = (self.stance.astype(np.int64) << _DRAW_BITS)[:, None] + np.arange(count)
         return uniform(self._walks.seed[self._slots, None], stream, self.robot[:, None], draw)
 
+    def for_kernels(self) -> tuple[Walks, StructureArrays, FlipArrays]:
+        """Return the arrays of the engine, by slot: for kernels, which do not write them."""
+        return self._walks, self._structures, self._flips
+
     @property
     def wait(self) -> int:
         """The choice to stand at the current stance until the next round."""
@@ -236,6 +240,8 @@ class ChoiceClimb:
         """Whether the robot in each slot waits for the next round, shape (slots,)."""
         self.is_walking = np.zeros(slots, np.bool_)
         """Whether the robot in each slot has not stayed yet, shape (slots,)."""
+        self._is_listed = np.zeros(slots, np.bool_)
+        """Whether the flips of the robot in each slot are those of its last stance, (slots,)."""
         self._asked: _Slots = np.empty(0, np.int32)
         self._step: ClimbStep | None = None
 
@@ -245,21 +251,23 @@ class ChoiceClimb:
         walks.stances.last[slots] = walks.climbers.first_stance[slots]
         walks.state[slots] = WALKING
         self.is_walking[slots] = True
+        self._is_listed[slots] = False
         self.waits[slots] = False
 
     def observe(self) -> ClimbStep:
         """List what all that walk may choose; those that are put stay where they start."""
         walks = self._walks
-        walking = np.flatnonzero(self.is_walking).astype(np.int32)
+        # What stands around a climber stays as it is while the climber walks: others' flips hold.
+        arrived = np.flatnonzero(self.is_walking & ~self._is_listed).astype(np.int32)
         list_flips(
-            walks.limits, walking, self._met, *self._climbed, *walks.climbers,
+            walks.limits, arrived, self._met, *self._climbed, *walks.climbers,
             *walks.stances, *self._flips, walks.laws,
         )  # fmt: skip
-        walks.state[walking] |= self._met[walking, StanceColumn.OVERFLOW]
-        is_put = walks.climbers.manner[walking, Manner.PATIENCE] == 0
-        put = walking[is_put]
+        walks.state[arrived] |= self._met[arrived, StanceColumn.OVERFLOW]
+        self._is_listed[arrived] = True
+        put = arrived[walks.climbers.manner[arrived, Manner.PATIENCE] == 0]
         self._stay(put, walks.stances.last[put])
-        self._asked = walking[~is_put]
+        self._asked = np.flatnonzero(self.is_walking).astype(np.int32)
         self._step = ClimbStep(
             walks,
             self._structures,
@@ -292,6 +300,7 @@ class ChoiceClimb:
         stances.center[walking, stance + 1] = self._flips.center[walking, flip]
         stances.orientation[walking, stance + 1] = self._flips.orientation[walking, flip]
         stances.last[walking] = stance + 1
+        self._is_listed[walking] = False
 
     def settle(self, movers: _Slots) -> None:
         """Let those of robots that have stayed turn which settle."""

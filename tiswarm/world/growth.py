@@ -154,13 +154,14 @@ class SteeredGrowth:
         self._step = None
         self._end_rounds()
 
-    def reset(self, number: int, seed: int, params: StructureParams) -> None:
-        """Let a structure begin anew, from a seed."""
-        self._batch.reset(number, seed, params)
-        self._climb.is_walking[self._batch.structure_of == number] = False
-        self.is_over[number] = False
+    def reset(
+        self, numbers: AnyInts, seeds: Sequence[int], params: Sequence[StructureParams]
+    ) -> None:
+        """Let structures, shape (n,), begin anew, each from a seed."""
+        self._climb.is_walking[self._batch.reset(numbers, seeds, params)] = False
+        self.is_over[numbers] = False
         self._step = None
-        self._begin(np.array([number]))
+        self._begin(numbers)
 
     def _begin(self, numbers: AnyInts) -> None:
         """Let robots start, or walk on, in structures where nobody walks."""
@@ -269,23 +270,33 @@ class GrowthBatch:
         self.mute = np.zeros((count, robots), np.bool_)
         self.sensed = np.zeros((count, robots))
 
-    def reset(self, number: int, seed: int, params: StructureParams) -> None:
-        """Let a structure begin anew, without robots."""
-        self.frames.clear(number)
-        self.structures[number] = GrowingStructure(number, seed, params, self.robot, self.frames)
-        self.arrays.robot_count[number] = 0
-        self.arrays.cells.head[number] = -1
-        self.arrays.relay[number] = 0
-        self.call[number] = 0
-        self.sensed[number] = 0.0
-        self.present[number] = 1
-        self.mute[number] = False
-        self.rounds[number] = 0
-        self.leaves[number] = False
-        self.members.clear(number, seed)
-        slots = self.structure_of == number
+    def reset(
+        self, numbers: AnyInts, seeds: Sequence[int], params: Sequence[StructureParams]
+    ) -> Bools:
+        """Let structures, shape (n,), begin anew, without robots.
+
+        Returns:
+            Whether each slot is one of theirs, shape (slots,).
+        """
+        self.frames.clear(numbers)
+        for number, seed, of_structure in zip(numbers.tolist(), seeds, params, strict=True):
+            self.structures[number] = GrowingStructure(
+                number, seed, of_structure, self.robot, self.frames
+            )
+        self.arrays.robot_count[numbers] = 0
+        self.arrays.cells.head[numbers] = -1
+        self.arrays.relay[numbers] = 0
+        self.call[numbers] = 0
+        self.sensed[numbers] = 0.0
+        self.present[numbers] = 1
+        self.mute[numbers] = False
+        self.rounds[numbers] = 0
+        self.leaves[numbers] = False
+        self.members.clear(numbers, seeds)
+        self.walks.restart(numbers, seeds, params)
+        slots: Bools = np.isin(self.structure_of, numbers)
         self.moving[slots] = False
-        self.walks.restart(number, slots, seed, params)
+        return slots
 
     def spawn(self, numbers: AnyInts) -> NDArray[np.int32]:
         """Fill the free slots of unfinished structures, shape (n,).
@@ -412,13 +423,16 @@ class GrowthBatch:
         self.moving[movers] = goes_on
         first_stance = np.where(disturbed < 0, walks.stances.last[movers], disturbed)
         walks.climbers.first_stance[movers[goes_on]] = first_stance[goes_on]
-        for slot in movers[~goes_on]:
+        joiners = movers[joined]
+        rounds = self.rounds[self.structure_of[joiners]]
+        walk_of = dict(zip(joiners.tolist(), walks.walks(joiners, rounds), strict=True))
+        acts = hasattr(self.rule, "act")
+        for slot in movers[~goes_on].tolist():
             structure = self.structures[self.structure_of[slot]]
-            if walks.joined[slot] >= 0:
-                walk = walks.walk(slot, int(self.rounds[structure.number]))
-                if hasattr(self.rule, "act"):
+            if slot in walk_of:
+                if acts:
                     self._admit_member(slot, structure.number)
-                structure.join(walk, self.arrays.dock[structure.number])
+                structure.join(walk_of[slot], self.arrays.dock[structure.number])
             elif not wants[slot]:
                 structure.turn_away()
         for number in np.setdiff1d(climbed[is_waiting], climbed[joined]):
@@ -522,6 +536,8 @@ class GrowthBatch:
 
     def _list(self, structures: "Sequence[GrowingStructure]", *docks: NDArray[Any]) -> None:
         """List anew the docks of some structures, given as in `BelievedDocks`."""
+        if not structures:
+            return
         chosen = np.array([structure.number for structure in structures], np.int32)
         dock_count = self.walks.docks * self.arrays.robot_count
         backend.processor()
@@ -578,9 +594,11 @@ class GrowingStructure:
         if isinstance(self.terrain, SolidGround) and params.sides > 1:
             self.side_of_body = sides_of_bodies(params, robot)
         self.docks = robot.dock_count
+        self.dock_offset_body = robot.dock_offset_body
         self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
-        self.clearance = robot.extent + robot.spacing
+        self.extent = robot.extent
+        self.clearance = self.extent + robot.spacing
         self.leads = params.spawn_behind == "leading"
         self.anchors = anchor_places(params, robot)
         self.walks: list[Walk] = []
@@ -652,7 +670,7 @@ class GrowingStructure:
             x, y = start.anchor_place
         half = np.pi * draw[2]
         place = np.array([x, y, self.level])
-        body = self.robot.dock_offset_body
+        body = self.dock_offset_body
         if not self.params.plane:
             place[2] -= body[:, 2].min()
             return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
@@ -706,7 +724,7 @@ class GrowingStructure:
             else:
                 self.rim[side] = max(behind)
         # Robots spawn on the ground: docks higher than they are stand in nobody's way.
-        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
+        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.extent
         if isinstance(self.terrain, SolidGround):
             is_low[:] = True  # ground of any height may be below them
         for dock in new[is_low]:
@@ -725,7 +743,7 @@ class GrowingStructure:
         if not np.isfinite(center[2]):
             return False
         if self.zones is not None:
-            dock = center + dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
+            dock = center + dock_offsets(orientation[None], self.dock_offset_body)[0]
             if self.zones.depth(dock, self.robot.dock_radius).max() > 0.0:
                 return False
         x, y = self._square(center)
@@ -764,12 +782,8 @@ class GrowingStructure:
         self.waited = 0
         self.walks.append(walk)
         joining_dock, touched_robot, touched_dock = walk.at_rest(walk.contacts).T
-        contacts = np.column_stack(
-            [
-                self.docks * touched_robot + touched_dock,
-                self.docks * j + joining_dock,
-            ]
-        )
+        ends = [self.docks * touched_robot + touched_dock, self.docks * j + joining_dock]
+        contacts = np.array(ends).T
         feet = np.concatenate([walk.ground_docks, walk.edge_docks])
         standing = self.docks * j + walk.at_rest(feet)[:, 0]
         self.frames.join(
@@ -917,15 +931,16 @@ class GrowingStructure:
 
     def note_loads(self) -> None:
         """Note what the last solve of its mechanics found, and who calls for help."""
-        self.sensed = np.full(len(self.walks), np.nan)
-        self.call = np.zeros(len(self.walks), np.int32)
-        if self.has_fallen:
-            return
-        try:
-            loads = self.frames.loads(self.number)
-        except StructureFailure as failure:
-            self.ended = str(failure)
-            self.crossed = False
+        loads = None
+        if not self.has_fallen:
+            try:
+                loads = self.frames.loads(self.number)
+            except StructureFailure as failure:
+                self.ended = str(failure)
+                self.crossed = False
+        if loads is None:
+            self.sensed = np.full(len(self.walks), np.nan)
+            self.call = np.zeros(len(self.walks), np.int32)
             return
         self.unsolved = 0
         alive = self.alive[: len(loads.sensed)]
@@ -934,7 +949,7 @@ class GrowingStructure:
         self.call = call(np.where(alive, loads.sensed, 0.0), self.params)
         self.loads[-1] = LoadSummary(
             peak=loads.peak,
-            sensed_max=float(np.nanmax(self.sensed)),
+            sensed_max=float(np.fmax.reduce(self.sensed)),
             calling=int(np.count_nonzero(self.call)),
             least_support=float((-loads.ground_force @ self.frames.down).min(initial=np.inf)),
             imbalance=loads.imbalance,

@@ -5,7 +5,7 @@ it senses, remembers and hears from the robots that it touches; what it says is 
 Numbers said are counted in bytes, once for each contact that they cross.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -156,14 +156,14 @@ class MemberArrays:
         self.contacts: Ints = np.empty((0, 5), np.int64)
         """Rows (structure, robot, dock, robot, dock), both ways, of those that act."""
 
-    def clear(self, structure: int, seed: int) -> None:
-        """Forget all of a structure."""
-        self.seed[structure] = seed
-        self.rounds[structure] = 0
-        self.memory[structure] = 0.0
-        self.said[structure] = np.nan
-        self.sent[structure] = 0
-        self.on_ground[structure] = False
+    def clear(self, structures: AnyInts, seeds: Sequence[int]) -> None:
+        """Forget all of structures, shape (n,), which begin anew from seeds."""
+        self.seed[structures] = seeds
+        self.rounds[structures] = 0
+        self.memory[structures] = 0.0
+        self.said[structures] = np.nan
+        self.sent[structures] = 0
+        self.on_ground[structures] = False
 
     def act(self, act: Callable[[Members], object], numbers: AnyInts, present: Bools) -> Bools:
         """Let robots of some structures act, once.
