@@ -232,7 +232,9 @@ class _Test:
         return cls(
             chi_square=chi_square,
             freedom=freedom,
-            sum_chance=_sum_chance(chi_square, freedom),
+            sum_chance=_sum_chance(chi_square, max(freedom, readings.freedom))
+            if freedom > 0
+            else 1.0,
             group_chance=min(1.0, tests * chance),
             group=group,
             scatter_chance=_sum_chance(readings.scatter, readings.repeats),
@@ -318,6 +320,10 @@ class _Readings(NamedTuple):
     repeats: int
     """Readings beyond the first of each quantity: the expectation of the scatter."""
 
+    freedom: int
+    """Expectation of the chi-square of means, priors included: docks that must not overlap hold
+    robots, and leave more of it than measurements alone."""
+
     @classmethod
     def of(cls, rows: Measurements, linear: Linear) -> "_Readings":
         """Split a chi-square: an error that all readings of a quantity share is in no scatter."""
@@ -331,7 +337,7 @@ class _Readings(NamedTuple):
             np.add.at(mean, quantity, weight / total[quantity] * residual)
             return np.asarray(weight * (residual - mean[quantity]) ** 2)
 
-        open_residual, square = linear.residual_of_draws()
+        open_residual, square, of_draws = linear.residual_of_draws()
         scatter_of_rows = scatter(linear.residual[: len(rows), None])[:, 0]
         expected = (square - scatter(open_residual)).mean(axis=1)
         repeats = len(rows) - len(first)
@@ -342,6 +348,7 @@ class _Readings(NamedTuple):
             expected,
             float(scatter_of_rows.sum()),
             repeats,
+            round(float(of_draws.mean())) - repeats,
         )
 
 
