@@ -1,7 +1,7 @@
 """Compares policies on the tasks of tiswarm.learn, on seeds that training never saw.
 
 python -m benchmarks.tasks                     the table in docs/guides/learning.md
-python -m benchmarks.tasks --tune              ReactiveBuild's patience, on training seeds
+python -m benchmarks.tasks --tune              settings of ReactiveBuild, on training seeds
 python -m benchmarks.tasks --evolve Bridge30   weights of a linear policy, on training seeds
 python -m benchmarks.tasks --speed             choices a CPU second
 """
@@ -9,7 +9,7 @@ python -m benchmarks.tasks --speed             choices a CPU second
 import argparse
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,25 +19,39 @@ import numpy as np
 import tiswarm
 import tiswarm.learn
 from tiswarm.base.aliases import AnyInts, Bools, Reals
-from tiswarm.learn.environments import TaskVectorEnv
-from tiswarm.learn.observations import FLIP_FEATURES, ROBOT_FEATURES, action_of
+from tiswarm.learn.episodes import Episodes
+from tiswarm.learn.features import FLIP_FEATURES, ROBOT_FEATURES
+from tiswarm.learn.observations import action_of
 
-WEIGHTS = Path(__file__).with_name("policies.json")
-"""Weights of evolved policies, by task, each with its command and seeds."""
+FITTED = Path(__file__).with_name("policies.json")
+"""What is fitted, by kind of policy and by task, each with its command and seeds."""
 
 FIRST_TEST_SEED = 1_000_000
 """First seed of the table; training seeds are below."""
 
-PATIENCE = 16
-"""Patience of ReactiveBuild that beat the shipped one on training seeds of Tower and Bridge30."""
+TRIED: dict[str, tuple[float, ...]] = {
+    "climb.patience": (3, 6, 10, 16, 24),
+    "force_threshold": (5.0, 10.0, 15.0, 25.0),
+    "recruit_limit": (0, 1, 2, 5),
+}
+"""Values of ReactiveBuild's settings that are tried, one setting after the other."""
 
-_TRIED = (3, 6, 10, 16, 24)
 _SCALE = {"R": 3.0, "rad": 3.0, "weight of a dock": 10.0}
 _FAR = {"distance": 30.0, "to_x": 30.0, "to_y": 30.0, "to_z": 30.0, "best": 30.0, "flips": 10.0}
+_MOST_GAIN = 2.5  # of a flip, in 3 R
 _TRAINING_STEPS = 1000
 _POPULATION = 12
-_WARMING_STEPS = 100
+_WARMING_STEPS = 60
 _CONFIDENCE = 1.96
+
+POLICIES = {
+    "random": "random",
+    "shipped": "ReactiveBuild as shipped",
+    "tuned": "ReactiveBuild, tuned",
+    "terms": "linear, its terms alone",
+    "evolved": "linear, evolved",
+}
+"""Policies of the table, as it names them."""
 
 _Act = Callable[[Any, dict[str, Any]], AnyInts]
 
@@ -62,23 +76,18 @@ def play(
     """Play an episode from each seed, cut off after most steps, or those of the task."""
     start = time.process_time()
     count = len(seeds)
-    environment = TaskVectorEnv(
-        count, task, settings=settings, max_episode_steps=most_steps, threads=1
-    )
-    observed, infos = environment.reset(seed=seeds.tolist())
-    is_over = np.zeros(count, np.bool_)
-    measure = np.zeros(count)
-    robots = np.zeros(count, np.int64)
+    episodes = Episodes(task, count, settings=settings, most_steps=most_steps, threads=1)
+    episodes.seed(np.arange(count), seeds)
+    is_over: Bools = np.zeros(count, np.bool_)
     choices = np.zeros(count, np.int64)
-    while not is_over.all():
-        actions = act(environment.unwrapped, observed)
-        observed, _, terminated, truncated, infos = environment.step(actions)
-        plays = ~is_over
-        measure[plays] = infos["measure"][plays]
-        robots[plays] = infos["robots"][plays]
-        choices += plays
-        is_over |= terminated | truncated
-    return Played(measure, measure >= 1.0, robots, choices, time.process_time() - start)
+    for _ in range(episodes.most_steps):
+        choices += ~is_over
+        _, is_over = episodes.step(act(episodes, episodes.observe()._asdict()))
+        if is_over.all():
+            break
+    measure = episodes.measure
+    cpu_s = time.process_time() - start
+    return Played(measure, measure >= 1.0, episodes.joined, choices, cpu_s)
 
 
 def draw(seed: int) -> _Act:
@@ -93,10 +102,10 @@ def draw(seed: int) -> _Act:
     return act
 
 
-def reactive(environment: Any, _observed: object) -> AnyInts:  # noqa: ANN401 - it has a climb step
+def reactive(episodes: Any, observed: dict[str, Any]) -> AnyInts:  # noqa: ANN401 - has a climb step
     """Act as ReactiveBuild."""
-    step = environment.climb_step
-    return action_of(tiswarm.reactive_build(step), step, environment.num_envs)
+    step = episodes.climb_step
+    return action_of(tiswarm.reactive_build(step), step, len(observed["action_mask"]))
 
 
 def linear(weights: Reals) -> _Act:
@@ -136,28 +145,53 @@ def names() -> list[str]:
     return [*flips, *stay, *[f"back {entry.name}" for entry in ROBOT_FEATURES]]
 
 
-def by_hand() -> Reals:
-    """Return weights that act much as ReactiveBuild: gain, no visits, patience, calls."""
+def by_terms(patience: float) -> Reals:
+    """Return weights that act much as ReactiveBuild: gain, no visits, calls, and patience."""
+    never = patience + _MOST_GAIN  # whoever has no other flip goes back
     terms = {
         "flip gain": 1.0,
-        "flip visited": -6.0,
-        "stay climbs": -6.0,
-        "stay called": 12.0,
-        "back climbs": -5.5,
+        "flip visited": -never,
+        "stay climbs": -never,
+        "stay called": 2.0 * never,
+        "back climbs": 0.5 - patience,
         "back since_best": 1.0,
     }
     return np.array([terms.get(name, 0.0) for name in names()])
 
 
-def evolve(task: str, *, generations: int, seed: int, episodes: int) -> dict[str, Any]:
-    """Evolve a linear policy from the one by hand, by CMA-ES.
+def fitted(kind: str, task: str) -> dict[str, Any]:
+    """Return what was fitted of a kind of policy on a task; empty if nothing was."""
+    stored: dict[str, Any] = json.loads(FITTED.read_text(encoding="utf-8"))
+    entry: dict[str, Any] = stored.get(kind, {}).get(task, {})
+    return entry
+
+
+def keep(kind: str, task: str, entry: dict[str, Any]) -> None:
+    """Write what was fitted of a kind of policy on a task beside all else that was."""
+    stored = json.loads(FITTED.read_text(encoding="utf-8"))
+    stored.setdefault(kind, {})[task] = entry
+    FITTED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+
+
+def patience_of(task: str) -> float:
+    """Return the patience of ReactiveBuild that was best on training seeds, or is shipped."""
+    settings = fitted("tuned", task).get("settings", {})
+    return float(settings.get("climb.patience", TRIED["climb.patience"][0]))
+
+
+def evolve(task: str, *, generations: int, seed: int, episodes: int) -> Iterator[dict[str, Any]]:
+    """Evolve a linear policy from ReactiveBuild's terms, by CMA-ES.
 
     A generation plays its candidates on the same training seeds, which the next one replaces.
+
+    Yields:
+        What so many generations come to, after each of them.
     """
     from cmaes import CMA  # noqa: PLC0415 - of the extra bench
 
     start = time.process_time()
-    optimizer = CMA(mean=by_hand(), sigma=0.5, seed=seed, population_size=_POPULATION)
+    mean = by_terms(patience_of(task))
+    optimizer = CMA(mean=mean, sigma=0.5, seed=seed, population_size=_POPULATION)
     progress = []
     for generation in range(generations):
         candidates = [optimizer.ask() for _ in range(optimizer.population_size)]
@@ -183,69 +217,95 @@ def evolve(task: str, *, generations: int, seed: int, episodes: int) -> dict[str
         print(
             f"generation {generation + 1}: {measure.mean():.3f}, {minutes:.1f} CPU min", flush=True
         )
+        yield {
+            "cpu_min": round(minutes, 1),
+            "command": f"python -m benchmarks.tasks --evolve {task} "
+            f"--generations {generation + 1} --seed {seed} --episodes {episodes}",
+            "training_seeds": f"0 to {(generation + 1) * episodes - 1}",
+            "mean_measure_of_generations": progress,
+            "weights": dict(zip(names(), optimizer.mean.round(4).tolist(), strict=True)),
+        }
+
+
+def tune(task: str, episodes: int) -> dict[str, Any]:
+    """Choose settings of ReactiveBuild, each the best on training seeds with those before it."""
+    start = time.process_time()
+    settings: dict[str, Any] = {}
+    means: dict[str, dict[str, float]] = {}
+    for name, values in TRIED.items():
+        seeds = np.tile(np.arange(episodes), len(values))
+        tried = {**settings, name: np.repeat(values, episodes)}
+        played = play(task, seeds, reactive, tried)
+        mean = played.measure.reshape(len(values), episodes).mean(axis=1)
+        means[name] = {
+            str(value): round(float(m), 4) for value, m in zip(values, mean, strict=True)
+        }
+        settings[name] = values[int(mean.argmax())]
+        print(f"{task}, {name}: {means[name]}", flush=True)
     return {
-        "command": f"python -m benchmarks.tasks --evolve {task} --generations {generations} "
-        f"--seed {seed} --episodes {episodes}",
-        "training_seeds": f"0 to {generations * episodes - 1}",
-        "mean_measure_of_generations": progress,
-        "weights": dict(zip(names(), optimizer.mean.round(4).tolist(), strict=True)),
+        "cpu_min": round((time.process_time() - start) / 60.0, 1),
+        "command": f"python -m benchmarks.tasks --tune --tasks {task} --episodes {episodes}",
+        "training_seeds": f"0 to {episodes - 1}",
+        "mean_measure": means,
+        "settings": settings,
     }
-
-
-def tune(tasks: Sequence[str], episodes: int) -> None:
-    """Print what ReactiveBuild is worth by its patience, on training seeds."""
-    for task in tasks:
-        for patience in _TRIED:
-            played = play(task, np.arange(episodes), reactive, {"climb.patience": patience})
-            mean = played.measure.mean()
-            print(f"{task}, patience {patience}: {mean:.3f}, {played.closed.sum()}", flush=True)
 
 
 def policies(task: str) -> dict[str, tuple[_Act, dict[str, Any] | None]]:
-    """Return the policies of the table, with settings of the structure."""
+    """Return the policies of the table by name, with settings of the structure."""
     listed: dict[str, tuple[_Act, dict[str, Any] | None]] = {
-        "ReactiveBuild as shipped": (reactive, None),
-        f"ReactiveBuild, patience {PATIENCE}": (
-            reactive,
-            {"climb.patience": PATIENCE},
-        ),
-        "linear by hand": (linear(by_hand()), None),
+        "random": (draw(0), None),
+        "shipped": (reactive, None),
+        "terms": (linear(by_terms(patience_of(task))), None),
     }
-    evolved = {}
-    if WEIGHTS.is_file():
-        evolved = json.loads(WEIGHTS.read_text(encoding="utf-8"))
-    if task in evolved:
-        weights = evolved[task]["weights"]
-        listed["linear, evolved"] = (linear(np.array([weights[name] for name in names()])), None)
-    listed["random"] = (draw(0), None)
+    tuned = fitted("tuned", task)
+    if tuned:
+        listed["tuned"] = (reactive, tuned["settings"])
+    evolved = fitted("evolved", task)
+    if evolved:
+        weights = np.array([evolved["weights"][name] for name in names()])
+        listed["evolved"] = (linear(weights), None)
     return listed
 
 
-def row(task: str, policy: str, played: Sequence[Played]) -> str:
+def row(task: str, policy: str, played: Played) -> str:
     """Return a row of the table; intervals are of 95 %, over the episodes of all sets."""
-    measure = np.concatenate([of_set.measure for of_set in played])
-    closed = np.concatenate([of_set.closed for of_set in played])
-    robots = np.concatenate([of_set.robots for of_set in played])
-    choices = np.concatenate([of_set.choices for of_set in played])
+    measure = played.measure
+    closed = played.closed
     half = _CONFIDENCE * measure.std(ddof=1) / np.sqrt(len(measure))
     shown = "-"
-    if "Bridge" in task:
-        shown = f"{closed.sum()} of {len(closed)}"
+    if tiswarm.learn.TASKS[task].structure["kind"] == "bridge":
+        low, high = share_interval(int(closed.sum()), len(closed))
+        shown = f"{100 * closed.mean():.0f} ({100 * low:.0f} to {100 * high:.0f})"
     return (
-        f"| `{task}` | {policy} | {measure.mean():.2f} ± {half:.2f} | {shown} "
-        f"| {robots.mean():.1f} | {choices.mean():.0f} |"
+        f"| `{task}` | {policy} | {len(measure)} | {measure.mean():.2f} ± {half:.2f} | {shown} "
+        f"| {played.robots.mean():.1f} | {played.choices.mean():.0f} |"
     )
 
 
+def share_interval(count: int, total: int) -> tuple[float, float]:
+    """Return Wilson's interval of 95 % of a share."""
+    z = _CONFIDENCE
+    share = count / total
+    middle = share + z * z / (2.0 * total)
+    half = z * np.sqrt(share * (1.0 - share) / total + (z / (2.0 * total)) ** 2)
+    whole = 1.0 + z * z / total
+    return max(0.0, float((middle - half) / whole)), min(1.0, float((middle + half) / whole))
+
+
 def speed(task: str, counts: Sequence[int], steps: int) -> None:
-    """Print choices a CPU second of ReactiveBuild on one thread, once kernels are compiled."""
-    play(task, np.arange(2), reactive, most_steps=_WARMING_STEPS)
+    """Print choices a CPU second of ReactiveBuild on one thread, once kernels are compiled.
+
+    Structures have grown for some steps by then, so that some are at their end and begin anew.
+    """
     for count in counts:
         environment: Any = gymnasium.make_vec(f"tiswarm/{task}-v0", num_envs=count, threads=1)
         observed, _ = environment.reset(seed=0)
+        for _ in range(_WARMING_STEPS):
+            observed, *_ = environment.step(reactive(environment.unwrapped, observed))
         choices = 0
         start = time.process_time()
-        for _ in range(steps):
+        for _ in range(max(steps, 400 // count)):
             choices += int(observed["robot"][:, 0].sum())
             observed, *_ = environment.step(reactive(environment.unwrapped, observed))
         rate = choices / (time.process_time() - start)
@@ -256,39 +316,40 @@ def main() -> None:
     """Print the table, or what an option asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tasks", nargs="+", default=[*tiswarm.learn.TASKS])
+    parser.add_argument("--policies", nargs="+", default=[*POLICIES])
     parser.add_argument("--sets", type=int, default=5)
     parser.add_argument("--episodes", type=int, default=256)
     parser.add_argument("--tune", action="store_true")
     parser.add_argument("--evolve", metavar="TASK")
-    parser.add_argument("--generations", type=int, default=7)
+    parser.add_argument("--generations", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--speed", action="store_true")
-    given = parser.parse_args()
-    if given.tune:
-        tune(given.tasks, given.episodes)
+    arguments = parser.parse_args()
+    if arguments.tune:
+        for task in arguments.tasks:
+            keep("tuned", task, tune(task, arguments.episodes))
         return
-    if given.speed:
-        speed("Tower", (1, 64, 1024, 4096), 40)
+    if arguments.speed:
+        speed("Bridge", (1, 64, 1024, 4096), 40)
         return
-    if given.evolve:
-        kept = {}
-        if WEIGHTS.is_file():
-            kept = json.loads(WEIGHTS.read_text(encoding="utf-8"))
-        kept[given.evolve] = evolve(
-            given.evolve, generations=given.generations, seed=given.seed, episodes=given.episodes
-        )
-        WEIGHTS.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    if arguments.evolve:
+        for evolved in evolve(
+            arguments.evolve,
+            generations=arguments.generations,
+            seed=arguments.seed,
+            episodes=arguments.episodes,
+        ):
+            keep("evolved", arguments.evolve, evolved)
         return
-    print("| task | policy | measure | closed | robots | choices |\n|---|---|---|---|---|---|")
-    for task in given.tasks:
+    print("| task | policy | episodes | measure | closed, % | robots | choices |")
+    print("|---|---|---|---|---|---|---|")
+    for task in arguments.tasks:
         for policy, (act, settings) in policies(task).items():
-            sets = [
-                play(
-                    task, FIRST_TEST_SEED + 1000 * number + np.arange(given.episodes), act, settings
-                )
-                for number in range(given.sets)
-            ]
-            print(row(task, policy, sets), flush=True)
+            if policy not in arguments.policies:
+                continue
+            first = FIRST_TEST_SEED + 1000 * np.arange(arguments.sets)
+            seeds = (first[:, None] + np.arange(arguments.episodes)).ravel()
+            print(row(task, POLICIES[policy], play(task, seeds, act, settings)), flush=True)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ from tiswarm.app.results import (
 from tiswarm.base.errors import InputError, require_name, warn
 from tiswarm.base.params import METHOD, AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.plugins import load_plugins
-from tiswarm.records.estimate import Estimate
+from tiswarm.records.estimate import Estimate, refuse_distance
 from tiswarm.records.outputs import Outputs, refuse_same
 from tiswarm.records.positions import write_estimate
 from tiswarm.records.sensing_file import log_lines
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from typing import BinaryIO, TextIO
 
     from tiswarm.app.comparison import Comparison
+    from tiswarm.app.navigation import Believer
     from tiswarm.app.swarms import Swarms
     from tiswarm.evaluation.tables import Scores
     from tiswarm.formats.imports import Imported
@@ -80,6 +81,7 @@ def localize(
     arch: AnyArch = "cpu",
     threads: int | None = None,
     precision: AnyPrecision = "auto",
+    within: float | None = None,
     plugins: Sequence[File] = (),
     out: File | None = None,
     report: File | None = None,
@@ -101,6 +103,8 @@ def localize(
         threads: CPU threads; all that this process may use if None.
         precision: Floating-point type on that device; `auto` takes f64 where it computes that at
             half the rate of f32. Other methods compute in f64.
+        within: Distance [log unit]: table, verdict and page state for each robot the probability
+            that it is within this distance of its estimated position; R if None.
         plugins: Python files that register methods, see `tiswarm.method`.
         out: Table of positions to write; none if None.
         report: Page to write; none if None.
@@ -121,10 +125,13 @@ def localize(
     page = None if report is None else as_path(report, "report")
     Outputs(inputs=[log, *plugins], overwrite=overwrite).check({"out": table, "report": page})
     load_plugins(plugins)
-    method_params(method, cues, overrides, settings)  # before a log is read, which may take long
+    # Before a log is read, which may take long.
+    method_params(method, cues, overrides, settings)
+    if within is not None:
+        refuse_distance(within)
     found = open_log(log).localize(
         method, cues=cues, overrides=overrides, solution=solution, arch=arch, threads=threads,
-        precision=precision, quiet=quiet, **settings,
+        precision=precision, within=within, quiet=quiet, **settings,
     )  # fmt: skip
     if table is not None:
         found.write(table, overwrite=overwrite)
@@ -200,6 +207,10 @@ def grow(
     *,
     rule: Section | None = None,
     robot: Section | None = None,
+    navigate_by: str | None = None,
+    belief_error: Section | None = None,
+    believe: "Section | Believer | None" = None,
+    sensing: Mapping[str, object] | None = None,
     threads: int | None = None,
     plugins: Sequence[File] = (),
     quiet: bool = False,
@@ -213,6 +224,17 @@ def grow(
         seeds: Seeds, one structure each, or their number: 0, 1, ...
         rule: Rule of growth, given in the same ways; that of the structure if None.
         robot: Shape of the robots, given in the same ways; FireAntV3 if None.
+        navigate_by: What robots build by, `structure.navigate_by`: "truth", "estimate" or "error";
+            as the structure or the next two arguments say if None.
+        belief_error: Kind and size of the error of the places that robots believe, with "error",
+            such as `{"kind": "independent", "size": 0.5}`.
+        believe: By what robots estimate where they are, with "estimate": a method, such as "online"
+            or `{"method": "distributed", "chains": 1}`, or a function of the `Log` of robots that
+            have joined, in join order. It returns centers [R], shape (n, 3), or a pair of these and
+            their standard deviations [R], shape (n,), or what `log.localize` returns. It is called
+            after each join, for each side of a gap by itself.
+        sensing: What robots that do not know the truth sense, and with which noise: settings of
+            `sensing`, such as `{"tilt_noise_deg": 1.0}`.
         threads: CPU threads; all that this process may use if None.
         plugins: Python files that register structures, rules and sensors.
         quiet: Whether to hide progress.
@@ -226,10 +248,16 @@ def grow(
         PluginError: code of a plug-in failed.
     """
     from tiswarm.app import swarms  # noqa: PLC0415 - slow to import
+    from tiswarm.app.navigation import Navigation  # noqa: PLC0415 - slow to import
 
     load_plugins(plugins)
-    scenario = swarms.growth_scenario(structure, robots, seeds, rule=rule, robot=robot)
-    return swarms.grow(scenario, threads=threads, quiet=quiet)
+    navigation = Navigation(
+        navigate_by=navigate_by, belief_error=belief_error, believe=believe, sensing=sensing
+    )
+    scenario = swarms.growth_scenario(
+        structure, robots, seeds, rule=rule, robot=robot, navigation=navigation
+    )
+    return swarms.grow(scenario, place=navigation.place, threads=threads, quiet=quiet)
 
 
 def open_swarms(path: File, *, plugins: Sequence[File] = ()) -> "Swarms":

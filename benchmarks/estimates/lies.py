@@ -14,7 +14,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
-from tiswarm.records.sensing_log import SensingLog, SensingNoise, canonical_contacts
+from tiswarm.records.sensing_log import (
+    KNOWN_SD,
+    SensingLog,
+    SensingNoise,
+    canonical_contacts,
+)
 
 WRONG_DEG = 20.0
 """Turn of orientations that are off [deg]."""
@@ -27,6 +32,9 @@ REACH, RANGE_SD = 12.0, 0.1
 
 LEAST_BIAS, MOST_BIAS = 0.3, 1.0
 """Bias of all ranges of a log [R]."""
+
+ANCHORS, ANCHOR_OFF = 2, 2.0
+"""Further anchors, and how far from its stated place one of them is [R]."""
 
 TENTH, TWENTIETH, FIFTH = 0.1, 0.05, 0.2
 
@@ -172,6 +180,21 @@ def wrong_tie(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> Sensi
     false = np.array([[one, rng.integers(docks), two, rng.integers(docks)]], np.int32)
     kept = np.delete(log.contacts, ties, axis=0)
     return replace(log, contacts=canonical_contacts(np.concatenate([kept, false])))
+
+
+def wrong_anchor(log: SensingLog, truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Add anchors, one of them 2 R off its stated place; in a plane it is off in the plane."""
+    robot = rng.choice(np.arange(1, log.robot_count), ANCHORS, replace=False)
+    off = rng.normal(size=3) * ([1.0, 0.0, 1.0] if is_planar(log) else [1.0, 1.0, 1.0])
+    place = truth[robot]
+    place[0] += ANCHOR_OFF * off / np.linalg.norm(off)
+    one = np.ones(len(robot))
+    fixes = [
+        np.column_stack([robot, *(one * (k == axis) for k in range(3)), place[:, axis],
+                         KNOWN_SD * one, -one])
+        for axis in range(3)
+    ]  # fmt: skip
+    return replace(log, fixes=np.unique(np.concatenate([log.fixes, *fixes]), axis=0))
 
 
 def part_behind(log: SensingLog, rng: np.random.Generator) -> Bools:

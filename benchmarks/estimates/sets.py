@@ -18,10 +18,17 @@ from tests import foreign
 from tests.structures import Rule, structure
 from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry, Shape
+from tiswarm.measurements.contacts import connected_parts
+from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
-from tiswarm.world.params import CantileverParams, StructureParams, TowerParams
+from tiswarm.world.params import (
+    BridgeParams,
+    CantileverParams,
+    StructureParams,
+    TowerParams,
+)
 
 TRAINING = 100_000
 """Number of the first training log."""
@@ -118,7 +125,7 @@ def generated(number: int) -> Case:
     tilt, yaw = rng.uniform(0.0, 3.0), rng.uniform(0.0, 5.0)
     if lie == "noise understated":
         tilt, yaw = max(tilt, 1.0), max(yaw, 1.0)
-    log, truth = _drawn(kind, number, rng, (tilt, yaw), heights=rng.random() < 0.5)  # noqa: PLR2004
+    log, truth = drawn(kind, number, rng, (tilt, yaw), heights=rng.random() < 0.5)  # noqa: PLR2004
     if lie != NONE:
         log = lies.LIES[lie](log, truth, rng)
     elif rng.integers(_RANGES_EACH) == 0:
@@ -126,7 +133,7 @@ def generated(number: int) -> Case:
     return Case(kind=kind, lie=lie, log=log, truth=truth)
 
 
-def _drawn(
+def drawn(
     kind: str,
     seed: int,
     rng: np.random.Generator,
@@ -274,7 +281,7 @@ def torn(number: int) -> Case:
     kind = list(_TORN)[number % len(_TORN)]
     noise_deg = rng.uniform(0.0, 2.0), rng.uniform(0.0, 3.0)
     heights = bool(rng.integers(2))
-    log, truth = _drawn(
+    log, truth = drawn(
         kind, number, rng, noise_deg, heights=heights, sizes=(20, 60), docks_of_towers=[8]
     )
     lie = _TORN[kind]
@@ -333,6 +340,76 @@ def cases(number: int) -> Case:
     return Case(kind=kind, lie=lie, log=log, truth=truth)
 
 
+_FEWEST, _MOST = 20, 80
+_NARROW, _WIDE = 6.0, 11.0
+_BRIDGE_ROBOTS = 120
+_MOSTLY_TIED = 0.8
+
+
+def _bridge(rng: np.random.Generator, sensed: SensingParams) -> Made:
+    """Grow bridges over gaps of random width until one is closed by enough robots."""
+    for _ in range(_TRIES):
+        params = BridgeParams(gap=float(rng.uniform(_NARROW, _WIDE)))
+        seed = int(rng.integers(TRAINING, 2**31))
+        [history] = grow(params, robots=_BRIDGE_ROBOTS, seeds=[seed], robot=RobotGeometry())
+        log = observe(history, sensed)
+        if history.crossed and history.robot_count >= _FEWEST and _is_tied(log):
+            return log, history.position
+    message = "no bridge closed"
+    raise AssertionError(message)
+
+
+def _is_tied(log: SensingLog) -> bool:
+    """Judge whether contacts tie most robots to the anchor."""
+    rows = measure(log, ["contacts"])
+    part = connected_parts(rows)
+    return float((part == part[0]).mean()) >= _MOSTLY_TIED
+
+
+def bridges(number: int) -> Case:
+    """Grow a bridge until its sides meet, and sense final or all stances."""
+    rng = random("bridges", number)
+    walks = number % 2 == 1
+    log, truth = _bridge(rng, _sensing(walks=walks))
+    return Case(
+        kind=f"bridge, {'all' if walks else 'final'} stances", lie=NONE, log=log, truth=truth
+    )
+
+
+def _sensing(*, walks: bool, **failures: float) -> SensingParams:
+    return SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0, stances=walks, **failures)
+
+
+_FAILURES: Mapping[str, Mapping[str, float]] = {"drift": {"drift": 0.1}, "mute": {"mute": 0.1}}
+_WRONG_LOGS: Mapping[str, lies.Lie] = {
+    "exchanged names": lies.exchanged_names,
+    "wrong anchor": lies.wrong_anchor,
+    "noise understated": lies.understated_noise,
+}
+_GROWN: Mapping[str, StructureParams] = {
+    "tower": TowerParams(),
+    "cantilever": CantileverParams(),
+    "planar": TowerParams(plane=True),
+}
+
+
+def wrong(number: int) -> Case:
+    """Grow a structure of one of four kinds, whose log has one of five lies."""
+    rng = random("wrong", number)
+    lie = [*_WRONG_LOGS, *_FAILURES][number % 5]
+    kind = [*_GROWN, "bridge"][number // 5 % 4]
+    sensed = _sensing(walks=number // 20 % 2 == 1, **_FAILURES.get(lie, {}))
+    if kind == "bridge":
+        log, truth = _bridge(rng, sensed)
+    else:
+        robots = int(rng.integers(_FEWEST, _MOST + 1))
+        seed = int(rng.integers(TRAINING, 2**31))
+        log, truth = grown(_GROWN[kind], robots, seed, sensed, RobotGeometry())
+    if lie in _WRONG_LOGS:
+        log = _WRONG_LOGS[lie](log, truth, rng)
+    return Case(kind=kind, lie=lie, log=log, truth=truth)
+
+
 SETS: Mapping[str, tuple[int, Callable[[int], Case]]] = {
     "generated": (160, generated),
     "planar": (120, planar),
@@ -343,3 +420,9 @@ SETS: Mapping[str, tuple[int, Callable[[int], Case]]] = {
     "cases": (56, cases),
 }
 """Number of logs of each set, and what makes a log from its number."""
+
+GROWN_SETS: Mapping[str, tuple[int, Callable[[int], Case]]] = {
+    "bridges": (100, bridges),
+    "wrong": (100, wrong),
+}
+"""Sets of `benchmarks.within` alone, as `SETS`."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import tiswarm
+from tiswarm.app.logs import Log
 
 KINDS = {
     "tower": {"kind": "tower", "force_threshold": 3.0},
@@ -22,6 +23,27 @@ def finished(growth):
     while not growth.is_over.all():
         growth.step(tiswarm.reactive_build(growth.observe()))
     return growth
+
+
+def played(kind, robots, episodes, places):
+    """Play episodes of seeds 0, 1, ... in some places; where one is over, the next one begins.
+
+    Returns:
+        Their structures, by seed.
+    """
+    growth = tiswarm.Growth(kind, robots=robots, seeds=places)
+    structures = {}
+    next_seed = places
+    while len(structures) < episodes:
+        growth.step(tiswarm.reactive_build(growth.observe()))
+        over = np.flatnonzero(growth.is_over)
+        for place in over:
+            structures.setdefault(int(growth.seeds[place]), growth.swarms([place])[0])
+        begins = over[: episodes - next_seed]
+        if len(begins):
+            growth.reset(begins, seeds=next_seed + np.arange(len(begins)))
+            next_seed += len(begins)
+    return [structures[seed] for seed in range(episodes)]
 
 
 def content(structures):
@@ -49,15 +71,23 @@ def content(structures):
 
 
 @pytest.mark.filterwarnings("ignore::tiswarm.base.errors.ResultWarning")
-@pytest.mark.parametrize("kind", KINDS)
-def test_episodes_of_reactive_build_are_those_of_grow(kind):
-    """Each structure goes at its own pace, and still none differs in a byte."""
-    seeds = [3, 4, 5]
-    expected = tiswarm.grow(KINDS[kind], robots=ROBOTS, seeds=seeds, quiet=True)
+@pytest.mark.parametrize(
+    ("kind", "robots", "episodes", "places"),
+    [
+        *[(kind, ROBOTS, 5, 3) for kind in KINDS.values()],
+        *[
+            pytest.param(kind, 60, 64, 16, marks=pytest.mark.slow)
+            for kind in ("tower", "cantilever", "bridge", "chain")
+        ],
+    ],
+)
+def test_episodes_of_reactive_build_are_those_of_grow(kind, robots, episodes, places):
+    """Structures go and begin anew at their own pace, and still none differs in a byte."""
+    expected = tiswarm.grow(kind, robots=robots, seeds=episodes, quiet=True)
 
-    growth = finished(tiswarm.Growth(KINDS[kind], robots=ROBOTS, seeds=seeds))
+    structures = played(kind, robots, episodes, places)
 
-    assert content(growth.swarms()) == content(expected)
+    assert content(structures) == content(expected)
 
 
 def test_an_episode_depends_on_seed_and_settings_alone():
@@ -84,6 +114,83 @@ def test_an_episode_depends_on_seed_and_settings_alone():
         }
         expected = tiswarm.grow(alone, robots=ROBOTS, seeds=[seed], threads=1, quiet=True)
         assert content(growth.swarms([number])) == content(expected)
+
+
+def stacked(log):
+    """Place robots one above the other, from the anchor of their log on."""
+    return log.anchor_position + np.outer(np.arange(log.robot_count), [0.5, 0.0, 1.0])
+
+
+SENSING = {"tilt_noise_deg": 1.0, "yaw_noise_deg": 2.0}
+BELIEFS = {
+    "error": {"belief_error": {"kind": "adding-up", "size": 0.4}, "sensing": SENSING},
+    "method": {"navigate_by": "estimate", "believe": "online", "sensing": SENSING},
+    "function": {"believe": lambda log: 1.1 * stacked(log), "sensing": SENSING},
+}
+"""Arguments that say what robots build by."""
+
+
+@pytest.mark.parametrize("by", BELIEFS)
+def test_episodes_of_robots_that_believe_are_those_of_grow(by):
+    """Equal seeds, other paces and an episode before it in its place: none differs in a byte."""
+    [expected] = tiswarm.grow("bridge", robots=8, seeds=[4], **BELIEFS[by], quiet=True)
+    growth = tiswarm.Growth("bridge", robots=8, seeds=[4, 3, 4], **BELIEFS[by])
+    finished(growth)
+    first, _, third = growth.swarms()
+
+    growth.reset([1], seeds=4)
+    finished(growth)
+
+    assert content([first, third]) == content([expected, expected])
+    assert content(growth.swarms([1])) == content([expected])
+    assert expected.totals["failed_flips"] > 0
+
+
+def test_structures_of_a_growth_have_errors_of_their_own():
+    """Each grows by the size that its settings state."""
+    error = {"kind": "independent", "size": 0.0}
+    sizes = [0.0, 1.5]
+
+    growth = tiswarm.Growth(
+        "tower", robots=8, seeds=[4, 4], belief_error=error, settings={"belief_error.size": sizes}
+    )
+    observed = growth.observe()
+    while (growth.robot_count < 6).all():
+        growth.step(tiswarm.reactive_build(growth.observe()))
+        observed = growth.observe()
+
+    assert observed.robot_sd[:, :5].tolist() == [[0.0] * 5, [0.0, *[1.5] * 4]]
+    finished(growth)
+    for number, size in enumerate(sizes):
+        expected = tiswarm.grow(
+            "tower", robots=8, seeds=[4], belief_error={**error, "size": size}, quiet=True
+        )
+        assert content(growth.swarms([number])) == content(expected)
+
+
+def test_a_function_of_a_caller_says_where_robots_believe_to_be():
+    """It receives what they sensed, by side of a gap; climbers see its places and their sd."""
+    logs = []
+
+    def believe(log):
+        logs.append(log)
+        count = np.arange(log.robot_count)
+        return np.column_stack([count, 10.0 + count, 20.0 + count]), 0.1 * count
+
+    growth = tiswarm.Growth("bridge", robots=6, seeds=[3], believe=believe)
+    while growth.robot_count[0] < 5:
+        growth.step(tiswarm.reactive_build(growth.observe()))
+    observed = growth.observe()
+
+    center = observed.dock[0].reshape(6, 3, 3).mean(axis=1)
+    sides = [log.robot_count for log in logs[-2:]]
+    place = np.concatenate([np.arange(size) for size in sides])
+    joined = sorted(zip(np.rint(center[:5, 0]), observed.robot_sd[0, :5], strict=True))
+    assert sum(sides) == 5
+    np.testing.assert_allclose(center[:5, 2] - center[:5, 0], 20.0, atol=1e-9)
+    np.testing.assert_allclose(joined, sorted(zip(place, 0.1 * place, strict=True)))
+    assert isinstance(logs[0], Log)
+    assert np.abs(growth.dock[0, :5].mean(axis=1) - center[:5]).max() > 1.0
 
 
 def test_steps_tell_who_joined_and_who_was_lost():
@@ -173,7 +280,11 @@ WRONG = {
     ),
     "robots that estimate": (
         lambda: tiswarm.Growth({"kind": "tower", "navigate_by": "estimate"}),
-        "structure.navigate_by: robots that build by estimates need sensing",
+        'structure.navigate_by: .* need a method; give believe, as believe="online"',
+    ),
+    "errors of some structures": (
+        lambda: tiswarm.Growth("tower", seeds=2, settings={"belief_error.size": [0.0, 1.0]}),
+        "structure.belief_error.size: no such setting",
     ),
 }
 

@@ -234,8 +234,39 @@ def test_files_that_are_no_structures_are_refused(towers, tmp_path):
         ),
         (
             {"structure": {"kind": "tower", "navigate_by": "estimate"}},
-            "structure.navigate_by: .* call tiswarm.run",
+            'structure.navigate_by: .* need a method; give believe, as believe="online"',
         ),
+        (
+            {"navigate_by": "error"},
+            "structure.navigate_by: error needs belief_error, as {kind: independent, size: 0.5}",
+        ),
+        (
+            {"navigate_by": "truth", "belief_error": {"kind": "shift", "size": 1.0}},
+            "structure.navigate_by: truth does not go with belief_error; set error",
+        ),
+        (
+            {"navigate_by": "error", "believe": "online"},
+            "believe: robots that go by the truth and an error estimate nothing; leave believe out",
+        ),
+        (
+            {"navigate_by": "truth", "believe": "online"},
+            "believe: robots that know the truth estimate nothing; leave believe out, or set",
+        ),
+        (
+            {"sensing": {"tilt_noise_deg": 1.0}},
+            "sensing: robots that know the truth go by no sensor; leave sensing out, or give",
+        ),
+        ({"believe": "onlne"}, "localization.method: .*; did you mean online?"),
+        ({"believe": "none"}, "localization.method: robots navigate by estimates"),
+        (
+            {"believe": lambda log: np.zeros(log.robot_count)},
+            r"believe: returned ndarray of shape \(1,\); return finite centers of shape \(1, 3\)",
+        ),
+        (
+            {"believe": lambda log: (np.zeros((log.robot_count, 3)), [-1.0])},
+            "believe: returned list of shape",
+        ),
+        ({"believe": lambda _: "nowhere"}, "believe: returned str"),
         ({"robots": 1}, "robots: 1 should be greater"),
         ({"seeds": [1, 1]}, "seeds: 1 occurs twice"),
         ({"seeds": range(-1, 2)}, "seeds.*: -1 should be greater"),

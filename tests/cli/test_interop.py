@@ -72,6 +72,22 @@ def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
     assert f"an RMSE of {rmse:.3g} cm." in seen.read_text()
 
 
+def test_a_recording_is_checked_without_a_file(tiswarm, tmp_path):
+    """--check prints what an import would, and writes nothing; one of both options is needed."""
+    files = sorted(tmp_path.iterdir())
+
+    checked = tiswarm("import", EXAMPLE, "--dock-radius", 0.5, "--check", cwd=tmp_path)
+    both = tiswarm("import", EXAMPLE, "--check", "--out", tmp_path / "out")
+    neither = tiswarm("import", EXAMPLE)
+
+    assert (checked.returncode, both.returncode, neither.returncode) == (0, 2, 2)
+    assert "36 robots, " in checked.stdout
+    assert "->" not in checked.stdout
+    assert "--check: writes nothing; leave --out and --report away" in both.stderr
+    assert "--out: give a folder for the log, or --check" in neither.stderr
+    assert sorted(tmp_path.iterdir()) == files
+
+
 def test_each_run_of_a_table_has_a_folder(tiswarm, tmp_path):
     """Docks, limits of contacts, heights and anchors come from options."""
     docks, poses = tmp_path / "docks.csv", tmp_path / "poses.csv"

@@ -41,6 +41,8 @@ def localize(towers, tmp_path, monkeypatch, capsys):
 
     def run(convergence, *options):
         estimate = replace(found, convergence=convergence)
+        anchor = np.arange(30) == 0
+        estimate = replace(estimate, sd=np.where(anchor, 0.0, estimate.sd))
         monkeypatch.setattr(methods, "localize", lambda *_, **__: estimate)
         monkeypatch.chdir(tmp_path)
         monkeypatch.setattr("sys.argv", ["tiswarm", "localize", "log.jsonl", *options])
@@ -53,35 +55,68 @@ def localize(towers, tmp_path, monkeypatch, capsys):
     return run
 
 
-def test_a_trusted_estimate_says_that_its_positions_are_a_mean(localize):
-    """Beside it, the text names the solution that is consistent in itself."""
+def test_the_first_line_says_how_many_robots_are_near_and_the_next_ones_why_others_may_not_be(
+    localize,
+):
+    """Below it, the text names the solution that is consistent in itself."""
     status, printed, rows = localize(GOOD)
 
     assert status == 0
     assert "warning" not in printed.err
-    assert printed.out.splitlines()[-2:] == [
+    lines = printed.out.splitlines()
+    assert lines[:3] == [
         (
-            "30 robots, converged; measurements do not determine where 19 of 30 robots are; 2 "
-            "configurations fit, the likeliest has 70 %; mirrored: 2 robots (4, 6) -> estimate.csv"
+            "1 of 30 robots is within 1 R of where it is shown (95 %); 29 may be anywhere within "
+            "4.3 R -> estimate.csv"
         ),
+        "2 configurations fit, the likeliest has 70 %",
         (
-            "the positions are the mean of 2 solutions; --solution 1 writes the likeliest "
-            "consistent configuration, --verbose lists all"
+            "mirrored: 2 robots (4, 6); configurations that fit put them farther apart than their "
+            "sd, and their estimate is the mean of these; measure what would exclude all but one"
         ),
     ]
+    assert lines[3].startswith("measurements do not determine where 19 of 30 robots are: ")
+    assert lines[-1] == (
+        "the positions are the mean of 2 solutions; --solution 1 writes the likeliest consistent "
+        "configuration, --verbose lists all"
+    )
     assert [row["robot"] for row in rows if row["known"] == "mirrored"] == ["4", "6"]
+    assert [row["robot"] for row in rows if float(row["within_1R"]) >= 0.95] == ["0"]
+
+
+def test_a_distance_of_the_user_is_that_of_the_statement_and_a_column(localize):
+    """Who can live with 5 R learns that of 5 R."""
+    _, printed, rows = localize(GOOD, "--within", "5")
+
+    assert printed.out.startswith(
+        "all 30 robots are within 5 R of where they are shown (95 %) -> estimate.csv"
+    )
+    assert all(0.95 <= float(row["within_5R"]) <= 1.0 for row in rows)
+    assert [*rows[0]].index("within_5R") == [*rows[0]].index("within_1R") + 1
+
+
+@pytest.mark.parametrize("length", ["0", "-1", "nan", "inf"])
+def test_a_distance_that_is_none_is_refused_before_the_log_is_read(tiswarm, tmp_path, length):
+    """Nothing is written."""
+    out = tmp_path / "estimate.csv"
+
+    done = tiswarm("localize", tmp_path / "none.jsonl", "--within", length, "--out", out)
+
+    assert done.returncode == 2
+    assert done.stderr == f"tiswarm: error: --within: {length} should be above 0; give a length\n"
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("method", ["joint", "least-squares", "hop-by-hop", "online"])
 @pytest.mark.parametrize(
-    ("beacons", "tags", "is_testable"), [(4, 1, False), (6, 1, False), (7, 3, True)]
+    ("beacons", "tags", "is_testable"), [(3, 1, False), (4, 1, True), (7, 3, True)]
 )
 def test_a_log_that_could_show_no_mistake_is_not_called_consistent(
     tiswarm, tmp_path, method, beacons, tags, is_testable
 ):
     """Of the ranges of a tag to beacons all but three are spare; nothing is wrong: status 0.
 
-    A quarter of the unknowns must be spare; with places of beacons, these are 3 for each robot.
+    One spare range is enough to contradict the others.
     """
     corners = np.array([*np.ndindex(2, 2, 2)])[[0, 4, 2, 1, 7, 6, 5][:beacons]]
     inside = np.array([[1.0, 1.3, 0.8], [2.0, 0.6, 1.9], [0.4, 2.2, 1.4]])[:tags]
@@ -99,10 +134,8 @@ def test_a_log_that_could_show_no_mistake_is_not_called_consistent(
 
     assert done.returncode == 0, done.stderr
     assert "warning" not in done.stderr
-    assert f"{beacons + tags} robots, converged" in done.stdout
-    measured = "spare measurement" if beacons == 4 else "spare measurements"
-    spare = f"{tags * (beacons - 3)} {measured}: too few to disagree"
-    text = f"converged; consistency not testable ({spare})"
+    assert f" {beacons + tags} robots are within " in done.stdout
+    text = "consistency not testable (0 spare measurements: too few to disagree)"
     assert (text in done.stdout) == (not is_testable)
     assert ("not testable" in done.stdout) == (not is_testable)
     assert "not consistent" not in done.stdout
@@ -113,7 +146,8 @@ def test_a_solution_is_written_with_its_own_sd(localize):
     status, printed, rows = localize(GOOD, "--solution", "2")
 
     assert status == 0
-    assert "solution 2 of 2, weight 30 %: 30 robots, converged" in printed.out
+    begin = "solution 2 of 2, weight 30 %: if it is right, none of 30 robots is known to be "
+    assert printed.out.startswith(begin)
     assert {row["sd_R"] for row in rows} == {"0.5"}
     assert "mirrored" not in {row["known"] for row in rows}
 
@@ -130,5 +164,7 @@ def test_an_estimate_that_is_not_trusted_ends_with_status_4(localize, method, co
 
     assert status == 4
     assert f"tiswarm: warning: {verdict}: {convergence.reason}" in printed.err
-    assert f"30 robots, {verdict} -> estimate.csv" in printed.out
+    statement, reason, *_ = printed.out.splitlines()
+    assert statement.endswith(" R -> estimate.csv")
+    assert reason == verdict
     assert len(rows) == 30

@@ -893,6 +893,23 @@ def test_a_rule_of_a_plugin_grows_structures(tiswarm, files, workers):
     assert np.diff(log.stances.start)[1:].min() >= 4
 
 
+def test_a_rule_of_a_plugin_chooses_by_estimates_in_a_run(files):
+    """Robots draw flips among those that they plan by what their method estimates."""
+    (files / "rules.py").write_text(RANDOM)
+    (files / "rules.yaml").write_text(
+        MY_RULES.replace("{kind: tower,", "{kind: tower, navigate_by: estimate,")
+    )
+    given = ["robots=6", "seeds=1", "structure.rule.flips=4", "localization={method: online}"]
+    given.append("sensing.tilt_noise_deg=1")
+
+    run = library.run("rules.yaml", given, plugins=["rules.py"], pictures=False, quiet=True)
+
+    [case] = run.summary.to_dict("records")
+    assert case["failed_flips"] > 0.0
+    assert case["belief_building_R"] > 0.0
+    assert 0.0 < case["flips_as_planned"] < 1.0
+
+
 def test_an_edit_of_a_rule_computes_its_cases_again(files):
     """Those of other rules are kept."""
     (files / "own.py").write_text(RANDOM)
@@ -920,7 +937,6 @@ def test_an_edit_of_a_rule_computes_its_cases_again(files):
         ("{name: random, flips: many}", 'flips: "many" should be a whole number'),
         ("{flips: 1}", "name: is missing; add it"),
         ("7", "7 should be 'reactive-build' or 'random', or one of a plug-in that you load"),
-        ("random, navigate_by: estimate", "random chooses by true places; leave out navigate_by"),
     ],
 )
 def test_a_mistake_in_a_rule_has_its_place(files, rule, problem):

@@ -18,6 +18,7 @@ from tiswarm.evaluation.tables import (
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.measurements.cues import measure
+from tiswarm.records.error_law import sure_ratio
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Convergence
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.positions import Truth, write_positions
@@ -45,7 +46,10 @@ def test_coverage_is_the_share_of_robots_in_their_interval(towers):
     rows = measure(log, [])
     silent, calibrated = (score(truth, log, e, history.robot, rows=rows) for e in (estimate, sure))
 
-    assert "coverage_50" not in silent
+    assert {"coverage_50", "sure_1R", "sure_off_1R"} & {*silent} == set()
+    is_sure = sure_ratio() * (error / within)[1:] <= 1.0
+    assert 0.0 < calibrated["sure_1R"] == is_sure.mean()
+    assert calibrated["sure_off_1R"] == (error[1:] >= 1.0)[is_sure].mean() == 0.0
     assert calibrated["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
     assert calibrated["coverage_90"] == 1.0 - 1.0 / (count - 1)
 

@@ -109,16 +109,25 @@ def test_a_layout_is_read(name, pose, tmp_path):
     assert found.warnings == []
 
 
+def named(start):
+    """Names of a pose that begin with a word."""
+    return ",".join(f"{start}.{name}" for name in HEAD.split(",")[1:])
+
+
 DEGREES, ROLLED = np.array([180.0 / np.pi] * 3), "robot,x,y,z,roll{0},pitch{0},yaw{0}"
 FAULTS = {
     "no names": (lambda p: table(p)[1:], "t.csv:1: there are no names of columns; write robot,x,y"),
     "names in another language": (
         lambda p: table(p, "Körper,Lage X,Lage Y,Lage Z,qw,qx,qy,qz"),
-        "rename or add robot, or name columns as by --column robot=NAME",
+        "rename or add robot,x,y,z, or name columns by --column robot=NAME,x=NAME,y=NAME,z=NAME",
     ),
     "two sets of positions": (
-        LAYOUTS["an estimate beside"],
-        "t.csv:1: positions are in est_x,est_y,est_z and in gt_x,gt_y,gt_z; choose by --column x=",
+        lambda p: table(
+            p,
+            f"robot,{named('est')},{named('gt')}",
+            lambda place, turn: [*quaternion(place + 1.0, turn), *quaternion(place, turn)],
+        ),
+        "t.csv:1: positions are in est.x,est.y,est.z and in gt.x,gt.y,gt.z; choose by --column x=",
     ),
     "speeds alone": (
         lambda p: table(p, "robot,speed_x,speed_y,speed_z,qw,qx,qy,qz"), "rename or add x,y,z, or",

@@ -3,6 +3,7 @@
 Layouts are those of the programs' manuals; numbers are our own.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -473,3 +474,49 @@ def test_any_text_is_a_table_or_refused(scratch, text):
 
     with pytest.raises(InputError):
         bring_in(scratch)
+
+
+MUTATIONS = {
+    "lacks a letter": lambda name: name[:-1],
+    "has another letter": lambda name: f"{name}u",
+    "has another word": lambda name: f"goal_{name}",
+    "is in capitals": str.upper,
+    "has a unit": lambda name: f"{name} [m]",
+    "has blanks": lambda name: f" {name} ",
+    "is empty": lambda name: "",
+    "is of another robot": lambda name: re.sub(r"\d", "7", name),
+}
+"""What may happen to the name of a column."""
+
+
+@pytest.fixture(scope="module")
+def tables(pose, tmp_path_factory):
+    """Tables of some programs by name, as lines of cells; each with its separator."""
+    read = {}
+    for name in ("PyBullet", "ROS, a table of robots", "PlotJuggler", "MATLAB"):
+        form = FORMATS[name]
+        lines = written(tmp_path_factory.mktemp("form"), form, *pose).read_text().splitlines()
+        read[name] = [line.split(form.separator) for line in lines], form.separator
+    return read
+
+
+@given(
+    name=st.sampled_from(["PyBullet", "ROS, a table of robots", "PlotJuggler", "MATLAB"]),
+    column=st.integers(0, 60),
+    mutation=st.sampled_from([*MUTATIONS]),
+)
+def test_a_name_that_changed_exchanges_nothing(tables, plain, scratch, name, column, mutation):
+    """The table is refused or leaves robots out, or its poses are those of before."""
+    lines, separator = tables[name]
+    header = [*lines[0]]
+    header[column % len(header)] = MUTATIONS[mutation](header[column % len(header)])
+    scratch.write_text("\n".join(separator.join(cells) for cells in [header, *lines[1:]]) + "\n")
+
+    try:
+        swarm = bring_in(scratch)
+    except InputError:
+        return
+
+    names, docks, _ = structure(swarm)
+    _, expected, _ = structure(plain)
+    np.testing.assert_allclose(docks, expected[names], atol=1e-4)

@@ -15,11 +15,13 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402 - of a library t
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
 import tiswarm.learn  # noqa: E402
-from tiswarm.learn.observations import (  # noqa: E402
+from tiswarm.learn.features import (  # noqa: E402
+    BELIEVED_FLIP_FEATURES,
+    BELIEVED_ROBOT_FEATURES,
     FLIP_FEATURES,
     ROBOT_FEATURES,
-    action_of,
 )
+from tiswarm.learn.observations import action_of  # noqa: E402
 
 ROBOTS = 5
 STAY = 36
@@ -48,6 +50,45 @@ def content(observed):
     return [values.tobytes() for values in observed.values()]
 
 
+def norm(vector):
+    """Return the length of a vector, summed in order."""
+    x, y, z = vector.tolist()
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def contacts(step, climber, touching, on_ground):
+    """Count docks touched and docks on the ground, and find the greatest load touched."""
+    touched = touching[touching >= 0]
+    sensed = step.sensed[step.structure[climber], touched // 3]
+    return [len(touched), np.count_nonzero(on_ground), max([0.0, *sensed[~np.isnan(sensed)]])]
+
+
+def features(step, climber):
+    """Compute what a climber observes from what it sees, number by number."""
+    place = step.center[climber]
+    goal = step.goal[climber]
+    walked = [norm(stance - goal) for stance in step.walk[climber, : step.stance[climber] + 1]]
+    flips = np.zeros((STAY, len(FLIP_FEATURES)))
+    for k in np.flatnonzero(step.possible[climber]):
+        end = step.end[climber, k]
+        flips[k] = [
+            1.0, norm(end - goal), walked[-1] - norm(end - goal), *(end - place),
+            step.angle[climber, k], step.visited[climber, k], step.end_called[climber, k],
+            *contacts(
+                step, climber, step.end_touching[climber, k], step.end_on_ground[climber, k]
+            ),
+        ]  # fmt: skip
+    robot = [
+        1.0, walked[-1], *(goal - place), min(walked), step.stance[climber],
+        step.stance[climber] - walked.index(min(walked)), step.called[climber],
+        *contacts(step, climber, step.touching[climber], step.on_ground[climber]),
+    ]  # fmt: skip
+    return [
+        np.clip(values, [f.low for f in of], [f.high for f in of]).astype(np.float32)
+        for values, of in ((flips, FLIP_FEATURES), (robot, ROBOT_FEATURES))
+    ]
+
+
 def closure(structure, gap):
     """Return what a bridge is worth."""
     if structure.crossed:
@@ -56,7 +97,7 @@ def closure(structure, gap):
     return 1.0 - max(after - before for before, after in pairwise(x)) / gap
 
 
-@pytest.mark.parametrize("task", ["Tower", "Bridge"])
+@pytest.mark.parametrize("task", ["Tower", "Bridge", "BelievedBridge"])
 def test_an_environment_passes_the_checker_of_gymnasium(task):
     """Spaces, seeds, returned values: all as gymnasium's users expect, without a warning."""
     environment = gymnasium.make(f"tiswarm/{task}-v0", robots=ROBOTS).unwrapped
@@ -80,13 +121,14 @@ def test_all_tasks_are_registered():
         assert spec.vector_entry_point
 
 
-def test_parallel_environments_pass_the_checkers_of_pettingzoo():
+@pytest.mark.parametrize("task", ["Tower", "BelievedBridge"])
+def test_parallel_environments_pass_the_checkers_of_pettingzoo(task):
     """Climbers that act at the same time are agents by its conventions."""
-    environment = tiswarm.learn.parallel_env("Tower", movers=2, robots=ROBOTS)
+    environment = tiswarm.learn.parallel_env(task, movers=2, robots=ROBOTS)
 
     pettingzoo_test.parallel_api_test(environment, num_cycles=60)
     pettingzoo_test.parallel_seed_test(
-        lambda: tiswarm.learn.parallel_env("Tower", movers=2, robots=ROBOTS), num_cycles=5
+        lambda: tiswarm.learn.parallel_env(task, movers=2, robots=ROBOTS), num_cycles=5
     )
 
 
@@ -141,6 +183,48 @@ def test_returns_are_measures_of_what_is_grown(task):
     np.testing.assert_allclose(earned, expected, atol=1e-9)
 
 
+def test_robots_that_estimate_grow_by_reactive_build_what_grow_grows():
+    """Observed are places as believed, with their sd; rewards are those of the true structure."""
+    environment = vector("BelievedBridge", count=2, settings={"gap": 12.0})
+    observed, _ = environment.reset(seed=3)
+    earned = np.zeros(2)
+    is_over = np.zeros(2, bool)
+    digests = {}
+    most_sd = 0.0
+    misplaced = 0.0
+    while not is_over.all():
+        step = environment.climb_step
+        rows = step.slot
+        to_goal = np.linalg.norm(step.goal - step.center, axis=1)
+        np.testing.assert_allclose(observed["robot"][rows, 1], to_goal, rtol=1e-5)
+        np.testing.assert_allclose(observed["robot"][rows, -1], step.sd, rtol=1e-5)
+        end_sd = np.where(step.possible, step.end_sd, 0.0)
+        np.testing.assert_allclose(observed["flips"][rows, :, -1], end_sd, rtol=1e-5)
+        most_sd = max(most_sd, observed["robot"][..., -1].max())
+        growth = environment.unwrapped._episodes.growth  # noqa: SLF001 - for true docks
+        true = growth.dock.reshape(step.dock.shape)
+        joined = np.repeat(growth.present, 3, axis=1)
+        misplaced = max(misplaced, np.abs(step.dock - true)[joined].max(initial=0.0))
+        observed, reward, over, _, _ = environment.step(act_as_reactive_build(environment))
+        earned[~is_over] += reward[~is_over]
+        for number in np.flatnonzero(over & ~is_over):
+            digests[number] = growth.swarms([number])[0].digest
+        is_over |= over
+
+    swarms = tiswarm.grow(
+        {"kind": "bridge", "gap": 12.0},
+        robots=ROBOTS,
+        seeds=[3, 4],
+        believe="online",
+        sensing={"tilt_noise_deg": 1.0, "yaw_noise_deg": 2.0},
+        quiet=True,
+    )
+    assert [digests[0], digests[1]] == [swarm.digest for swarm in swarms]
+    np.testing.assert_allclose(earned, [closure(swarm, 12.0) for swarm in swarms], atol=1e-9)
+    assert 0.0 < most_sd < 10.0
+    assert misplaced > 0.1
+
+
 def test_an_episode_that_is_over_begins_anew_with_the_next_step():
     """The step after the end has no reward, and observes what a later episode begins with."""
     environment = vector(count=2)
@@ -158,6 +242,27 @@ def test_an_episode_that_is_over_begins_anew_with_the_next_step():
     assert not truncated[first]
     assert infos["robots"][first] == 0
     assert observed["robot"][first, 0] == 1.0
+
+
+@pytest.mark.parametrize("make", ["alone", "one of one"])
+def test_an_episode_ends_where_nobody_else_climbs(make):
+    """With no climber left there is still an observation, zeros, and only staying is possible."""
+    if make == "alone":
+        environment = gymnasium.make("tiswarm/Tower-v0", robots=ROBOTS).unwrapped
+    else:
+        environment = vector(count=1)
+    environment.reset(seed=5)
+    over = False
+    while not over:
+        step = environment.climb_step
+        action = action_of(tiswarm.reactive_build(step), step, 1)
+        observed, _, over, _, _ = environment.step(action if make != "alone" else action[0])
+
+    nobody = tiswarm.reactive_build(environment.climb_step)
+
+    assert nobody.shape == (0,)
+    assert not observed["robot"].any()
+    assert np.flatnonzero(observed["action_mask"]).tolist() == [STAY, BACK]
 
 
 def test_later_episodes_are_drawn_from_the_seed():
@@ -183,6 +288,24 @@ def test_an_episode_is_cut_off_after_most_steps():
     assert [outcome[3].all() for outcome in outcomes] == [False, False, True, False]
     assert not any(outcome[2].any() for outcome in outcomes)
     assert (outcomes[3][4]["robots"] == 0).all()
+
+
+def test_observations_are_what_robots_may_know():
+    """Each number is what the guide says, to the byte, calls and loads among them."""
+    environment = vector("Bridge", settings={"gap": 8.0, "force_threshold": 0.5})
+    observed, _ = environment.reset(seed=3)
+    seen = []
+    for _ in range(60):
+        observed, *_ = environment.step(act_as_reactive_build(environment))
+        step = environment.unwrapped.climb_step
+        for climber, row in enumerate(step.slot):
+            flips, robot = features(step, climber)
+            seen.append(np.max([robot, *flips], axis=0))
+
+            assert observed["flips"][row].tobytes() == flips.tobytes()
+            assert observed["robot"][row].tobytes() == robot.tobytes()
+
+    assert np.max(seen, axis=0)[-4:].all()  # calls, contacts, ground and loads occur
 
 
 def test_masks_say_which_actions_differ_from_staying():
@@ -221,7 +344,7 @@ def test_the_guide_lists_tasks_and_features():
 
     for name, task in tiswarm.learn.TASKS.items():
         assert f"| `{name}` | {task.aim} | {task.measure.__name__} | {task.unit} |" in page
-    for entry in (*FLIP_FEATURES, *ROBOT_FEATURES):
+    for entry in (*BELIEVED_FLIP_FEATURES, *BELIEVED_ROBOT_FEATURES):
         bounds = f"{entry.low:g} | {entry.high:g}"
         assert f"| `{entry.name}` | {entry.unit} | {bounds} | {entry.meaning} |" in page
 

@@ -18,7 +18,7 @@ from tiswarm.localization.settings import JointParams
 from tiswarm.measurements import turns
 from tiswarm.measurements.advice.further import tabulate
 from tiswarm.measurements.turns import Turn, Turns
-from tiswarm.measurements.verdicts import cautions, headline
+from tiswarm.measurements.verdicts import cautions, in_brief
 from tiswarm.records.sensing_file import lines_of
 
 pytestmark = pytest.mark.unchecked
@@ -330,7 +330,7 @@ def test_words_and_advice_name_the_line_and_what_excludes_the_turn():
 
     estimate = localize(log, JointParams())
 
-    assert headline(log, estimate).endswith("free to turn: 2 robots (4, 5)")
+    assert in_brief(log, estimate).endswith("free to turn: 2 robots (4, 5)")
     (text,) = cautions(log, estimate)
     assert text.startswith(
         "free to turn about the line through 4 robots (0, 1, 2, 3): 2 robots (4, 5); "

@@ -20,7 +20,7 @@ from tiswarm.records.positions import (
     write_positions,
 )
 
-COLUMNS = "robot,x_R,y_R,z_R[,sd_R][,known][,gone][,yaw_deg][,undetermined]"
+COLUMNS = "robot,x_R,y_R,z_R[,sd_R][,within_1R][,known][,gone][,yaw_deg][,undetermined]"
 
 
 @settings(max_examples=40)

@@ -144,6 +144,8 @@ def estimate(log, true) -> Estimate:
         iteration=np.empty(0, np.int64),
         trace=np.empty((0, 30, 3)),
         residual=np.array([0.25]),
+        length_unit="mm",
+        dock_radius=MM,
     )
 
 
@@ -173,14 +175,17 @@ def test_a_page_needs_no_truth(log, estimate, tmp_path):
     text, data = _page(tmp_path, log, estimate, notes=["one contact only: 2 robots"])
 
     assert "<li>one contact only: 2 robots</li>" in text
-    assert "30 robots located with a standard deviation of 1.5 mm in the median." in text
+    near = "29 of 30 robots are within 33 mm (1 R) of where they are shown (95 %)"
+    assert f"{near}; the position of 1 is a guess." in text
     assert "RMSE" not in text
     assert 'id="show-truth"' not in text
     assert [case["name"] for case in data["cases"]] == ["estimate", "solution 1", "solution 2"]
     assert all(case["true"] == [] for case in data["cases"])
-    (sd,) = data["cases"][0]["colors"]
-    assert sd["label"] == "sd"
-    assert sd["value"][7] is None
+    within, sd = data["cases"][0]["colors"]
+    assert (within["label"], within["unit"], sd["label"]) == ("within 33 mm (1 R)", "%", "sd")
+    assert within["value"][0] == 100.0
+    assert within["value"][7] is sd["value"][7] is None
+    assert ">within 33 mm (1 R) [%]<" in text
 
 
 def test_guesses_do_not_stretch_the_scale(log, estimate, tmp_path):
@@ -193,9 +198,10 @@ def test_guesses_do_not_stretch_the_scale(log, estimate, tmp_path):
     text, data = _page(tmp_path, log, found)
 
     assert "The estimate judges 2 measurements wrong." in text
-    assert "located with a standard deviation of 2 mm in the median." in text
-    (color,) = data["cases"][0]["colors"]
+    assert "(95 %); the position of 1 is a guess." in text
+    within, color = data["cases"][0]["colors"]
     assert color["value"] == [2.0] * 29 + [None]
+    assert [value is None for value in within["value"]] == [False] * 29 + [True]
     assert "disconnected from the anchor are gray" in text
 
 
@@ -219,8 +225,8 @@ def test_a_page_says_which_robots_are_mirrored_and_what_each_solution_weighs(
 
     text, data = _page(tmp_path, log, found, **_explained(log, found))
 
-    said = "; 2 configurations fit, the likeliest has 71 %; mirrored: 1 robot (4)"
-    assert f"Converged; measurements do not determine where 19 of 30 robots are{said}" in text
+    said = "; measurements do not determine where 19 of 30 robots are; mirrored: 1 robot (4)"
+    assert f"2 configurations fit, the likeliest has 71 %{said}" in text
     assert "<li>mirrored: 1 robot (4); configurations that fit" in text
     cells = re.findall("<td[^>]*>(.*?)</td>", text.partition("Solutions</a>")[2])
     assert cells[:7] == ["1", "71", "0", "5", "0.5", "0", "0"]
@@ -228,7 +234,7 @@ def test_a_page_says_which_robots_are_mirrored_and_what_each_solution_weighs(
     assert 'class="text">mirrored</td>' in text
     assert "mirrored if configurations that fit" in text
     assert [[color["label"] for color in case["colors"]] for case in data["cases"]] == [
-        ["sd"],
+        ["within 33 mm (1 R)", "sd"],
         ["distance from the estimate", "sd"],
         ["distance from the estimate", "sd"],
     ]
@@ -258,7 +264,9 @@ def test_a_page_without_truth_works_in_a_browser(log, estimate, tmp_path):
 
     assert seen["troubles"] == []
     assert seen["first"] != seen["second"]
-    assert re.fullmatch(r"Robot \d+, join index \d+: sd [\d.]+ mm\.", seen["pointed"])
+    assert re.fullmatch(
+        r"Robot \d+, join index \d+: within 33 mm \(1 R\) [\d.]+ %, sd [\d.]+ mm\.", seen["pointed"]
+    )
     assert seen["quantity"] == "distance from the estimate"
 
 
@@ -329,8 +337,8 @@ def test_with_a_truth_a_page_shows_errors(log, estimate, true, tmp_path):
     """The sentence, the table of robots and the view agree."""
     text, data = _page(tmp_path, log, estimate, true=true)
 
-    assert f"in the median and an RMSE of {5.0 * np.sqrt(29 / 30):.3g} mm." in text
-    error, sd = data["cases"][0]["colors"]
+    assert f"a guess. The RMSE is {5.0 * np.sqrt(29 / 30):.3g} mm." in text
+    error, _, sd = data["cases"][0]["colors"]
     assert (error["label"], error["unit"], sd["label"]) == ("error", "mm", "sd")
     assert error["value"] == [0.0] + [5.0] * 29
     assert 'id="show-truth"' in text

@@ -28,6 +28,7 @@ from tiswarm.report.page_tables import (
     notes_of,
     paper_text,
     result_tables,
+    statement_of,
     warnings_of,
 )
 from tiswarm.report.pictures.pictures import build_pictures
@@ -456,7 +457,7 @@ def test_an_estimate_is_consistent_only_where_it_could_not_be():
     """A chi-square without spare measurements shows no lie; one that is too large does."""
     table = pd.DataFrame({"condition": [*"abcd"], "cases": 5, "paper_rmse_radii": None})
     table = table.assign(
-        rmse_R_mean=1.0, consistent_mean=[1.0, 0.8, 1.0, np.nan],
+        rmse_R_mean=1.0, consistent_mean=[1.0, 0.5, np.nan, np.nan],
         testable_mean=[1.0, 0.4, 0.0, np.nan], spare_measurements_mean=[900.0, 60.0, 28.0, np.nan],
     )  # fmt: skip
 
@@ -687,3 +688,55 @@ def test_a_picture_keeps_its_levels_of_transparency(tmp_path):
 
     with Image.open(io.BytesIO(data)) as stored:
         assert np.array_equal(np.array(stored.convert("RGBA"))[..., 3], alpha)
+
+
+@pytest.mark.parametrize(
+    ("sure", "off", "series", "statement"),
+    [
+        (
+            [0.8, 0.6],
+            [0.0, 0.0],
+            ["joint", "joint"],
+            "70 % of the robots are within 1 R of where they are shown (95 %).",
+        ),
+        (
+            [0.8, 0.6],
+            [0.02, np.nan],
+            ["joint", "online"],
+            (
+                "joint: 80 % of the robots are within 1 R of where they are shown (95 %); 2 % of "
+                "these are not."
+            ),
+        ),
+        (
+            [np.nan, 0.0],
+            [np.nan, np.nan],
+            ["algorithm-1", "joint"],
+            "joint: 0 % of the robots are within 1 R of where they are shown (95 %).",
+        ),
+        (
+            [np.nan, np.nan],
+            [np.nan, np.nan],
+            ["a", "b"],
+            "No method states the error of single robots.",
+        ),
+    ],
+)
+def test_a_run_says_first_how_many_robots_are_near_where_they_are_shown(
+    sure, off, series, statement
+):
+    """Of several series it is that with the most; a failed case does not count."""
+    summary = pd.DataFrame(
+        {
+            "status": ["done", "done", "failed"],
+            "series": [*series, series[0]],
+            "rmse_R": [0.1, 0.2, np.nan],
+            "sure_1R": [*sure, np.nan],
+            "sure_off_1R": [*off, np.nan],
+        }
+    )
+
+    assert statement_of(summary) == statement
+    assert statement_of(summary.drop(columns="rmse_R")) == ""
+    earlier = summary.drop(columns=["sure_1R", "sure_off_1R"]).assign(coverage_90=0.9)
+    assert statement_of(earlier) == ""

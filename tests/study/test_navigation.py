@@ -68,15 +68,11 @@ def _believed(settings, *, robots):
 
     def spy(grown):
         beliefs = believe(grown)
-        found.extend(zip(grown, beliefs, strict=True))
+        found.extend((s.history(), belief) for s, belief in zip(grown, beliefs, strict=True))
         return beliefs
 
     [built] = grow(settings.structure, robots=robots, seeds=[4], robot=settings.robot, believe=spy)
     return [*found[:-1], (built, found[-1][1])]
-
-
-def _centers(belief):
-    return belief.docks.reshape(-1, 3, 3).mean(axis=1)  # docks are symmetric about it
 
 
 def test_robots_go_by_what_the_log_of_those_before_them_localizes_to():
@@ -88,8 +84,9 @@ def test_robots_go_by_what_the_log_of_those_before_them_localizes_to():
     assert [history.robot_count for history, _ in believed] == [*range(1, 10)]
     for history, belief in believed:
         log = observe(history, settings.sensing)
-        center = _centers(belief)
-        np.testing.assert_allclose(center, localize(log, settings.localization).position, atol=1e-9)
+        np.testing.assert_allclose(
+            belief.center, localize(log, settings.localization).position, atol=1e-9
+        )
 
 
 MESSAGES = (
@@ -108,7 +105,7 @@ def test_robots_that_build_send_what_those_of_a_whole_log_do(by):
     for history, belief in believed[::4]:
         found = localize(observe(history, settings.sensing), settings.localization)
         # Heights are sent relative to other points, and rounded to 16 bits.
-        np.testing.assert_allclose(_centers(belief), found.position, atol=0.01)
+        np.testing.assert_allclose(belief.center, found.position, atol=0.01)
         assert belief.sent.sum() == pytest.approx(found.traffic["sent"].sum(), rel=0.1)
     by_then = by_join(believed[-1][0])["sent_B"]
     assert by_then.tolist() == [belief.sent.mean() for _, belief in believed]
@@ -136,7 +133,7 @@ def test_each_side_of_a_gap_has_an_anchor_and_does_not_know_the_other_side():
 
     history, belief = _believed(variants(_loaded(structure))[0].settings, robots=10)[-1]
 
-    error = np.linalg.norm(_centers(belief) - history.position, axis=1)
+    error = np.linalg.norm(belief.center - history.position, axis=1)
     side = history.position[:, 0] > 15.0
     assert 0 < side.sum() < 10
     assert error[np.flatnonzero(side)[0]] < 1e-9

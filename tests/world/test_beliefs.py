@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from tests import oracle
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import totals
 from tiswarm.world.growth import grow
 from tiswarm.world.history_file import find_fault
@@ -33,23 +32,18 @@ KINDS = [
 ]
 
 
-def docks(history):
-    """True docks of the robots that have joined [R], shape (n N, 3)."""
-    offset = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)
-    return (history.position[:, None] + offset).reshape(-1, 3)
-
-
 def misplaced(sd, common=(0.0, 0.0, 0.0)):
     """Beliefs that are wrong by a common vector, and by an own one for each robot [R]."""
 
     def believe(grown):
-        found = []
-        for history in grown:
+        beliefs = []
+        for structure in grown:
+            history = structure.history()
             rng = np.random.default_rng(history.seed)
-            each = rng.normal(scale=sd, size=(1_000, 3))[: history.robot_count] + common
-            wrong = docks(history) + np.repeat(each, history.robot.dock_count, axis=0)
-            found.append(Belief(wrong))
-        return found
+            error = rng.normal(scale=sd, size=(1_000, 3))[: history.robot_count] + common
+            believed_sd = np.full(history.robot_count, sd)
+            beliefs.append(Belief(history.position + error, history.orientation_wxyz, believed_sd))
+        return beliefs
 
     return believe
 
@@ -173,10 +167,10 @@ def test_errors_and_bytes_of_beliefs_are_kept_as_robots_join():
     believe, errors = misplaced(1.0), []
 
     def spy(grown):
-        found = believe(grown)
-        [history] = grown
-        errors.append((found[0].docks - docks(history)).reshape(-1, 3, 3)[:, 0])
-        return [found[0]._replace(sent=10 * np.arange(history.robot_count))]
+        [belief] = believe(grown)
+        history = grown[0].history()
+        errors.append(belief.center - history.position)
+        return [belief._replace(sent=10 * np.arange(history.robot_count))]
 
     [history] = _built(TowerParams(), robots=8, seeds=[1], believe=spy)
 

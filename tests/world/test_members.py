@@ -5,11 +5,12 @@ import pytest
 
 import tiswarm
 from tests.rules import SEED, assert_same_growth, grow_seeds
+from tests.world.test_beliefs import misplaced
 from tiswarm.base import plugins, registry
 from tiswarm.world.choices import reactive_build
 from tiswarm.world.growth import GrowthBatch, SteeredGrowth, chosen_by
 from tiswarm.world.history import LEFT
-from tiswarm.world.members import BYTES, LocalStep, MemberArrays
+from tiswarm.world.members import BYTES, LOCAL, LocalStep, MemberArrays
 from tiswarm.world.params import BridgeParams, TowerParams
 
 RULES = '''
@@ -76,11 +77,13 @@ def params_of(name, kind=TowerParams, **settings):
     return kind(rule=registry.get("rule", name)(), **settings)
 
 
-def states(name, robots=8):
+def states(name, robots=8, believe=None):
     """Yield the rule and each step of climbers of two structures that grow by it."""
     params = params_of(name)
-    batch = GrowthBatch([params] * 2, robots, [SEED, SEED + 1], tiswarm.RobotGeometry(), None, None)
+    shape = tiswarm.RobotGeometry()
+    batch = GrowthBatch([params] * 2, robots, [SEED, SEED + 1], shape, believe, None)
     steered = SteeredGrowth(batch)
+    batch.steered = steered
     while not steered.is_over.all():
         step = steered.observe()
         yield params.rule, batch, step
@@ -121,6 +124,49 @@ def test_a_local_choice_does_not_depend_on_what_a_robot_does_not_know(name):
         steps += 1
 
     assert steps > 20
+
+
+def seen_locally(step, row):
+    """List all that one climber of a local rule knows, as bytes."""
+    local = LocalStep(step, np.array([row]))
+    arrays = [getattr(local, name) for name in sorted(LOCAL)]
+    return [np.ascontiguousarray(array).tobytes() for array in arrays]
+
+
+@pytest.mark.usefixtures("rules")
+def test_a_local_climber_learns_no_place_that_its_docks_do_not_pass_on():
+    """All robots that it has not touched come to believe other places, and loads change.
+
+    It is asked anew after that. What it sees has not changed in a bit: neither where it believes
+    itself and its flips to end, nor what these meet, nor how sure it is of that.
+    """
+    rng = np.random.default_rng(0)
+    compared = 0
+    for _, batch, step in states("local-reactive-build", believe=misplaced(0.7)):
+        climb = batch.steered._climb  # noqa: SLF001 - to observe again
+        for row, slot in enumerate(step.slot):
+            before = seen_locally(step, row)
+            number = step.structure[row]
+            walked = batch.walks.stances.touching[slot, : step.stance[row] + 1]
+            touched = np.unique(walked[walked >= 0] // 3)
+            joined = batch.arrays.robot_count[number]
+            untouched = np.setdiff1d(np.arange(joined), touched)
+            saved = [array.copy() for array in (batch.believed.dock, batch.sd, batch.sensed)]
+            dock = batch.believed.dock[number].reshape(-1, 3, 3)
+            dock[untouched] += rng.normal(size=(len(untouched), 1, 3))
+            batch.sd[number, untouched] += 1.0
+            batch.sensed[:] = rng.normal(size=batch.sensed.shape)
+            batch._list([batch.structures[number]], *batch.believed.cells, batch.believed.dock)  # noqa: SLF001
+
+            after = seen_locally(climb.observe(), row)
+
+            assert after == before
+            compared += len(untouched) > 0
+            batch.believed.dock[:], batch.sd[:], batch.sensed[:] = saved
+            batch._list([batch.structures[number]], *batch.believed.cells, batch.believed.dock)  # noqa: SLF001
+            climb.observe()
+
+    assert compared > 10
 
 
 @pytest.mark.usefixtures("rules")

@@ -20,10 +20,9 @@ from tiswarm.measurements.verdicts import (
     describe_outliers,
     describe_solutions,
     distrust,
-    headline,
     named,
+    reasons,
     solution_name,
-    verdict,
 )
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
@@ -124,15 +123,24 @@ class Findings:
         return f"{solution_name(self.estimate, self.chosen)}: " if self.chosen else ""
 
     @property
-    def summary(self) -> str:
-        """Number of robots and whether to trust the estimate, in a line."""
-        judgment = verdict(self.estimate) if self.doubt else headline(self.log, self.estimate)
-        size = f"{self.solution}{counted(self.estimate.robot_count, 'robot')}"
-        return f"{size}, {judgment}" if judgment else size
+    def statement(self) -> str:
+        """How many robots are near where they are shown, in a sentence."""
+        if len(self.estimate.solutions) <= 1 or not self.solution:
+            return f"{self.solution}{self.estimate.statement}"
+        return f"{self.solution}if it is right, {self.estimate.statement}"
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why the others may not be there, and what the log leaves open, in lines."""
+        return [
+            *reasons(self.log, self.estimate),
+            *cautions(self.log, self.estimate),
+            *self.notes,
+        ]
 
     def __str__(self) -> str:
-        """Give notes, cautions and the summary, in lines."""
-        return "\n".join([*self.notes, *cautions(self.log, self.estimate), self.summary])
+        """Give the statement and its reasons, in lines."""
+        return "\n".join([self.statement, *self.reasons])
 
     @property
     def _cues(self) -> Collection[str]:

@@ -27,7 +27,7 @@ from tiswarm.app.results import (
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
-from tiswarm.records.estimate import Estimate
+from tiswarm.records.estimate import Estimate, refuse_distance
 from tiswarm.records.outputs import Outputs
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
@@ -82,6 +82,7 @@ class Log(SensingLog):
         arch: AnyArch = "cpu",
         threads: int | None = None,
         precision: AnyPrecision = "auto",
+        within: float | None = None,
         quiet: bool = True,
         **settings: object,
     ) -> "Localized":
@@ -89,6 +90,8 @@ class Log(SensingLog):
         from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
         from tiswarm.localization import methods  # noqa: PLC0415 - slow to import
 
+        if within is not None:
+            refuse_distance(within)
         params = method_params(method, cues, overrides, settings)
         progress = ConsoleProgress(quiet=quiet)
         running = methods.start_device([params], arch, threads=threads, precision=precision)
@@ -96,7 +99,8 @@ class Log(SensingLog):
             progress.info(methods.where([params], running))
         name = "compile, localize" if backend.current().is_cold else "localize"
         with progress.task(name, self.robot_count) as advance:
-            localized = self.with_estimate(methods.localize(self, params, on_progress=advance))
+            estimate = methods.localize(self, params, on_progress=advance)
+        localized = self.with_estimate(replace(estimate, tolerance=within))
         if solution is not None:
             localized = localized.with_solution(solution)
         if localized.findings.doubt:

@@ -3,7 +3,7 @@
 import html
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, is_dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -260,14 +260,16 @@ class Run:
 
     def __str__(self) -> str:
         """Write the first table of the page, or how many cases parts lack."""
-        from tiswarm.report.page_tables import console_text  # noqa: PLC0415 - slow to import
+        from tiswarm.report.page_tables import console_text, statement_of  # noqa: PLC0415
 
         if self.missing:
             return f"this part is done; other parts still lack {counted(self.missing, 'case')}"
         table = self._labeled_table()
         if not table["cases"].any():
             return "no case was finished"
-        return console_text(self._headline(table, with_verdicts=True))
+        text = console_text(self._headline(table, with_verdicts=True))
+        statement = statement_of(self._data().summary)
+        return "\n".join(filter(None, [statement, text]))
 
     def _repr_html_(self) -> str:
         if self.missing:
@@ -317,6 +319,15 @@ def plain(values: Mapping[str, object]) -> dict[str, object]:
             problem = f"{error}; give numbers, strings, lists or dictionaries"
             raise InputError(problem, key=key) from error
     return plain_values
+
+
+def as_section(settings: object, key: str) -> object:
+    """Write a section of a scenario as plain data; `key` selects which settings it has."""
+    if isinstance(settings, str):
+        return {key: settings}
+    if is_dataclass(settings):
+        return asdict(settings() if isinstance(settings, type) else settings)
+    return settings
 
 
 def as_texts(overrides: Overrides) -> Sequence[str]:

@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
+from tiswarm.app.navigation import Believer, Navigation
 from tiswarm.app.results import File, Section
 from tiswarm.app.swarms import GrownStructure, Swarms, growth_scenario
-from tiswarm.base.aliases import AnyInts, Bools, Ints
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.plugins import load_plugins
 from tiswarm.compute import backend
 from tiswarm.records.messages import shown
-from tiswarm.world.choices import ClimbStep, fault_of_choice
+from tiswarm.study.navigation import navigate
+from tiswarm.world.choices import ClimbStep, fault_of_choice, read_only
 from tiswarm.world.growth import GrowthBatch, SteeredGrowth, shared_settings
 from tiswarm.world.history_file import LARGEST_SEED
 from tiswarm.world.params import StructureParams
@@ -56,6 +58,10 @@ class Growth:
         *,
         settings: Mapping[str, ArrayLike] | None = None,
         robot: Section | None = None,
+        navigate_by: str | None = None,
+        belief_error: Section | None = None,
+        believe: Section | Believer | None = None,
+        sensing: Mapping[str, object] | None = None,
         threads: int | None = None,
         plugins: Sequence[File] = (),
     ) -> None:
@@ -68,6 +74,10 @@ class Growth:
             settings: Keys of the structure with a value for each of S structures, or one for all,
                 such as `{"force_threshold": [5.0, 10.0], "climb.patience": 16}`.
             robot: Shape of the robots; FireAntV3 if None.
+            navigate_by: What robots build by, as `tiswarm.grow` takes it, like the next three.
+            belief_error: Error of the places that robots believe.
+            believe: By what robots estimate where they are: a method, or a function of their log.
+            sensing: What robots that do not know the truth sense, and with which noise.
             threads: CPU threads; all that this process may use if None.
             plugins: Python files that register structures, rules and grounds.
 
@@ -75,10 +85,10 @@ class Growth:
             InputError: an argument has a mistake.
         """
         load_plugins(plugins)
-        self._scenario = growth_scenario(structure, robots, 1, robot=robot)
-        if self._scenario.structure.navigate_by != "truth":
-            problem = "robots that build by estimates need sensing and a method; set truth"
-            raise InputError(problem, key="structure.navigate_by")
+        navigation = Navigation(
+            navigate_by=navigate_by, belief_error=belief_error, believe=believe, sensing=sensing
+        )
+        self._scenario = growth_scenario(structure, robots, 1, robot=robot, navigation=navigation)
         self._seeds = _seeds(seeds)
         numbers = np.arange(len(self._seeds))
         self._params = self._with_settings(
@@ -87,7 +97,11 @@ class Growth:
         backend.choose(threads=threads)
         backend.processor()
         self._batch = GrowthBatch(
-            self._params, robots, self._seeds, self._scenario.robot, None, None
+            self._params,
+            robots,
+            self._seeds,
+            self._scenario.robot,
+            **navigate(self._scenario, navigation.place),
         )
         self._steered = SteeredGrowth(self._batch)
 
@@ -165,11 +179,24 @@ class Growth:
         if seeds is not None:
             new_seeds = _seeds(np.broadcast_to(np.asarray(seeds), chosen.shape).tolist())
         params = self._with_settings([self._params[n] for n in chosen], chosen, settings)
+        if not len(chosen):
+            return
         backend.processor()
         for number, seed, of_structure in zip(chosen.tolist(), new_seeds, params, strict=True):
             self._seeds[number] = seed
             self._params[number] = of_structure
-            self._steered.reset(number, seed, of_structure)
+        self._steered.reset(chosen, new_seeds, params)
+
+    @property
+    def dock(self) -> Reals:
+        """True dock centers of robots that have joined, in join order [R], shape (S, N, n, 3).
+
+        Rows of other robots are meaningless. The array cannot be written, and changes as robots
+        join: copy it first.
+        """
+        docks: Any = read_only(self._batch.arrays.dock)
+        by_robot: Reals = docks.reshape(len(self), -1, self._batch.robot.dock_count, 3)
+        return by_robot
 
     @property
     def seeds(self) -> Ints:

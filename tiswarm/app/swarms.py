@@ -9,7 +9,7 @@ swarms.score(estimates)
 import math
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.formats import check_export, export_view
 from tiswarm.app.logs import Localized, Log
-from tiswarm.app.results import Figures, File, PageFile, Section, as_path, plain
+from tiswarm.app.navigation import Navigation
+from tiswarm.app.results import Figures, File, PageFile, Section, as_path, as_section, plain
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError, require_name, warn
 from tiswarm.base.params import METHOD, AnyMovie
@@ -57,6 +58,7 @@ from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import Scenario, dump_scenario, to_plain
 from tiswarm.scenario.yaml_source import parse_yaml
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.study.navigation import Place, navigate
 from tiswarm.world import growth
 from tiswarm.world.ground.surface import shown_ground
 from tiswarm.world.history import History, StanceRows
@@ -641,6 +643,10 @@ class Swarms(Sequence[GrownStructure]):
         return shown if any(self.ended) else shown.drop(columns="ended")
 
 
+_BY_STRUCTURE = Navigation()
+"""Robots that build by what the structure says."""
+
+
 def growth_scenario(
     structure: Section,
     robots: int,
@@ -648,42 +654,41 @@ def growth_scenario(
     *,
     rule: Section | None = None,
     robot: Section | None = None,
+    navigation: Navigation = _BY_STRUCTURE,
 ) -> Scenario:
     """Write a scenario that grows structures, from what `tiswarm.grow` takes.
 
     Raises:
         InputError: an argument has a mistake.
     """
-    kind = _section(structure, "kind")
+    kind = as_section(structure, "kind")
     if rule is not None and isinstance(kind, Mapping):
-        kind = {**kind, "rule": _section(rule, "name")}
-    given = {
-        "name": "grow", "robots": robots, "structure": kind, "localization": {"method": METHOD},
-        "seeds": [*seeds] if isinstance(seeds, range | tuple) else seeds,
-        **({} if robot is None else {"robot": _section(robot, "shape")}),
-    }  # fmt: skip
-    return load_scenario(plain(given))
+        kind = {**kind, "rule": as_section(rule, "name")}
+    sections: dict[str, object] = {"structure": kind, "localization": {"method": METHOD}}
+    if isinstance(kind, Mapping):
+        sections = navigation.sections(kind)
+    if robot is not None:
+        sections["robot"] = as_section(robot, "shape")
+    if isinstance(seeds, range | tuple):
+        seeds = [*seeds]
+    return load_scenario(plain({"name": "grow", "robots": robots, "seeds": seeds, **sections}))
 
 
-def _section(settings: object, key: str) -> object:
-    """Write a section of a scenario as plain data; `key` selects which settings it has."""
-    if isinstance(settings, str):
-        return {key: settings}
-    if is_dataclass(settings):
-        return asdict(settings() if isinstance(settings, type) else settings)
-    return settings
-
-
-def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
+def grow(
+    scenario: Scenario, *, place: Place | None = None, threads: int | None, quiet: bool
+) -> Swarms:
     """Grow the structures of a scenario; `tiswarm.grow` explains it.
 
+    Args:
+        scenario: What to grow.
+        place: Places robots that navigate by estimates, in place of the method of the scenario.
+        threads: CPU threads; all that this process may use if None.
+        quiet: Whether to hide progress.
+
     Raises:
-        InputError: the structures need what is not there without a run, or no robot joined one.
+        InputError: no robot joined a structure.
     """
     structure = scenario.structure
-    if structure.navigate_by != "truth":
-        problem = "robots that build by estimates need sensing and a method; call tiswarm.run"
-        raise InputError(problem, key="structure.navigate_by")
     backend.choose(threads=threads)
     backend.processor()
     name = "compile, grow" if backend.current().is_cold else "grow"
@@ -695,6 +700,7 @@ def grow(scenario: Scenario, *, threads: int | None, quiet: bool) -> Swarms:
             seeds=seeds,
             robot=scenario.robot,
             on_progress=advance,
+            **navigate(scenario, place),
         )
     for history in histories:
         if not history.walks:

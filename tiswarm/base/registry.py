@@ -97,7 +97,7 @@ BUILT_IN: Mapping[str, Mapping[str, str]] = {
         "wbt": "tiswarm.formats.physics:encode_wbt",
     },
     "import_format": {
-        "bag": "tiswarm.formats.trajectories:read_bag",
+        "bag": "tiswarm.formats.bags:read_bag",
         "tum": "tiswarm.formats.trajectories:read_tum",
         "gsd": "tiswarm.formats.trajectories:read_gsd",
         "mocap": "tiswarm.formats.trajectories:read_mocap",

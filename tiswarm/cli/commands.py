@@ -44,6 +44,15 @@ def localize(
     arch: options.OneArch = "cpu",
     threads: options.Threads = None,
     precision: Annotated[AnyPrecision, Option(help="Floating-point type of joint.")] = "auto",
+    within: Annotated[
+        float | None,
+        Option(
+            metavar="LENGTH",
+            help="Distance, in the log's unit: state the probability that each robot is within it "
+            "of its estimated position (default: the radius of a dock).",
+            show_default=False,
+        ),
+    ] = None,
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
     verbose: Annotated[bool, Option("--verbose", "-v", help="List the solutions.")] = False,
@@ -75,6 +84,7 @@ def localize(
             arch=arch,
             threads=threads,
             precision=precision,
+            within=within,
             plugins=plugins,
             out=out,
             report=report,
@@ -83,7 +93,9 @@ def localize(
             **seeded,
         )
     if not quiet:
-        typer.echo(f"{localized} -> {out}")
+        typer.echo(f"{localized.findings.statement} -> {out}")
+        for line in localized.findings.reasons:
+            typer.echo(line)
         if verbose:
             for line in localized.findings.solutions:
                 typer.echo(line)
@@ -238,7 +250,9 @@ def import_(
             "robot; .tum; .gsd; .bag; an export of Motive, Qualisys or Vicon."
         ),
     ],
-    out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
+    out: Annotated[
+        Path | None, Option(help="Folder for sensing.jsonl and truth.csv; needless with --check.")
+    ] = None,
     dock_radius: Annotated[
         float | None, Option(min=1e-9, max=1e9, help="Radius of a dock sphere (default: 1).")
     ] = None,
@@ -247,6 +261,16 @@ def import_(
         Option(metavar="CSV", help="Import ranges tag,beacon,range instead: beacon,x,y,z."),
     ] = None,
     range_sd: Annotated[float | None, Option(min=0.0, help="Noise of a range, 1 sd.")] = None,
+    orientations: Annotated[
+        Path | None,
+        Option(metavar="CSV", help="Import robots' own contacts instead: robot,time,qw,qx,qy,qz."),
+    ] = None,
+    ground: Annotated[
+        Path | None, Option(metavar="CSV", help="Docks on the ground beside them: robot,dock,time.")
+    ] = None,
+    first_dock: Annotated[
+        int | None, Option(min=0, max=1, help="Number of the first dock there: 0 or 1.")
+    ] = None,
     report: Annotated[
         Path | None, Option(metavar="PAGE", help="Also localize by joint, and write a page.")
     ] = None,
@@ -280,6 +304,13 @@ def import_(
     column: Annotated[
         str, Option(metavar="NAME=COLUMN,...", help="Columns, such as x=center_x,robot=label.")
     ] = "",
+    topic: Annotated[
+        str,
+        Option(metavar="PATTERN", help="Topics of a bag that have the poses, as '/bot_*/pose'."),
+    ] = "",
+    bodies: Annotated[
+        str, Option(metavar="PATTERN", help="Bodies of a bag that are robots, such as 'bot_*'.")
+    ] = "",
     ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
     glitch_frames: Annotated[
         int, Option(min=0, help="Most poses in a row to leave out as one error of tracking.")
@@ -291,6 +322,9 @@ def import_(
     ] = "unit",
     plugins: options.Plugins = [],  # noqa: B006 - typer never changes it
     *,
+    check: Annotated[
+        bool, Option("--check", help="Print what would be imported, and write nothing.")
+    ] = False,
     heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
     conjugate: Annotated[
         bool, Option("--conjugate", help="Read quaternions as world to body, not body to world.")
@@ -309,7 +343,7 @@ def import_(
     debug: options.Debug = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Convert poses of any program to a sensing log and a truth.
+    """Convert poses of any program to a sensing log and a truth, or what robots recorded to a log.
 
     A column `run` names the structure of each row; each then has a folder of its own in --out.
     """
@@ -320,12 +354,12 @@ def import_(
 
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")
-    try:
-        anchors = tuple(map(int, anchor.split(","))) if anchor else ()
-    except ValueError:
-        problem = f"{anchor!r} is not a list of robots; write it like 0,5"
-        raise InputError(problem, argument="anchor") from None
-    estimate = out / "estimate.csv"
+    if check and (out is not None or report is not None):
+        raise InputError("writes nothing; leave --out and --report away", argument="--check")
+    if out is None and not check:
+        raise InputError("give a folder for the log, or --check", argument="--out")
+    folder = Path() if out is None else out
+    estimate = folder / "estimate.csv"
     if report is not None:  # refuse it before a log is written beside it
         Outputs(overwrite=overwrite).check({"out": estimate, "report": report})
     body = None if dock_offset is None else docks_in_plane(dock_offset)
@@ -342,10 +376,12 @@ def import_(
             gap=gap,
             overlap=overlap,
             contacts=contacts,
-            anchors=anchors,
+            anchors=_robots_of(anchor),
             up=up,
             euler=euler,
             columns=named,
+            topic=topic,
+            bodies=bodies,
             left_handed=left_handed,
             conjugate=conjugate,
             ground_z=ground_z,
@@ -356,21 +392,36 @@ def import_(
             tilt_deg=tilt_deg,
             yaw_deg=yaw_deg,
             length_unit=length_unit,
+            orientations=orientations,
+            ground=ground,
+            first_dock=first_dock,
             beacons=beacons,
             range_sd=range_sd,
         )
     if not quiet:
         for run, imported in imports.items():
-            typer.echo("\n".join(imported.notes) + f" -> {out / run}")
+            written = "" if out is None else f" -> {out / run}"
+            typer.echo("\n".join(imported.notes) + written)
     if report is not None:
         localize(
-            out / "sensing.jsonl",
+            folder / "sensing.jsonl",
             out=estimate,
             report=report,
             overwrite=overwrite,
             debug=debug,
             quiet=quiet,
         )
+
+
+def _robots_of(anchor: str) -> tuple[int, ...]:
+    """Read a list of robots, such as 0,5."""
+    from tiswarm.base.errors import InputError
+
+    try:
+        return tuple(map(int, anchor.split(","))) if anchor else ()
+    except ValueError:
+        problem = f"{anchor!r} is not a list of robots; write it like 0,5"
+        raise InputError(problem, argument="anchor") from None
 
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")

@@ -24,6 +24,7 @@ from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.measurements.odometry import with_orientations
 from tiswarm.measurements.rigidity import weld
+from tiswarm.records.error_law import SURE
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.frames import GREATEST
 from tiswarm.records.measures import (
@@ -545,9 +546,12 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
         sd = estimate.sd[unknown]
         scores["coverage_50"] = _mean(error <= HALF_WITHIN * sd)
         scores["coverage_90"] = _mean(error <= MOST_WITHIN * sd)
+        scores |= _of_sure(estimate, error, unknown)
     convergence = estimate.convergence
     if convergence is not None:
-        scores |= {"converged": convergence.converged, "consistent": convergence.consistent}
+        scores["converged"] = convergence.converged
+        if convergence.consistent is not None:
+            scores["consistent"] = convergence.consistent
         scores |= {"testable": convergence.testable, "misfit_sd": convergence.misfit_sd}
         if convergence.spare is not None:
             scores["spare_measurements"] = convergence.spare
@@ -560,6 +564,24 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
     if convergence is not None:
         suspects = estimate.outlier_robots
         scores["suspects"] = 0 if suspects is None else len(suspects)
+    return scores
+
+
+def _of_sure(estimate: Estimate, error: Reals, unknown: Bools) -> dict[str, float]:
+    """Return the share of robots that are surely within R, and how many of these are not.
+
+    Args:
+        estimate: The estimate [R].
+        error: Errors of robots whose positions were unknown [R], shape (n,).
+        unknown: Which robots these are, shape (N,).
+    """
+    probability = estimate.within(1.0)
+    if probability is None:
+        return {}
+    is_sure = probability[unknown] >= SURE
+    scores = {"sure_1R": _mean(is_sure)}
+    if is_sure.any():
+        scores["sure_off_1R"] = _mean(error[is_sure] >= 1.0)
     return scores
 
 

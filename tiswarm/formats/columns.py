@@ -19,6 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.formats.bag_messages import has_other_words
+from tiswarm.formats.layouts import EXPORTS, TABLES, Layout, with_joints_named
 from tiswarm.formats.poses import QUATERNION, Assumptions, PoseTable, first_names
 from tiswarm.records.io import MAX_TABLE_BYTES, CsvFile, numbered_lines, open_input
 from tiswarm.records.messages import counted
@@ -60,40 +62,8 @@ _ANGLES = {"deg": True, "degrees": True, "°": True, "rad": False, "radians": Fa
 _BEFORE_UNIT = ("_", "/", " in ")
 _LETTERS_OF_UNITS = f"{string.ascii_letters}°µ"
 
-_QUANTITIES = {
-    r"(?P<body>.*)qpos[\W_]{0,8}(?P<number>\d+)\]?": "",
-    r"(?P<body>)p(?:_[a-z]{1,2})+_(?P<axis>[xyz])": "",
-    r"(?P<body>)q(?:_[a-z]{1,2})+_(?P<axis>[wxyz])": "q",
-    r"(?P<body>.*?)(?P<axis>roll|pitch|yaw|alpha|beta|gamma)": "",
-    r"(?P<body>.*?)(?:rotation|rot)?[\W_]{0,8}(?P<axis>angle)": "",
-    r"(?P<body>.*?)(?:rotation|rot|r)(?P<axis>[wxyz])": "r",
-    r"(?P<body>.*?)(?:rotation|rot)[\W_]{1,8}(?P<axis>[wxyz])": "r",
-    r"(?P<body>.*?)(?:orientation|quaternion|x?quat|q)[\W_]{0,8}(?P<axis>[wxyz])": "q",
-    r"(?P<body>.*?)(?:axis[\W_]{0,8}|a)(?P<axis>[xyz])": "a",
-    r"(?P<body>.*?)(?:rot\[|matrix[\W_]{0,8}|m)(?P<axis>\d)\]?": "m",
-    r"(?P<body>.*?)(?:rotation|rot|matrix|r|m)[\W_]{0,8}(?P<axis>[0-3]{2})\]?": "m",
-    r"(?P<axis>[xyz])[\W_]{0,8}(?P<body>\d+)": "",
-    r"q(?P<axis>[wxyz])[\W_]{0,8}(?P<body>\d+)": "q",
-    r"(?P<body>.*?)(?P<axis>[xyz])[\W_]{0,8}(?:position|pos)": "",
-    r"(?P<body>.*?)(?:position|x?pos|translation|trans|location|p|t)?[\W_]{0,8}(?P<axis>[xyz])": "",
-}
-"""Names of quantities as programs write them, in lower case, and how their meanings begin. The body
-is the rest; the numbers of `qpos` are those of free joints in a row. Repetitions within a pattern
-have limits, so that its time is linear in the length of a name."""
-
-_QPOS = ("x", "y", "z", "qw", "qx", "qy", "qz")
-
 _MESSAGES = {*("field", "pose", "msg", "data", "transform", "header", "state"), ""}
 """Parts of a message's name that name no robot."""
-
-_WORDS_OF_OTHER_QUANTITIES = {
-    *("vel", "velocity", "speed", "twist", "linear", "angular", "acc", "accel", "acceleration"),
-    *("v", "w", "scale", "size"),
-    *("cmd", "command", "goal", "target", "desired", "setpoint", "ref", "reference", "origin"),
-    *("std", "sd", "sigma", "cov", "covariance", "var", "err", "error", "residual", "rms"),
-    *("force", "torque", "wrench", "omega", "gyro", "bias", "imu", "mag", "d", "delta"),
-}
-"""Words before an axis that name other quantities than poses."""
 
 TURNS: Mapping[tuple[str, ...], str] = {
     ("qw", "qx", "qy", "qz"): "",
@@ -125,6 +95,8 @@ _OTHER_FILES = {
     b"PK\x03\x04": "a workbook or an archive; save the sheet as CSV",
     b"\xd0\xcf\x11\xe0": "an old workbook; save the sheet as CSV",
     b"PAR1": "a Parquet file; write its table as CSV",
+    b"\x89MCAP": "a part of a bag of ROS 2; name its folder, made whole by ros2 bag reindex",
+    b"SQLite format 3": "a part of a bag of ROS 2; name its folder, made whole by ros2 bag reindex",
     b"\x89HDF": "an HDF5 file; write its table as CSV",
     b"MATLAB 5.0": "a MAT file; write its table as CSV",
     b"\x93NUMPY": "an array without names of columns; write a CSV with a head",
@@ -402,75 +374,64 @@ def _bodies(
     is_one: bool,
 ) -> Sequence[_PoseColumns]:
     """Find the columns of each robot, or those of all robots if a column names them."""
-    assigned = {column: meaning for meaning, column in assumed.columns.items()}
-    units = {unit.lower() for unit in ("", *LENGTHS, _NO_UNIT, assumed.length_unit)}
-    columns = []
-    for name in header:
-        column = _meaning(name, units, is_export=bool(sheet.program))
-        if name in assigned:
-            columns.append(_Column(name, "", assigned[name], column.unit if column else ""))
-        elif (
-            name not in label_columns.values() and column and column.meaning not in assumed.columns
-        ):
-            columns.append(column)
-    columns_of: dict[str, list[_Column]] = {}
-    for column in columns:
-        columns_of.setdefault(column.body, []).append(column)
-    bodies = {name: _body(name, columns_of[name], path) for name in columns_of}
-    complete = [body for body in bodies.values() if {*_AXES} <= {*body.columns} and body.turn]
-    is_named = "robot" in label_columns or is_one
     has_spheres = "sphere" in label_columns
+    layouts = [EXPORTS[sheet.program]] if sheet.program else TABLES
+    names = [name for name in header if name not in label_columns.values()]
+    poses = [
+        body
+        for layout in layouts
+        for body in _bodies_in(layout, names, assumed, path)
+        if {*_AXES} <= {*body.columns} and (body.turn or has_spheres)
+    ]
+    complete: list[_PoseColumns] = []
+    for body in poses:
+        if all(body.columns["x"] != earlier.columns["x"] for earlier in complete):
+            complete.append(body)
+    is_named = "robot" in label_columns or is_one
     if not is_named and not has_spheres:
         several = [body for body in complete if body.name]
         if several and (sheet.program or any(re.search(r"\d", body.name) for body in several)):
             return several
-    chosen = _together([*bodies.values()], complete, is_named=is_named, has_spheres=has_spheres)
+    chosen = [body for body in complete if not body.name] or complete
     if len(chosen) > 1:
-        sets = (",".join(body.columns.get(axis, "") for axis in _AXES) for body in chosen)
+        sets = (",".join(body.columns[axis] for axis in _AXES) for body in chosen)
         problem = f"positions are in {' and in '.join(sets)}; choose by --column x=NAME,y=NAME,..."
         if not is_named:
             problem += ", or give robots names with numbers, such as bot_7"
         raise InputError(problem, path=path, line=sheet.line)
-    _refuse_lacking(header, label_columns, chosen, bodies, path, sheet, is_one=is_one)
-    return chosen
+    plain = next(iter(_bodies_in(layouts[0], names, assumed, path)), None)
+    _refuse_lacking(header, label_columns, chosen, plain, path, sheet, is_one=is_one)
+    return [body._replace(turn=() if has_spheres else body.turn) for body in chosen]
 
 
-def _together(
-    bodies: Sequence[_PoseColumns],
-    complete: Sequence[_PoseColumns],
-    *,
-    is_named: bool,
-    has_spheres: bool,
-) -> Sequence[_PoseColumns]:
-    """Choose the columns of a pose, which may have positions and orientations under two names.
-
-    Args:
-        bodies: Columns by what they are of.
-        complete: Those with positions and orientations.
-        is_named: Whether rows are of robots that are known, so that sets of positions are a choice.
-        has_spheres: Whether rows are of spheres, which have no orientations.
-    """
-    placed = [body for body in bodies if {*_AXES} & {*body.columns}]
-    if has_spheres:
-        complete = [body._replace(turn=()) for body in placed]
-    elif not complete and len(placed) == 1:
-        turned = [body for body in bodies if body.turn]
-        if len(turned) <= 1:
-            source = turned[0] if turned else placed[0]
-            turn_columns = {name: source.columns[name] for name in source.turn}
-            columns = {**turn_columns, **placed[0].columns}
-            complete = [placed[0]._replace(columns=columns, turn=source.turn)]
-    elif not complete and is_named:
-        several = [body for body in placed if {*_AXES} <= {*body.columns}]
-        complete = several if len(several) > 1 else []
-    return [body for body in complete if not body.name] or complete
+def _bodies_in(
+    layout: Layout, names: Sequence[str], assumed: Assumptions, path: Path
+) -> list[_PoseColumns]:
+    """Find the columns of poses in a layout, and those that the user names; by robot."""
+    assigned = {column: meaning for meaning, column in assumed.columns.items()}
+    units = {unit.lower() for unit in ("", *LENGTHS, _NO_UNIT, assumed.length_unit)}
+    columns_of: dict[str, list[_Column]] = {}
+    for name in names:
+        bare, unit = split_unit(name, units)
+        if name in assigned:
+            columns_of.setdefault("", []).append(_Column(name, "", assigned[name], unit))
+            continue
+        read = layout.read(with_joints_named(bare))
+        if read is None or read[1] in assumed.columns or has_other_words(read[0]):
+            continue
+        body, meaning = read
+        if layout.program not in EXPORTS:
+            parts = [part for part in re.split(r"[./|:\s]+", body) if part.lower() not in _MESSAGES]
+            body = ".".join(parts).strip("_- ")
+        columns_of.setdefault(body, []).append(_Column(name, body, meaning, unit))
+    return [_body(name, columns, path) for name, columns in columns_of.items()]
 
 
 def _refuse_lacking(
     header: Sequence[str],
     label_columns: Mapping[str, str],
     complete: Sequence[_PoseColumns],
-    bodies: Mapping[str, _PoseColumns],
+    plain: _PoseColumns | None,
     path: Path,
     sheet: Sheet,
     *,
@@ -480,8 +441,8 @@ def _refuse_lacking(
     meanings = {*label_columns}
     if complete:
         meanings |= {*complete[0].columns}
-    elif "" in bodies:
-        meanings |= {*bodies[""].columns}
+    elif plain is not None:
+        meanings |= {*plain.columns}
     needed = [] if is_one else ["robot"]
     needed += _AXES
     if "sphere" not in label_columns and not (complete and complete[0].turn):
@@ -499,8 +460,8 @@ def _refuse_lacking(
         raise InputError(f"{problem}above the numbers", path=path, line=sheet.line)
     problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z but "
     problem += f"{','.join(header)[:200] or 'none'}; rename or add {','.join(lacking)}"
-    problem += f", or name columns as by --column {lacking[0]}=NAME"
-    raise InputError(problem, path=path, line=sheet.line)
+    asked = ",".join(f"{name}=NAME" for name in lacking)
+    raise InputError(f"{problem}, or name columns by --column {asked}", path=path, line=sheet.line)
 
 
 def _refuse_unknown_units(header: Sequence[str], path: Path) -> None:
@@ -512,33 +473,6 @@ def _refuse_unknown_units(header: Sequence[str], path: Path) -> None:
             problem = f"{unit!r} is no known unit of length; rename it to one of "
             problem += f"{', '.join(LENGTHS)}, or give --length-unit {unit}"
             raise InputError(problem, path=path, line=1, key=column)
-
-
-def _meaning(name: str, units: Collection[str], *, is_export: bool) -> _Column | None:
-    """Read the name of a column; None if it has no part in a pose."""
-    bare, unit = split_unit(name, units)
-    for pattern, prefix in _QUANTITIES.items():
-        whole_words = pattern.replace("(?P<body>.*?)", "(?P<body>|.*?[^a-z])")
-        match = re.fullmatch(pattern if is_export else whole_words, bare.lower())
-        if match is None or (re.search(r"[a-z]$", match["body"]) and not is_export):
-            continue
-        body = bare[slice(*match.span("body"))]
-        groups = match.groupdict()
-        if "number" in groups:
-            robot, place = divmod(int(groups["number"]), len(_QPOS))
-            body += str(robot)
-            meaning = _QPOS[place]
-        else:
-            meaning = prefix + groups["axis"]
-        if is_export:
-            return _Column(name, body.rstrip("/"), meaning, unit)
-        parts = [part for part in re.split(r"[./|:\s]+", body) if part.lower() not in _MESSAGES]
-        body = ".".join(parts).strip("_- ")
-        words = {*re.findall(r"[a-z]{2,}|[a-z](?!\d)", body.lower())}
-        if words & _WORDS_OF_OTHER_QUANTITIES:
-            return None
-        return _Column(name, body, meaning, unit)
-    return None
 
 
 def _body(name: str, columns: Sequence[_Column], path: Path) -> _PoseColumns:
@@ -668,7 +602,7 @@ def _read_long_rows(
         if name not in {"robot", "time"}
     }
     if "time" in columns:
-        numbers["time"] = _times(table, columns["time"])
+        numbers["time"] = times_of(table, columns["time"])
     rows = pd.DataFrame({"robot": robots, **numbers, "line": [*table.rows]})
     rows = rows.assign(run=_runs(table, label_columns))
     if "time" in columns:
@@ -683,7 +617,9 @@ def _read_wide_rows(
     names = [_listed_name(table, body.name) for body in bodies]
     robots, notes = robot_numbers(names)
     lines = np.array([*table.rows])
-    time = _times(table, label_columns["time"]) if "time" in label_columns else lines.astype(float)
+    time = (
+        times_of(table, label_columns["time"]) if "time" in label_columns else lines.astype(float)
+    )
     clock = pd.DataFrame({"robot": 0, "run": "", "time": time, "line": lines})
     _refuse_clocks_set_anew(clock, table.path, label_columns.get("time", ""))
     rows_of_robots = []
@@ -716,7 +652,7 @@ def _read_wide_rows(
 _PARTS_OF_SECONDS = ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs")
 
 
-def _times(table: CsvFile, column: str) -> Reals:
+def times_of(table: CsvFile, column: str) -> Reals:
     """Read times: numbers, seconds beside a column of nanoseconds, dates, or times of a day [s]."""
     cells = table.words(column).tolist()
     if cells and re.match(r"\s*\d+[-/:.]\d+[-/:]", cells[0]):

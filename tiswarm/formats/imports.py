@@ -47,6 +47,7 @@ from tiswarm.formats.poses import (
     with_earlier_first,
 )
 from tiswarm.formats.ranges import read_ranges
+from tiswarm.formats.recordings import read_recording
 from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.records import sensing_log
@@ -99,13 +100,16 @@ def convert(
     body = {} if docks is None else {"dock_offset_body": read_dock_offsets(docks)}
     facts = {name: value for name, value in assumed.items() if value is not None}
     stated = Assumptions(**{**facts, **body})
-    if stated.beacons is None:
-        imports = import_poses(path, stated)
-    else:
+    if stated.beacons is not None:
         imports = {"": _import_ranges(path, stated, facts.get("dock_radius"))}
+    elif stated.orientations is not None:
+        imports = {"": _import_recording(path, stated)}
+    else:
+        imports = import_poses(path, stated)
     if out is not None:
         poses = path.iterdir() if path.is_dir() else [path]
         inputs = [*poses, stated.contacts, docks, stated.beacons]
+        inputs += [stated.orientations, stated.ground]
         write_imports(imports, out, Outputs(inputs=inputs, overwrite=overwrite))
     return imports
 
@@ -144,6 +148,17 @@ def _import_ranges(path: Path, assumed: Assumptions, radius: float | None) -> Im
     with at_line(path, 1):
         check_header(log)
     return Imported(log, np.full((log.robot_count, 3), np.nan), notes, warnings)
+
+
+def _import_recording(path: Path, assumed: Assumptions) -> Imported:
+    """Turn what robots recorded themselves into a log; their places are unknown."""
+    log, notes = read_recording(path, assumed)
+    log = replace(log, noise=_noise(assumed))
+    with at_line(path, 1):
+        check_header(log)
+    refuse_crowds(log, path)
+    notes += [*_describe(log), log.size]
+    return Imported(log, np.full((log.robot_count, 3), np.nan), notes, [])
 
 
 def _read(path: Path, assumed: Assumptions) -> PoseTable:

@@ -68,6 +68,21 @@ class Assumptions:
     """Columns of the table by what they mean, `x` or `robot` for example, where names do not say
     so."""
 
+    topic: str = ""
+    """Topics of a bag of ROS that have the poses, as a shell's pattern; found if empty."""
+
+    bodies: str = ""
+    """Names of the bodies of a bag of ROS that are robots, as a shell's pattern; all if empty."""
+
+    orientations: Path | None = None
+    """Table of orientations over time, where the file has contacts that robots recorded."""
+
+    ground: Path | None = None
+    """Table of docks on the ground beside it."""
+
+    first_dock: int | None = None
+    """Number of the first dock in these tables, 0 or 1; found if None."""
+
     beacons: Path | None = None
     """Table of beacons, where the file has ranges instead of poses."""
 
@@ -370,7 +385,7 @@ def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float)
         dock_offset_body = np.empty((0, 3))
         if table.dock_offset_body is not None:
             dock_offset_body = table.dock_offset_body
-        orientation = _unit_quaternions(pose, path)
+        orientation = unit_quaternions(pose, path)
     robot, names = pd.factorize(pose["robot"])
     last = np.flatnonzero(~pose["robot"].duplicated(keep="last"))
     samples = None
@@ -428,7 +443,7 @@ def _refuse_other_spheres(table: pd.DataFrame, keys: list[str], path: Path) -> N
             raise InputError(problem, path=path, line=int(rows["line"].min()), key="sphere")
 
 
-def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
+def unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
     """Scale quaternions to length 1; refuse those whose length is far from it."""
     quaternion = table[QUATERNION].to_numpy()
     length = np.linalg.norm(quaternion, axis=1)

@@ -1,7 +1,6 @@
 """Reads poses over time of other programs: GSD, TUM RGB-D, exports of motion capture, folders.
 
     GSD        particles of all frames; a frame's step is its time
-    ROS        bags: messages of all types that have poses or transforms
     TUM        time x y z qx qy qz qw, separated by spaces
     Motive     CSV, rows Type, Name, ID, then Rotation and Position; quaternions or angles
     Qualisys   TSV, columns X, Y, Z, Roll, Pitch, Yaw, Residual and maybe Rot[0] to Rot[8]; mm
@@ -14,7 +13,7 @@ is the join index. Bodies that the cameras lost have empty cells, or zeros in Qu
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.aliases import Reals
-from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.errors import InputError
 from tiswarm.formats import columns, poses
 from tiswarm.formats.exports import gsd_library
 from tiswarm.records.io import LARGEST, numbered_lines, refuse_special, split_cells
@@ -94,71 +93,6 @@ def _rows_of_frame(frame: Any, number: int, path: Path) -> pd.DataFrame:  # noqa
     return rows
 
 
-def read_bag(path: Path, assumed: poses.Assumptions) -> poses.PoseTable | None:
-    """Read all poses of a bag of ROS; None if the path is no `.bag` and no folder of ROS 2.
-
-    These are messages of any type that have a position and an orientation, a transform, or a list
-    of either, with names beside it or not. A robot has the number in the name of its topic, of its
-    model or of its frame; the time is that of recording [s].
-
-    Raises:
-        InputError: the bag is damaged, or has no poses.
-        EnvironmentTroubleError: the library rosbags is not installed.
-    """
-    if path.suffix != ".bag" and not (path / "metadata.yaml").is_file():
-        return None
-    try:
-        from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
-    except ImportError as error:
-        problem = "bags need the library rosbags; pip install 'tiswarm[ros]'"
-        raise EnvironmentTroubleError(problem) from error
-    stamped: list[tuple[str, float, list[float]]] = []
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
-            for connection, stamp, raw in bag.messages():
-                message = bag.deserialize(raw, connection.msgtype)
-                stamped += (
-                    (name, stamp, pose) for name, pose in _poses_in(message, connection.topic)
-                )
-    except Exception as error:  # the library has many kinds, and bags are anybody's
-        problem = f"not a whole bag ({type(error).__name__}: {str(error)[:80]}); record it again"
-        raise InputError(problem, path=path) from error
-    if not stamped:
-        raise InputError("the bag has no poses; record odometry, poses or tf", path=path)
-    names = [*dict.fromkeys(name for name, *_ in stamped)]
-    numbers, notes = columns.robot_numbers(names)
-    robot = dict(zip(names, numbers, strict=True))
-    rows = pd.DataFrame([pose for *_, pose in stamped], columns=[*"xyz", *poses.QUATERNION])
-    rows["robot"] = [robot[name] for name, *_ in stamped]
-    rows["time"] = np.array([stamp - stamped[0][1] for _, stamp, _ in stamped]) * 1e-9
-    rows = rows.assign(line=1, run="").drop_duplicates(["robot", "time"])
-    if not rows["robot"].duplicated().any():
-        rows = rows.drop(columns="time")
-    columns.refuse_far(rows, path, assumed.dock_radius)
-    return poses.PoseTable(rows, "m", poses.QUATERNION, notes)
-
-
-def _poses_in(message: Any, name: str) -> Iterator[tuple[str, list[float]]]:  # noqa: ANN401 - of ROS
-    """Yield the poses in a message: a name, then x, y, z, qw, qx, qy, qz."""
-    if hasattr(message, "transform"):
-        name = getattr(message, "child_frame_id", "")
-    for position_key, turn_key in (("position", "orientation"), ("translation", "rotation")):
-        if hasattr(message, position_key) and hasattr(message, turn_key):
-            p = getattr(message, position_key)
-            q = getattr(message, turn_key)
-            yield name, [float(number) for number in (p.x, p.y, p.z, q.w, q.x, q.y, q.z)]
-            return
-    for key in ("pose", "poses", "transform", "transforms"):
-        inner = getattr(message, key, None)
-        if isinstance(inner, list):
-            names = getattr(message, "name", None) or [f"{name}_{k}" for k in range(len(inner))]
-            for item, item_name in zip(inner, names, strict=False):
-                yield from _poses_in(item, item_name)
-        elif inner is not None:
-            yield from _poses_in(inner, name)
-
-
 def _docks(particles: object, path: Path, dock_radius: float) -> Reals | None:
     """Read the docks of the first type of particles, shape (D, 3); None if it has no spheres."""
     shape = (getattr(particles, "type_shapes", None) or [{}])[0]
@@ -218,6 +152,9 @@ def _read_folder(path: Path, assumed: poses.Assumptions) -> poses.PoseTable:
             table = columns.read_table(file, assumed, robot=robot)
         tables.append(table._replace(rows=table.rows.assign(file=str(file))))
     if not tables:
+        if any(file.suffix in {".db3", ".mcap"} for file in path.iterdir()):
+            problem = "a bag of ROS 2 without metadata.yaml; run ros2 bag reindex on the folder"
+            raise InputError(problem, path=path)
         problem = "there are no files *.tum or *.csv; add one for each robot"
         raise InputError(problem, path=path)
     rows = pd.concat([table.rows for table in tables]).assign(run="")

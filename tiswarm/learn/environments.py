@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.learn.episodes import Episodes, infos_of
-from tiswarm.learn.observations import FLIP_FEATURES, ROBOT_FEATURES, Feature
+from tiswarm.learn.features import Feature, features_of
 from tiswarm.world.choices import ClimbStep
 
 Observed = dict[str, NDArray[Any]]
@@ -224,10 +224,11 @@ class TaskVectorEnv(VectorEnv[Observed, Ints, NDArray[Any]]):
 def observation_space(episodes: Episodes) -> spaces.Space[Observed]:
     """Return the space of what one climber observes, a dictionary."""
     flips = episodes.action_count - 2
+    of_flip, of_robot = features_of(by_belief=episodes.climb_step.by_belief)
     space: Any = spaces.Dict(
         {
-            "flips": _box(FLIP_FEATURES, (flips, len(FLIP_FEATURES))),
-            "robot": _box(ROBOT_FEATURES, (len(ROBOT_FEATURES),)),
+            "flips": _box(of_flip, (flips, len(of_flip))),
+            "robot": _box(of_robot, (len(of_robot),)),
             "action_mask": spaces.MultiBinary(episodes.action_count),
         }
     )

@@ -55,7 +55,12 @@ class Episodes:
         self.robots = self.task.robots if robots is None else robots
         structure: dict[str, Any] = {**self.task.structure, "movers": movers}
         self.growth = Growth(
-            structure, self.robots, range(count), settings=settings, threads=threads
+            structure,
+            self.robots,
+            range(count),
+            settings=settings,
+            threads=threads,
+            **self.task.navigation,
         )
         gap = (settings or {}).get("gap", structure.get("gap", np.nan))
         self._gap = np.broadcast_to(np.asarray(gap, np.float64), (count,))
@@ -129,7 +134,7 @@ class Episodes:
 
     def _structures(self, numbers: AnyInts) -> Structures:
         """Return some structures as they are."""
-        dock = self.climb_step.dock[numbers].reshape(len(numbers), self.robots, -1, 3)
+        dock = self.growth.dock[numbers]
         return Structures(
             position=dock.mean(axis=2),
             present=self.growth.present[numbers],

@@ -69,8 +69,9 @@ def joining(params: MethodParams) -> Callable[..., Any] | None:
     """Return the class that localizes robots as they join; None if these settings need all.
 
     It is made of a log's header and the settings. `join` adds the next robot by its line of a
-    sensing file; `positions` are the centers in join order [log unit], shape (n, 3). If robots send
-    messages, `sent` has the bytes that each has sent so far, shape (n,).
+    sensing file; `positions` are the centers in join order [log unit], shape (n, 3). If it knows
+    their standard deviations [log unit], `sd` has them, shape (n,). If robots send messages, `sent`
+    has the bytes that each has sent so far, shape (n,).
     """
     return getattr(_module_of(params), params.joining) if params.joining else None
 
@@ -258,6 +259,7 @@ def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
     return replace(
         estimate,
         length_unit=log.length_unit,
+        dock_radius=log.dock_radius,
         gone=log.is_gone if log.gone.size else None,
         position=estimate.position + by,
         trace=estimate.trace + by,

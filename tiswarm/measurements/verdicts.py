@@ -25,6 +25,8 @@ _STRETCH = 1.5
 _FEW = 1.0 / 3.0
 """Share of the robots that carry most of a misfit, below which these are what to look at."""
 
+_LOST = "not converged"
+
 _MOSTLY = 0.5
 """Share of the robots from which on free motions are named [1]."""
 
@@ -38,19 +40,22 @@ _MOTIONS = {
 }
 
 
-def headline(log: SensingLog, estimate: Estimate) -> str:
-    """Say in a line whether to trust an estimate, and how many configurations fit.
+def reasons(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    """State what `cautions` does not: bad verdicts, or what limits good ones."""
+    if distrust(log, estimate):
+        yield verdict(estimate) or _LOST
+        return
+    if estimate.convergence is not None:
+        yield from _untestable(estimate.convergence)
+    yield from _fitting(estimate)
 
-    Empty where the method gave no verdict.
-    """
-    reason = distrust(log, estimate)
-    if reason:
-        return reason
-    if estimate.convergence is None:
-        return ""
-    verdicts = ["converged", *_untestable(estimate.convergence)]
-    more = [*_fitting(estimate), *_mirrored(log, estimate), *_turning(log, estimate)]
-    return "; ".join([*verdicts, *_undetermined(estimate), *more])
+
+def in_brief(log: SensingLog, estimate: Estimate) -> str:
+    """State in a line why robots may not be where they are shown; empty without a reason."""
+    if distrust(log, estimate):
+        return "; ".join(reasons(log, estimate))
+    is_open = [*_undetermined(estimate), *_mirrored(log, estimate), *_turning(log, estimate)]
+    return "; ".join([*reasons(log, estimate), *is_open])
 
 
 def _untestable(convergence: Convergence) -> Iterator[str]:
@@ -66,8 +71,10 @@ def verdict(estimate: Estimate) -> str:
     if convergence is None:
         return ""
     if not convergence.converged:
-        return "not converged" if convergence.consistent else "neither converged nor consistent"
-    return "converged" if convergence.consistent else "not consistent"
+        if convergence.consistent is False:
+            return "neither converged nor consistent"
+        return _LOST
+    return "not consistent" if convergence.consistent is False else "converged"
 
 
 def distrust(log: SensingLog, estimate: Estimate) -> str:
@@ -78,11 +85,11 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
         if not beyond.size:
             return ""
         where = f"beyond the reach of their contacts are {named(log, beyond)}"
-        return f"not converged: {where}; look for wrong contacts, heights and spawn positions"
+        return f"{_LOST}: {where}; look for wrong contacts, heights and spawn positions"
     if convergence.trusted:
         return ""
     text = verdict(estimate) + (f": {convergence.reason}" if convergence.reason else "")
-    misfit = "" if convergence.consistent else describe_misfit(convergence.misfit_sd)
+    misfit = "" if convergence.consistent is not False else describe_misfit(convergence.misfit_sd)
     if misfit:
         text += f" ({misfit})"
     clauses = [text] if convergence.converged else [text, "positions and sd may be far off"]
@@ -226,13 +233,11 @@ def _line(log: SensingLog, path: Path, robot: int) -> str:
 
 
 def _fitting(estimate: Estimate) -> Iterator[str]:
-    """Count the configurations that fit, where a method looks for several."""
+    """Count the configurations that fit, if there are several."""
     solutions = estimate.solutions
     if len(solutions) > 1:
         likeliest = percent(solutions[0].weight)
         yield f"{len(solutions)} configurations fit, the likeliest has {likeliest} %"
-    elif solutions:
-        yield "one configuration fits"
 
 
 def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:

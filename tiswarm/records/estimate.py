@@ -8,7 +8,8 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records.messages import counted
+from tiswarm.records.error_law import ERRORS, SURE, sure_ratio
+from tiswarm.records.messages import counted, two_digits
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,6 +20,11 @@ MOST_WITHIN = 1.6
 robots. They are fitted on training structures: robots of an arm share their error, so distances
 are not normally distributed."""
 
+
+WITHIN = "within_"
+"""Begin of the names of columns of probabilities, a distance being the rest."""
+
+_PROBABILITY_DIGITS = 4
 
 MOST_MISFIT_SD = 5.0
 """Misfit, above or below what noise explains, from which on measurements are not consistent."""
@@ -80,14 +86,13 @@ class Convergence:
     """Whether the search found one least cost from several starts, with no robot out of reach of
     its measurements."""
 
-    consistent: bool
-    """Whether noise as stated explains the least cost, outliers left out. True without any check
-    unless `testable`, and where the search did not find one least cost: it says nothing about the
-    measurements then."""
+    consistent: bool | None
+    """Whether noise as stated explains the least cost, outliers left out. None where nothing was
+    tested: unless `testable`, and where the search did not find one least cost, which says nothing
+    about the measurements."""
 
     testable: bool = True
-    """Whether the log could be found not consistent: it was, or its spare measurements are at least
-    a quarter of the unknown coordinates."""
+    """Whether the log could be found not consistent: it was, or it has spare measurements."""
 
     spare: int | None = None
     """Spare measurements: those beyond the unknowns that they determine, the degrees of freedom of
@@ -113,8 +118,8 @@ class Convergence:
 
     @property
     def trusted(self) -> bool:
-        """Whether both verdicts are good."""
-        return self.converged and self.consistent
+        """Whether the search converged, and no test contradicts the measurements."""
+        return self.converged and self.consistent is not False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +270,13 @@ class Estimate:
     length_unit: str = "R"
     """Name of the log's unit of length."""
 
+    dock_radius: float = 1.0
+    """R, the radius of a dock [log unit]."""
+
+    tolerance: float | None = None
+    """Distance from the estimated position whose probability is stated for each robot [log unit];
+    that of R alone if None."""
+
     @property
     def configuration(self) -> Reals:
         """Centers of one configuration, not halfway between several [log unit], shape (N, 3)."""
@@ -316,18 +328,94 @@ class Estimate:
         """Whether each robot is located, shape (N,); None where `undetermined` is."""
         return None if self.undetermined is None else np.logical_not(self.undetermined.any(axis=1))
 
+    @property
+    def is_guess(self) -> Bools:
+        """Whether each robot's position is a guess, shape (N,).
+
+        Then no measurement ties the robot to the anchor, or to robots that were located.
+        """
+        located = self.located
+        return self.disconnected if located is None else self.disconnected | ~located
+
+    def within(self, distance: float) -> Reals | None:
+        """Compute the probability that each robot is within a distance of its estimated position.
+
+        Only robots with a probability of `SURE` or more should be relied on. It follows from `sd`
+        by the law `error_law.ERRORS` of error / sd, which `python -m benchmarks.within fit` fitted
+        on training logs of all methods; `docs/accuracy.md` shows how often it is right on others.
+
+        Args:
+            distance: Distance [log unit].
+
+        Returns:
+            Probabilities [1], shape (N,); NaN where the position is a guess, or `sd` is unknown.
+            None where the method states no `sd`.
+
+        Raises:
+            InputError: the distance is not a positive number.
+        """
+        refuse_distance(distance)
+        if self.sd is None:
+            return None
+        with np.errstate(divide="ignore"):  # the anchor has no error
+            probability = ERRORS.probability(distance / self.sd)
+        return np.where(self.is_guess | ~np.isfinite(self.sd), np.nan, probability)
+
+    @property
+    def near_distance(self) -> float:
+        """Distance that counts as near in words: `tolerance`, or R [log unit]."""
+        return self.dock_radius if self.tolerance is None else self.tolerance
+
+    @property
+    def near(self) -> str:
+        """That distance with its unit; R also in that of the log."""
+        text = f"{two_digits(self.near_distance)} {self.length_unit}"
+        is_radius = self.tolerance is None and self.length_unit != "R"
+        return f"{text} (1 R)" if is_radius else text
+
+    @property
+    def statement(self) -> str:
+        """State in a sentence how many robots are near where they are shown.
+
+        Near is within `near_distance`. Robots that have left do not count.
+        """
+        stays = np.ones(self.robot_count, np.bool_) if self.gone is None else ~self.gone
+        robots = int(stays.sum())
+        probability = self.within(self.near_distance)
+        if self.sd is None or probability is None:
+            return f"the method states no error of the positions of {counted(robots, 'robot')}"
+        is_sure = probability >= SURE
+        sure = int((stays & is_sure).sum())
+        is_one = sure <= 1
+        who = f"{sure} of {counted(robots, 'robot')} {'is' if is_one else 'are'}"
+        if sure == 0:
+            who = f"none of {counted(robots, 'robot')} is known to be"
+        elif sure == robots > 1:
+            who = f"all {robots} robots are"
+        near = f"within {self.near} of where {'it is' if is_one else 'they are'} shown"
+        if self.free_frame:
+            near += ", up to a motion of all,"
+        clauses = [f"{who} {near} ({100.0 * SURE:g} %)"]
+        unsure = stays & (probability < SURE)
+        guesses = int((stays & np.isnan(probability)).sum())
+        if unsure.any():
+            farthest = two_digits(sure_ratio() * float(self.sd[unsure].max()))
+            clauses.append(f"{unsure.sum()} may be anywhere within {farthest} {self.length_unit}")
+        if guesses:
+            of_one = "the position of 1 is a guess"
+            clauses.append(of_one if guesses == 1 else f"the positions of {guesses} are guesses")
+        return "; ".join(clauses)
+
     def __repr__(self) -> str:
         """Describe the estimate in a line."""
-        parts = [f"{counted(self.robot_count, 'robot')}, lengths in {self.length_unit}"]
-        if self.sd is not None and np.isfinite(self.sd).any():
-            parts.append(f"sd {np.median(self.sd[np.isfinite(self.sd)]):.2g} in the median")
-        if self.convergence is not None:
-            parts.append("converged" if self.convergence.converged else "not converged")
-            if not self.convergence.consistent:
-                parts.append("not consistent")
-        if self.is_open is not None and self.is_open.any():
-            parts.append(f"{counted(int(self.is_open.sum()), 'robot')} not determined")
-        return f"Estimate({', '.join(parts)})"
+        parts = [self.statement]
+        if self.convergence is not None and not self.convergence.trusted:
+            words = {
+                "converged": self.convergence.converged,
+                "consistent": self.convergence.consistent,
+            }
+            parts += [f"not {word}" for word, is_good in words.items() if is_good is False]
+        return f"Estimate({'; '.join(parts)})"
 
     def columns(self) -> dict[str, Sequence[object]]:
         """List the columns of `estimate.csv` by name."""
@@ -335,6 +423,7 @@ class Estimate:
         columns = position_columns(self.robot_id, self.position, unit)
         if self.sd is not None:
             columns[f"sd_{unit}"] = self.sd.tolist()
+        columns |= self._within_columns()
         if self.observability is not None:
             columns["known"] = self.known
         if self.gone is not None:
@@ -344,6 +433,19 @@ class Estimate:
         if self.undetermined is not None:
             axes = np.where(self.undetermined, [*"xyz"], "")
             columns["undetermined"] = ["".join(row) for row in axes.tolist()]
+        return columns
+
+    def _within_columns(self) -> dict[str, Sequence[object]]:
+        """List the probabilities of distances by name: of R, and of `tolerance`."""
+        distances = {"1R": self.dock_radius}
+        if self.tolerance is not None:
+            distances[f"{self.tolerance:g}{self.length_unit}"] = self.tolerance
+        columns: dict[str, Sequence[object]] = {}
+        for name, distance in distances.items():
+            probability = self.within(distance)
+            if probability is None:
+                probability = np.full(self.robot_count, np.nan)
+            columns[f"{WITHIN}{name}"] = probability.round(_PROBABILITY_DIGITS).tolist()
         return columns
 
     def to_frame(self) -> "pd.DataFrame":
@@ -373,6 +475,16 @@ class Estimate:
             residual=np.append(self.residual[:-1], chosen.residual),
             residual_sd=chosen.residual_sd,
         )
+
+
+def refuse_distance(distance: float) -> None:
+    """Refuse a distance that no robot can be within.
+
+    Raises:
+        InputError: the distance is not a positive number.
+    """
+    if not 0.0 < distance < np.inf:
+        raise InputError(f"{distance:g} should be above 0; give a length", argument="within")
 
 
 def position_columns(

@@ -243,20 +243,32 @@ COVERAGE_50 = Measure(
 COVERAGE_90 = Measure(
     "coverage_90", "1", _BOTH, "share of robots, without anchors, in their 90 % interval"
 )
+SURE = _larger(
+    "sure_1R",
+    "1",
+    _ESTIMATE,
+    "share of robots, without anchors, that are within 1 R of their estimated positions with a "
+    "probability of 95 % or more, `within_1R`; empty if the method states no `sd_R`",
+)
+SURE_OFF = Measure(
+    "sure_off_1R", "1", _BOTH, "share of these that are off by 1 R or more; empty without any"
+)
 PRECISION = _larger(
     "outlier_precision", "1", _BOTH, "wrong contacts among those reported as outliers"
 )
 RECALL = _larger("outlier_recall", "1", _BOTH, "reported outliers among wrong contacts")
 CONVERGED = _larger("converged", "1", _ESTIMATE, "whether the method converged")
 CONSISTENT = _larger(
-    "consistent", "1", _ESTIMATE, "whether noise as stated explains the measurements"
+    "consistent",
+    "1",
+    _ESTIMATE,
+    "whether noise as stated explains the measurements; empty where that was not tested",
 )
 TESTABLE = Measure(
     "testable",
     "1",
     _ESTIMATE,
-    "whether the log could be found not consistent: it was, or its spare measurements are at least "
-    "a quarter of the unknown coordinates",
+    "whether the log could be found not consistent: it was, or it has spare measurements",
 )
 SPARE = Measure(
     "spare_measurements",
@@ -483,6 +495,8 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     "calibration": {
         COVERAGE_50: "robots in their 50 % interval",
         COVERAGE_90: "robots in their 90 % interval",
+        SURE: "robots within 1 R (95 %)",
+        SURE_OFF: "of these off by more",
         PRECISION: "precision of outliers",
         RECALL: "recall of outliers",
         CONVERGED: "converged estimates",

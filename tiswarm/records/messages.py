@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Collection, Iterable, Sequence
 
+import numpy as np
 from pydantic_core import ErrorDetails
 
 from tiswarm.base.errors import did_you_mean
@@ -108,6 +109,15 @@ def three_digits(number: float) -> str:
     ('2.60', '123', '0.000120')
     """
     return f"{number:#.3g}".rstrip(".")
+
+
+def two_digits(number: float) -> str:
+    """Write a number with up to two significant digits, without an exponent.
+
+    >>> two_digits(2.0), two_digits(123.4), two_digits(0.00012)
+    ('2', '120', '0.00012')
+    """
+    return np.format_float_positional(float(f"{number:.2g}"), trim="-")
 
 
 def exact_text(numbers: Iterable[float]) -> str:

@@ -1,7 +1,7 @@
 """True and estimated positions, and their tables `robot,x_R,y_R,z_R`.
 
-The table of an estimate may also have the columns `sd_R`, `known`, `yaw_deg` and `undetermined`. No
-localizer may import this module, which holds the truth.
+The table of an estimate may also have the columns `sd_R`, `within_1R`, `known`, `yaw_deg` and
+`undetermined`. No localizer may import this module, which holds the truth.
 """
 
 import csv
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records.estimate import Estimate, Observability, position_columns
+from tiswarm.records.estimate import WITHIN, Estimate, Observability, position_columns
 from tiswarm.records.io import CsvFile, Opener, replacing
 from tiswarm.records.sensing_log import SensingLog
 
@@ -97,6 +97,8 @@ def read_positions_of(log: SensingLog, path: Path) -> Reals:
 def read_estimate(log: SensingLog, path: Path) -> Estimate:
     """Read an estimate of a log; the table has neither solutions, outliers nor residuals.
 
+    Probabilities are computed again from `sd`.
+
     Raises:
         InputError: the table cannot be read, is malformed, or has other robots than the log.
     """
@@ -134,6 +136,7 @@ def read_estimate(log: SensingLog, path: Path) -> Estimate:
         trace=np.empty((0, robots, 3)),
         residual=np.empty(0),
         length_unit=log.length_unit,
+        dock_radius=log.dock_radius,
     )
 
 
@@ -146,7 +149,8 @@ def read_positions(
         InputError: the table cannot be read or a row is malformed; names file and line.
     """
     table = CsvFile(path)
-    columns = _header(length_unit)
+    within = [name for name in table.columns if name.startswith(WITHIN)]
+    columns = _header(length_unit, within or [f"{WITHIN}1R"])
     required = columns[:4]
     optional = columns[4:]
     if table.columns != [name for name in columns if name in {*required, *table.columns}]:
@@ -197,6 +201,7 @@ def read_length_unit(path: Path) -> str:
     return unit
 
 
-def _header(length_unit: str) -> list[str]:
+def _header(length_unit: str, within: Sequence[str]) -> list[str]:
+    """List the columns of a table in order; `within` are those of probabilities."""
     lengths = [f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")]
-    return ["robot", *lengths, "known", "gone", "yaw_deg", "undetermined"]
+    return ["robot", *lengths, *within, "known", "gone", "yaw_deg", "undetermined"]

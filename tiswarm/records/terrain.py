@@ -47,8 +47,8 @@ class Terrain:
 
     def foot(self, point: Reals) -> Reals:
         """Find the nearest place on the ground's surface to each point outside [R], (n, 3)."""
-        feet = [self._foot(point, x) for x in self._spine_x(point)]
-        distance = [np.linalg.norm(point - foot, axis=1) for foot in feet]
+        feet = self._feet(point)
+        distance = np.linalg.norm(point - feet, axis=-1)
         return np.where((distance[0] <= distance[-1])[:, None], feet[0], feet[-1])
 
     def depth(self, point: Reals, radius: float) -> Reals:
@@ -84,10 +84,15 @@ class Terrain:
             slabs.append(np.maximum(point[:, 0], self.right_edge))
         return slabs
 
-    def _foot(self, point: Reals, spine_x: Reals) -> Reals:
-        spine = np.column_stack([spine_x, point[:, 1], np.full(len(point), self._spine_z)])
+    def _feet(self, point: Reals) -> Reals:
+        """Find the nearest place of each slab, shape (slabs, n, 3)."""
+        spine_x = self._spine_x(point)
+        spine = np.empty((len(spine_x), *point.shape))
+        spine[..., 0] = spine_x
+        spine[..., 1] = point[:, 1]
+        spine[..., 2] = self._spine_z
         out = point - spine
-        nearest: Reals = spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)
+        nearest: Reals = spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=-1, keepdims=True)
         return nearest
 
 

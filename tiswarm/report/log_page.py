@@ -9,7 +9,7 @@ import pandas as pd
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.contacts import contact_count
-from tiswarm.measurements.verdicts import IMAGES_APART, distrust, headline, verdict
+from tiswarm.measurements.verdicts import IMAGES_APART, distrust, in_brief
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog
@@ -65,30 +65,28 @@ def gather_log_page(
 
 
 def _result(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -> str:
-    """State in a sentence what was found."""
-    unit = view.log.length_unit
-    sd = _tied_sd(view, estimate)
-    accuracy = []
-    if len(sd):
-        accuracy.append(f"a standard deviation of {np.median(sd):.2g} {unit} in the median")
+    """State in sentences how many robots are near where they are shown, and their error."""
+    sentences = [_capital(estimate.statement)]
     if scores:
-        accuracy.append(f"an RMSE of {scores['RMSE']:.3g} {unit}")
+        sentences.append(f"The RMSE is {scores['RMSE']:.3g} {view.log.length_unit}")
     departed = len(view.log.gone)
-    result = f"{counted(len(view.robot) - departed, 'robot')} located"
-    if accuracy:
-        result += f" with {' and '.join(accuracy)}"
-    return f"{result}. {departed} left." if departed else f"{result}."
+    if departed:
+        sentences.append(f"{departed} left")
+    return " ".join(f"{sentence}." for sentence in sentences)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _in_words(log: SensingLog, estimate: Estimate) -> str:
-    """State in a line whether to trust the estimate, and what limits it."""
+    """State in a line why robots may not be where they are shown."""
+    text = in_brief(log, estimate)
     if distrust(log, estimate):
-        text = f"{verdict(estimate)}: see Warnings"
-    else:
-        text = headline(log, estimate)
+        text += ": see Warnings"
     sentences = []
     if text:
-        sentences.append(text[:1].upper() + text[1:])
+        sentences.append(_capital(text))
     floppy = estimate.known.count("floppy")
     if floppy:
         sentences.append(f"Floppy modes move {counted(floppy, 'robot')}")
@@ -199,7 +197,7 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
     radius = view.log.dock_radius
     unit = view.log.length_unit
     tied = replace(view, name="estimate", sd=np.where(estimate.disconnected, np.nan, view.sd))
-    shown = [view_data(tied, tied.colorings)]
+    shown = [view_data(tied, tied.page_colorings)]
     solutions = estimate.solutions if len(estimate.solutions) > 1 else ()
     room = max(MOST_ROBOTS // len(view.robot) - len(shown), 0)
     for number, solution in enumerate(solutions[:room], start=1):
@@ -243,6 +241,9 @@ def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
     for label, values in [("sd", view.sd * size), ("error", view.error * size)]:
         if np.isfinite(values).any():
             columns[f"{label} [{unit}]"] = ["" if math.isnan(v) else f"{v:.3g}" for v in values]
+    if view.within is not None:
+        shares = view.within.tolist()
+        columns[f"within {view.near} [%]"] = ["" if math.isnan(p) else percent(p) for p in shares]
     columns["contacts"] = [str(many) for many in contact_count(log)]
     if estimate.gone is not None:
         columns["gone"] = ["yes" if gone else "" for gone in estimate.gone.tolist()]

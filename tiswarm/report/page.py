@@ -353,6 +353,7 @@ def _gather(run: RunData) -> Page:
     return Page(
         name=stated.get("name", run.folder.name),
         description=stated.get("description", ""),
+        result=page_tables.statement_of(run.summary),
         what=_in_words(run, manifest),
         warnings=page_tables.warnings_of(run.summary),
         notes=page_tables.notes_of(run.summary, manifest),

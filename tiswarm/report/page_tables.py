@@ -11,11 +11,13 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.measurements.verdicts import describe_misfit
+from tiswarm.records import error_law
 from tiswarm.records.frames import csv_text
 from tiswarm.records.measures import (
     BUILT_FOR,
     CONSISTENT,
     CONVERGED,
+    COVERAGE_90,
     DEPTH,
     DIED,
     DISCONNECTED,
@@ -32,11 +34,13 @@ from tiswarm.records.measures import (
     SENT,
     SETTLED,
     SPARE,
+    SURE,
+    SURE_OFF,
     TESTABLE,
     Measure,
     plugin_headings,
 )
-from tiswarm.records.messages import MISSING, counted, three_digits
+from tiswarm.records.messages import MISSING, counted, percent, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.run_data import measured_words, with_points
 
@@ -414,7 +418,7 @@ def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
         note += (
             " Converged: several searches found one least cost. Consistent: noise as stated "
             "explains it; where not, the factor multiplies standard deviations. Not testable: "
-            "fewer measurements are spare than a quarter of the unknown coordinates."
+            "no measurements are spare."
         )
     if "mirrored robots" in columns:
         note += (
@@ -424,6 +428,29 @@ def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
     labeled = _labeled(_names(table), columns, "Calibration", note)
     is_reported = (labeled.frame[[*columns]] != "").any(axis=1)
     yield replace(labeled, frame=labeled.frame[is_reported])
+
+
+def statement_of(summary: pd.DataFrame) -> str:
+    """State in a sentence how many robots are near where they are shown; empty without estimates.
+
+    It is of the series with the largest share, in the mean over its cases.
+    """
+    done = summary[summary["status"] == "done"]
+    if RMSE.column not in done or done[RMSE.column].isna().all():
+        return ""
+    share = done.groupby("series", sort=False).mean(numeric_only=True)
+    share = share.reindex(columns=[SURE.column, SURE_OFF.column])
+    if share[SURE.column].isna().all():
+        # Tables of earlier versions have intervals alone.
+        if done.reindex(columns=[COVERAGE_90.column]).notna().any(axis=None):
+            return ""
+        return "No method states the error of single robots."
+    best = share[SURE.column].idxmax()
+    off = share[SURE_OFF.column][best]
+    name = f"{best}: " if len(share) > 1 else ""
+    text = f"{name}{percent(share[SURE.column][best])} % of the robots are within 1 R of where they"
+    text += f" are shown ({100.0 * error_law.SURE:g} %)"
+    return text + (f"; {percent(off)} % of these are not." if off > 0.0 else ".")
 
 
 def _robots_on_anchor(table: pd.DataFrame) -> Iterator[PageTable]:
@@ -441,16 +468,16 @@ def _robots_on_anchor(table: pd.DataFrame) -> Iterator[PageTable]:
 
 def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
     """Format the share of consistent estimates among those that were tested, by label."""
-    if not {CONSISTENT.mean, TESTABLE.mean} <= set(table):
+    if TESTABLE.mean not in table:
         return {}
     tested = table[TESTABLE.mean].astype(float)
-    share = (table[CONSISTENT.mean].astype(float) - (1.0 - tested)) / tested.where(tested > 0.0)
+    share = table.get(CONSISTENT.mean, tested * math.nan).astype(float)
     spare = _numbers(table.get(SPARE.mean, tested * math.nan))
     tested_share = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
     texts = np.where(
         tested > 0.0, _numbers(share) + tested_share, "not testable (" + spare + " spare)"
     )
-    has_verdict = table[CONSISTENT.mean].notna()
+    has_verdict = tested.notna()
     if not has_verdict.any():
         return {}
     column = pd.Series(texts, table.index, dtype=str).where(has_verdict, "")

@@ -19,7 +19,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.odometry import with_orientations
-from tiswarm.records.estimate import MOST_WITHIN, Estimate
+from tiswarm.records.estimate import MOST_WITHIN, WITHIN, Estimate
 from tiswarm.records.frames import EstimateTrace, read_frame, read_trace, thinned
 from tiswarm.records.io import MAX_LOG_BYTES, at_line, digest, numbered_lines, run_file, way_back
 from tiswarm.records.measures import RMSE
@@ -133,6 +133,8 @@ class SwarmView:
     user_colorings: Sequence[Coloring] = ()  # values of the user
     further_colorings: Sequence[Coloring] = ()  # values that structures do not have
     is_of_engine: bool = False  # whether it is a swarm that grew no structure
+    within: Reals | None = None  # probability of being `near` the estimated position [1], (N,)
+    near: str = "1 R"  # a distance, in words
 
     @cached_property
     def log(self) -> SensingLog:
@@ -191,6 +193,28 @@ class SwarmView:
         return [coloring for coloring in colorings if np.isfinite(coloring.value).any()]
 
     @property
+    def page_colorings(self) -> list[Coloring]:
+        """What pages offer: `colorings`, and before the sd the probability that follows from it.
+
+        So a page without a truth opens on it: robots that are surely near are pale.
+        """
+        offered = self.colorings
+        if self.within is None or not np.isfinite(self.within).any():
+            return offered
+        probability = Coloring(
+            f"within {self.near}",
+            "%",
+            100.0 * self.within,
+            "margins",
+            most=100.0,
+            meaning="probability",
+            gray="guess",
+        )
+        labels = [coloring.label for coloring in offered]
+        place = labels.index(SD) if SD in labels else len(offered)
+        return [*offered[:place], probability, *offered[place:]]
+
+    @property
     def margin_coloring(self) -> Coloring:
         """Margins, from those of contacts about to break to those with a tenth of their load.
 
@@ -239,12 +263,12 @@ def read_case_view(case: StoredCase) -> SwarmView:
         gaps = [*estimated_names, "sensed_force"]
         names = [*POSE, *estimated_names, *further, "robot"]
         table = case.columns("robots.csv", names, gaps=gaps, optional=["margin"])
-        sd, is_gone = _spread(case, len(table))
+        sd, within, is_gone = _spread(case, len(table))
     else:
         names = [*POSE, *further, "robot"]
         measured = case.columns("robots.csv", names, gaps=["sensed_force"], optional=["margin"])
         table = np.insert(measured, [len(POSE)] * len(estimated_names), np.nan, axis=1)
-        sd = np.full(len(table), np.nan)
+        sd = within = np.full(len(table), np.nan)
         is_gone = _lost(case)
     stood = table[:, :7].copy()
     table[is_gone, :-1] = np.nan  # robots that left are not shown
@@ -279,6 +303,7 @@ def read_case_view(case: StoredCase) -> SwarmView:
         read_trace=lambda: _read_trace(case, len(robot)),
         read_loads=lambda: read_loads(case),
         user_colorings=case.user_colorings,
+        within=within,
     )
 
 
@@ -390,18 +415,24 @@ def _case_ground(case: StoredCase, header: HeaderLine) -> Ground | None:
     )
 
 
-def _spread(case: StoredCase, robots: int) -> tuple[Reals, Bools]:
-    """Read the sd of robots that stay, tied to the anchor [R], NaN of others; and who has left."""
+def _spread(case: StoredCase, robots: int) -> tuple[Reals, Reals, Bools]:
+    """Read the sd [R] and probability to be near of robots that stay, and who has left.
+
+    The sd is NaN of robots that nothing ties to the anchor, and both are NaN of those that left.
+    """
     path = case.folder / "estimate.csv"
     table = read_frame(path)
-    if ("sd_R" in table or "gone" in table) and len(table) != robots:
+    names = ["sd_R", f"{WITHIN}1R"]
+    if any(name in table for name in (*names, "gone")) and len(table) != robots:
         problem = f"has {len(table)} robots, robots.csv {robots}; run the scenario again"
         raise InputError(problem, path=path, line=len(table) + 2)
     is_gone = np.broadcast_to(table.get("gone") == "yes", robots)
     if "sd_R" not in table:
-        return np.full(robots, np.nan), is_gone
-    sd = case.columns(path.name, ["sd_R"], gaps=["sd_R"])[:, 0]
-    return np.where((table.get("known") == "disconnected") | is_gone, np.nan, sd), is_gone
+        unknown = np.full(robots, np.nan)
+        return unknown, unknown, is_gone
+    sd, within = case.columns(path.name, names, gaps=names, optional=names[1:]).T
+    is_unknown = (table.get("known") == "disconnected") | is_gone
+    return np.where(is_unknown, np.nan, sd), np.where(is_gone, np.nan, within), is_gone
 
 
 def view_log(
@@ -432,6 +463,7 @@ def view_log(
     center = unknown if true is None else true / unit + gone
     trace = thinned(estimate)
     trace = trace and trace._replace(center=trace.center / unit)
+    within = estimate.within(estimate.near_distance)
     return SwarmView(
         name=name,
         robot=log.robot_id,
@@ -447,6 +479,8 @@ def view_log(
         read_log=lambda: log,
         read_trace=lambda: trace,
         user_colorings=user_colorings,
+        within=None if within is None else within + gone[:, 0],
+        near=estimate.near,
     )
 
 
@@ -585,7 +619,7 @@ def build_view(run: RunData) -> View | None:
         seed = case.name.partition("-")[0]
         condition = case.condition if is_grid else case.series or case.name
         view = replace(read_case_view(case), name=f"{condition}, seed {seed}")
-        data = view_data(view, view.colorings)
+        data = view_data(view, view.page_colorings)
         data |= {"point": case.point if is_grid else "", "condition": condition}
         if sum(len(case_data["robot"]) for case_data in [*shown, data]) > MOST_ROBOTS:
             break

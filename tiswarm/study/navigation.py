@@ -7,28 +7,48 @@ nobody knows where the other side is until both meet, unless `structure.anchors`
 that climb plan by the orientation that they sense.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.compute.math import dock_offsets, normal
+from tiswarm.compute.math import normal
 from tiswarm.localization import methods
 from tiswarm.measurements.odometry import with_orientations
+from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import SensingLogBuilder, lines_of
 from tiswarm.records.sensing_format import HeaderLine, RobotLine
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
 from tiswarm.sensing.imu import of_shape, sensed_turn
+from tiswarm.world.growth import Believe, GrowingStructure
 from tiswarm.world.history import History
 from tiswarm.world.params import BeliefErrorParams
-from tiswarm.world.walks import Belief, Believe, Turn
+from tiswarm.world.walks import Belief, Turn
 
 _DRAWS = 3
 """Numbers of the draw of a robot."""
+
+
+class Placed(NamedTuple):
+    """Where n robots in join order believe to be."""
+
+    center: Reals
+    """Centers [R], shape (n, 3)."""
+
+    sd: Reals
+    """Standard deviation of each, over all three axes [R], shape (n,); NaN if unknown."""
+
+    sent: Reals
+    """Bytes that each robot has sent for that, shape (n,); NaN without messages."""
+
+
+Place = Callable[[SensingLog], Placed]
+"""Places the robots of a log."""
 
 
 class _Side:
@@ -38,10 +58,9 @@ class _Side:
         self, history: History, robots: Ints, header: HeaderLine, lines: Sequence[RobotLine]
     ) -> None:
         """Choose from the lines of a whole log."""
-        founder = int(robots[0])
-        self.key = (history.seed, founder)
+        self.founder = int(robots[0])
         self.robots = robots
-        anchor = history.walks[founder].center[-1].tolist()
+        anchor = history.walks[self.founder].center[-1].tolist()
         # What robots sense later may need the newer version.
         self.header = header.model_copy(update={"version": 2, "anchor_position": anchor})
         builder = SensingLogBuilder(self.header, of_some=True)
@@ -51,13 +70,20 @@ class _Side:
         self.log = replace(builder.log(), robot_id=np.arange(len(robots)))
 
 
-def navigate(settings: Scenario) -> dict[str, Any]:
-    """Return the arguments `believe` and `turn` of `tiswarm.world.growth.grow` for a case."""
-    error = settings.structure.belief_error
-    return {
-        "believe": believe_by(settings) if error is None else believe_with(error),
-        "turn": _turn_by(settings),
-    }
+def navigate(settings: Scenario, place: Place | None = None) -> dict[str, Any]:
+    """Return the arguments `believe` and `turn` of `tiswarm.world.growth.grow` for a case.
+
+    Args:
+        settings: Settings of the case.
+        place: Places robots that navigate by estimates, in place of the method of the case.
+    """
+    by = settings.structure.navigate_by
+    if by == "truth":
+        return {"believe": None, "turn": None}
+    believe: Believe = believe_with_error
+    if by == "estimate":
+        believe = believe_by(settings, place)
+    return {"believe": believe, "turn": _turn_by(settings)}
 
 
 def _turn_by(settings: Scenario) -> Turn:
@@ -77,18 +103,22 @@ def _turn_by(settings: Scenario) -> Turn:
     return turn
 
 
-def believe_with(error: BeliefErrorParams) -> Believe:
-    """Return beliefs that are the truth plus an error of a kind."""
-
-    def believe(grown: Sequence[History]) -> list[Belief]:
-        beliefs: list[Belief] = []
-        for history in grown:
-            offset = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)
-            center = history.position + error_of(history, error)
-            beliefs.append(Belief((center[:, None] + offset).reshape(-1, 3)))
-        return beliefs
-
-    return believe
+def believe_with_error(grown: Sequence[GrowingStructure]) -> list[Belief]:
+    """Return beliefs that are the truth plus the error of the settings of each structure."""
+    beliefs: list[Belief] = []
+    for structure in grown:
+        history = structure.history()
+        error = structure.params.belief_error
+        assert error is not None  # noqa: S101 - settings without one are refused
+        center: Reals = history.position + error_of(history, error)
+        beliefs.append(
+            Belief(
+                center=center,
+                orientation_wxyz=history.orientation_wxyz,
+                sd=error_sd(history, error),
+            )
+        )
+    return beliefs
 
 
 def error_of(history: History, error: BeliefErrorParams) -> Reals:
@@ -119,6 +149,22 @@ def error_of(history: History, error: BeliefErrorParams) -> Reals:
     return draw
 
 
+def error_sd(history: History, error: BeliefErrorParams) -> Reals:
+    """Compute the root mean square of the length of each robot's error [R], shape (N,)."""
+    first = _touched_first(history)
+    is_anchor = first == np.arange(history.robot_count)
+    if error.kind == "turn":
+        arm = history.position - history.position[founders_of(history)]
+        turned_sd: Reals = 2.0 * abs(np.sin(0.5 * error.size)) * np.hypot(arm[:, 0], arm[:, 1])
+        return turned_sd
+    draws = np.where(is_anchor, 0, 1)
+    if error.kind == "adding-up":
+        for j in np.flatnonzero(~is_anchor):
+            draws[j] += draws[first[j]]
+    sd: Reals = error.size * np.sqrt(draws)
+    return sd
+
+
 def _touched_first(history: History) -> Ints:
     """Return the robot that each one touched first where it stayed; itself if there is none."""
     at_rest = [walk.at_rest(walk.contacts)[:, 1].tolist() for walk in history.walks]
@@ -142,59 +188,77 @@ def founders_of(history: History) -> Ints:
     return np.array(founder)
 
 
-def believe_by(settings: Scenario) -> Believe:
-    """Return how the robots of a case come to know where docks are.
+def believe_by(settings: Scenario, place: Place | None = None) -> Believe:
+    """Return how the robots of a case come to know where they are.
 
     Robots sense with the noise of the case. Its method places each as it joins, or localizes all
-    again after each join. A dock is believed where the estimated center and the sensed orientation
-    of its robot put it.
+    again after each join. They believe to stand as they sense.
+
+    Args:
+        settings: Settings of the case.
+        place: Places the robots of a log, again after each join, in place of the method.
     """
     params = settings.localization
-    swarms: dict[tuple[int, int], Any] = {}
+    swarms = WeakKeyDictionary[GrowingStructure, dict[int, Any]]()
+    """Robots that are placed as they join, by the structure and its founder."""
 
-    def believe(grown: Sequence[History]) -> list[Belief]:
-        logs = [observe(history, settings.sensing) for history in grown]
-        structures = [_sides(history, log) for history, log in zip(grown, logs, strict=True)]
-        localized = localize([side for sides in structures for side in sides])
+    def believe(grown: Sequence[GrowingStructure]) -> list[Belief]:
+        histories = [structure.history() for structure in grown]
+        logs = [observe(history, settings.sensing) for history in histories]
+        structures = [_sides(history, log) for history, log in zip(histories, logs, strict=True)]
+        placed = iter(locate(grown, structures))
         beliefs: list[Belief] = []
         for log, sides in zip(logs, structures, strict=True):
             order = np.argsort(np.concatenate([side.robots for side in sides]))
-            center = np.concatenate([localized[side.key][0] for side in sides])
-            sent = np.concatenate([localized[side.key][1] for side in sides])
-            offset = dock_offsets(with_orientations(log).orientation_wxyz, log.dock_offset_body)
-            docks = (center[order, None] + offset).reshape(-1, 3)
-            beliefs.append(Belief(docks, sent[order]))
+            columns = zip(*[next(placed) for _ in sides], strict=True)
+            center, sd, sent = (np.concatenate(column)[order] for column in columns)
+            orientation = with_orientations(log).orientation_wxyz
+            beliefs.append(Belief(center, orientation, sd, sent))
         return beliefs
 
-    def localize(sides: Sequence[_Side]) -> dict[tuple[int, int], tuple[Reals, Reals]]:
-        """Find where robots believe they are [R], and what each has sent for that [B]."""
+    def locate(
+        grown: Sequence[GrowingStructure], structures: Sequence[Sequence[_Side]]
+    ) -> list[Placed]:
+        """Place the robots of all sides of structures, side by side."""
+        logs = [side.log for sides in structures for side in sides]
+        if place is not None:
+            return [place(log) for log in logs]
         open_swarm = methods.joining(params)
         if not open_swarm:
-            logs = [side.log for side in sides]
-            estimates = methods.localize_many(logs, [params for _ in logs])
-            return {
-                side.key: _with_bytes(e.position, e.traffic["sent"] if e.traffic else None)
-                for side, e in zip(sides, estimates, strict=True)
-            }
-        for side in sides:
-            if side.key not in swarms:
-                swarms[side.key] = open_swarm(side.header, params)
-            swarm = swarms[side.key]
-            for line in lines_of(side.log)[1][len(swarm.positions) :]:
-                swarm.join(line)
-        return {
-            side.key: _with_bytes(
-                swarms[side.key].positions, getattr(swarms[side.key], "sent", None)
-            )
-            for side in sides
-        }
+            return [placed_by(e) for e in methods.localize_many(logs, [params for _ in logs])]
+        placed = []
+        for structure, sides in zip(grown, structures, strict=True):
+            of_structure = swarms.setdefault(structure, {})
+            for side in sides:
+                if side.founder not in of_structure:
+                    of_structure[side.founder] = open_swarm(side.header, params)
+                swarm = of_structure[side.founder]
+                for line in lines_of(side.log)[1][len(swarm.positions) :]:
+                    swarm.join(line)
+                placed.append(
+                    _placed(
+                        swarm.positions, getattr(swarm, "sd", None), getattr(swarm, "sent", None)
+                    )
+                )
+        return placed
 
     return believe
 
 
-def _with_bytes(center: Reals, sent: Reals | None) -> tuple[Reals, Reals]:
-    """Pair positions with the bytes that robots sent for them, NaN without messages."""
-    return center, np.full(len(center), np.nan) if sent is None else 1.0 * sent
+def placed_by(estimate: Estimate) -> Placed:
+    """Return where an estimate places robots, and what these sent for it."""
+    sent = estimate.traffic["sent"] if estimate.traffic else None
+    return _placed(estimate.position, estimate.sd, sent)
+
+
+def _placed(center: Reals, sd: Reals | None, sent: Reals | None) -> Placed:
+    """Put positions together with their standard deviations and bytes, NaN where there are none."""
+    unknown = np.full(len(center), np.nan)
+    if sd is None:
+        sd = unknown
+    if sent is None:
+        sent = unknown
+    return Placed(center, 1.0 * sd, 1.0 * sent)
 
 
 def _sides(history: History, log: SensingLog) -> list[_Side]:

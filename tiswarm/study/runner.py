@@ -169,14 +169,13 @@ def run_job(
 def grow_again(case: Case) -> History:
     """Grow the structure of a case as its job did; the kernels give the same bits."""
     settings = case.settings
-    navigation = {} if settings.structure.navigate_by == "truth" else navigate(settings)
     backend.processor()
     [history] = grow(
         settings.structure,
         robots=settings.robots,
         seeds=[case.seed],
         robot=settings.robot,
-        **navigation,
+        **navigate(settings),
     )
     return history
 
@@ -293,9 +292,6 @@ class _CaseRunner:
         if not seeds:
             return histories
         self._warm_up_growth()
-        navigation = {}
-        if settings.structure.navigate_by != "truth":
-            navigation = navigate(settings)
         with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
             grown = grow(
                 settings.structure,
@@ -303,7 +299,7 @@ class _CaseRunner:
                 seeds=seeds,
                 robot=settings.robot,
                 on_progress=advance,
-                **navigation,
+                **navigate(settings),
             )
         self.used.add(Used("grow", backend.processor(), rounding=numerics.current()))
         for seed, history in zip(seeds, grown, strict=True):

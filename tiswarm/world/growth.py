@@ -13,7 +13,7 @@ contacts that bear too much break (`strength.py`). Robots under great load call 
 to their aid (`walks.py`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -41,7 +41,7 @@ from tiswarm.world.params import (
     structure_zones,
 )
 from tiswarm.world.strength import StrengthParams
-from tiswarm.world.walks import Believe, Spawn, Turn, Walks, climb_limits, note_belief, recruit
+from tiswarm.world.walks import Belief, Spawn, Turn, Walks, climb_limits, note_belief, recruit
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -56,7 +56,7 @@ def grow(
     robots: int,
     seeds: Sequence[int],
     robot: RobotGeometry,
-    believe: Believe | None = None,
+    believe: "Believe | None" = None,
     turn: Turn | None = None,
     on_progress: Advance = ignore,
 ) -> list[History]:
@@ -67,8 +67,8 @@ def grow(
         robots: Robots in each structure.
         seeds: One seed a structure.
         robot: The robots' shape.
-        believe: Where robots believe the docks of those that have joined; called after each round
-            with the structures that grew. None where all know the truth.
+        believe: What robots that have joined believe; called after each round with the structures
+            that grew. None where all know the truth.
         turn: By how much orientations that robots sense as they climb are wrong, if they believe;
             None for not at all.
         on_progress: Called after each round with the number of robots that joined in it.
@@ -125,10 +125,13 @@ class SteeredGrowth:
         self._climb = ChoiceClimb(
             batch.walks,
             batch.arrays,
+            batch.believed,
+            batch.sd,
             batch.sensed,
             batch.present,
             batch.members.memory_of_climber,
             batch.members.said,
+            is_local=getattr(batch.rule, "is_local", False),
         )
         self._step: ClimbStep | None = None
         self.is_over = np.zeros(len(batch.structures), np.bool_)
@@ -154,13 +157,14 @@ class SteeredGrowth:
         self._step = None
         self._end_rounds()
 
-    def reset(self, number: int, seed: int, params: StructureParams) -> None:
-        """Let a structure begin anew, from a seed."""
-        self._batch.reset(number, seed, params)
-        self._climb.is_walking[self._batch.structure_of == number] = False
-        self.is_over[number] = False
+    def reset(
+        self, numbers: AnyInts, seeds: Sequence[int], params: Sequence[StructureParams]
+    ) -> None:
+        """Let structures, shape (n,), begin anew, each from a seed."""
+        self._climb.is_walking[self._batch.reset(numbers, seeds, params)] = False
+        self.is_over[numbers] = False
         self._step = None
-        self._begin(np.array([number]))
+        self._begin(numbers)
 
     def _begin(self, numbers: AnyInts) -> None:
         """Let robots start, or walk on, in structures where nobody walks."""
@@ -180,7 +184,7 @@ class SteeredGrowth:
         if not ends.any() or (self._together and walks.any()):
             return False
         movers = np.flatnonzero(batch.moving & ends[batch.structure_of]).astype(np.int32)
-        self._climb.settle(movers)
+        self._climb.end(movers)
         numbers = np.flatnonzero(ends)
         self._on_progress(batch.end_round(movers, numbers, self._climb.waits))
         self._begin(numbers)
@@ -206,7 +210,7 @@ class GrowthBatch:
         robots: int,
         seeds: Sequence[int],
         robot: RobotGeometry,
-        believe: Believe | None,
+        believe: "Believe | None",
         turn: Turn | None,
     ) -> None:
         """Reserve room for structures of so many robots.
@@ -244,14 +248,19 @@ class GrowthBatch:
             relay=np.zeros((count, docks), np.int32),
             robot_count=np.zeros(count, np.int32),
         )
+        self.sd = np.zeros((count, robots))
+        """Standard deviation of the place that each robot believes [R], shape (S, N)."""
         self.believed = BelievedDocks(self.arrays.cells, self.arrays.dock)
         if believe:
             self.believed = BelievedDocks(CellList.allocate(count, docks), 0.0 * self.arrays.dock)
         movers = min(params[0].movers, robots)
         self.structure_of = np.repeat(np.arange(count, dtype=np.int32), movers)
         by_belief = believe is not None
-        limits = climb_limits(params[0].climb, robot, self.ground, by_belief=by_belief)
-        self.walks = Walks(self.structure_of, limits, params, robot, seeds)
+        limits, limits_by_truth = (
+            climb_limits(params[0].climb, robot, self.ground, by_belief=goes_by)
+            for goes_by in (by_belief, False)
+        )
+        self.walks = Walks(self.structure_of, limits, limits_by_truth, params, robot, seeds)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
         self.rounds = np.zeros(count, np.int32)
@@ -266,26 +275,39 @@ class GrowthBatch:
             docks=robot.dock_count,
         )
         self.members.seed[:] = seeds
+        self.members.sd = self.sd
         self.mute = np.zeros((count, robots), np.bool_)
         self.sensed = np.zeros((count, robots))
 
-    def reset(self, number: int, seed: int, params: StructureParams) -> None:
-        """Let a structure begin anew, without robots."""
-        self.frames.clear(number)
-        self.structures[number] = GrowingStructure(number, seed, params, self.robot, self.frames)
-        self.arrays.robot_count[number] = 0
-        self.arrays.cells.head[number] = -1
-        self.arrays.relay[number] = 0
-        self.call[number] = 0
-        self.sensed[number] = 0.0
-        self.present[number] = 1
-        self.mute[number] = False
-        self.rounds[number] = 0
-        self.leaves[number] = False
-        self.members.clear(number, seed)
-        slots = self.structure_of == number
+    def reset(
+        self, numbers: AnyInts, seeds: Sequence[int], params: Sequence[StructureParams]
+    ) -> Bools:
+        """Let structures, shape (n,), begin anew, without robots.
+
+        Returns:
+            Whether each slot is one of theirs, shape (slots,).
+        """
+        self.frames.clear(numbers)
+        for number, seed, of_structure in zip(numbers.tolist(), seeds, params, strict=True):
+            self.structures[number] = GrowingStructure(
+                number, seed, of_structure, self.robot, self.frames
+            )
+        self.arrays.robot_count[numbers] = 0
+        self.arrays.cells.head[numbers] = -1
+        self.believed.cells.head[numbers] = -1
+        self.sd[numbers] = 0.0
+        self.arrays.relay[numbers] = 0
+        self.call[numbers] = 0
+        self.sensed[numbers] = 0.0
+        self.present[numbers] = 1
+        self.mute[numbers] = False
+        self.rounds[numbers] = 0
+        self.leaves[numbers] = False
+        self.members.clear(numbers, seeds)
+        self.walks.restart(numbers, seeds, params)
+        slots: Bools = np.isin(self.structure_of, numbers)
         self.moving[slots] = False
-        self.walks.restart(number, slots, seed, params)
+        return slots
 
     def spawn(self, numbers: AnyInts) -> NDArray[np.int32]:
         """Fill the free slots of unfinished structures, shape (n,).
@@ -412,13 +434,15 @@ class GrowthBatch:
         self.moving[movers] = goes_on
         first_stance = np.where(disturbed < 0, walks.stances.last[movers], disturbed)
         walks.climbers.first_stance[movers[goes_on]] = first_stance[goes_on]
-        for slot in movers[~goes_on]:
+        joiners = movers[joined]
+        rounds = self.rounds[self.structure_of[joiners]]
+        walk_of = dict(zip(joiners.tolist(), walks.walks(joiners, rounds), strict=True))
+        if hasattr(self.rule, "act"):
+            self._admit_members(joiners)
+        for slot in movers[~goes_on].tolist():
             structure = self.structures[self.structure_of[slot]]
-            if walks.joined[slot] >= 0:
-                walk = walks.walk(slot, int(self.rounds[structure.number]))
-                if hasattr(self.rule, "act"):
-                    self._admit_member(slot, structure.number)
-                structure.join(walk, self.arrays.dock[structure.number])
+            if slot in walk_of:
+                structure.join(walk_of[slot], self.arrays.dock[structure.number])
             elif not wants[slot]:
                 structure.turn_away()
         for number in np.setdiff1d(climbed[is_waiting], climbed[joined]):
@@ -433,17 +457,22 @@ class GrowthBatch:
             self._update_beliefs(grown, self.believe)
         return int(joined.sum())
 
-    def _admit_member(self, slot: int, number: int) -> None:
-        """Let a robot that joins keep its memory."""
+    def _admit_members(self, slots: NDArray[np.int32]) -> None:
+        """Let robots that join, shape (k,), keep their memory, and what they believe so far."""
         members = self.members
-        place = (number, self.walks.joined[slot])
-        stay = self.walks.stances.stay[slot]
-        members.memory[place] = members.memory_of_climber[slot]
+        walks = self.walks
+        number = self.structure_of[slots]
+        place = (number, walks.joined[slots])
+        stay = walks.stances.stay[slots]
+        walks.believe(self.arrays, self.believed, slots, walks.stances.stay, walks.stances.stay)
+        source = walks.sources(slots, stay)[:, 0]
+        members.memory[place] = members.memory_of_climber[slots]
         members.joined_in[place] = members.rounds[number]
-        members.goal[place] = self.walks.climbers.goal[slot]
-        members.center[place] = self.walks.stances.center[slot, stay]
-        members.orientation[place] = self.walks.stances.orientation[slot, stay]
-        members.on_ground[place] = self.walks.stances.on_ground[slot, stay] != 0
+        members.goal[place] = walks.climbers.goal[slots]
+        members.center[place] = walks.believed.center[slots, stay]
+        members.orientation[place] = walks.believed.orientation[slots, stay]
+        members.on_ground[place] = walks.stances.on_ground[slots, stay] != 0
+        self.sd[place] = np.where(source >= 0, self.sd[number, source], 0.0)
 
     def _let_members_act(self, numbers: AnyInts) -> None:
         """Let the robots of some structures act by the rule, and note who leaves."""
@@ -519,23 +548,32 @@ class GrowthBatch:
             for slot in np.flatnonzero(self.moving & (self.structure_of == number)):
                 self.moving[slot] = present[self.walks.touched(slot)].all()
         self._list(lost, *self.arrays.cells, self.arrays.dock)
+        if self.believe:
+            self._list(lost, *self.believed.cells, self.believed.dock)
 
     def _list(self, structures: "Sequence[GrowingStructure]", *docks: NDArray[Any]) -> None:
         """List anew the docks of some structures, given as in `BelievedDocks`."""
+        if not structures:
+            return
         chosen = np.array([structure.number for structure in structures], np.int32)
         dock_count = self.walks.docks * self.arrays.robot_count
         backend.processor()
         list_docks(self.walks.limits.inverse_edge, chosen, dock_count, self.present, *docks)
 
-    def _update_beliefs(self, grown: "Sequence[GrowingStructure]", believe: Believe) -> None:
-        """Put the docks of structures that grew where robots believe them from now on."""
+    def _update_beliefs(self, grown: "Sequence[GrowingStructure]", believe: "Believe") -> None:
+        """Put the robots of structures that grew where they believe to be from now on."""
         cells, dock = self.believed
-        beliefs = believe([structure.history() for structure in grown])
-        for structure, (docks, sent) in zip(grown, beliefs, strict=True):
+        for structure, belief in zip(grown, believe(grown), strict=True):
+            offset = dock_offsets(belief.orientation_wxyz, self.robot.dock_offset_body)
+            docks = (belief.center[:, None] + offset).reshape(-1, 3)
+            joined = (structure.number, slice(len(belief.center)))
             dock[structure.number, : len(docks)] = docks
+            self.sd[joined] = belief.sd
+            self.members.center[joined] = belief.center
+            self.members.orientation[joined] = belief.orientation_wxyz
             true = self.arrays.dock[structure.number, : len(docks)]
             error = (docks - true).reshape(-1, self.walks.docks, 3).mean(axis=1)
-            note_belief(structure.walks, structure.history().contacts, error, sent)
+            note_belief(structure.walks, structure.history().contacts, error, belief.sent)
         self._list(grown, *cells, dock)
 
 
@@ -561,6 +599,10 @@ class DueStart(NamedTuple):
     """Whether it turns, where it stays, until a third dock touches."""
 
 
+Believe = Callable[[Sequence["GrowingStructure"]], Sequence[Belief]]
+"""Returns what the robots of structures that have grown so far believe."""
+
+
 class GrowingStructure:
     """One growing structure: who has joined, its loads, and the next spawn."""
 
@@ -578,9 +620,11 @@ class GrowingStructure:
         if isinstance(self.terrain, SolidGround) and params.sides > 1:
             self.side_of_body = sides_of_bodies(params, robot)
         self.docks = robot.dock_count
+        self.dock_offset_body = robot.dock_offset_body
         self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
-        self.clearance = robot.extent + robot.spacing
+        self.extent = robot.extent
+        self.clearance = self.extent + robot.spacing
         self.leads = params.spawn_behind == "leading"
         self.anchors = anchor_places(params, robot)
         self.walks: list[Walk] = []
@@ -652,7 +696,7 @@ class GrowingStructure:
             x, y = start.anchor_place
         half = np.pi * draw[2]
         place = np.array([x, y, self.level])
-        body = self.robot.dock_offset_body
+        body = self.dock_offset_body
         if not self.params.plane:
             place[2] -= body[:, 2].min()
             return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
@@ -706,7 +750,7 @@ class GrowingStructure:
             else:
                 self.rim[side] = max(behind)
         # Robots spawn on the ground: docks higher than they are stand in nobody's way.
-        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
+        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.extent
         if isinstance(self.terrain, SolidGround):
             is_low[:] = True  # ground of any height may be below them
         for dock in new[is_low]:
@@ -725,7 +769,7 @@ class GrowingStructure:
         if not np.isfinite(center[2]):
             return False
         if self.zones is not None:
-            dock = center + dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
+            dock = center + dock_offsets(orientation[None], self.dock_offset_body)[0]
             if self.zones.depth(dock, self.robot.dock_radius).max() > 0.0:
                 return False
         x, y = self._square(center)
@@ -764,12 +808,8 @@ class GrowingStructure:
         self.waited = 0
         self.walks.append(walk)
         joining_dock, touched_robot, touched_dock = walk.at_rest(walk.contacts).T
-        contacts = np.column_stack(
-            [
-                self.docks * touched_robot + touched_dock,
-                self.docks * j + joining_dock,
-            ]
-        )
+        ends = [self.docks * touched_robot + touched_dock, self.docks * j + joining_dock]
+        contacts = np.array(ends).T
         feet = np.concatenate([walk.ground_docks, walk.edge_docks])
         standing = self.docks * j + walk.at_rest(feet)[:, 0]
         self.frames.join(
@@ -917,15 +957,16 @@ class GrowingStructure:
 
     def note_loads(self) -> None:
         """Note what the last solve of its mechanics found, and who calls for help."""
-        self.sensed = np.full(len(self.walks), np.nan)
-        self.call = np.zeros(len(self.walks), np.int32)
-        if self.has_fallen:
-            return
-        try:
-            loads = self.frames.loads(self.number)
-        except StructureFailure as failure:
-            self.ended = str(failure)
-            self.crossed = False
+        loads = None
+        if not self.has_fallen:
+            try:
+                loads = self.frames.loads(self.number)
+            except StructureFailure as failure:
+                self.ended = str(failure)
+                self.crossed = False
+        if loads is None:
+            self.sensed = np.full(len(self.walks), np.nan)
+            self.call = np.zeros(len(self.walks), np.int32)
             return
         self.unsolved = 0
         alive = self.alive[: len(loads.sensed)]
@@ -934,7 +975,7 @@ class GrowingStructure:
         self.call = call(np.where(alive, loads.sensed, 0.0), self.params)
         self.loads[-1] = LoadSummary(
             peak=loads.peak,
-            sensed_max=float(np.nanmax(self.sensed)),
+            sensed_max=float(np.fmax.reduce(self.sensed)),
             calling=int(np.count_nonzero(self.call)),
             least_support=float((-loads.ground_force @ self.frames.down).min(initial=np.inf)),
             imbalance=loads.imbalance,

@@ -356,16 +356,17 @@ class Frames:
         joints: AnyInts = docks[place, beam] + self.frame.arm.shape[1] * place[:, None]
         return joints
 
-    def clear(self, structure: int) -> None:
-        """Take all robots out of a structure, as if none had joined."""
+    def clear(self, structures: AnyInts) -> None:
+        """Take all robots out of structures, shape (n,), as if none had joined."""
         self._admit()
-        self.robots[structure] = 0
-        self.gone[structure] = False
-        self.frame.node_count[structure] = 0
-        self.frame.beam_count[structure] = 0
-        self.frame.weight[structure] = 0.0
-        self.carrier[structure] = -1
-        self.stability[structure] = ""
+        self.robots[structures] = 0
+        self.gone[structures] = False
+        self.frame.node_count[structures] = 0
+        self.frame.beam_count[structures] = 0
+        self.frame.weight[structures] = 0.0
+        self.carrier[structures] = -1
+        for structure in structures.tolist():
+            self.stability[structure] = ""
 
     def _admit(self) -> None:
         """Build the beams of all robots that joined since the last solve."""

@@ -5,7 +5,7 @@ it senses, remembers and hears from the robots that it touches; what it says is 
 Numbers said are counted in bytes, once for each contact that they cross.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from tiswarm.world.choices import ClimbStep
 BYTES = 8
 """Bytes of a number that a robot sends."""
 
-_LOCAL = frozenset(
+LOCAL = frozenset(
     {
         "stance",
         "center",
@@ -38,6 +38,13 @@ _LOCAL = frozenset(
         "end_called",
         "memory",
         "heard",
+        "failed",
+        "tries",
+        "walk_tries",
+        "touched_dock",
+        "touched_sd",
+        "sd",
+        "end_sd",
     }
 )
 """What a climber knows of itself: it senses what it touches, and what its flips would meet."""
@@ -65,8 +72,8 @@ class LocalStep:
         Raises:
             AttributeError: it does not know that.
         """
-        if name not in _LOCAL:
-            seen = ", ".join(sorted(_LOCAL | {"pivot"}))
+        if name not in LOCAL:
+            seen = ", ".join(sorted(LOCAL | {"pivot"}))
             problem = f"a climber of a local rule does not know {name}; it knows {seen}"
             raise AttributeError(problem)
         return getattr(self._step, name)[self._rows]
@@ -106,6 +113,8 @@ class Members:
         """Its center [R], shape (P, 3)."""
         self.orientation_wxyz: Reals = arrays.orientation[place]
         """Its orientation, body to world, shape (P, 4)."""
+        self.sd: Reals = arrays.sd[place]
+        """Standard deviation of its place [R], 0 where robots know the truth, shape (P,)."""
         self.sensed: Reals = arrays.sensed[place]
         """Load that it sensed at the last solve [weight of a dock], shape (P,)."""
         self.on_ground: Bools = arrays.on_ground[place]
@@ -146,6 +155,7 @@ class MemberArrays:
         self.goal = np.zeros((*shape, 3))
         self.center = np.zeros((*shape, 3))
         self.orientation = np.zeros((*shape, 4))
+        self.sd = np.zeros(shape)
         self.sensed = np.zeros(shape)
         self.on_ground = np.zeros((*shape, docks), np.bool_)
         self.memory = np.zeros((*shape, words))
@@ -156,14 +166,14 @@ class MemberArrays:
         self.contacts: Ints = np.empty((0, 5), np.int64)
         """Rows (structure, robot, dock, robot, dock), both ways, of those that act."""
 
-    def clear(self, structure: int, seed: int) -> None:
-        """Forget all of a structure."""
-        self.seed[structure] = seed
-        self.rounds[structure] = 0
-        self.memory[structure] = 0.0
-        self.said[structure] = np.nan
-        self.sent[structure] = 0
-        self.on_ground[structure] = False
+    def clear(self, structures: AnyInts, seeds: Sequence[int]) -> None:
+        """Forget all of structures, shape (n,), which begin anew from seeds."""
+        self.seed[structures] = seeds
+        self.rounds[structures] = 0
+        self.memory[structures] = 0.0
+        self.said[structures] = np.nan
+        self.sent[structures] = 0
+        self.on_ground[structures] = False
 
     def act(self, act: Callable[[Members], object], numbers: AnyInts, present: Bools) -> Bools:
         """Let robots of some structures act, once.

@@ -386,19 +386,11 @@ class GrowthParams(RecruitParams):
                 raise ValueError(
                     f"robots that estimate must stay; leave out {losing}, or set truth"
                 )
-        if (by == "error") != (info.data.get("belief_error") is not None):
-            raise ValueError(f"{by} does not go with belief_error; set both error, or neither")
+        if by == "error" and info.data.get("belief_error") is None:
+            raise ValueError("error needs belief_error, as {kind: independent, size: 0.5}; add it")
+        if by != "error" and info.data.get("belief_error") is not None:
+            raise ValueError(f"{by} does not go with belief_error; set error, or leave that out")
         return by
-
-    @field_validator("rule")
-    @classmethod
-    def _choose_by_truth(cls, rule: Any, info: ValidationInfo) -> Any:  # noqa: ANN401 - any rule
-        if info.data.get("navigate_by") != "truth" and hasattr(rule, "choose"):
-            raise ValueError(
-                f"{rule.name} chooses by true places; leave out navigate_by, or give the rule a "
-                "score in place of choose"
-            )
-        return rule
 
     @property
     def anchor_count(self) -> int:

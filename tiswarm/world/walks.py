@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from inspect import signature
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from tiswarm.compute.lang import Ref, ti
 from tiswarm.compute.user_functions import is_of_library, mistake_of_user, reads, undecorated
 from tiswarm.records.terrain import Terrain
 from tiswarm.world import climb_kernels
+from tiswarm.world.belief_kernels import BelievedWalks, believe_stances
 from tiswarm.world.climb_kernels import (
     EDGE,
     FLAT,
@@ -40,7 +42,7 @@ from tiswarm.world.climb_kernels import (
 )
 from tiswarm.world.ground.kernels import HEADER
 from tiswarm.world.ground.solid import SolidGround, with_zones
-from tiswarm.world.history import History, Walk
+from tiswarm.world.history import Walk
 from tiswarm.world.params import (
     ClimbParams,
     GrowthParams,
@@ -55,16 +57,18 @@ _Slots = NDArray[np.int32]
 class Belief(NamedTuple):
     """What the N robots of a structure that has grown so far believe."""
 
-    docks: Reals
-    """Where their docks are [R]; dock k of n of robot i is in row n i + k, shape (n N, 3)."""
+    center: Reals
+    """Where their centers are [R], shape (N, 3)."""
+
+    orientation_wxyz: Reals
+    """How they stand, body to world, shape (N, 4)."""
+
+    sd: Reals
+    """Standard deviation of each center, over all three axes [R], shape (N,); NaN if unknown."""
 
     sent: Reals = np.array([np.nan])
     """Bytes that each robot has sent for that, shape (N,); NaN where robots send none."""
 
-
-Believe = Callable[[Sequence[History]], Sequence[Belief]]
-"""Returns what the robots of structures that have grown so far believe: of each structure where
-their docks are."""
 
 Turn = Callable[[int, int, int], Reals]
 """Returns the turns from the orientations of a robot to those that it senses, at as many stances:
@@ -194,6 +198,7 @@ class Walks:
         self,
         structure_of: _Slots,
         limits: ClimbLimits,
+        limits_by_truth: ClimbLimits,
         params: Sequence[GrowthParams],
         robot: RobotGeometry,
         seeds: Sequence[int],
@@ -203,6 +208,7 @@ class Walks:
         Args:
             structure_of: Structure that each slot's robots climb, ascending, shape (slots,).
             limits: Numbers that do not change.
+            limits_by_truth: The same for robots that do not go by beliefs.
             params: Settings of each structure: how robots climb, and by which rule.
             robot: The robots' shape.
             seeds: Seed of each structure.
@@ -224,6 +230,7 @@ class Walks:
             true_near_most = 1
             believed_stances = 0
         self.limits = limits
+        self.limits_by_truth = limits_by_truth
         self.docks = docks
         self.climbers = Climbers(
             structure=structure_of,
@@ -250,11 +257,20 @@ class Walks:
         self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
         self.flips = np.zeros((slots, believed_stances, 2), np.int32)
         self.turn = np.tile([1.0, 0.0, 0.0, 0.0], (slots, believed_stances, 1))
+        self.believed = BelievedWalks(self.stances.center, self.stances.orientation)
+        """Where robots believe the stances of their walks; where they are, if they know."""
+        if limits.by_belief:
+            self.believed = BelievedWalks(
+                np.zeros((slots, stances, 3)), np.zeros((slots, stances, 4))
+            )
 
-    def restart(self, structure: int, slots: Bools, seed: int, params: GrowthParams) -> None:
-        """Let the slots of a structure, shape (slots,), climb by a seed and settings of it."""
-        self.seed[slots] = seed
-        self.climbers.of_structure[structure] = structure_rows([params])[0]
+    def restart(
+        self, structures: AnyInts, seeds: Sequence[int], params: Sequence[GrowthParams]
+    ) -> None:
+        """Let robots climb structures, shape (n,), by other seeds and settings of these."""
+        for structure, seed in zip(structures.tolist(), seeds, strict=True):
+            self.seed[self.climbers.structure == structure] = seed
+        self.climbers.of_structure[structures] = structure_rows(params)
 
     def start(self, slot: int, spawn: Spawn) -> None:
         """Put a new robot in a slot."""
@@ -289,6 +305,57 @@ class Walks:
             if mistake is None:
                 raise
             raise mistake from error
+
+    def believe(
+        self,
+        structures: StructureArrays,
+        believed: BelievedDocks,
+        slots: _Slots,
+        first: _Slots,
+        last: _Slots,
+    ) -> None:
+        """Put stances of walks where their robots believe them, unless these know.
+
+        Args:
+            structures: Structures that they climb.
+            believed: Where robots believe the docks of these.
+            slots: Slots of the robots, shape (M,).
+            first: First stance of each slot to put, shape (slots,).
+            last: Last one, shape (slots,).
+        """
+        if not self.limits.by_belief:
+            return
+        climbers = self.climbers
+        stances = self.stances
+        believe_stances(
+            self.limits, slots, first, last, structures.dock, believed.dock, self.turn,
+            climbers.structure, climbers.dock_offset_body, climbers.of_structure, stances.center,
+            stances.orientation, stances.touching, *self.believed,
+        )  # fmt: skip
+
+    def sources(self, slots: _Slots, stance: AnyInts) -> AnyInts:
+        """List the robots from whose docks climbers take their places, as the kernels do.
+
+        A climber takes its place from a robot that it touches, with the dock about which it turns
+        if it can, else from the one that it touched last.
+
+        Args:
+            slots: Slots of the climbers, shape (M,).
+            stance: Stance of each, shape (M,).
+
+        Returns:
+            By dock about which each turns, robots, or -1 where it has touched none, shape (M, n).
+        """
+        items = self.stances.touching[slots, : int(stance.max(initial=0)) + 1, :, 0]
+        touches = (items >= 0).any(axis=2)
+        touches &= np.arange(items.shape[1]) <= np.asarray(stance)[:, None]
+        latest = items.shape[1] - 1 - touches[:, ::-1].argmax(axis=1)
+        item = items[np.arange(len(items)), latest]
+        pivot = np.arange(self.docks)
+        by_pivot = item[:, (pivot[:, None] + pivot) % self.docks]
+        first = (by_pivot >= 0).argmax(axis=2)
+        source = np.take_along_axis(by_pivot, first[:, :, None], axis=2)[:, :, 0]
+        return np.where(touches.any(axis=1)[:, None], source // self.docks, -1)
 
     def refuse_overlaps(self, movers: _Slots) -> None:
         """Raise an error if a robot met more docks than fit around it."""
@@ -333,35 +400,77 @@ class Walks:
         robots: AnyInts = items[items >= 0] // self.docks
         return robots
 
-    def walk(self, slot: int, number: int) -> Walk:
-        """Copy one walk of a round out, with the way back to where the robot stays at its end."""
+    def walks(self, slots: AnyInts, rounds: AnyInts) -> list[Walk]:
+        """Copy walks out, each with the way back to where the robot stays at its end.
+
+        Args:
+            slots: Slots of the robots, shape (k,).
+            rounds: Round in which each joined, shape (k,).
+        """
+        if not len(slots):
+            return []
         stances = self.stances
-        last = int(stances.last[slot])
-        best = int(stances.best[slot])
-        order = np.concatenate([np.arange(last + 1), np.arange(last - 1, best - 1, -1)])
+        last = stances.last[slots].astype(np.int64)
+        turns_back = 2 * last - stances.best[slots] + 1
+        settles = stances.stay[slots] > last
+        # A row for each stance of all walks, one walk after the other.
+        end = np.cumsum(turns_back + settles)
+        start = np.append(0, end[:-1])
+        walk = np.repeat(np.arange(len(slots)), end - start)
+        place = np.arange(end[-1]) - start[walk]
+        row = (slots[walk], last[walk] - np.abs(last[walk] - place))
+        is_settled = place == turns_back[walk]
+        row[1][is_settled] = last[walk[is_settled]] + 1
         # Out and back between two stances go about the same dock.
-        pivot = stances.pivot_dock[slot, np.minimum(order[:-1], order[1:])]
-        planned = self.flips[slot, :last, 0]
-        if stances.stay[slot] > last:
-            order = np.append(order, last + 1)
-            pivot = np.append(pivot, stances.pivot_dock[slot, last + 1])
+        leaves = np.minimum(row[1][:-1], row[1][1:])
+        leaves[is_settled[1:]] = row[1][1:][is_settled[1:]]
+        pivot = stances.pivot_dock[row[0][:-1], leaves]
+        center = stances.center[row]
+        orientation = stances.orientation[row]
         # Docks are found cell by cell: sorted, contacts do not depend on the cells.
-        touching = np.sort(stances.touching[slot, order], axis=2)
-        stance, dock, place = np.nonzero(touching >= 0)
-        touched_robot, touched_dock = np.divmod(touching[stance, dock, place], self.docks)
-        on_ground = stances.on_ground[slot, order]
-        return Walk(
-            center=stances.center[slot, order],
-            orientation_wxyz=stances.orientation[slot, order],
-            pivot_dock=pivot,
-            contacts=np.array([stance, dock, touched_robot, touched_dock], np.int32).T,
-            ground_docks=np.array((on_ground == FLAT).nonzero(), np.int32).T,
-            edge_docks=np.array((on_ground == EDGE).nonzero(), np.int32).T,
-            planned_robot=planned // self.docks,  # and GROUND, -1, stays what it is
-            failed_flips=self.flips[slot, : last + 1, 1].copy(),
-            recruited=bool(self.state[slot] == climb_kernels.RECRUITED),
-            round=number,
+        touching = np.sort(stances.touching[row], axis=2)
+        touched = np.nonzero(touching >= 0)
+        robot, dock = np.divmod(touching[touched], self.docks)
+        contacts = _by_walk(start, touched[0], place, touched[1], robot, dock)
+        on_ground = stances.on_ground[row]
+        flat, edge = (
+            _by_walk(start, stance, place, dock_of_robot)
+            for stance, dock_of_robot in ((on_ground == kind).nonzero() for kind in (FLAT, EDGE))
         )
+        walks = []
+        for k, (slot, first, stop) in enumerate(zip(slots, start, end, strict=True)):
+            flips = self.flips[slot, : last[k] + 1]
+            walks.append(
+                Walk(
+                    center=center[first:stop].copy(),
+                    orientation_wxyz=orientation[first:stop].copy(),
+                    pivot_dock=pivot[first : stop - 1].copy(),
+                    contacts=contacts[k],
+                    ground_docks=flat[k],
+                    edge_docks=edge[k],
+                    planned_robot=flips[:-1, 0] // self.docks,  # and GROUND, -1, stays what it is
+                    failed_flips=flips[:, 1].copy(),
+                    recruited=bool(self.state[slot] == climb_kernels.RECRUITED),
+                    round=int(rounds[k]),
+                )
+            )
+        return walks
+
+
+def _by_walk(
+    start: AnyInts, row: AnyInts, stance: AnyInts, *columns: AnyInts
+) -> list[NDArray[np.int32]]:
+    """Split rows that begin with a stance among the walks that begin at `start`, shape (k,).
+
+    Args:
+        start: First stance of each walk among those of all, ascending, shape (k,).
+        row: Stances among those of all walks, ascending, shape (n,).
+        stance: What to call each stance of all walks, shape (L,).
+        columns: Other columns, shape (n,).
+    """
+    table = np.column_stack([stance[row], *columns]).astype(np.int32)
+    bounds = np.append(np.searchsorted(row, start), len(row)).tolist()
+    return [table[a:b].copy() for a, b in pairwise(bounds)]
 
 
 def note_belief(walks: list[Walk], contacts: AnyInts, error: Reals, sent: Reals) -> None:

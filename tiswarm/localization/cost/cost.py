@@ -24,6 +24,7 @@ from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.math import normal
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows
 from tiswarm.measurements import equations
@@ -281,6 +282,7 @@ class WholeCost(Cost[Linear]):
         further_variance = np.where(self.is_known, 0.0, further_variance)
         # Beside a large error of a source, a small one of the row's own is lost to rounding.
         unshared = np.maximum(variance - rows.shared_variance, rows.own_variance)
+        self.further_variance = further_variance
         self.variance = unshared + further_variance
         self.own_variance = self.variance
         if not are_independent:
@@ -302,6 +304,17 @@ class WholeCost(Cost[Linear]):
         self.reach = float(np.median(rows.distances.length)) if len(rows.distances.length) else 1.0
         self._listed: Reals = np.full_like(self.walks.arm[self.walks.final], np.inf)
         self._docks: Ints = np.empty((0, 4), np.int64)
+        self.resensed: Reals | float = 0.0
+        """What is added to each residual, so that rows measure something else [R], shape (E,)."""
+        size = (rows.robots, 3)
+        self.prior_mean = State(
+            np.zeros(size),
+            np.zeros(size),
+            np.zeros((int(self.is_earlier.sum()), 3)),
+            np.zeros(rows.robots),
+            np.zeros(len(rows.shared_sd)),
+        )
+        """Means of the priors of all unknowns; that of positions is where each round begins."""
         self._number_unknowns(yaw_precision)
 
     def _number_unknowns(self, yaw_precision: float) -> None:
@@ -360,6 +373,47 @@ class WholeCost(Cost[Linear]):
         cost.precision[: 3 * len(prior)] = np.repeat(prior**-2, 3)
         return cost
 
+    def simulated(self, truth: State, number: int) -> "WholeCost":
+        """Draw what would have been sensed if a state were true: all errors are new, as stated.
+
+        The structure and its docks stay as the state has them, so that they overlap no more than
+        there: sensed orientations change, and with them the means of the priors of turns.
+
+        Args:
+            truth: The state, which is not changed.
+            number: Which of many independent draws.
+        """
+
+        def drawn(what: str, shape: tuple[int, ...]) -> Reals:
+            every = np.arange(int(np.prod(shape)))
+            return normal(number, f"simulated {what}", every, 0).reshape(shape)
+
+        robots = self.rows.robots
+        cost = copy(self)
+        has_prior = self.precision[3 * robots : 6 * robots].reshape(-1, 3) > NOMINAL
+        yaw_precision = self.precision[6 * robots : 7 * robots]
+        yaw_sd = np.zeros(robots)
+        np.divide(1.0, np.sqrt(yaw_precision), out=yaw_sd, where=yaw_precision > 0.0)
+        cost.prior_mean = State(
+            np.zeros_like(truth.position),
+            np.where(has_prior, truth.turn - drawn("turns", truth.turn.shape), 0.0),
+            truth.earlier - drawn("earlier turns", truth.earlier.shape),
+            truth.yaw - yaw_sd * drawn("yaws", truth.yaw.shape),
+            truth.shared - drawn("sources", truth.shared.shape),
+        )
+        if self.links is not None:
+            turn = truth.turn * self._turn_sd[self.walks.final]
+            exact = turn[self.links.robot] - turn[self.links.neighbor]
+            error = self.links.sd * drawn("connections", exact.shape)
+            cost.links = self.links._replace(residual=exact + error)
+        own_sd = np.sqrt(np.maximum(self.own_variance - self.further_variance, 0.0))
+        cost.resensed = 0.0
+        linear = cost.linearized(truth)
+        away = truth.earlier - cost.prior_mean.earlier
+        exact_residual = linear.residual[: len(self.rows)] + linear.noise @ away.ravel()
+        cost.resensed = own_sd * drawn("rows", (len(self.rows),)) - exact_residual
+        return cost
+
     def at(self, position: Reals, yaw: Reals, *turns: Reals) -> State:
         """Return a state; errors are 0, but for turns of final and of earlier stances if given."""
         size = len(position), int(self.is_earlier.sum())
@@ -396,7 +450,7 @@ class WholeCost(Cost[Linear]):
             column = (3 * self.earlier[:, None] + _AXIS).ravel()
             value = (across * self.sd)[self.of_earlier].ravel()
             noise = csc_array((value, (row, column)), shape=noise.shape)
-            residual -= noise @ state.earlier.ravel()
+            residual -= noise @ (state.earlier - self.prior_mean.earlier).ravel()
         if len(self.of_axis):  # the axes of offsets turn with the robot, too
             apart = rows.vectors(state.position)[self.of_axis]
             turning = _by_turns(direction[self.of_axis], apart)[:, 2]
@@ -405,6 +459,7 @@ class WholeCost(Cost[Linear]):
         ]  # fmt: skip
         if len(self.of_source):
             residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
+        residual += self.resensed
         own_variance, excess = self._robust(residual)
         value = np.concatenate([values_of.ravel() for values_of in values])[self.moves]
         tables = [
@@ -415,8 +470,13 @@ class WholeCost(Cost[Linear]):
             tables.append(self._links_of(state, self.links))
         if len(self.hinged):
             tables.append(self._hinges(self.hinged))
-        at_rest = np.zeros_like(state.position)
-        off = (at_rest, state.turn, state.yaw, state.shared)
+        mean = self.prior_mean
+        off = (
+            np.zeros_like(state.position),
+            state.turn - mean.turn,
+            state.yaw - mean.yaw,
+            state.shared - mean.shared,
+        )
         return Linear(
             tables=tables,
             noise=noise,
@@ -583,7 +643,7 @@ class WholeCost(Cost[Linear]):
         moved = State(
             state.position + shift,
             state.turn + turn,
-            earlier.reshape(-1, 3),
+            self.prior_mean.earlier + earlier.reshape(-1, 3),
             state.yaw + yaw,
             state.shared + shared,
         )

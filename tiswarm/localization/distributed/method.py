@@ -213,6 +213,17 @@ class PeerSwarm:
         """Bytes that each robot has sent so far, shape (n,)."""
         return np.array(self.channel.sent, np.int64)
 
+    @property
+    def sd(self) -> Reals:
+        """Standard deviation of where each robot takes itself to be [log unit], shape (n,).
+
+        NaN where it does not know.
+        """
+        places = [robot.place for robot in self.robots]
+        sd = np.array([np.nan if place is None else place.sd for place in places])
+        scaled: Reals = sd * self._program.header.dock_radius
+        return scaled
+
     def _hear(self, number: int, message: Message) -> Message:
         """Give a robot a message, send what it answers, and return what it passes on."""
         robot = self.robots[number]

@@ -22,9 +22,6 @@ class AnswerSettings:
     shifted: float = 0.1
     """Shift from which on a branch does [R]."""
 
-    doubtful_sd: float = 1.0
-    """Standard deviation from which on a robot doubts its position: half a dock diameter [R]."""
-
     stays_sd: float = 0.05
     """Standard deviation of each coordinate of a robot whose other rows are not here: the robots
     that solved for it know more of it [R]."""

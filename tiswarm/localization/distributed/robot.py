@@ -53,7 +53,6 @@ from tiswarm.localization.distributed.messages import (
     Task,
     Walking,
 )
-from tiswarm.localization.distributed.program import ANSWERS
 from tiswarm.localization.distributed.state import PeerState
 from tiswarm.localization.distributed.waiting import (
     Answers,
@@ -62,6 +61,7 @@ from tiswarm.localization.distributed.waiting import (
     Timeout,
     WhenPlaced,
 )
+from tiswarm.records.error_law import sure_ratio
 
 
 class Peer(PeerState):
@@ -117,10 +117,10 @@ class Peer(PeerState):
     def judge(self) -> bool:
         """Judge whether the robot doubts where it is, by what it heard.
 
-        It does if chance does not explain its rows and overlaps, if its standard deviation is
-        large, or if it heard of no place relative to the anchor.
+        It does if chance does not explain its rows and overlaps, if it is not within R of its
+        position with probability `SURE`, or if it heard of no place relative to the anchor.
         """
-        if self.place is None or self.place.body or self.place.sd > ANSWERS.doubtful_sd:
+        if self.place is None or self.place.body or self.place.sd * sure_ratio() > 1.0:
             return True
         return self.record.is_surprising
 

@@ -17,10 +17,16 @@ from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import SETTLED, WholeCost
-from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture import CONVERGENCE
 from tiswarm.localization.mixture.ends import Posed
-from tiswarm.localization.mixture.verdict import Evidence, extent, judge, misfit_by_robot, widened
+from tiswarm.localization.mixture.verdict import (
+    Evidence,
+    InlierFit,
+    extent,
+    judge,
+    misfit_by_robot,
+    widened,
+)
 from tiswarm.localization.settings import LARGE, SWITCHES, ChiSquareParams, Cues
 from tiswarm.measurements.model import Measurements, are_known
 from tiswarm.measurements.turns import Turns
@@ -109,8 +115,8 @@ class _NearestMinimum(NamedTuple):
     square: Reals
     """Part of it that each measurement carries [1], shape (E,)."""
 
-    linear: Linear | None = None
-    """The cost linearized there; None of more than `LARGE` robots."""
+    fit: InlierFit | None = None
+    """The minimum of the cost of all others; None of more than `LARGE` robots."""
 
 
 def assess(
@@ -160,7 +166,7 @@ def assess(
         is_guess=is_guess | torn,
         torn=int(torn.sum()),
         chi_square=nearest.chi_square,
-        inlier_fit=None if nearest.linear is None else (~nearest.outlier, nearest.linear),
+        inlier_fit=nearest.fit,
         unknowns=unknowns,
         freedom=nearest.freedom,
         is_counted=not is_large,
@@ -257,14 +263,15 @@ def _minimum(
     missed = rows.residual(state.position, state.yaw) ** 2 / variance
     outlier = _outliers(rows, missed, variance)
     within = posed.cost(rows.select(~outlier), links=links)
-    _, linear = within.refine(within.at(state.position, state.yaw), _ROUNDS)
+    fit = InlierFit(~outlier, within, *within.refine(within.at(state.position, state.yaw), _ROUNDS))
+    linear = fit.linear
     square = np.zeros(len(rows))
     square[~outlier] = linear.square
     excess = of_estimate.chi_square - least.chi_square
     moved = np.where(is_guess[:, None], estimate[0], state.position)
     return _NearestMinimum(
         moved, excess, outlier, linear.chi_square, linear.freedom(),
-        linear.overlap, square, linear,
+        linear.overlap, square, fit,
     )  # fmt: skip
 
 

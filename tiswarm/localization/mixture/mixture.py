@@ -24,12 +24,13 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
 from tiswarm.localization.cost.cost import SETTLED, grouped, moments
-from tiswarm.localization.cost.linear import DRAWS, FEW_DRAWS, Linear
+from tiswarm.localization.cost.linear import DRAWS, FEW_DRAWS
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, descended, ends_of, ranked
 from tiswarm.localization.mixture.frames import PartImages
 from tiswarm.localization.mixture.verdict import (
     Evidence,
+    InlierFit,
     extent,
     judge,
     misfit_by_robot,
@@ -85,8 +86,8 @@ class Minimum(NamedTuple):
     chains: int
     """Chains that lead to it."""
 
-    inlier_fit: tuple[Bools, Linear] | None = None
-    """Measurements that count, shape (E,), and their cost linearized there; None unless refined."""
+    inlier_fit: InlierFit | None = None
+    """Measurements that count, and the minimum of their cost; None unless refined."""
 
     @property
     def log_height(self) -> float:
@@ -457,7 +458,7 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         square=square,
         log_volume=linear.log_volume,
         chains=int(members.sum()),
-        inlier_fit=(used, linear) if ends.fit.is_refined else None,
+        inlier_fit=InlierFit(used, cost, state, linear) if ends.fit.is_refined else None,
     )
 
 

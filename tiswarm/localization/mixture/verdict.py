@@ -1,15 +1,21 @@
 """Whether to trust an estimate: was a minimum found, and does noise explain what it misses?"""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.compute.chi_square import chi_square_chance, chi_square_excess, chi_square_limit
+from tiswarm.compute.chi_square import (
+    binomial_chance,
+    chi_square_chance,
+    chi_square_excess,
+    chi_square_limit,
+)
+from tiswarm.localization.cost.cost import State, WholeCost
 from tiswarm.localization.cost.linear import Linear
-from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, OUTLIER_ROBOTS
+from tiswarm.localization.mixture import CONVERGENCE, OUTLIER_ROBOTS
 from tiswarm.localization.settings import LARGE
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import stuck_robots
@@ -17,13 +23,55 @@ from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog
 
-_CHANCE = 1e-4
+_GROUP_CHANCE = 1e-4
 """Chance that a right log has a group of measurements that noise does not explain [1]."""
+
+_SUM_CHANCE = 2e-3
+"""Chance that noise does not explain the sum over all measurements of a right log [1]: it is one
+test, and where few are spare, even twice the stated noise is hardly rarer."""
+
+_SIMULATIONS = 19
+"""Simulated logs that a suspicious one is compared with at most [1]: it looks worse than all of
+them by chance once in 20."""
+
+_FEWEST_SIMULATIONS = 4
+"""Simulated logs that it is compared with at least, if none looks as wrong [1]."""
+
+_CLEAR = 1e-6
+"""Chance, times the square of the least one among simulated logs, below which no further ones are
+needed [1]."""
 
 _TRIED = 16
 """Robots whose orientations are tested, those that carry most misfit [1]: each takes a solve."""
 
 _KINDS = ("contacts", "contacts of walks", "ranges and displacements", "coordinates")
+
+
+class InlierFit(NamedTuple):
+    """A minimum of the cost of measurements without outliers."""
+
+    inlier: Bools
+    """These measurements, shape (E,)."""
+
+    cost: WholeCost
+    """Their cost."""
+
+    state: State
+    """The minimum."""
+
+    linear: Linear
+    """The cost linearized there."""
+
+    def at_rest(self) -> "InlierFit":
+        """Go on to where the cost is at rest, without priors of positions."""
+        open_prior = np.full(len(self.state.position), np.inf)
+        cost = self.cost.held(open_prior)
+        return InlierFit(self.inlier, cost, *cost.refine(self.state))
+
+    def simulated(self, number: int) -> "InlierFit":
+        """Fit measurements drawn as if the minimum were true; numbers as for `WholeCost`."""
+        cost = self.cost.simulated(self.state, number)
+        return InlierFit(self.inlier, cost, *cost.refine(self.state))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +98,8 @@ class Evidence:
     chi_square: float
     """Squared residuals of all others in variances, and priors [1]."""
 
-    inlier_fit: tuple[Bools, Linear] | None = None
-    """Measurements without outliers, shape (E,), and their cost linearized at its minimum."""
+    inlier_fit: "InlierFit | None" = None
+    """Minimum of the cost of measurements without outliers."""
 
     unknowns: int
     """Unknown coordinates."""
@@ -99,40 +147,159 @@ class Evidence:
 
 
 def judge(evidence: Evidence) -> Convergence:
-    """Give the verdicts on an estimate, by all rules, and the first reason for a bad one.
-
-    Near 0 degrees of freedom, what a search leaves would look like a misfit: they count as at least
-    `MIXTURE.spare` of the unknown coordinates.
-    """
-    readings = None
-    if evidence.inlier_fit is not None:
-        inlier, linear = evidence.inlier_fit
-        if inlier.any():
-            readings = _Readings.of(evidence.rows.select(inlier), linear)
-    spare = evidence.freedom - (0 if readings is None else readings.repeats)
-    chi_square = evidence.chi_square - (0.0 if readings is None else readings.scatter)
-    freedom = max(spare, int(MIXTURE.spare * evidence.unknowns))
-    misfit_sd = chi_square_excess(chi_square, freedom)
-    is_explained = misfit_sd <= MOST_MISFIT_SD
-    misfits = [*_misfits(readings, evidence.log, is_explained=is_explained)]
-    trapped = [*_trapped(evidence, misfits)]
-    failures = [*trapped, *_failures(evidence, is_explained=is_explained)]
+    """Give the verdicts on an estimate, by all rules, and the first reason for a bad one."""
+    test = _Test.of(evidence)
+    trapped = [*_trapped(evidence)]
+    if not trapped and test.is_suspicious and evidence.inlier_fit is not None:
+        test = _calibrated(evidence, evidence.inlier_fit)
+    misfits = [*test.misfits()]
+    if evidence.is_single and misfits:
+        trapped.append(f"only one chain leads to the least cost found, where {misfits[0]}")
+    failures = [*trapped, *_failures(evidence, is_explained=test.is_explained)]
     # What a search that failed misses says nothing about the measurements.
     wrong = [*([] if trapped else misfits), *_wrong_sensors(evidence)]
+    if not trapped:
+        wrong += _unlikely_outliers(evidence)
     factor = 1.0
-    if not is_explained and evidence.has_sd:
-        factor = float(np.sqrt(chi_square / max(freedom, 1)))
+    if not test.is_explained and evidence.has_sd:
+        factor = max(1.0, float(np.sqrt(test.chi_square / max(test.freedom, 1))))
+    is_testable = bool(wrong) or not evidence.is_counted or test.freedom > 0
+    is_tested = is_testable and not (trapped and not wrong)
     return Convergence(
         converged=not failures,
-        consistent=not wrong,
-        testable=bool(wrong) or not evidence.is_counted or spare == freedom > 0,
-        spare=spare if evidence.is_counted else None,
-        misfit_sd=misfit_sd,
+        consistent=not wrong if is_tested else None,
+        testable=is_testable,
+        spare=test.freedom if evidence.is_counted else None,
+        misfit_sd=chi_square_excess(test.chi_square, test.freedom),
         sd_factor=factor,
         reason=next(iter([*failures, *wrong]), ""),
         chains=evidence.chains,
         restarted=0,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Test:
+    """How well noise explains a least chi-square: its sum, and that of groups of measurements."""
+
+    chi_square: float
+    """Chi-square of the means of repeated readings, and of all other measurements [1]."""
+
+    freedom: int
+    """Measurements beyond the unknowns that they determine, repeated readings as one."""
+
+    sum_chance: float
+    """Chance of a sum that is at least as large [1]."""
+
+    group_chance: float = 1.0
+    """Least chance of a group's sum [1], times the number of tests."""
+
+    group: str = ""
+    """Name of that group."""
+
+    scatter_chance: float = 1.0
+    """Chance that repeated readings scatter as much about their means [1]."""
+
+    repeats: int = 0
+    """Readings beyond the first of each quantity."""
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> "_Test":
+        """Test the minimum that a method knows."""
+        fit = evidence.inlier_fit
+        if fit is not None and fit.inlier.any():
+            return cls.of_fit(evidence, fit, evidence.chi_square)
+        chance = _sum_chance(evidence.chi_square, evidence.freedom)
+        if not evidence.is_counted:
+            # What the search of so many robots leaves is in the chi-square, too.
+            excess = chi_square_excess(evidence.chi_square, evidence.freedom)
+            chance = float(excess <= MOST_MISFIT_SD)
+        return cls(chi_square=evidence.chi_square, freedom=evidence.freedom, sum_chance=chance)
+
+    @classmethod
+    def of_fit(cls, evidence: Evidence, fit: InlierFit, chi_square: float) -> "_Test":
+        """Test a minimum of the cost of measurements without outliers.
+
+        Args:
+            evidence: What a method knows of the estimate.
+            fit: The minimum.
+            chi_square: Chi-square there [1].
+        """
+        readings = _Readings.of(evidence.rows.select(fit.inlier), fit.linear)
+        chance, group, tests = _worst_group(readings, evidence.log)
+        chi_square -= readings.scatter
+        freedom = evidence.freedom - readings.repeats
+        return cls(
+            chi_square=chi_square,
+            freedom=freedom,
+            sum_chance=_sum_chance(chi_square, max(freedom, readings.freedom))
+            if freedom > 0
+            else 1.0,
+            group_chance=min(1.0, tests * chance),
+            group=group,
+            scatter_chance=_sum_chance(readings.scatter, readings.repeats),
+            repeats=readings.repeats,
+        )
+
+    @property
+    def rarity(self) -> float:
+        """Least chance of the sum and of groups, relative to what is too rare [1]."""
+        return min(self.sum_chance / _SUM_CHANCE, self.group_chance / _GROUP_CHANCE)
+
+    @property
+    def is_suspicious(self) -> bool:
+        """Whether noise does not explain the sum, or a group, if the linear problem is right."""
+        return self.rarity < 1.0
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether noise explains the sum of all."""
+        return self.sum_chance >= _SUM_CHANCE
+
+    def misfits(self) -> Iterator[str]:
+        """Say which measurements noise does not explain: all, or those of a group."""
+        is_steady = self.scatter_chance >= _GROUP_CHANCE
+        if self.is_suspicious:
+            what = self.group if self.is_explained else "all rows"
+            problem = f"noise as stated does not explain {what}"
+            if self.repeats and is_steady:
+                problem += (
+                    "; readings of one pair share an error: state it as a source with shared_sd"
+                )
+            yield problem
+        elif not is_steady:
+            yield "readings of one quantity scatter more than their stated noise"
+
+
+def _sum_chance(chi_square: float, freedom: int) -> float:
+    """Chance of a chi-square that is at least as large; 1 without degrees of freedom."""
+    if freedom <= 0:
+        return 1.0
+    return float(chi_square_chance(np.array([chi_square]), np.array([freedom]))[0])
+
+
+def _calibrated(evidence: Evidence, first: InlierFit) -> _Test:
+    """Test again where the cost is at rest; then compare with simulated measurements.
+
+    Chances of groups hold for a linear problem at its minimum. Where docks may touch or not, where
+    floppy motions bend the structure, or where the search left strain, good measurements look
+    wrong. So measurements are drawn with the errors that the log states, as if the estimate were
+    true, and tested in the same way: as wrong as these look, right ones may look, too.
+    """
+    fit = first.at_rest()
+    test = _Test.of_fit(evidence, fit, fit.linear.chi_square)
+    if not test.is_suspicious:
+        return test
+    least = 1.0
+    for number in range(_SIMULATIONS):
+        drawn = fit.simulated(number)
+        again = _Test.of_fit(evidence, drawn, drawn.linear.chi_square)
+        least = min(least, again.rarity)
+        if least <= test.rarity:
+            return replace(test, sum_chance=1.0, group_chance=1.0)
+        if number + 1 >= _FEWEST_SIMULATIONS and test.rarity < _CLEAR * least**2:
+            break
+    return test
 
 
 class _Readings(NamedTuple):
@@ -153,6 +320,10 @@ class _Readings(NamedTuple):
     repeats: int
     """Readings beyond the first of each quantity: the expectation of the scatter."""
 
+    freedom: int
+    """Expectation of the chi-square of means, priors included: docks that must not overlap hold
+    robots, and leave more of it than measurements alone."""
+
     @classmethod
     def of(cls, rows: Measurements, linear: Linear) -> "_Readings":
         """Split a chi-square: an error that all readings of a quantity share is in no scatter."""
@@ -166,7 +337,7 @@ class _Readings(NamedTuple):
             np.add.at(mean, quantity, weight / total[quantity] * residual)
             return np.asarray(weight * (residual - mean[quantity]) ** 2)
 
-        open_residual, square = linear.residual_of_draws()
+        open_residual, square, of_draws = linear.residual_of_draws()
         scatter_of_rows = scatter(linear.residual[: len(rows), None])[:, 0]
         expected = (square - scatter(open_residual)).mean(axis=1)
         repeats = len(rows) - len(first)
@@ -177,29 +348,18 @@ class _Readings(NamedTuple):
             expected,
             float(scatter_of_rows.sum()),
             repeats,
+            round(float(of_draws.mean())) - repeats,
         )
 
 
-def _misfits(read: _Readings | None, log: SensingLog, *, is_explained: bool) -> Iterator[str]:
-    """Say which measurements noise does not explain: all, or those of a group."""
-    group = "" if read is None else _worst_group(read, log)
-    is_steady = read is None or chi_square_excess(read.scatter, read.repeats) <= MOST_MISFIT_SD
-    is_shared = read is not None and read.repeats > 0 and is_steady
-    if group or not is_explained:
-        what = group if is_explained else "all rows"
-        problem = f"noise as stated does not explain {what}"
-        if is_shared:
-            problem += "; readings of one pair share an error: state it as a source with shared_sd"
-        yield problem
-    elif not is_steady:
-        yield "readings of one quantity scatter more than their stated noise"
-
-
-def _worst_group(read: _Readings, log: SensingLog) -> str:
-    """Name the robot, pair, source or kind of measurements that chance explains least, if any.
+def _worst_group(read: _Readings, log: SensingLog) -> tuple[float, str, int]:
+    """Find the robot, pair, source or kind of measurements that chance explains least.
 
     A sum over a large log hides a few wrong measurements. The sum over a group has a chi-square of
     at most as many degrees of freedom as its expectation says, as no part of it is more than one.
+
+    Returns:
+        The chance [1], the name of the group, and how many groups were tested.
     """
     rows = read.rows
     pairs = len(read.rows.neighbor)
@@ -238,7 +398,7 @@ def _worst_group(read: _Readings, log: SensingLog) -> str:
         robot = suspects[chance.argmin()]
         least = float(chance.min())
         worst = f"the orientations of robot {name[robot]}"
-    return worst if least * tests < _CHANCE else ""
+    return least, worst, tests
 
 
 def gains_without(rows: Measurements, linear: Linear, robots: Ints) -> tuple[Reals, Ints]:
@@ -259,7 +419,7 @@ def gains_without(rows: Measurements, linear: Linear, robots: Ints) -> tuple[Rea
     return gain, freed
 
 
-def _trapped(evidence: Evidence, misfits: list[str]) -> Iterator[str]:
+def _trapped(evidence: Evidence) -> Iterator[str]:
     """Say why the least cost was hardly found: robots are never inside each other."""
     if evidence.all_failed:
         yield "all chains ended out of reach of their contacts, or ran hot"
@@ -270,8 +430,6 @@ def _trapped(evidence: Evidence, misfits: list[str]) -> Iterator[str]:
     room = CONVERGENCE.most_torn * robots if robots > LARGE else 1.0
     if evidence.overlap > room * CONVERGENCE.outlier_sd**2:
         yield "docks overlap at the least cost found, which no measurement error explains"
-    if evidence.is_single and misfits:
-        yield f"only one chain leads to the least cost found, where {misfits[0]}"
 
 
 def _failures(evidence: Evidence, *, is_explained: bool) -> Iterator[str]:
@@ -312,6 +470,43 @@ def _wrong_sensors(evidence: Evidence) -> Iterator[str]:
         yield f"orientation sensors of {counted(stuck, 'robot')} are stuck"
     if mute > OUTLIER_ROBOTS.most_mute * log.robot_count:
         yield f"{counted(mute, 'robot')} sensed nothing that shows their orientation"
+
+
+def _unlikely_outliers(evidence: Evidence) -> Iterator[str]:
+    """Say which outliers are no chance: those of anchors, and more than the log states."""
+    log = evidence.log
+    rows = evidence.rows
+    links = rows.link
+    outlier = evidence.outlier[links]
+    pair = np.column_stack([rows.robot[links], rows.neighbor[links]])
+    wrong, right = (
+        np.bincount(pair[chosen].ravel(), minlength=rows.robots) for chosen in (outlier, ~outlier)
+    )
+    is_anchor = np.isfinite(log.known_position[:, 0])
+    is_doubtful = is_anchor & (wrong > 0) & (wrong >= right)
+    if is_anchor.sum() > 1:  # one alone contradicts nothing
+        for robot in np.flatnonzero(is_doubtful).tolist():
+            yield contradiction(log, np.array([robot]))
+    count = int(outlier.sum())
+    rate = outlier_rate(log)
+    if count and binomial_chance(count, len(links), rate) < _GROUP_CHANCE:
+        yield (
+            f"{count} of {len(links)} contacts and ranges are outliers, which a rate of {rate:.3g} "
+            "does not explain"
+        )
+
+
+def contradiction(log: SensingLog, robots: Ints) -> str:
+    """Say that positions of anchors and their contacts or ranges contradict each other."""
+    names = ", ".join(str(name) for name in log.robot_id[robots].tolist())
+    which = "the known position of robot" if len(robots) == 1 else "the known positions of robots"
+    return f"{which} {names} and contacts or ranges contradict each other: either may be wrong"
+
+
+def outlier_rate(log: SensingLog) -> float:
+    """Return the share of contacts and ranges that are wrong, as stated or as assumed [1]."""
+    stated = [log.stated(key) for key in ("wrong_docks", "false_contacts")]
+    return max(CONVERGENCE.outlier_rate, sum(rate or 0.0 for rate in stated))
 
 
 def widened(sd: Reals, factor: float, position: Reals) -> Reals:

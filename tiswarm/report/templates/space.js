@@ -292,7 +292,7 @@ function coloringsOf({ colors, robot, contacts }) {
   const given = colors.map((each) => ({
     ...each,
     scale: `--${each.scale}`,
-    isCapped: each.most !== null,
+    isCapped: each.most !== null && each.value.some((v) => v > each.most),
     most: each.most !== null ? each.most : each.words.length ? colorsOf(`--${each.scale}`).length - 1 : each.value.reduce((most, v) => Math.max(most, v ?? most), each.least) || each.least + 1,
   }));
   const counted = (label, count) => {
