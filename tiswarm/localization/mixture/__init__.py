@@ -230,6 +230,10 @@ class ExchangeSettings:
     least_gain: float = 1.0
     """Cost by which an exchange must be cheaper [1]: minima are found to less."""
 
+    least_spare: int = 2
+    """Outlier ranges of a known position beyond the three that would replace it, from which on the
+    position may be wrong instead [1]."""
+
     rounds: int = 15
     """Rounds toward a minimum, at each of two temperatures [1]."""
 

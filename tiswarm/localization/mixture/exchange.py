@@ -212,6 +212,22 @@ class _Search:
                 chosen |= self.of_anchor & (self._rows.robot == self._rows.robot[row])
         return self._rows.any_of_vector(chosen)
 
+    def _is_tested(self, torn: Bools) -> Bools:
+        """Find robots whose known position torn measurements test, shape (N,).
+
+        A contact says where a robot is; of ranges there have to be spare ones beyond the three that
+        would determine its position instead.
+        """
+        rows = self._rows
+        torn_pairs = np.flatnonzero(torn[: self._pairs])
+        ends = np.concatenate([rows.robot[torn_pairs], rows.neighbor[torn_pairs]])
+        is_contact = np.tile(rows.is_contact[torn_pairs], 2)
+        contacts = np.bincount(ends[is_contact], minlength=rows.robots)
+        ranges = np.bincount(ends[~is_contact], minlength=rows.robots)
+        is_spared = (ranges == 0) | (ranges >= AXES + EXCHANGE.least_spare)
+        tested: Bools = is_spared | (contacts > 0)
+        return tested
+
     def _shift(self, position: Reals, part: Bools, torn: Bools, without: Bools) -> Reals:
         """Find the shift of a part that meets the torn rows between it and the rest [R], (3,).
 
@@ -264,7 +280,7 @@ class _Search:
             (row, rows.robot[row], rows.neighbor[row])
             for row in rows.link[~(torn | removed)[rows.link]].tolist()
         ]
-        anchored = np.flatnonzero(self.of_anchor & ~removed)
+        anchored = np.flatnonzero(self.of_anchor & ~removed & self._is_tested(torn)[rows.robot])
         robots, first = np.unique(rows.robot[anchored], return_index=True)
         edges += [
             (row, robot, 0) for row, robot in zip(anchored[first].tolist(), robots, strict=True)

@@ -160,8 +160,10 @@ def judge(evidence: Evidence) -> Convergence:
     wrong = [*([] if trapped else misfits), *_wrong_sensors(evidence)]
     if not trapped:
         wrong += _unlikely_outliers(evidence)
+    # Without spare measurements no sum is tested, but a failed search may miss what it can meet.
+    is_missed = bool(trapped) and test.chi_square > evidence.chance
     factor = 1.0
-    if not test.is_explained and evidence.has_sd:
+    if (is_missed or not test.is_explained) and evidence.has_sd:
         factor = max(1.0, float(np.sqrt(test.chi_square / max(test.freedom, 1))))
     is_testable = bool(wrong) or not evidence.is_counted or test.freedom > 0
     is_tested = is_testable and not (trapped and not wrong)
