@@ -119,8 +119,9 @@ def linear(weights: Reals) -> _Act:
     )
 
     def act(_environment: object, observed: dict[str, Any]) -> AnyInts:
-        robot = observed["robot"] / _SCALES[-len(ROBOT_FEATURES) :]
-        flips = observed["flips"] / _SCALES[: len(FLIP_FEATURES)]
+        # Where robots go by estimates they observe more, which comes last and has no weight.
+        robot = observed["robot"][:, : len(ROBOT_FEATURES)] / _SCALES[-len(ROBOT_FEATURES) :]
+        flips = observed["flips"][..., : len(FLIP_FEATURES)] / _SCALES[: len(FLIP_FEATURES)]
         scores = np.column_stack([flips @ of_flip, robot @ of_stay, robot @ of_back])
         best: AnyInts = np.where(observed["action_mask"], scores, -np.inf).argmax(axis=1)
         return best
@@ -147,7 +148,7 @@ def names() -> list[str]:
 
 def by_terms(patience: float) -> Reals:
     """Return weights that act much as ReactiveBuild: gain, no visits, calls, and patience."""
-    never = patience + _MOST_GAIN  # whoever has no other flip goes back
+    never = patience + _MOST_GAIN  # robots without another flip go back
     terms = {
         "flip gain": 1.0,
         "flip visited": -never,
