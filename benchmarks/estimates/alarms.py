@@ -263,7 +263,7 @@ def main() -> int:
     """Judge all logs, and print and write the tables."""
     options = _options()
     backend.start(threads=1)
-    first = TRAINING if options.training else 0
+    first = options.first + TRAINING * options.training
     alarms = []
     for family, robots in _runs(options):
         for number in range(first, first + options.logs):
@@ -296,6 +296,7 @@ def _options() -> argparse.Namespace:
                         help=f"some of {', '.join(FAMILIES)}")  # fmt: skip
     parser.add_argument("--sizes", nargs="+", type=int, default=[30, 100], metavar="N")
     parser.add_argument("--logs", type=int, default=200, metavar="N", help="logs of each")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first log")
     parser.add_argument("--method", default="joint")
     parser.add_argument("--training", action="store_true", help="logs to fit constants on")
     parser.add_argument("--out", type=Path, default=Path("reports/alarms"))

@@ -8,7 +8,7 @@ are tested, the distribution itself says how rare one of them is.
 from typing import overload
 
 import numpy as np
-from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
+from scipy.special import bdtrc, chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import AnyInts, Reals
 
@@ -55,6 +55,17 @@ def chi_square_chance(square: Reals | AnyInts, freedom: AnyInts | Reals) -> Real
     """
     chance: Reals = chdtrc(np.maximum(freedom, 1), np.maximum(square, 0.0))
     return chance
+
+
+def binomial_chance(count: int, trials: int, rate: float) -> float:
+    """Compute the chance that at least `count` of some trials succeed.
+
+    Args:
+        count: Successes, at least 1.
+        trials: Trials.
+        rate: Chance of one success [1].
+    """
+    return float(bdtrc(count - 1, trials, rate))
 
 
 MEDIAN_SQUARE = float(chdtri(1, 0.5))

@@ -23,13 +23,13 @@ from tiswarm.base.registry import BUILT_IN, get, registered
 from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
 from tiswarm.formats.columns import EULER, refuse_other_files, turns_by
+from tiswarm.formats.geometry import Scale, fit_ground, fit_scale, standing_docks
 from tiswarm.formats.motion import (
     LOUDEST,
     Rests,
     find_rests,
     stances_of,
     step_of_noise,
-    turning_noise,
     with_final_rests,
     without_glitches,
 )
@@ -230,18 +230,14 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     poses, guessed = with_docks(poses, assumed, path)
     poses, glitches = without_glitches(poses, with_limits(poses, assumed)[0])
     moving, _ = with_limits(poses, assumed)
-    poses, noise_share = with_final_rests(poses, moving)
+    is_sure = not any(note.startswith(_NO_OFFSET) for note in guessed)
+    poses, rests, noise_share, fitted, doubts = _at_rest(poses, moving, is_sure=is_sure)
+    guessed = fitted or guessed
     assumed, widened = with_limits(poses, assumed, noise_share)
-    noise = turning_noise(poses)
-    if noise and assumed.tilt_deg is None and assumed.yaw_deg is None:
-        tilt, yaw = noise
-        assumed = replace(assumed, tilt_deg=tilt, yaw_deg=yaw)
-        widened.append(
-            f"orientations of robots at rest vary by {tilt:g} deg of tilt and {yaw:g} deg of yaw "
-            "(1 sd), which the log states; --tilt-deg, --yaw-deg"
-        )
+    if rests is not None:
+        assumed, stated = with_noise(assumed, rests)
+        widened += stated
     contacts, gaps, overlaps = find_contacts(poses, assumed)
-    rests = find_rests(poses, moving)
     anchors = _anchors(poses, rests, assumed.anchors, path)
     order, joined = _join_order(
         poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected
@@ -262,14 +258,124 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     notes += [*_describe_rests(poses, rests), *_describe(log), size]
     # Docks at wrong places stand nowhere, so the ground says nothing more.
     in_motion = 0 if rests is None else len(rests.in_motion)
-    warnings = few_contacts(poses, assumed, len(contacts), overlaps, in_motion)
+    warnings = doubts or few_contacts(poses, assumed, len(contacts), overlaps, in_motion)
     warnings = warnings or _in_one_place(poses, assumed) or off_the_ground(poses, assumed)
+    warnings = warnings or doubted_ground(poses, rests, assumed)
     warnings += _unrested(poses, rests)
     if early:
         problem = f"{counted(early, 'contact')} of stances left out: by the time, the other robot "
         problem += "had not arrived; if robots have clocks of their own, set them to one"
         warnings.append(f"{problem}, or give a column join")
     return Imported(log, poses.position[order], notes, warnings)
+
+
+def _at_rest(
+    poses: Poses, assumed: Assumptions, *, is_sure: bool
+) -> tuple[Poses, Rests | None, float, list[str], list[str]]:
+    """Find rests, and the distance of docks from the center where it is not stated.
+
+    Segments of motion need that distance, and it follows from them, so we repeat both.
+
+    Args:
+        poses: Robots, whose docks are known or guessed.
+        assumed: Limits of contacts, and docks if they are given.
+        is_sure: Whether contacts state where docks are.
+
+    Returns:
+        Final poses, rests, the part of noise that final poses have [1], what was fitted, in lines,
+        and what disagrees with what is stated, in lines.
+    """
+    is_guess = assumed.dock_offset_body is None and not poses.docks_are_spheres
+    least = _SETTLED * assumed.dock_radius
+    for _ in range(_FITS if is_guess else 1):
+        rests = find_rests(poses, assumed)
+        poses, noise_share = with_final_rests(poses, rests)
+        scale = fit_scale(poses, rests, assumed)
+        is_stated = scale.flips > 0 or is_sure
+        if scale.factor is None or poses.docks_are_spheres or not is_stated:
+            return poses, rests, noise_share, [], []
+        distance = float(np.linalg.norm(poses.dock_offset_body, axis=1).mean())
+        offset = scale.factor.scaled(distance)
+        if not is_guess:
+            return poses, rests, noise_share, [], doubted_geometry(poses, scale, assumed)
+        step = abs(offset.value - distance)
+        poses = poses._replace(dock_offset_body=docks_in_plane(offset.value))
+        if step < least:
+            break
+    unit = poses.length_unit
+    note = f"dock offset {offset} {unit}"
+    if scale.flips and scale.contacts:
+        rows = f"{counted(scale.flips, 'flip')} and {counted(scale.contacts, 'contact')}"
+        note += f", by {rows}"
+    elif scale.flips:
+        note += f", by {counted(scale.flips, 'flip')}"
+    else:
+        note += ": most docks touch there"
+    if _DOUBTFUL * offset.sd > TOLERANCE * assumed.dock_radius:
+        note += "; too uncertain for contacts: record more flips, with rests of a second, or "
+        note += "measure it (--dock-offset)"
+    return poses, rests, noise_share, [note], doubted_geometry(poses, scale, assumed)
+
+
+_NO_OFFSET = "no dock offset stands out"
+
+_SETTLED = 1e-3
+"""Change of the distance of docks from which on rests are found again [dock radii]."""
+
+_FITS = 4
+"""Most times that rests and the distance of docks are found."""
+
+_DOUBTFUL = 2.0
+"""Standard deviations of the distance of docks that are to be within the limits of contacts."""
+
+_LEAST_DOUBT = 0.005
+"""Largest error of a stated length that is no doubt [dock radii]."""
+
+
+def doubted_geometry(poses: Poses, scale: Scale, assumed: Assumptions) -> list[str]:
+    """Warn of a distance and a radius of docks that flips and contacts contradict."""
+    unit = poses.length_unit
+    radius = assumed.dock_radius
+    least = _LEAST_DOUBT * radius
+    distance = float(np.linalg.norm(poses.dock_offset_body, axis=1).mean())
+    doubts = []
+    factor = scale.factor
+    if assumed.dock_offset_body is not None and factor is not None and scale.flips:
+        offset = factor.scaled(distance)
+        if offset.disagrees(distance, least):
+            doubts.append(
+                f"docks are {distance:.5g} {unit} from the center as stated, but "
+                f"{counted(scale.flips, 'flip')} say {offset}: correct --dock-offset or --docks"
+            )
+    if not doubts and scale.radius is not None and scale.radius.disagrees(radius, least):
+        doubts.append(
+            f"docks have a radius of {radius:g} {unit} as stated, but "
+            f"{counted(scale.radius.rows, 'contact')} say {scale.radius}: correct --dock-radius"
+        )
+    return doubts
+
+
+def doubted_ground(poses: Poses, rests: Rests | None, assumed: Assumptions) -> list[str]:
+    """Warn of ground at another height than is stated, or that is tilted."""
+    if assumed.ground_z is None:
+        return []
+    radius = assumed.dock_radius
+    ground = fit_ground(standing_docks(poses, rests), assumed.ground_z, radius)
+    if ground is None:
+        return []
+    docks = counted(ground.height.rows, "dock")
+    if ground.tilt_deg is not None and ground.tilt_deg.disagrees(0.0, _LEAST_TILT_DEG):
+        problem = f"{docks} stand on ground that is tilted by {ground.tilt_deg} deg: "
+        return [f"{problem}set the vertical of the recording anew, or turn the poses"]
+    if ground.height.disagrees(assumed.ground_z, 0.5 * TOLERANCE * radius):
+        return [
+            f"{docks} stand at z = {ground.height}, not at {assumed.ground_z:g}: correct --ground-z"
+        ]
+    return []
+
+
+_LEAST_TILT_DEG = 0.1
+"""Largest tilt of the ground that is no doubt [deg]."""
 
 
 def _anchors(poses: Poses, rests: Rests | None, names: tuple[int, ...], path: Path) -> list[int]:
@@ -597,6 +703,9 @@ def histogram(
         yield f"{edges[k]:>9.3g} to {edges[k + 1]:<8.3g}{number[k]:>6} {bar}".rstrip()
 
 
+_LEAST_NOISE_DEG = 1e-3
+"""Orientations that vary by less are exact, but for rounding [deg]."""
+
 ENOUGH = 0.5
 """Fewer contacts per robot point to a wrong robot geometry."""
 
@@ -628,7 +737,7 @@ def with_docks(
         note = f"dock offset {offset:g} {poses.length_unit}: most docks touch there"
     else:
         offset = FIREANT_RHO * radius
-        note = f"no dock offset stands out: {offset:g} {poses.length_unit}, FireAntV3's, is assumed"
+        note = f"{_NO_OFFSET}: {offset:g} {poses.length_unit}, FireAntV3's, is assumed"
     return poses._replace(dock_offset_body=docks_in_plane(offset)), [note]
 
 
@@ -662,6 +771,19 @@ def with_limits(
     overlap = limit if assumed.overlap is None else assumed.overlap
     text = f"contacts have gaps up to {gap:g} and overlaps up to {overlap:g} {poses.length_unit}"
     return replace(assumed, gap=gap, overlap=overlap), [f"{text}: {why}"]
+
+
+def with_noise(assumed: Assumptions, rests: Rests) -> tuple[Assumptions, list[str]]:
+    """State the noise of orientations at rest, unless it is given or none is seen, and say so."""
+    noise = rests.noise
+    if noise is None or assumed.tilt_deg is not None or assumed.yaw_deg is not None:
+        return assumed, []
+    tilt, yaw = (float(f"{np.degrees(angle):.2g}") for angle in (noise.tilt, noise.yaw))
+    if max(tilt, yaw) < _LEAST_NOISE_DEG:
+        return assumed, []
+    text = f"orientations of robots at rest vary by {tilt:g} deg of tilt and {yaw:g} deg of yaw "
+    text += "(1 sd), which the log states; --tilt-deg, --yaw-deg"
+    return replace(assumed, tilt_deg=tilt, yaw_deg=yaw), [text]
 
 
 def in_likely_order(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[str]]:

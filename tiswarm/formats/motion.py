@@ -28,7 +28,8 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.formats.poses import SD_PER_MEDIAN_DEVIATION, Assumptions, Poses, Samples, first_names
+from tiswarm.formats.poses import TOLERANCE, Assumptions, Poses, Samples, first_names
+from tiswarm.formats.segments import REST, Noise, Segment, divide, gaps, has_noise, middle, tracks
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import Stances
 
@@ -57,6 +58,7 @@ class Track(NamedTuple):
     end: Reals  # last time of each, (K,)
     position: Reals  # centers, (K, 3)
     orientation_wxyz: Reals  # body to world, (K, 4)
+    number: Ints  # samples of which each is the mean; 0 where no pose shows it, (K,)
 
     def docks(self, dock_offset_body: Reals) -> Reals:
         """Locate docks at offsets (D, 3) from the center, shape (K, D, 3)."""
@@ -69,7 +71,13 @@ class Track(NamedTuple):
 
     def chosen(self, rows: Ints | Bools | slice) -> "Track":
         """Return some poses."""
-        return Track(*(column[rows] for column in self))
+        return Track(
+            self.begin[rows],
+            self.end[rows],
+            self.position[rows],
+            self.orientation_wxyz[rows],
+            self.number[rows],
+        )
 
 
 def motions(docks: Reals) -> tuple[Ints, Reals, Reals]:
@@ -134,6 +142,7 @@ def _inserted(track: Track, at: int, position: Reals, wxyz: Reals) -> Track:
         np.insert(track.end, at, track.begin[at]),
         np.insert(track.position, at, position, axis=0),
         np.insert(track.orientation_wxyz, at, wxyz, axis=0),
+        np.insert(track.number, at, 0),
     )
 
 
@@ -192,6 +201,9 @@ def _nearest_angle(distances: Callable[[float], Reals], dock: int, start: float)
 _NEAR = 3.0
 """Runs of samples, in a row and within this many limits of stillness, are one rest."""
 
+_SAME = 4.0
+"""Rests whose docks are less apart than by so many standard deviations are one."""
+
 _BACK_AND_FORTH = 0.75
 """Noise moves docks in two steps by less than this part of the sum of both."""
 
@@ -226,6 +238,9 @@ class Rests(NamedTuple):
     orientation_wxyz: Reals
     """Body to world, shape (M, 4)."""
 
+    number: Ints
+    """Samples of which each is the mean; 0 where no pose shows it, shape (M,)."""
+
     pivot: Ints
     """Dock that stays put as the robot leaves each but the last, shape (M,); -1 for the last."""
 
@@ -237,6 +252,12 @@ class Rests(NamedTuple):
 
     unseen: int
     """Number of rests that no pose shows."""
+
+    noise: Noise | None
+    """Noise of samples; None if too few rests have several."""
+
+    flips: Ints
+    """Flips as rows of (robot, first sample, sample after the last, pivot), shape (F, 4)."""
 
     @property
     def in_motion(self) -> Ints:
@@ -287,35 +308,23 @@ def motion_limits(samples: Samples, docks: Reals, assumed: Assumptions) -> Limit
     return Limits(max(still, noise), max(put, noise))
 
 
-def with_final_rests(poses: Poses, assumed: Assumptions) -> tuple[Poses, float]:
-    """Average the last poses of each robot, as long as only noise moves it.
+def with_final_rests(poses: Poses, rests: Rests | None) -> tuple[Poses, float]:
+    """Put robots at the means of their last rests.
 
     Args:
-        poses: Robots, whose docks are known.
-        assumed: Limits of contacts.
+        poses: Robots.
+        rests: Where they rested; None if each has one pose.
 
     Returns:
-        The poses, and the part of noise that is left [1], which is 1 where none is seen.
+        The poses, and the part of noise that is left [1], which is 1 where none is measured.
     """
-    samples = poses.samples
-    if samples is None:
+    if rests is None or rests.noise is None:
         return poses, 1.0
-    docks = samples.docks(poses.dock_offset_body)
-    if not step_of_noise(docks, samples.robot, LOUDEST * assumed.dock_radius):
-        return poses, 1.0
-    still = motion_limits(samples, docks, assumed).still
-    position = poses.position.copy()
-    wxyz = poses.orientation_wxyz.copy()
-    start = np.searchsorted(samples.robot, np.arange(len(position) + 1))
-    fewest = len(docks)
-    for robot, (first, after) in enumerate(pairwise(start.tolist())):
-        moved = np.linalg.norm(docks[first:after] - docks[after - 1], axis=2).max(axis=1) > still
-        begin = first + int(np.flatnonzero(moved)[-1]) + 1 if moved.any() else first
-        position[robot] = samples.position[begin:after].mean(axis=0)
-        turn = Rotation.from_quat(samples.orientation_wxyz[begin:after], scalar_first=True)
-        wxyz[robot] = turn.mean().as_quat(scalar_first=True)
-        fewest = min(fewest, after - begin)
-    return poses._replace(position=position, orientation_wxyz=wxyz), float(fewest**-0.5)
+    last = rests.last
+    poses = poses._replace(
+        position=rests.position[last], orientation_wxyz=rests.orientation_wxyz[last]
+    )
+    return poses, float(rests.number[last].min() ** -0.5)
 
 
 def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
@@ -328,48 +337,126 @@ def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
     samples = poses.samples
     if samples is None:
         return None
-    docks = samples.docks(poses.dock_offset_body)
-    still, put = motion_limits(samples, docks, assumed)
-    turn = Rotation.from_quat(samples.orientation_wxyz, scalar_first=True)
-    start = np.searchsorted(samples.robot, np.arange(len(poses.robot_id) + 1))
-    tracks = []
+    offset = poses.dock_offset_body
+    still, put = motion_limits(samples, samples.docks(offset), assumed)
+    recordings = tracks(samples)
+    is_exact = not has_noise(samples, assumed.dock_radius)
+    divided: list[list[Segment]] = [[] for _ in recordings]
+    noise = None
+    step = 0.0
+    if not is_exact:
+        divided, noise = divide(samples, offset, assumed.dock_radius)
+    if noise is not None:
+        step = _SAME * noise.of_docks(offset)
+    chosen = []
     pivots = []
     cut = []
     unseen = 0
-    for robot, (first, after) in enumerate(pairwise(start.tolist())):
-        runs = first + _runs_at_rest(docks[first:after], still)
-        ends = np.append(runs[1:], after) - 1
-        middle = np.array([_middle(docks, *run) for run in zip(runs, ends, strict=True)])
-        resting = np.flatnonzero(~continues(docks[middle], turn[middle]))
-        begins, lasts = _joined(docks[middle], resting, _NEAR * still)
-        middle = _corners(docks, runs, ends, begins, lasts)
-        track = Track(
-            samples.time[runs[begins]],
-            samples.time[ends[lasts]],
-            samples.position[middle],
-            samples.orientation_wxyz[middle],
-        )
-        track, inserted = with_unseen_rests(track, poses.dock_offset_body, put)
-        breaks = np.flatnonzero(~are_flips(track.docks(poses.dock_offset_body), put))
+    for robot, (recorded, parts) in enumerate(zip(recordings, divided, strict=True)):
+        if is_exact:
+            track = _corners_of(recorded, offset, still)
+        else:
+            track = _resting(recorded, parts, offset, put)
+            track = _joined(track, offset, step, TOLERANCE * assumed.dock_radius)
+            track = track.chosen(~continues(track.docks(offset), track.turn))
+        track, inserted = with_unseen_rests(track, offset, put)
+        breaks = np.flatnonzero(~are_flips(track.docks(offset), put))
         if len(breaks):
             cut.append(robot)
             track = track.chosen(slice(breaks[-1] + 1, None))
-        tracks.append(track)
-        pivot, _, _ = motions(track.docks(poses.dock_offset_body))
+        chosen.append(track)
+        pivot, _, _ = motions(track.docks(offset))
         pivots.append(np.append(pivot, -1))
         unseen += inserted
-    rests = Track(*(np.concatenate(parts) for parts in zip(*tracks, strict=True)))
+    rests = Track(*(np.concatenate(parts) for parts in zip(*chosen, strict=True)))
+    start = np.searchsorted(samples.robot, np.arange(len(poses.robot_id)))
+    flips = [
+        (robot, first + part.first, first + part.after, part.pivot)
+        for robot, (first, parts) in enumerate(zip(start.tolist(), divided, strict=True))
+        for part in parts
+        if part.pivot != REST
+    ]
     return Rests(
-        start=np.cumsum([0, *(len(track.begin) for track in tracks)]),
+        start=np.cumsum([0, *(len(track.begin) for track in chosen)]),
         begin=rests.begin,
         end=rests.end,
         position=rests.position,
         orientation_wxyz=rests.orientation_wxyz,
+        number=rests.number,
         pivot=np.concatenate(pivots),
-        appeared=samples.time[start[:-1]],
+        appeared=samples.time[start],
         cut=np.array(cut, np.int64),
         unseen=unseen,
+        noise=noise,
+        flips=np.array(flips, np.int64).reshape(-1, 4),
     )
+
+
+def _resting(recorded: Samples, parts: list[Segment], offset: Reals, put: float) -> Track:
+    """List the poses at which a robot may rest: at rests, and where flips meet or are cut off."""
+    docks = recorded.docks(offset)
+    is_gap = gaps(recorded.time)
+    last = len(docks)
+    place = [
+        np.median(docks[part.first : part.after, max(part.pivot, 0)], axis=0) for part in parts
+    ]
+    stretches = [(part.first, part.after) for part in parts if part.pivot == REST]
+    if parts[0].pivot != REST:
+        stretches.append((0, 1))
+    if parts[-1].pivot != REST:
+        stretches.append((last - 1, last))
+    for k, (before, after) in enumerate(pairwise(parts)):
+        edge = after.first
+        if is_gap[edge - 1]:
+            for n, part, beside, sample in (
+                (k, before, after, edge - 1),
+                (k + 1, after, before, edge),
+            ):
+                if part.pivot == REST:
+                    continue
+                dock = np.median(docks[beside.first : beside.after, part.pivot], axis=0)
+                if beside.pivot != REST or np.linalg.norm(dock - place[n]) > put:
+                    stretches.append((sample, sample + 1))
+        elif REST not in {before.pivot, after.pivot}:
+            earlier = np.linalg.norm(docks[edge - 1, after.pivot] - place[k + 1])
+            later = np.linalg.norm(docks[edge, before.pivot] - place[k])
+            corner = edge - 1 if earlier <= later else edge
+            stretches.append((corner, corner + 1))
+    stretches.sort()
+    rows = [middle(first, after, last) for first, after in stretches]
+    turns = [
+        Rotation.from_quat(recorded.orientation_wxyz[row], scalar_first=True).mean() for row in rows
+    ]
+    return Track(
+        np.array([recorded.time[first] for first, _ in stretches]),
+        np.array([recorded.time[after - 1] for _, after in stretches]),
+        np.array([recorded.position[row].mean(axis=0) for row in rows]),
+        np.array([turn.as_quat(scalar_first=True) for turn in turns]),
+        np.array([row.stop - row.start for row in rows]),
+    )
+
+
+def _joined(track: Track, offset: Reals, step: float, least: float) -> Track:
+    """Join neighboring rests at one pose.
+
+    Args:
+        track: Poses at which a robot may rest.
+        offset: Center to dock, shape (D, 3).
+        step: Largest distance of docks of two samples that noise explains.
+        least: Least distance of docks of two rests.
+    """
+    docks = track.docks(offset)
+    chosen = [0]
+    end = track.end.copy()
+    for k in range(1, len(docks)):
+        earlier = chosen[-1]
+        near = step * np.sqrt((1.0 / track.number[[earlier, k]]).sum())
+        apart = np.linalg.norm(docks[k] - docks[earlier], axis=1).max()
+        if apart > max(near, least):
+            chosen.append(k)
+        else:
+            end[earlier] = end[k]
+    return track._replace(end=end).chosen(np.array(chosen))
 
 
 def step_of_noise(docks: Reals, robot: Ints, most: float) -> float:
@@ -395,23 +482,26 @@ def _moves_of_noise(docks: Reals, robot: Ints) -> Bools:
     return at_rest if is_often else np.zeros_like(at_rest)
 
 
-def turning_noise(poses: Poses) -> tuple[float, float] | None:
-    """Measure orientations of robots at rest: sd about a horizontal axis and the vertical [deg].
+def _corners_of(recorded: Samples, offset: Reals, still: float) -> Track:
+    """List the poses at which a robot may rest, of samples without noise.
 
-    None if robots have one pose each, or no noise is seen.
+    It rests where its motion, sampled at any rate, turns a corner: without noise, that is exact.
     """
-    samples = poses.samples
-    if samples is None:
-        return None
-    at_rest = _moves_of_noise(samples.docks(poses.dock_offset_body), samples.robot)
-    turn = Rotation.from_quat(samples.orientation_wxyz, scalar_first=True)
-    step = np.degrees((turn[2:] * turn[1:-1].inv()).as_rotvec())[at_rest] / np.sqrt(2.0)
-    if not step.any():
-        return None
-    size = SD_PER_MEDIAN_DEVIATION * np.median(
-        np.abs(step), axis=0
-    )  # a flip among them changes no median
-    return float(f"{np.hypot(*size[:2]) / np.sqrt(2.0):.2g}"), float(f"{size[2]:.2g}")
+    docks = recorded.docks(offset)
+    turn = Rotation.from_quat(recorded.orientation_wxyz, scalar_first=True)
+    runs = _runs_at_rest(docks, still)
+    ends = np.append(runs[1:], len(docks)) - 1
+    center = np.array([_middle(docks, *run) for run in zip(runs, ends, strict=True)])
+    resting = np.flatnonzero(~continues(docks[center], turn[center]))
+    begins, lasts = _runs_joined(docks[center], resting, _NEAR * still)
+    corners = _corners(docks, runs, ends, begins, lasts)
+    return Track(
+        recorded.time[runs[begins]],
+        recorded.time[ends[lasts]],
+        recorded.position[corners],
+        recorded.orientation_wxyz[corners],
+        np.ones(len(corners), np.int64),
+    )
 
 
 def _runs_at_rest(docks: Reals, still: float) -> Ints:
@@ -438,7 +528,7 @@ def _middle(docks: Reals, first: int, last: int) -> int:
     return int(first + distance.argmin())
 
 
-def _joined(docks: Reals, rests: Ints, near: float) -> tuple[Ints, Ints]:
+def _runs_joined(docks: Reals, rests: Ints, near: float) -> tuple[Ints, Ints]:
     """Join runs at rest that are one: samples turn a corner within a run, or noise splits it.
 
     Args:

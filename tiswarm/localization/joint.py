@@ -11,6 +11,7 @@ from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts
+from tiswarm.localization.mixture.exchange import with_exchanges
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.mixture.outliers import without_outlier_robots
 from tiswarm.localization.settings import MOST_STEPS, JointParams
@@ -65,7 +66,10 @@ def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate
         again, more = _further(longer, _annealed(longer))
         fit = Fit.of(longer, fit.annealed.joined(again.annealed))
         estimate = mixed(fit, restarted=restarted + more + len(annealed.mean))
-    return without_outlier_robots(fit, estimate)
+    without_robots = without_outlier_robots(fit, estimate)
+    if without_robots is not estimate:
+        return without_robots
+    return with_exchanges(fit, estimate) or estimate
 
 
 def _further(posed: Posed, annealed: Annealed) -> tuple[Fit, int]:

@@ -422,6 +422,14 @@ class Measurements:
         """Rows of `offsets` among all: three of each vector, one after another."""
         return slice(len(self.distances.stance), len(self.neighbor))
 
+    @property
+    def link(self) -> Ints:
+        """First row of each measurement of a pair: a vector has three, shape (C,)."""
+        distances = len(self.distances.stance)
+        return np.concatenate(
+            [np.arange(distances), np.arange(distances, len(self.neighbor), AXES)]
+        )
+
     def any_of_vector(self, flag: Bools) -> Bools:
         """Extend flags of rows, shape (E,), to all three rows of their vectors."""
         extended = flag.copy()

@@ -435,10 +435,10 @@ class GrowthBatch:
         first_stance = np.where(disturbed < 0, walks.stances.last[movers], disturbed)
         walks.climbers.first_stance[movers[goes_on]] = first_stance[goes_on]
         joiners = movers[joined]
-        if hasattr(self.rule, "act"):
-            self._admit_members(joiners)
         rounds = self.rounds[self.structure_of[joiners]]
         walk_of = dict(zip(joiners.tolist(), walks.walks(joiners, rounds), strict=True))
+        if hasattr(self.rule, "act"):
+            self._admit_members(joiners)
         for slot in movers[~goes_on].tolist():
             structure = self.structures[self.structure_of[slot]]
             if slot in walk_of:

@@ -241,9 +241,7 @@ class Problem:
     @property
     def link(self) -> Ints:
         """First row of each link, shape (C,)."""
-        distances = len(self.rows.distances.stance)
-        rows = len(self.rows.neighbor)
-        return np.concatenate([np.arange(distances), np.arange(distances, rows, 3)])
+        return self.rows.link
 
     @property
     def is_offset(self) -> Bools:

@@ -320,15 +320,29 @@ class Linear:
         shift[self.moves] = step[: self.shifts].reshape(-1, 3)
         return shift
 
-    def residual_of_draws(self) -> tuple[Reals, Reals]:
-        """Draw all errors as stated: residuals that a fit leaves, and `square`, (E, draws) both."""
-        error, off = self._drawn(DRAWS)
-        residual = error - self.jacobian @ off
-        count = self.noise.shape[0]
-        return residual[:count], (residual * self._weighted(residual))[:count]
+    def residual_of_draws(self) -> tuple[Reals, Reals, Reals]:
+        """Draw all errors as stated, and fit them.
 
-    def _drawn(self, draws: int) -> tuple[Reals, Reals]:
-        """Draw errors of all rows, (n, draws), and solve for those of unknowns, (F, draws)."""
+        Returns:
+            Residuals that are left, and `square`, (E, draws) both; and the chi-square, (draws,).
+        """
+        error, off, prior_draw = self._drawn(DRAWS)
+        residual = error - self.jacobian @ off
+        square = residual * self._weighted(residual)
+        of_rows = square.sum(axis=0) - square[self._overlapping].sum(axis=0)
+        prior = (prior_draw - np.sqrt(self.precision)[:, None] * off) ** 2
+        # Priors of shifts bound steps, and nominal ones say nothing.
+        says = self.precision > NOMINAL
+        says[: self.shifts] = False
+        count = self.noise.shape[0]
+        return residual[:count], square[:count], of_rows + prior[says].sum(axis=0)
+
+    def _drawn(self, draws: int) -> tuple[Reals, Reals, Reals]:
+        """Draw errors of all rows, (n, draws), and solve for those of unknowns, (F, draws).
+
+        Returns:
+            Both, and the draws of priors in their standard deviations, (F, draws).
+        """
         turns = self.noise.shape[1]
         sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
         # The inverse of a sparse matrix is dense; draws of all errors take one solve.
@@ -341,7 +355,7 @@ class Linear:
         pull = (
             self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior_draw
         )
-        return error, self.undamped.solve(pull)
+        return error, self.undamped.solve(pull), prior_draw
 
 
 @lru_cache(maxsize=32)

@@ -19,6 +19,9 @@ class ConvergenceTest:
     """Miss from which on a measurement is an outlier [standard deviations], if every converged
     chain misses it by as much."""
 
+    outlier_rate: float = 0.01
+    """Share of contacts and ranges that are wrong, if a log states no more [1]. Assumed."""
+
     jury: int = 3
     """Least chains that must agree on an outlier [1], where there are so many: a single chain tears
     contacts that are right."""
@@ -202,8 +205,41 @@ class OutlierRobotSettings:
     """Steps toward each minimum [1]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExchangeSettings:
+    """Outliers that are held while others give way. Chosen on training structures."""
+
+    most_robots: int = 300
+    """Robots up to which exchanges are tried [1]."""
+
+    most_exchanges: int = 5
+    """Measurements that may be exchanged one after another [1]."""
+
+    most_in_cut: int = 2
+    """Measurements that are left out at once [1]."""
+
+    most_tried: int = 4000
+    """Sets of measurements that are looked at for an exchange [1]."""
+
+    most_cuts: int = 500
+    """Sets among these, those that cut a part off, that are tried [1]."""
+
+    refined: int = 6
+    """Configurations among these that are moved to a minimum [1], those of least cost."""
+
+    least_gain: float = 1.0
+    """Cost by which an exchange must be cheaper [1]: minima are found to less."""
+
+    rounds: int = 15
+    """Rounds toward a minimum, at each of two temperatures [1]."""
+
+    turns: int = 30
+    """Steps of a part toward the distances that it has to meet [1]."""
+
+
 CONVERGENCE = ConvergenceTest()
 MIXTURE = MixtureSettings()
 SD_CALIBRATION = SdCalibration()
 REFINEMENT = RefineSettings()
 OUTLIER_ROBOTS = OutlierRobotSettings()
+EXCHANGE = ExchangeSettings()

@@ -111,7 +111,9 @@ def disregard(fit: Fit, estimate: Estimate) -> Disregarded | None:
     problem = fit.problem
     verdict = estimate.convergence
     stuck = stuck_robots(log)
-    is_explained = verdict is None or verdict.misfit_sd <= MOST_MISFIT_SD
+    is_explained = (
+        verdict is None or verdict.consistent is not False or verdict.misfit_sd <= MOST_MISFIT_SD
+    )
     if is_explained and not len(stuck):
         return None
     # The error of an orientation that was chained is that of many robots.

@@ -7,7 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.compute.chi_square import chi_square_chance, chi_square_excess, chi_square_limit
+from tiswarm.compute.chi_square import (
+    binomial_chance,
+    chi_square_chance,
+    chi_square_excess,
+    chi_square_limit,
+)
 from tiswarm.localization.cost.cost import State, WholeCost
 from tiswarm.localization.cost.linear import Linear
 from tiswarm.localization.mixture import CONVERGENCE, OUTLIER_ROBOTS
@@ -153,6 +158,8 @@ def judge(evidence: Evidence) -> Convergence:
     failures = [*trapped, *_failures(evidence, is_explained=test.is_explained)]
     # What a search that failed misses says nothing about the measurements.
     wrong = [*([] if trapped else misfits), *_wrong_sensors(evidence)]
+    if not trapped:
+        wrong += _unlikely_outliers(evidence)
     factor = 1.0
     if not test.is_explained and evidence.has_sd:
         factor = max(1.0, float(np.sqrt(test.chi_square / max(test.freedom, 1))))
@@ -225,7 +232,9 @@ class _Test:
         return cls(
             chi_square=chi_square,
             freedom=freedom,
-            sum_chance=_sum_chance(chi_square, freedom),
+            sum_chance=_sum_chance(chi_square, max(freedom, readings.freedom))
+            if freedom > 0
+            else 1.0,
             group_chance=min(1.0, tests * chance),
             group=group,
             scatter_chance=_sum_chance(readings.scatter, readings.repeats),
@@ -311,6 +320,10 @@ class _Readings(NamedTuple):
     repeats: int
     """Readings beyond the first of each quantity: the expectation of the scatter."""
 
+    freedom: int
+    """Expectation of the chi-square of means, priors included: docks that must not overlap hold
+    robots, and leave more of it than measurements alone."""
+
     @classmethod
     def of(cls, rows: Measurements, linear: Linear) -> "_Readings":
         """Split a chi-square: an error that all readings of a quantity share is in no scatter."""
@@ -324,7 +337,7 @@ class _Readings(NamedTuple):
             np.add.at(mean, quantity, weight / total[quantity] * residual)
             return np.asarray(weight * (residual - mean[quantity]) ** 2)
 
-        open_residual, square = linear.residual_of_draws()
+        open_residual, square, of_draws = linear.residual_of_draws()
         scatter_of_rows = scatter(linear.residual[: len(rows), None])[:, 0]
         expected = (square - scatter(open_residual)).mean(axis=1)
         repeats = len(rows) - len(first)
@@ -335,6 +348,7 @@ class _Readings(NamedTuple):
             expected,
             float(scatter_of_rows.sum()),
             repeats,
+            round(float(of_draws.mean())) - repeats,
         )
 
 
@@ -456,6 +470,43 @@ def _wrong_sensors(evidence: Evidence) -> Iterator[str]:
         yield f"orientation sensors of {counted(stuck, 'robot')} are stuck"
     if mute > OUTLIER_ROBOTS.most_mute * log.robot_count:
         yield f"{counted(mute, 'robot')} sensed nothing that shows their orientation"
+
+
+def _unlikely_outliers(evidence: Evidence) -> Iterator[str]:
+    """Say which outliers are no chance: those of anchors, and more than the log states."""
+    log = evidence.log
+    rows = evidence.rows
+    links = rows.link
+    outlier = evidence.outlier[links]
+    pair = np.column_stack([rows.robot[links], rows.neighbor[links]])
+    wrong, right = (
+        np.bincount(pair[chosen].ravel(), minlength=rows.robots) for chosen in (outlier, ~outlier)
+    )
+    is_anchor = np.isfinite(log.known_position[:, 0])
+    is_doubtful = is_anchor & (wrong > 0) & (wrong >= right)
+    if is_anchor.sum() > 1:  # one alone contradicts nothing
+        for robot in np.flatnonzero(is_doubtful).tolist():
+            yield contradiction(log, np.array([robot]))
+    count = int(outlier.sum())
+    rate = outlier_rate(log)
+    if count and binomial_chance(count, len(links), rate) < _GROUP_CHANCE:
+        yield (
+            f"{count} of {len(links)} contacts and ranges are outliers, which a rate of {rate:.3g} "
+            "does not explain"
+        )
+
+
+def contradiction(log: SensingLog, robots: Ints) -> str:
+    """Say that positions of anchors and their contacts or ranges contradict each other."""
+    names = ", ".join(str(name) for name in log.robot_id[robots].tolist())
+    which = "the known position of robot" if len(robots) == 1 else "the known positions of robots"
+    return f"{which} {names} and contacts or ranges contradict each other: either may be wrong"
+
+
+def outlier_rate(log: SensingLog) -> float:
+    """Return the share of contacts and ranges that are wrong, as stated or as assumed [1]."""
+    stated = [log.stated(key) for key in ("wrong_docks", "false_contacts")]
+    return max(CONVERGENCE.outlier_rate, sum(rate or 0.0 for rate in stated))
 
 
 def widened(sd: Reals, factor: float, position: Reals) -> Reals:
