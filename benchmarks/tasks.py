@@ -148,7 +148,7 @@ def names() -> list[str]:
 
 def by_terms(patience: float) -> Reals:
     """Return weights that act much as ReactiveBuild: gain, no visits, calls, and patience."""
-    never = patience + _MOST_GAIN  # robots without another flip go back
+    never = patience + _MOST_GAIN  # a robot without another flip goes back
     terms = {
         "flip gain": 1.0,
         "flip visited": -never,

@@ -58,7 +58,7 @@ class Track(NamedTuple):
     end: Reals  # last time of each, (K,)
     position: Reals  # centers, (K, 3)
     orientation_wxyz: Reals  # body to world, (K, 4)
-    number: Ints  # samples of which each is the mean; 0 where no pose shows it, (K,)
+    number: Ints  # samples that each is the mean of; 0 where no pose shows it, (K,)
 
     def docks(self, dock_offset_body: Reals) -> Reals:
         """Locate docks at offsets (D, 3) from the center, shape (K, D, 3)."""
@@ -239,7 +239,7 @@ class Rests(NamedTuple):
     """Body to world, shape (M, 4)."""
 
     number: Ints
-    """Samples of which each is the mean; 0 where no pose shows it, shape (M,)."""
+    """Samples that each is the mean of; 0 where no pose shows it, shape (M,)."""
 
     pivot: Ints
     """Dock that stays put as the robot leaves each but the last, shape (M,); -1 for the last."""

@@ -384,7 +384,7 @@ def _open(blocks: _Blocks, end: int, cost: Reals, opening: Reals, opened_by: Int
     rest = cost[end, docks]
     flip = int(cost[end, :docks].argmin())
     after_flip = cost[end, flip]
-    # A rest after a rest: a flip, of which no sample is recorded, leads from one to the other.
+    # A flip without a recorded sample leads from a rest to a rest.
     first, middle, after = blocks.edge[end - 1 : end + 2].tolist()
     number = np.array([middle - first, after - middle])
     mean = (blocks.docks[[middle, after]] - blocks.docks[[first, middle]]) / number[:, None, None]
