@@ -119,8 +119,9 @@ def linear(weights: Reals) -> _Act:
     )
 
     def act(_environment: object, observed: dict[str, Any]) -> AnyInts:
-        robot = observed["robot"] / _SCALES[-len(ROBOT_FEATURES) :]
-        flips = observed["flips"] / _SCALES[: len(FLIP_FEATURES)]
+        # Where robots go by estimates they observe more, which comes last and has no weight.
+        robot = observed["robot"][:, : len(ROBOT_FEATURES)] / _SCALES[-len(ROBOT_FEATURES) :]
+        flips = observed["flips"][..., : len(FLIP_FEATURES)] / _SCALES[: len(FLIP_FEATURES)]
         scores = np.column_stack([flips @ of_flip, robot @ of_stay, robot @ of_back])
         best: AnyInts = np.where(observed["action_mask"], scores, -np.inf).argmax(axis=1)
         return best
