@@ -51,7 +51,7 @@ def test_version_is_printed(tiswarm):
         (("fly",), "No such command"),
         (("run",), "Missing argument 'SCENARIO'; give it as in tiswarm run scenarios/tower.yaml"),
         (("compare",), "'RUN RUN ...'; give it as in tiswarm compare reports/tower-1a2b3c4d "),
-        (("import", "p.csv"), "Missing option '--out'; give it as in tiswarm import poses.csv "),
+        (("import", "p.csv"), "--out: give a folder for the log, or --check"),
         (("import", "scenarios/tower.yaml", "--out", "z"), "give a scenario to tiswarm run"),
         (("run", "notes.jsonl"), "give a log to tiswarm localize"),
         (("localize", "scenarios/tower.yaml"), "give a scenario to tiswarm run"),

@@ -52,7 +52,7 @@ def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
 
     assert imported.returncode == 0, imported.stderr
     assert imported.stderr == ""
-    assert imported.stdout.startswith("dock offset 1 cm: most docks touch there\n")
+    assert imported.stdout.startswith("dock offset 1.000000 +- ")
     assert imported.stdout.endswith(f"36 robots, 64 contacts -> {tmp_path}\n")
     assert done.returncode == 0, done.stderr
     truth = pd.read_csv(tmp_path / "truth.csv")
@@ -68,8 +68,8 @@ def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
     assert "expected RMSE [cm]" in advised.stdout
     assert re.search(r"\ntogether, [12] \w+( and 1 \w+)?: expected RMSE ", advised.stdout)
     assert viewed.returncode == 0, viewed.stderr
-    assert done.stdout.splitlines()[0] in page.read_text()
-    assert f"an RMSE of {rmse:.3g} cm." in seen.read_text()
+    assert done.stdout.partition(" -> ")[0] in page.read_text()
+    assert f"The RMSE is {rmse:.3g} cm." in seen.read_text()
 
 
 def test_a_recording_is_checked_without_a_file(tiswarm, tmp_path):

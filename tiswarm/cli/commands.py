@@ -343,7 +343,7 @@ def import_(
     debug: options.Debug = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Convert poses of any program to a sensing log and a truth, or what robots recorded to a log.
+    """Convert poses, ranges or recordings of robots to a sensing log.
 
     A column `run` names the structure of each row; each then has a folder of its own in --out.
     """
@@ -355,9 +355,9 @@ def import_(
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")
     if check and (out is not None or report is not None):
-        raise InputError("writes nothing; leave --out and --report away", argument="--check")
+        raise InputError("writes nothing; leave --out and --report away", argument="check")
     if out is None and not check:
-        raise InputError("give a folder for the log, or --check", argument="--out")
+        raise InputError("give a folder for the log, or --check", argument="out")
     folder = Path() if out is None else out
     estimate = folder / "estimate.csv"
     if report is not None:  # refuse it before a log is written beside it

@@ -158,7 +158,7 @@ def judge(evidence: Evidence) -> Convergence:
     failures = [*trapped, *_failures(evidence, is_explained=test.is_explained)]
     # What a search that failed misses says nothing about the measurements.
     wrong = [*([] if trapped else misfits), *_wrong_sensors(evidence)]
-    if not trapped:
+    if not failures:
         wrong += _unlikely_outliers(evidence)
     # Without spare measurements no sum is tested, but a failed search may miss what it can meet.
     is_missed = bool(trapped) and test.chi_square > evidence.chance
