@@ -113,8 +113,8 @@ def test_all_ways_to_score_agree(folder, tmp_path):
     for found in (tiswarm.score(truth, table), tiswarm.score(truth, estimate)):
         assert found["RMSE"] == pytest.approx(rmse, rel=1e-9)
         assert found.left == left
-    assert f"{15 - left} robots located" in text
-    assert f"an RMSE of {rmse:.3g} R. {left} left." in text
+    assert f"{15 - left} robots" in text
+    assert f"The RMSE is {rmse:.3g} R. {left} left." in text
     view = view_log(estimate.log, estimate, estimate.log.positions(truth))
     assert np.isnan(view.error).tolist() == estimate.gone.tolist()
 

@@ -73,6 +73,7 @@ def test_columns_that_the_page_of_files_lists_are_in_tables(scaled):
         "table.csv": {*pd.read_csv(scaled / "table.csv")},
         "paired.csv": {*pd.read_csv(scaled / "paired.csv")},
         "growth.csv": {*pd.read_csv(case / "growth.csv")} | {"sent_B"},
+        "estimate.csv": {*pd.read_csv(case / "estimate.csv")},
         "scaling.csv": {*pd.read_csv(scaled / "scaling.csv")["measure"]},
     }
     names["summary.csv"] |= {"left_edge_R", "right_edge_R"}

@@ -354,11 +354,7 @@ def import_(
 
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")
-    if check and (out is not None or report is not None):
-        raise InputError("writes nothing; leave --out and --report away", argument="check")
-    if out is None and not check:
-        raise InputError("give a folder for the log, or --check", argument="out")
-    folder = Path() if out is None else out
+    folder = _folder_of_log(out, report, check=check)
     estimate = folder / "estimate.csv"
     if report is not None:  # refuse it before a log is written beside it
         Outputs(overwrite=overwrite).check({"out": estimate, "report": report})
@@ -411,6 +407,17 @@ def import_(
             debug=debug,
             quiet=quiet,
         )
+
+
+def _folder_of_log(out: Path | None, report: Path | None, *, check: bool) -> Path:
+    """Return the folder that an import writes to; refuse one that nothing is written to."""
+    from tiswarm.base.errors import InputError
+
+    if check and (out is not None or report is not None):
+        raise InputError("writes nothing; leave --out and --report away", argument="check")
+    if out is None and not check:
+        raise InputError("give a folder for the log, or --check", argument="out")
+    return Path() if out is None else out
 
 
 def _robots_of(anchor: str) -> tuple[int, ...]:

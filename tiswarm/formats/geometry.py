@@ -183,7 +183,7 @@ def _touching(
     distance = np.linalg.norm(between, axis=1)
     gap = distance - 2.0 * radius
     close = gap >= -_CLOSE * radius
-    along = between / distance[:, None]
+    along = between / np.maximum(distance, np.finfo(float).tiny)[:, None]
     arm = dock_offsets(poses.orientation_wxyz, poses.dock_offset_body)
     lever = (along * (arm[j, b] - arm[i, a])).sum(axis=1)
     variance = np.full(len(gap), (_LEAST * radius) ** 2)

@@ -63,6 +63,7 @@ class WalkedStances(NamedTuple):
     orientation: Reals3
     touching: Ints4
     on_ground: Ints3
+    last: Ints1
 
 
 class DockPlaces(NamedTuple):
@@ -130,7 +131,7 @@ def believe_stances(
     """
     structures = ti.static(DockPlaces(dock))
     believed = ti.static(TurnedDocks(believed_dock, turn))
-    walks = ti.static(WalkedStances(center, orientation, touching, None))
+    walks = ti.static(WalkedStances(center, orientation, touching, None, None))
     out = ti.static(BelievedWalks(believed_center_out, sensed_out))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
@@ -175,7 +176,7 @@ def plan_flips(
     structures = ti.static(BelievedDocks(CellList(head, following), dock))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
     climbers = ti.static(PlanningClimbers(structure, dock_offset_body, near_out, obstacle_out))
-    walks = ti.static(WalkedStances(center, orientation, touching, on_ground))
+    walks = ti.static(WalkedStances(center, orientation, touching, on_ground, last))
     flips = ti.static(FlipArrays(angle_out, end_out, turned_out, visited_out))
     site = ti.static(site_of(ground, laws))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
@@ -187,17 +188,17 @@ def plan_flips(
             for k in range(dock_offset_body.shape[0]):
                 if is_attached(walks, m, last[m], k):
                     _plans_about(
-                        limits, is_local, site, structures, believed, climbers, walks, m, last[m],
-                        k, flips,
-                    )  # fmt: skip
+                        limits, is_local, site, structures, believed, climbers, walks, m, k, flips
+                    )
 
 
 @ti.func
 def _plans_about(
     limits: Ref, is_local, site: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref,
-    m, stance, k, flips: Ref,
+    m, k, flips: Ref,
 ):  # fmt: skip
     """List the flips that a mover plans about its dock `k`."""
+    stance = walks.last[m]
     body = ti.static(climbers.dock_offset_body)
     near = ti.static(Obstacles(climbers.near, site))
     obstacle = ti.static(Obstacles(climbers.obstacle, site))
@@ -260,7 +261,7 @@ def note_planned_docks(
     structures = ti.static(DockPlaces(dock))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
     climbers = ti.static(PlanningClimbers(structure, dock_offset_body, None, None))
-    walks = ti.static(WalkedStances(center, orientation, touching, None))
+    walks = ti.static(WalkedStances(center, orientation, touching, None, None))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
