@@ -141,6 +141,16 @@ class Evidence:
     """Whether the robots are too many to search for that minimum."""
 
     @property
+    def hangs_on_outliers(self) -> bool:
+        """Whether outliers alone tie most robots to the anchor."""
+        return 2 * self.torn > len(self.is_guess)
+
+    @property
+    def is_off_minimum(self) -> bool:
+        """Whether positions nearby fit better by more than noise, or the stated sd, explains."""
+        return self.excess > self.chance and not self.is_within
+
+    @property
     def chance(self) -> float:
         """Excess of a chi-square that noise explains [1]."""
         return float(chi_square_limit(self.unknowns, CONVERGENCE.chance_sd))
@@ -158,7 +168,8 @@ def judge(evidence: Evidence) -> Convergence:
     failures = [*trapped, *_failures(evidence, is_explained=test.is_explained)]
     # What a search that failed misses says nothing about the measurements.
     wrong = [*([] if trapped else misfits), *_wrong_sensors(evidence)]
-    if not failures:
+    is_lost = bool(trapped) or evidence.hangs_on_outliers or evidence.is_off_minimum
+    if not is_lost:
         wrong += _unlikely_outliers(evidence)
     # Without spare measurements no sum is tested, but a failed search may miss what it can meet.
     is_missed = bool(trapped) and test.chi_square > evidence.chance
@@ -166,7 +177,7 @@ def judge(evidence: Evidence) -> Convergence:
     if (is_missed or not test.is_explained) and evidence.has_sd:
         factor = max(1.0, float(np.sqrt(test.chi_square / max(test.freedom, 1))))
     is_testable = bool(wrong) or not evidence.is_counted or test.freedom > 0
-    is_tested = is_testable and not (trapped and not wrong)
+    is_tested = is_testable and not (is_lost and not wrong)
     return Convergence(
         converged=not failures,
         consistent=not wrong if is_tested else None,
@@ -440,13 +451,13 @@ def _failures(evidence: Evidence, *, is_explained: bool) -> Iterator[str]:
     outliers = int(evidence.outlier[:links].sum())
     if evidence.is_guess[1:].all() and len(evidence.is_guess) > 1:
         yield "all positions are guesses"
-    if 2 * evidence.torn > len(evidence.is_guess):
+    if evidence.hangs_on_outliers:
         yield f"outliers alone tie {evidence.torn} of {len(evidence.is_guess)} robots to the anchor"
     if evidence.missed > CONVERGENCE.torn_anyway + CONVERGENCE.most_torn * links:
         yield f"the best chain misses {evidence.missed} contacts or ranges"
     if outliers > CONVERGENCE.most_outliers * links:
         yield f"{outliers} of {links} contacts and ranges are outliers"
-    if evidence.excess > evidence.chance and not evidence.is_within:
+    if evidence.is_off_minimum:
         yield (
             "positions nearby fit the measurements better: their chi-square is "
             f"{evidence.excess:.3g} less, and noise explains {evidence.chance:.3g}"
