@@ -18,7 +18,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.params import METHOD
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.study.navigation import Place, Placed, placed_by
+from tiswarm.study.navigation import BelievedPlaces, Place, placed_by
 
 Believer: TypeAlias = Callable[[Log], "ArrayLike | tuple[ArrayLike, ArrayLike] | Estimate"]
 """Function of the log of robots that have joined, in join order, which returns where they believe
@@ -108,7 +108,7 @@ def _is_function(believe: object) -> bool:
 def _place_by(believe: Believer) -> Place:
     """Return what places the robots of a log by a function of the caller."""
 
-    def place(log: SensingLog) -> Placed:
+    def place(log: SensingLog) -> BelievedPlaces:
         returned = believe(Log.of(log))
         if isinstance(returned, Estimate):
             return placed_by(returned)
@@ -118,7 +118,7 @@ def _place_by(believe: Believer) -> Place:
             center, sd = returned
         robots = log.robot_count
         unknown = np.full(robots, np.nan)
-        return Placed(
+        return BelievedPlaces(
             _checked(center, (robots, 3), np.isfinite),
             unknown if sd is None else _checked(sd, (robots,), _is_no_negative),
             unknown,

@@ -62,7 +62,7 @@ class Value(NamedTuple):
         return f"{self.value:.{digits}f} +- {self.sd:.{digits}f}"
 
 
-class Scale(NamedTuple):
+class DockGeometry(NamedTuple):
     """Distances of docks from the center, per assumed ones, and radius of docks."""
 
     factor: Value | None  # by flips and contacts, or by one of these; None where too few state it
@@ -71,7 +71,7 @@ class Scale(NamedTuple):
     radius: Value | None  # of docks in contact, at the distance by flips; None without contacts
 
 
-def fit_scale(poses: Poses, rests: Rests | None, assumed: Assumptions) -> Scale:
+def fit_scale(poses: Poses, rests: Rests | None, assumed: Assumptions) -> DockGeometry:
     """Estimate by which factor docks are farther from the center than assumed.
 
     Args:
@@ -101,14 +101,14 @@ def fit_scale(poses: Poses, rests: Rests | None, assumed: Assumptions) -> Scale:
         factor = by_flips or by_contacts
         flips = 0 if by_flips is None else by_flips.rows
         contacts = 0 if by_contacts is None else by_contacts.rows
-        return Scale(factor, flips, contacts, radius)
+        return DockGeometry(factor, flips, contacts, radius)
     apart = abs(by_flips.value - by_contacts.value)
     if apart > _DISAGREE * np.hypot(by_flips.sd, by_contacts.sd):
-        return Scale(by_flips, by_flips.rows, 0, radius)
+        return DockGeometry(by_flips, by_flips.rows, 0, radius)
     weight = np.array([by_flips.sd, by_contacts.sd]) ** -2.0
     value = float(weight @ [by_flips.value, by_contacts.value] / weight.sum())
     both = Value(value, float(weight.sum() ** -0.5), by_flips.rows + by_contacts.rows)
-    return Scale(both, by_flips.rows, by_contacts.rows, radius)
+    return DockGeometry(both, by_flips.rows, by_contacts.rows, radius)
 
 
 def _combined(value: Reals, variance: Reals) -> Value | None:
@@ -193,14 +193,14 @@ def _touching(
     return gap[close], lever[close], variance[close]
 
 
-class Ground(NamedTuple):
+class FittedGround(NamedTuple):
     """Plane on which docks stand."""
 
     height: Value
     tilt_deg: Value | None  # against the horizontal; None where docks do not span a plane
 
 
-def fit_ground(docks: Reals, ground_z: float, dock_radius: float) -> Ground | None:
+def fit_ground(docks: Reals, ground_z: float, dock_radius: float) -> FittedGround | None:
     """Fit a plane below the docks that may stand; None if there are too few.
 
     Args:
@@ -228,7 +228,7 @@ def fit_ground(docks: Reals, ground_z: float, dock_radius: float) -> Ground | No
         size = float(np.hypot(*slope[1:]))
         sd = float(np.sqrt(np.trace(covariance[1:, 1:])))
         tilt = Value(float(np.degrees(size)), float(np.degrees(sd)), len(low))
-    return Ground(value, tilt)
+    return FittedGround(value, tilt)
 
 
 def standing_docks(poses: Poses, rests: Rests | None) -> Reals:

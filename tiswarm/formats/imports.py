@@ -23,7 +23,7 @@ from tiswarm.base.registry import BUILT_IN, get, registered
 from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
 from tiswarm.formats.columns import EULER, refuse_other_files, turns_by
-from tiswarm.formats.geometry import Scale, fit_ground, fit_scale, standing_docks
+from tiswarm.formats.geometry import DockGeometry, fit_ground, fit_scale, standing_docks
 from tiswarm.formats.motion import (
     LOUDEST,
     Rests,
@@ -332,7 +332,7 @@ _LEAST_DOUBT = 0.005
 """Largest error of a stated length that is no doubt [dock radii]."""
 
 
-def doubted_geometry(poses: Poses, scale: Scale, assumed: Assumptions) -> list[str]:
+def doubted_geometry(poses: Poses, scale: DockGeometry, assumed: Assumptions) -> list[str]:
     """Warn of a distance and a radius of docks that flips and contacts contradict."""
     unit = poses.length_unit
     radius = assumed.dock_radius

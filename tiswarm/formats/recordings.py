@@ -57,8 +57,8 @@ class _Touch(NamedTuple):
     """A dock of a robot, and what it touches: a dock of another robot, or the ground."""
 
     dock: int
-    other: int
-    other_dock: int
+    partner: int
+    partner_dock: int
 
 
 class _Change(NamedTuple):
@@ -278,17 +278,17 @@ def _add_contacts(
 ) -> None:
     """Add the changes of contacts to both of their robots."""
     dock = _dock(table, "dock", first, count).tolist()
-    other_dock = _dock(table, "other_dock", first, count).tolist()
+    partner_dock = _dock(table, "other_dock", first, count).tolist()
     robot = [names[name] for name in table.words("robot")]
-    other = [names[name] for name in table.words("other")]
+    partner = [names[name] for name in table.words("other")]
     for row, time, closes in _changes(table, robots):
-        if robot[row] == other[row]:
+        if robot[row] == partner[row]:
             problem = "a robot cannot touch itself; name another robot"
             line = table.file.line(row)
             raise InputError(problem, path=table.path, line=line, key=table.column["other"])
-        ends = (robot[row], dock[row]), (other[row], other_dock[row])
-        for is_own, ((number, own), (partner, partner_dock)) in ((True, ends), (False, ends[::-1])):
-            change = _Change(time, closes, is_own, _Touch(own, partner, partner_dock))
+        ends = (robot[row], dock[row]), (partner[row], partner_dock[row])
+        for is_own, ((number, own_dock), touched) in ((True, ends), (False, ends[::-1])):
+            change = _Change(time, closes, is_own, _Touch(own_dock, *touched))
             robots[number].changes.append(change)
 
 
@@ -409,16 +409,16 @@ def _log(
     finals = [robots[number].final for number in order]
     orientation = np.array([rest.wxyz for rest in finals])
     contacts = [
-        (row, touch.dock, row_of[touch.other], touch.other_dock)
+        (row, touch.dock, row_of[touch.partner], touch.partner_dock)
         for row, rest in enumerate(finals)
         for touch in rest.touches
-        if touch.other != _GROUND
+        if touch.partner != _GROUND
     ]
     standing = sorted(
         (row, touch.dock)
         for row, rest in enumerate(finals)
         for touch in rest.touches
-        if touch.other == _GROUND
+        if touch.partner == _GROUND
     )
     pairs = with_earlier_first(np.array(contacts, np.int32).reshape(-1, 4))
     stances, passing = _stances(robots, order)
@@ -478,12 +478,13 @@ def _stances(robots: Mapping[int, _Robot], order: Sequence[int]) -> tuple[Stance
     passing = 0
     for stance, rest in enumerate(rests):
         for touch in rest.touches:
-            if touch.other == _GROUND:
+            if touch.partner == _GROUND:
                 standing.append((stance, touch.dock))
             elif (
-                robots[touch.other].final.begin <= rest.end and row_of[touch.other] < owner[stance]
+                robots[touch.partner].final.begin <= rest.end
+                and row_of[touch.partner] < owner[stance]
             ):
-                contacts.append((stance, touch.dock, row_of[touch.other], touch.other_dock))
+                contacts.append((stance, touch.dock, row_of[touch.partner], touch.partner_dock))
             else:
                 passing += 1
     stances = Stances(

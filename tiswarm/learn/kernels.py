@@ -60,7 +60,7 @@ def observe(
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     here = ti.static(EndContacts(touching, on_ground))
-    there = ti.static(EndContacts(touching_out, on_ground_out))
+    end_contacts = ti.static(EndContacts(touching_out, on_ground_out))
     site = ti.static(site_of(ground, laws))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
@@ -99,8 +99,10 @@ def observe(
                     calls = 0
                     for k in range(dock_offset_body.shape[0]):
                         point = place + rotate(q, vector_at(dock_offset_body, k))
-                        calls |= sense_contacts(limits, site, structures, s, there, m, 0, k, point)
-                    meets = _met(sensed, there, s, m, 0, dock_offset_body.shape[0])
+                        calls |= sense_contacts(
+                            limits, site, structures, s, end_contacts, m, 0, k, point
+                        )
+                    meets = _met(sensed, end_contacts, s, m, 0, dock_offset_body.shape[0])
                     remaining = (place - aim).norm()
                     way = place - start
                     flip = ti.Vector([

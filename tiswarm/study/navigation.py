@@ -34,7 +34,7 @@ _DRAWS = 3
 """Numbers of the draw of a robot."""
 
 
-class Placed(NamedTuple):
+class BelievedPlaces(NamedTuple):
     """Where n robots in join order believe to be."""
 
     center: Reals
@@ -47,7 +47,7 @@ class Placed(NamedTuple):
     """Bytes that each robot has sent for that, shape (n,); NaN without messages."""
 
 
-Place = Callable[[SensingLog], Placed]
+Place = Callable[[SensingLog], BelievedPlaces]
 """Places the robots of a log."""
 
 
@@ -218,7 +218,7 @@ def believe_by(settings: Scenario, place: Place | None = None) -> Believe:
 
     def locate(
         grown: Sequence[GrowingStructure], structures: Sequence[Sequence[_Side]]
-    ) -> list[Placed]:
+    ) -> list[BelievedPlaces]:
         """Place the robots of all sides of structures, side by side."""
         logs = [side.log for sides in structures for side in sides]
         if place is not None:
@@ -245,20 +245,20 @@ def believe_by(settings: Scenario, place: Place | None = None) -> Believe:
     return believe
 
 
-def placed_by(estimate: Estimate) -> Placed:
+def placed_by(estimate: Estimate) -> BelievedPlaces:
     """Return where an estimate places robots, and what these sent for it."""
     sent = estimate.traffic["sent"] if estimate.traffic else None
     return _placed(estimate.position, estimate.sd, sent)
 
 
-def _placed(center: Reals, sd: Reals | None, sent: Reals | None) -> Placed:
+def _placed(center: Reals, sd: Reals | None, sent: Reals | None) -> BelievedPlaces:
     """Put positions together with their standard deviations and bytes, NaN where there are none."""
     unknown = np.full(len(center), np.nan)
     if sd is None:
         sd = unknown
     if sent is None:
         sent = unknown
-    return Placed(center, 1.0 * sd, 1.0 * sent)
+    return BelievedPlaces(center, 1.0 * sd, 1.0 * sent)
 
 
 def _sides(history: History, log: SensingLog) -> list[_Side]:

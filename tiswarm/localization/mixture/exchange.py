@@ -187,9 +187,11 @@ class _Search:
     def cost(self, position: Reals) -> float:
         """Cost of a configuration with its outliers [1]; an anchor is one measurement."""
         square = self.square(position)
-        known = np.bincount(self._rows.robot[self._known], square[self._known], self._rows.robots)
+        of_places = np.bincount(
+            self._rows.robot[self._known], square[self._known], self._rows.robots
+        )
         total = np.minimum(square[~self._known], self._outlier_cost).sum()
-        return float(total + np.minimum(known, self._outlier_cost).sum())
+        return float(total + np.minimum(of_places, self._outlier_cost).sum())
 
     def tried(self, end: _End) -> list[_End]:
         """Try all exchanges at a configuration, and move the best few to minima."""
