@@ -10,6 +10,7 @@ from tiswarm.base.progress import ignore
 from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING
+from tiswarm.localization.mixture.anchors import without_wrong_anchors
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts
 from tiswarm.localization.mixture.exchange import with_exchanges
 from tiswarm.localization.mixture.mixture import mixed
@@ -56,6 +57,9 @@ def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate
     """Estimate positions from first chains, whose starts no estimate chose."""
     fit, restarted = _further(posed, annealed)
     estimate = mixed(fit, restarted=restarted)
+    without_anchors = without_wrong_anchors(fit, estimate)
+    if without_anchors is not None:
+        return without_anchors
     steps = params.steps_for(posed.log.robot_count)
     verdict = estimate.convergence
     few = params.steps is None and posed.is_refined and steps < MOST_STEPS
