@@ -394,10 +394,11 @@ def step_robots(
     robots = ti.static(SwarmState(
         position_out, reference, height, arm, dock_out, mobility, last_step_out, number
     ))  # fmt: skip
-    # The one dock of a card's row needs no bits; known to the compiler, this saves registers.
+    # The one dock of a card's row needs no bits, and entries of a processor's follow each other;
+    # known to the compiler, this saves registers and arithmetic.
     grid = ti.Struct(
-        docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride,
-        unit=unit,
+        docks=docks, own_bits=0 if ti.static(on_card) else own_bits,
+        entry_stride=entry_stride if ti.static(on_card) else 1, unit=unit,
     )  # fmt: skip
     half = dock_out.shape[0] // 2
     for k in ti.static(range(steps)):
