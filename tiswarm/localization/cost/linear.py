@@ -156,7 +156,7 @@ class Linear:
         measured = self.noise.shape[0]
         self.inverse = self.related.inverse(self.noise, self.own_variance)
         """Inverse covariance of all rows, or the inverse variance of each if that is diagonal."""
-        pull = self._weighted(self.residual)
+        pull = self.weighted(self.residual)
         square = self.residual * pull
         self.square = square[:measured] + self.excess
         """Part of the cost that each measurement carries [1], shape (E,)."""
@@ -171,8 +171,8 @@ class Linear:
         self.cost = self.chi_square + self.overlap
         self.slope = self.jacobian.T @ pull + self.precision * self.off
 
-    def _weighted(self, values: Reals) -> Reals:
-        """Multiply values of all rows by the inverse covariance."""
+    def weighted(self, values: Reals) -> Reals:
+        """Multiply values of all rows, shape (n, ...), by the inverse covariance."""
         if isinstance(self.inverse, np.ndarray):
             return np.asarray((self.inverse * values.T).T)
         return np.asarray(self.inverse @ values)
@@ -226,7 +226,7 @@ class Linear:
         step = -factors.solve(self.slope)
         # Turns of earlier stances are in the covariance, not among the unknowns: their likeliest
         # values follow from the residuals that are left.
-        weighted_residual = self._weighted(self.residual + self.jacobian @ step)
+        weighted_residual = self.weighted(self.residual + self.jacobian @ step)
         return step, -(self.noise.T @ weighted_residual[: self.noise.shape[0]])
 
     @property
@@ -316,7 +316,7 @@ class Linear:
         every = np.zeros(len(self.residual))
         shift = np.zeros((len(self.moves), 3))
         every[len(every) - len(error) :] = error
-        step = self.undamped.solve(np.asarray(self.jacobian.T @ self._weighted(every)))
+        step = self.undamped.solve(np.asarray(self.jacobian.T @ self.weighted(every)))
         shift[self.moves] = step[: self.shifts].reshape(-1, 3)
         return shift
 
@@ -328,7 +328,7 @@ class Linear:
         """
         error, off, prior_draw = self._drawn(DRAWS)
         residual = error - self.jacobian @ off
-        square = residual * self._weighted(residual)
+        square = residual * self.weighted(residual)
         of_rows = square.sum(axis=0) - square[self._overlapping].sum(axis=0)
         prior = (prior_draw - np.sqrt(self.precision)[:, None] * off) ** 2
         # Priors of shifts bound steps, and nominal ones say nothing.
@@ -353,7 +353,7 @@ class Linear:
         error = np.sqrt(self.own_variance)[:, None] * row_draw
         error[: self.noise.shape[0]] += self.noise @ turn_draw
         pull = (
-            self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior_draw
+            self.jacobian.T @ self.weighted(error) + np.sqrt(self.precision)[:, None] * prior_draw
         )
         return error, self.undamped.solve(pull), prior_draw
 
