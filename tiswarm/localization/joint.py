@@ -57,13 +57,13 @@ def localize_batch(
 def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate:
     """Estimate positions from first chains, whose starts no estimate chose."""
     fit, estimate = _mixed(posed, params, annealed)
-    # One wrong number of all robots may look like some wrong robots: it is tried first.
-    with_causes = with_common_causes(posed, estimate, lambda log: _of_log(log, params))
-    if with_causes is not None:
-        return with_causes
     without_anchors = without_wrong_anchors(fit, estimate)
     if without_anchors is not None:
         return without_anchors
+    # One wrong number of all robots may look like some wrong robots: it is tried before them.
+    with_causes = with_common_causes(posed, estimate, lambda log: _of_log(log, params))
+    if with_causes is not None:
+        return with_causes
     without_robots = without_outlier_robots(fit, estimate)
     if without_robots is not estimate:
         return without_robots
