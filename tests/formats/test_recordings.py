@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.recordings import (
     RADIUS_MM,
@@ -113,6 +114,35 @@ def test_ground_at_another_height_is_measured(recording, tmp_path):
 
     (warning,) = [text for text in warnings if "correct --ground-z" in text]
     assert float(re.search(r"z = (\S+) \+-", warning)[1]) == pytest.approx(0.5, abs=0.1)
+
+
+def tilted(recording, deg):
+    """Turn all poses of a recording about a horizontal axis."""
+    turn = Rotation.from_rotvec([np.radians(deg), 0.0, 0.0])
+    place = ["x_mm", "y_mm", "z_mm"]
+    wxyz = ["qw", "qx", "qy", "qz"]
+    orientation = Rotation.from_quat(recording[wxyz].to_numpy(), scalar_first=True)
+    turned = recording.copy()
+    turned[place] = turn.apply(recording[place].to_numpy())
+    turned[wxyz] = (turn * orientation).as_quat(scalar_first=True)
+    return turned
+
+
+def test_a_tilted_vertical_is_measured(recording, tmp_path):
+    """Docks that stand say by how many degrees the vertical of the recording is off."""
+    warnings = imported(tilted(recording, 1.0), tmp_path).warnings
+
+    (warning,) = [text for text in warnings if "tilted by" in text]
+    value, sd = map(float, re.search(r"tilted by (\S+) \+- (\S+) deg", warning).groups())
+    assert abs(value - 1.0) < 4.0 * sd
+    assert sd < 0.1
+
+
+def test_ground_that_is_level_is_not_called_tilted(recording, tmp_path):
+    """A twentieth of a degree is within the noise of the docks that stand."""
+    warnings = imported(tilted(recording, 0.05), tmp_path).warnings
+
+    assert not [text for text in warnings if "tilted by" in text]
 
 
 @pytest.mark.parametrize("samples", [1, 2, 5])
