@@ -10,6 +10,7 @@ from tiswarm.base.progress import ignore
 from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING
+from tiswarm.localization.mixture.anchors import without_wrong_anchors
 from tiswarm.localization.mixture.common_causes import with_common_causes
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts
 from tiswarm.localization.mixture.exchange import with_exchanges
@@ -56,7 +57,10 @@ def localize_batch(
 def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate:
     """Estimate positions from first chains, whose starts no estimate chose."""
     fit, estimate = _mixed(posed, params, annealed)
-    # One wrong number of all robots may look like some wrong robots: it is tried first.
+    without_anchors = without_wrong_anchors(fit, estimate)
+    if without_anchors is not None:
+        return without_anchors
+    # One wrong number of all robots may look like some wrong robots: it is tried before them.
     with_causes = with_common_causes(posed, estimate, lambda log: _of_log(log, params))
     if with_causes is not None:
         return with_causes

@@ -123,11 +123,25 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
     )
     if carriers.size:
         clauses.append(f"most of it is carried by {named(log, carriers)}")
+    anchors = _outlier_anchors(log, estimate)
     if causes:
         remedy = _REMEDIES[causes[0].parameter]
+    elif anchors.size:
+        remedy = "measure that position again, or leave it out of the log"
+        if len(anchors) > 1:
+            remedy = "measure these positions again, or leave them out of the log"
     else:
         remedy = _remedy(convergence, carriers, log, beyond)
     return "; ".join([*clauses, remedy])
+
+
+def _outlier_anchors(log: SensingLog, estimate: Estimate) -> Ints:
+    """List the robots whose known positions are outliers."""
+    if estimate.outlier_places is None:
+        return np.empty(0, np.int64)
+    robots = np.unique(estimate.outlier_places[:, 0])
+    anchors: Ints = robots[np.isfinite(log.known_position[robots, 0])].astype(np.int64)
+    return anchors
 
 
 def describe_misfit(misfit_sd: float) -> str:

@@ -242,6 +242,27 @@ class ExchangeSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class AnchorSettings:
+    """Known positions as outliers. Chosen on training structures."""
+
+    most: float = 0.5
+    """Share of the anchors, beside the first robot, up to which they are left out [1]."""
+
+    promising: float = 15.0
+    """Gain from which on an anchor is tried where the estimate is to be trusted [1]: anchors that
+    are right gained up to 7."""
+
+    compared: int = 8
+    """Anchors without which costs are compared at the estimate, those with the most misfit [1]."""
+
+    tried: int = 3
+    """Anchors without which chains are annealed, those of the greatest gain first [1]."""
+
+    rounds: int = 10
+    """Steps toward a minimum [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class CommonCauseSettings:
     """Parameters that all robots share, as causes of a misfit. Chosen on training structures."""
 
@@ -285,5 +306,6 @@ MIXTURE = MixtureSettings()
 SD_CALIBRATION = SdCalibration()
 REFINEMENT = RefineSettings()
 OUTLIER_ROBOTS = OutlierRobotSettings()
+ANCHORS = AnchorSettings()
 EXCHANGE = ExchangeSettings()
 COMMON_CAUSES = CommonCauseSettings()
