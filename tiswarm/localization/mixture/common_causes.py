@@ -293,7 +293,7 @@ def _fit(
         parameter: The parameter.
         posed: The log as it is stated.
         state: Where to begin.
-        tried: Parameters of which the likeliest one is chosen.
+        tried: Parameters; the likeliest one is chosen.
         change: Change of the parameter to begin with, none if None.
     """
     if change is None:
