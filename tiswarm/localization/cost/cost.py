@@ -546,14 +546,31 @@ class WholeCost(Cost[Linear]):
         # the slope of the loss at this residual, and so the linear problem leads to a minimum of
         # the loss. The square itself is smaller than the loss; the rest is a constant of the step.
         square = self.robust_sd**2
-        missed = residual**2 / (square * self.variance)
+        missed = self._missed(residual, square)
+        excess = equations.loss_beyond(missed, np.log1p(missed), square)
+        offset = self.rows.vector_rows
+        excess[offset] /= 3.0
+        return self.own_variance + self.variance * missed, excess
+
+    def losses(self, residual: Reals) -> Reals:
+        """Compute the loss of each measurement [1], that of a vector in each of its rows.
+
+        Args:
+            residual: Residuals [R], shape (E,).
+        """
+        if self.robust_sd is None:
+            return self._missed(residual, 1.0)
+        square = self.robust_sd**2
+        return np.asarray(square * np.log1p(self._missed(residual, square)))
+
+    def _missed(self, residual: Reals, square: float) -> Reals:
+        """Divide squared residuals by a square of variances, 0 of what is known, shape (E,)."""
+        missed: Reals = residual**2 / (square * self.variance)
         missed[self.is_known] = 0.0
         # The three rows of a vector give way together: they are one measurement.
         offset = self.rows.vector_rows
         missed[offset] = np.repeat(missed[offset].reshape(-1, 3).sum(axis=1), 3)
-        excess = equations.loss_beyond(missed, np.log1p(missed), square)
-        excess[offset] /= 3.0
-        return self.own_variance + self.variance * missed, excess
+        return missed
 
     def _docks_at(self, state: State) -> Reals:
         """Arms of all docks at the end [R], shape (N, docks, 3)."""

@@ -526,6 +526,11 @@ def outlier_rate(log: SensingLog) -> float:
     return max(CONVERGENCE.outlier_rate, sum(rate or 0.0 for rate in stated))
 
 
+def outlier_cost(log: SensingLog) -> float:
+    """Return what a contact or range that is an outlier costs [1], -2 log of their rate."""
+    return -2.0 * float(np.log(outlier_rate(log)))
+
+
 def widened(sd: Reals, factor: float, position: Reals) -> Reals:
     """Multiply standard deviations [R], shape (N,), up to the size of the swarm.
 
