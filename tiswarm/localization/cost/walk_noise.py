@@ -319,6 +319,10 @@ def _scattered(values: list[Reals], columns: list[Ints], unknowns: int) -> csc_a
     column_of_value = np.concatenate([np.tile(part, len(part)) for part in columns])
     value = np.concatenate([part.ravel() for part in values])
     wide = csr_array((value, column_of_value, start), shape=(len(column), unknowns))
+    # Which rows of these matrices are of each unknown.
+    first = np.cumsum([0, *np.bincount(column, minlength=unknowns)])
     one = np.ones(len(column))
-    place = csr_array((one, column, np.arange(len(column) + 1)), shape=(len(column), unknowns))
-    return csc_array(place.T @ wide)
+    order = np.argsort(column, kind="stable")
+    total = csr_array((one, order, first), shape=(unknowns, len(column))) @ wide
+    # All are symmetric, so that rows are columns: nothing has to be transposed.
+    return csc_array((total.data, total.indices, total.indptr), shape=total.shape)
