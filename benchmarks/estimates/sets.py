@@ -56,6 +56,9 @@ class Case:
     truth: Reals
     """True centers [log unit], shape (N, 3)."""
 
+    cause: tuple[str, float] | None = None
+    """Common parameter that the log states wrongly, with its right value; None if there is none."""
+
 
 def random(name: str, number: int) -> np.random.Generator:
     """Return the generator of random numbers of a log."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.estimates.sets import TRAINING, wrong
 from tests.structures import NOISY, grown
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
@@ -15,6 +16,7 @@ from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.odometry import Odometry, stuck_robots
 from tiswarm.measurements.verdicts import describe_outliers
+from tiswarm.records.error_law import SURE
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN
 from tiswarm.sensing import observe
 from tiswarm.world.params import TowerParams
@@ -249,3 +251,19 @@ def test_a_mute_robot_hides_none_that_drifts(tower):
 
     assert np.isnan(silent.orientation_wxyz).any()
     assert robot in found.outlier_robots
+
+
+def test_robots_that_drift_are_named_where_docks_overlap():
+    """With all orientations, docks overlap at the least cost, so that no row is said to be wrong.
+
+    Without those that drift no robot that is said to be within R is farther off.
+    """
+    case = wrong(TRAINING + 28)
+
+    estimate = localize(case.log, JointParams())
+
+    assert estimate.convergence.converged
+    assert "orientations of" in estimate.convergence.reason
+    off = np.linalg.norm(estimate.position - case.truth, axis=1) / case.log.dock_radius
+    is_sure = estimate.within(case.log.dock_radius) >= SURE
+    assert (off[is_sure] < 1.0).all()

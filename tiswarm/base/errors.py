@@ -72,6 +72,7 @@ class InputError(TiswarmError):
             "estimate": "ESTIMATE",
             "movie": "--animate",
             "form": "--format",
+            "prices": "--price",
             "case_limit_s": "--case-limit",
         }
         option = differs.get(self.argument, f"--{self.argument}")

@@ -188,7 +188,6 @@ def manifest(
         total = stages.setdefault(name, {"wall_s": 0.0, "cpu_s": 0.0})
         for unit in total:
             total[unit] += cost[unit]
-    installed = {dist.name.lower(): dist.version for dist in importlib.metadata.distributions()}
     return Manifest(
         tiswarm=__version__,
         code=package_code(),
@@ -200,7 +199,7 @@ def manifest(
         machine=machine.machine(),
         numerics=(*earlier, *new_facts),
         python=platform.python_version(),
-        libraries={name: installed[name] for name in _LIBRARIES if name in installed},
+        libraries=dict(_installed()),
         stages={
             name: Spent(wall_s=round(total["wall_s"], 3), cpu_s=round(total["cpu_s"], 3))
             for name, total in stages.items()
@@ -208,3 +207,12 @@ def manifest(
         peak_memory_MB=peak,
         cases=len(costs),
     )
+
+
+def _installed() -> Iterator[tuple[str, str]]:
+    """List the versions of the libraries that are installed."""
+    for name in _LIBRARIES:
+        try:
+            yield name, importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue

@@ -17,21 +17,20 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.chains.annealer import anneal
-from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.cost import boltzmann_weights
 from tiswarm.localization.mixture import CONVERGENCE, EXCHANGE, MIXTURE
+from tiswarm.localization.mixture.anchors import with_wrong_anchors, without_anchors
 from tiswarm.localization.mixture.ends import Fit, Posed, descended
 from tiswarm.localization.mixture.mixture import mixed
-from tiswarm.localization.mixture.verdict import contradiction, outlier_rate
+from tiswarm.localization.mixture.verdict import outlier_cost
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.equations import AXES
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_log import SensingLog
 
 _RIDGE = 1e-6
 """Precision with which robots that nothing holds stay at the anchor [R^-2]."""
@@ -85,24 +84,8 @@ def with_exchanges(fit: Fit, estimate: Estimate) -> Estimate | None:
         fit = Fit.of(posed, chains)
         estimate = mixed(fit, restarted=len(chains.mean))
     if len(anchors):
-        estimate = _with_wrong_anchors(estimate, log, problem.rows.select(is_anchor), anchors)
+        estimate = with_wrong_anchors(estimate, log, problem.rows.select(is_anchor), anchors)
     return _with_others(estimate, best, others, log.dock_radius)
-
-
-def _with_wrong_anchors(
-    estimate: Estimate, log: SensingLog, rows: Measurements, robots: Ints
-) -> Estimate:
-    """Add known positions (rows of coordinates) that were left out to the outliers."""
-    verdict = estimate.convergence
-    if verdict is None:
-        return estimate
-    places = [rows.sensed_places]
-    if estimate.outlier_places is not None:
-        places.append(estimate.outlier_places)
-    if verdict.converged:
-        reason = contradiction(log, robots)
-        verdict = replace(verdict, consistent=False, testable=True, reason=reason)
-    return replace(estimate, convergence=verdict, outlier_places=np.concatenate(places))
 
 
 def _with_others(estimate: Estimate, best: _End, others: list[_End], unit: float) -> Estimate:
@@ -138,7 +121,7 @@ class _Search:
         self._rows = fit.problem.rows
         self._variance = self._rows.variance()
         self._known = fit.problem.known
-        self._outlier_cost = -2.0 * float(np.log(outlier_rate(fit.log)))
+        self._outlier_cost = outlier_cost(fit.log)
         self._pairs = len(self._rows.neighbor)
         is_anchor = np.isfinite(fit.log.known_position[:, 0])
         self.of_anchor = self._known & is_anchor[self._rows.robot]
@@ -337,11 +320,3 @@ def _path(
 def _reached(graph: list[list[tuple[int, int]]], start: int, without: frozenset[int]) -> Bools:
     """Find the vertices that a vertex leads to, shape (N,)."""
     return _path(graph, (start, -1), without)[1]
-
-
-def without_anchors(posed: Posed, robots: Ints) -> Posed:
-    """Pose a log again without what is known of the positions of some robots."""
-    log = posed.log
-    kept = ~(log.is_of_anchor & np.isin(log.fixes[:, 0], robots))
-    fewer = replace(log, fixes=log.fixes[kept])
-    return Posed(fewer, posed.params, pose_problem(fewer, posed.params))

@@ -111,9 +111,8 @@ def disregard(fit: Fit, estimate: Estimate) -> Disregarded | None:
     problem = fit.problem
     verdict = estimate.convergence
     stuck = stuck_robots(log)
-    is_explained = (
-        verdict is None or verdict.consistent is not False or verdict.misfit_sd <= MOST_MISFIT_SD
-    )
+    # Orientations that are off also make docks overlap, or trap chains, so that no row is blamed.
+    is_explained = verdict is None or verdict.trusted or verdict.misfit_sd <= MOST_MISFIT_SD
     if is_explained and not len(stuck):
         return None
     # The error of an orientation that was chained is that of many robots.

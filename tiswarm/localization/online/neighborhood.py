@@ -180,19 +180,19 @@ def block_of(rows: Measurements, members: Ints) -> Block:
     last = rows.robots - 1
     # Where other robots were measured to be is in the blocks of their own.
     rows = rows.select((rows.robot == last) & (rows.robot > 0))
-    row, stance, part = rows.noisy_arms()[0]
+    final = odometry.final[last]
+    part = rows.first_parts()
     # The final orientation is an unknown beside the position; earlier ones are noise.
-    is_final = stance == odometry.final[last]
-    tail = np.zeros((len(rows), AXES))
-    tail[row[is_final]] = part[is_final]
-    sd = odometry.turn_sd[:, [0, 0, 1]]
-    row = row[~is_final]
-    stance = stance[~is_final]
-    part = part[~is_final]
+    tail = np.where(rows.is_walked[:, None], odometry.reached[final], part)
+    sd = odometry.axis_sd
     # Three columns for each earlier stance, whose turn is in all rows sensed before it.
-    which, column = np.unique(stance, return_inverse=True)
-    turns = np.zeros((len(rows), AXES, len(which), AXES))
-    turns[row, :, column] = _turns(part, sd[stance])
+    first = int(rows.stance.min(initial=final))
+    turns = np.zeros((len(rows), AXES, final - first, AXES))
+    walked = np.flatnonzero(rows.is_walked)
+    at = rows.stance[walked]
+    turns[walked, :, at - first] = _turns(part[walked], sd[at])
+    row, later = np.nonzero(rows.stance[:, None] < np.arange(first, final))
+    turns[row, :, later] = _turns(odometry.reached[first + later], sd[first + later])
     about, place = np.unique(rows.neighbor, return_inverse=True)
     number, real = _columns(rows, place, tail)
     return Block(
@@ -202,7 +202,7 @@ def block_of(rows: Measurements, members: Ints) -> Block:
         real=real,
         noise=_products(turns),
         about=about,
-        turn_sd=sd[odometry.final[last]],
+        turn_sd=sd[final],
         arm=odometry.arm[odometry.final[last]],
     )
 
