@@ -211,7 +211,7 @@ def _require_reached(candidates: Sequence[Candidate], goals: Sequence[Goal], fou
         f"no candidate of {len(candidates)} reaches {' and '.join(map(str, goals))}; the best has "
         f"{best}, with {values}; vary other values, or ask for less"
     )
-    raise InputError(problem, argument="goal")
+    raise InputError(problem, argument="goals")
 
 
 def _tabulate(
