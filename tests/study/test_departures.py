@@ -11,7 +11,6 @@ from tests.runs import REPOSITORY
 from tests.structures import grown
 from tiswarm import study
 from tiswarm.app.logs import open_log
-from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.evaluation.tables import LOSSES
 from tiswarm.records.sensing_file import log_entries, read_sensing_log
@@ -145,9 +144,13 @@ def test_a_view_shows_who_is_left(folder, history):
     assert pairs == {(i, j) for i, _, j, _ in history.contacts.tolist()}
 
 
-def test_a_method_that_cannot_do_without_says_so():
-    """Before a robot grows."""
+@pytest.mark.parametrize("losses", [LEAVING, "structure.strength={limit: 100}"])
+def test_robots_that_leave_or_fall_may_localize_each_other(losses):
+    """A scenario of `distributed` may have departures, and docks that break."""
     file = REPOSITORY / "scenarios" / "tower.yaml"
 
-    with pytest.raises(InputError, match="distributed takes robots that stay; choose joint"):
-        load_scenario(file, [LEAVING, "localization={method: distributed}", "conditions={a: {}}"])
+    scenario = load_scenario(
+        file, [losses, "localization={method: distributed}", "conditions={a: {}}"]
+    )
+
+    assert scenario.localization.method == "distributed"

@@ -7,10 +7,11 @@ import tiswarm
 from tests.rules import SEED, assert_same_growth, grow_seeds
 from tests.world.test_beliefs import misplaced
 from tiswarm.base import plugins, registry
+from tiswarm.base.errors import InputError
 from tiswarm.world.choices import reactive_build
 from tiswarm.world.growth import GrowthBatch, SteeredGrowth, chosen_by
 from tiswarm.world.history import LEFT
-from tiswarm.world.members import BYTES, LOCAL, LocalStep, MemberArrays
+from tiswarm.world.members import BYTES, LOCAL, LocalStep, MemberArrays, Members
 from tiswarm.world.params import BridgeParams, TowerParams
 
 RULES = '''
@@ -258,3 +259,140 @@ def test_a_caller_may_let_climbers_wait():
 
     assert growth.robot_count.tolist() == [1]
     assert growth.ended[0].startswith("robots waited for 4 rounds, and none joined; raise")
+
+
+def written(tmp_path, text):
+    """Load a file with rules."""
+    file = tmp_path / "written_rules.py"
+    file.write_text("import numpy as np\nimport tiswarm\n" + text)
+    plugins.load_plugins([file])
+    return file
+
+
+TALKER = """
+@tiswarm.rule("talker", local=True)
+class Talker:
+    memory = 2
+    message = 1
+    def choose(self, step):
+        {choose}
+        return tiswarm.reactive_build(step)
+    def act(self, members):
+        {act}
+"""
+
+
+@pytest.mark.parametrize("size", ["-1", "1.5", "True", "'two'"])
+@pytest.mark.parametrize("name", ["memory", "message", "rounds_after"])
+def test_numbers_of_a_rule_are_checked_as_its_file_is_read(tmp_path, name, size):
+    """The line names the file, the rule, the number and what to write."""
+    text = f'@tiswarm.rule("odd")\nclass Odd:\n    {name} = {size}\n    choose = lambda s, t: -1\n'
+
+    with pytest.raises(InputError, match=rf"odd: {name} is .*write a whole number") as refused:
+        written(tmp_path, text)
+
+    assert refused.value.path.name == "written_rules.py"
+
+
+def test_a_number_of_a_rule_that_is_a_setting_is_checked_too(tmp_path):
+    """A scenario may give it."""
+    text = '@tiswarm.rule("odd")\nclass Odd:\n    memory: int = 1\n    choose = lambda s, t: -1\n'
+    written(tmp_path, text)
+
+    with pytest.raises(InputError, match=r"memory is -1; write a whole number"):
+        tiswarm.grow("tower", robots=3, rule={"name": "odd", "memory": -1})
+
+    plugins.forget()
+
+
+@pytest.mark.parametrize(
+    ("choose", "act", "problem"),
+    [
+        ("", "members.memory[:, 5] = 1", "memory = 2 and message = 1"),
+        ("step.memory[:, 5] = 1", "", "memory = 2 and message = 1"),
+        ("", "np.random.rand()", "members.uniform in act"),
+        ("", "members.robots", "does not know robots; it knows .*contacts.*robot.*say"),
+        ("", "members.says = 1", "says cannot be written; .*memory and say alone"),
+        ("step.say = 1", "", "say cannot be written; .*memory alone"),
+        ("", "members.memory = np.zeros(3)", r"members.memory of shape \(3,\); write"),
+        ("step.memory = None", "", "step.memory of shape none; write"),
+        ("", "members.say[:] = np.inf", "message with an infinite number; say finite"),
+    ],
+)
+def test_a_mistake_of_a_local_rule_says_what_to_write(tmp_path, choose, act, problem):
+    """A line with the file, the method and the remedy."""
+    written(tmp_path, TALKER.format(choose=choose or "pass", act=act or "pass"))
+
+    with pytest.raises(plugins.PluginError, match=problem) as refused:
+        grow_seeds(params_of("talker"), 4, [SEED])
+
+    assert "written_rules.py" in str(refused.value)
+    assert "talker." in str(refused.value)
+    plugins.forget()
+
+
+def test_an_array_that_a_rule_replaces_counts_as_written(tmp_path):
+    """Memory and messages that are assigned are those that robots keep and hear."""
+    places = "members.memory = members.memory + 1; members.say = np.full(members.say.shape, 2.0)"
+    written(tmp_path, TALKER.format(choose="step.memory = step.memory + 0.5", act=places))
+    params = params_of("talker")
+    batch = GrowthBatch([params], 4, [SEED], tiswarm.RobotGeometry(), None, None)
+    steered = SteeredGrowth(batch)
+
+    while not steered.is_over.all():
+        steered.step(chosen_by(params.rule, steered.observe()))
+
+    members = batch.members
+    assert (members.memory[0, :, 0] > 1.0).all()
+    assert (members.memory[0, 1:, 0] % 1.0 == 0.5).any()
+    assert np.nanmax(members.said) == 2.0
+    plugins.forget()
+
+
+def test_members_know_their_numbers(tmp_path):
+    """They are those by which contacts name neighbors: who joined first is 0."""
+    text = "assert (members.robot == np.arange(len(members.age)) % 4).all(); return None"
+    written(tmp_path, TALKER.format(choose="pass", act=text))
+
+    [history] = grow_seeds(params_of("talker"), 4, [SEED])
+
+    assert history.robot_count == 4
+    plugins.forget()
+
+
+@pytest.mark.parametrize("kind", [Members, LocalStep])
+def test_help_lists_what_robots_of_a_rule_see(kind):
+    """Each attribute has a sentence with its shape."""
+    shown = {name: value for name, value in vars(kind).items() if isinstance(value, property)}
+
+    assert {"memory", "heard", "sd", "center", "goal"} <= {*shown}
+    assert all("(" in value.__doc__ for name, value in shown.items() if name != "wait")
+
+
+def test_a_growth_takes_a_rule_as_a_class(tmp_path):
+    """So does the structure of a mapping; a class without the decorator is refused in a line."""
+    text = "\nKIND = Talker\n"
+    written(tmp_path, TALKER.format(choose="pass", act="pass") + text)
+    rule_class = type("Plain", (), {"name": "talker"})
+
+    with pytest.raises(InputError, match=r"Plain is no rule; give its name, .*@tiswarm\.rule"):
+        tiswarm.Growth({"kind": "tower", "rule": rule_class}, robots=3)
+
+    growth = tiswarm.Growth({"kind": "tower", "rule": registry.get("rule", "talker")}, robots=3)
+    assert len(growth) == 1
+    plugins.forget()
+
+
+def test_structures_of_a_rule_that_is_not_loaded_say_how_to_load_it(tmp_path):
+    """The line names what Python code can do."""
+    written(tmp_path, TALKER.format(choose="pass", act="pass"))
+    swarms = tiswarm.grow("tower", robots=3, rule="talker", quiet=True)
+    file = swarms.save(tmp_path / "swarms.npz")
+    plugins.forget()
+
+    with pytest.raises(
+        InputError, match=r"import its file first, or name it in plugins"
+    ) as refused:
+        tiswarm.open_swarms(file)
+
+    assert "--plugin" not in str(refused.value)

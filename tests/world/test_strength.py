@@ -7,7 +7,6 @@ from scipy.cluster.hierarchy import DisjointSet
 
 import tiswarm
 from tests.structures import grown
-from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.methods import localize
 from tiswarm.scenario.expansion import load_scenario
@@ -274,15 +273,6 @@ def test_robots_that_build_by_estimates_need_docks_that_hold():
     """What they believe of robots that fell has no place yet."""
     with pytest.raises(ValidationError, match="leave out strength"):
         TowerParams(strength=WEAK, navigate_by="estimate")
-
-
-def test_a_method_of_robots_that_stay_refuses_docks_that_break():
-    """As it refuses robots that leave."""
-    data = {"name": "x", "robots": 5, "seeds": 1, "localization": {"method": "distributed"}}
-    structure = {"kind": "tower", "strength": {"limit": 100.0}}
-
-    with pytest.raises(InputError, match="takes robots that stay"):
-        load_scenario({**data, "structure": structure})
 
 
 def test_cantilevers_need_stronger_docks_than_towers():

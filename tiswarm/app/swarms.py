@@ -663,7 +663,9 @@ def growth_scenario(
     """
     kind = as_section(structure, "kind")
     if rule is not None and isinstance(kind, Mapping):
-        kind = {**kind, "rule": as_section(rule, "name")}
+        kind = {**kind, "rule": rule}
+    if isinstance(kind, Mapping) and "rule" in kind:
+        kind = {**kind, "rule": _as_rule(kind["rule"])}
     sections: dict[str, object] = {"structure": kind, "localization": {"method": METHOD}}
     if isinstance(kind, Mapping):
         sections = navigation.sections(kind)
@@ -672,6 +674,20 @@ def growth_scenario(
     if isinstance(seeds, range | tuple):
         seeds = [*seeds]
     return load_scenario(plain({"name": "grow", "robots": robots, "seeds": seeds, **sections}))
+
+
+def _as_rule(given: Any) -> object:  # noqa: ANN401 - as a caller gives it
+    """Write a rule that a caller gives as a name, a class, settings or data, as plain data.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    rule = as_section(given, "name")
+    if rule is None or isinstance(rule, Mapping):
+        return rule
+    named = getattr(given, "__name__", f"a value of type {type(given).__name__}")
+    ways = 'its name, {"name": ..., settings}, or a class that @tiswarm.rule(name) decorates'
+    raise InputError(f"{named} is no rule; give {ways}", key="structure.rule")
 
 
 def grow(
@@ -732,7 +748,10 @@ def open_swarms(path: Path) -> Swarms:
     try:
         scenario = load_scenario(stated)
     except InputError as error:
-        raise InputError(error.problem, path=path, key=error.key) from error
+        # Here nobody has an option of the command.
+        here = "import its file first, or name it in plugins=[...]"
+        problem = error.problem.replace("(--plugin FILE)", f"({here})")
+        raise InputError(problem, path=path, key=error.key) from error
     by_structure: dict[str, dict[str, NDArray[Any]]] = {}
     for name, values in arrays.items():
         number, _, entry = name.partition("/")

@@ -90,6 +90,7 @@ def call_plugin(
     method: str = "",
     repeats: Callable[..., Any] | None = None,
     owner: object = None,
+    hint: Callable[[BaseException], str] | None = None,
 ) -> Any:  # noqa: ANN401 - as the plug-in returns it
     """Call code of the plug-in that registered a name, and check what it returns.
 
@@ -104,6 +105,7 @@ def call_plugin(
         method: Name of the method that is called, if a class is registered.
         repeats: Function of the plug-in, if what it returns has to follow from the seed.
         owner: Object whose method that is.
+        hint: Says what to look at after an exception of the code, after a semicolon; may be empty.
 
     Raises:
         PluginError: the code raised an exception, wanted to end the program, returned a wrong
@@ -120,7 +122,9 @@ def call_plugin(
         line = _line_in(file, error)
         place = f"{file}:{line}" if line else str(file)
         details = "".join(traceback.format_exception(error))
-        raise PluginError(f"{place}: {called} failed: {_in_words(error)}", details) from error
+        advice = hint(error) if hint else ""
+        problem = f"{place}: {called} failed: {_in_words(error)}{advice}"
+        raise PluginError(problem, details) from error
     problem = fault(value) if fault else ""
     if problem:
         message = f"{file}: {called} returned {problem}"

@@ -15,7 +15,10 @@ from typing import Any
 
 import numpy as np
 
-_REMEDY = "draw from step.uniform in a rule, else from numpy.random.default_rng(seed) in the call"
+_REMEDY = (
+    "draw from step.uniform in choose, members.uniform in act, else from "
+    "numpy.random.default_rng(seed) in the call"
+)
 
 
 @contextmanager

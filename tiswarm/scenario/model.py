@@ -194,12 +194,6 @@ class Scenario:
     @classmethod
     def _fit_structure(cls, method: LocalizationParams, info: ValidationInfo) -> object:
         structure = info.data.get("structure")
-        departs = structure and (
-            structure.strength is not None
-            or (structure.departures and structure.departures.kind == "leave")
-        )
-        if departs and getattr(method, "robots_stay", False):
-            raise ValueError(f"{method.method} takes robots that stay; choose joint")
         navigates = structure and structure.navigate_by == "estimate"
         if navigates and not method.places_robots:
             problem = (

@@ -7,7 +7,7 @@ flip meets, and so whether it fails, is as docks truly are.
 """
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,47 @@ class Failures(NamedTuple):
     """How many were tried from each stance, shape (slots, stances)."""
 
 
+class Rewritable:
+    """What a rule sees: it writes some arrays, and finds nothing by another name."""
+
+    _writable: tuple[str, ...] = ()
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Write an array.
+
+        Raises:
+            AttributeError: a rule does not write that.
+        """
+        if not (name.startswith("_") or name in self._writable):
+            written = " and ".join(self._writable)
+            problem = f"{name} cannot be written; a rule writes {written} alone: copy others first"
+            raise AttributeError(problem)
+        super().__setattr__(name, value)
+
+
+def attributes_of(seen: object) -> list[str]:
+    """List what an object shows to a rule, without its methods."""
+    kind = type(seen)
+    names = {*vars(seen), *(name for name in dir(kind) if not callable(getattr(kind, name)))}
+    return sorted(name for name in names if not name.startswith("_"))
+
+
+def rewrite(array: Reals, values: object, name: str) -> None:
+    """Put values in place of those of an array.
+
+    Raises:
+        ValueError: they are no numbers of its shape.
+    """
+    try:
+        numbers = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty((0, 0))
+    if numbers.shape != array.shape:
+        shape = np.shape(values) if isinstance(values, np.ndarray | list | tuple) else "none"
+        raise ValueError(f"{name} of shape {shape}; write numbers of shape {array.shape}")
+    array[:] = numbers
+
+
 class ClimbStep:
     """What climbers that choose see: M of them in S structures, each with K flips.
 
@@ -111,8 +152,7 @@ class ClimbStep:
         self._said = said
         self._sight = sight
         self._failures = failures
-        self.memory: Reals = memory[slots]
-        """Numbers that each robot keeps, `memory` of the rule; those written stay, (M, W)."""
+        self._memory: Reals = memory[slots]
         self._walks = walks
         self._structures = structures
         self._slots = slots
@@ -157,6 +197,25 @@ class ClimbStep:
         """Load that each robot sensed at the last solve [weight of a dock], shape (S, N)."""
         self.present: Bools = present != 0
         """Whether each robot has not left again, shape (S, N)."""
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - arrays of any type
+        """Refuse what a step does not have.
+
+        Raises:
+            AttributeError: always.
+        """
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise AttributeError(f"a step has no {name}; it has {', '.join(attributes_of(self))}")
+
+    @property
+    def memory(self) -> Reals:
+        """Numbers that each robot keeps, `memory` of the rule; those written stay, (M, W)."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, values: Reals) -> None:
+        rewrite(self._memory, values, "step.memory")
 
     @cached_property
     def walk(self) -> Reals:

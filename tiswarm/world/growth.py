@@ -135,7 +135,7 @@ _OWN_CLIMB = ("patience", "settle", "max_spawns")
 """Settings of `climb` that structures of a batch may have of their own."""
 
 _OWN_CALLS = ("force_threshold", "recruit_base", "recruit_limit")
-"""Settings of calls for help, which structures of a batch may have of their own, too."""
+"""Settings of when robots call for help that they may have of their own, too."""
 
 
 def batch_key(params: StructureParams) -> str:

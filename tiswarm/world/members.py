@@ -5,81 +5,93 @@ it senses, remembers and hears from the robots that it touches; what it says is 
 Numbers said are counted in bytes, once for each contact that they cross.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import uniform
-from tiswarm.world.choices import ClimbStep
+from tiswarm.world.choices import ClimbStep, Rewritable, attributes_of, rewrite
 
 BYTES = 8
 """Bytes of a number that a robot sends."""
 
-LOCAL = frozenset(
-    {
-        "stance",
-        "center",
-        "orientation_wxyz",
-        "walk",
-        "goal",
-        "patience",
-        "touching",
-        "on_ground",
-        "called",
-        "angle",
-        "possible",
-        "end",
-        "end_orientation_wxyz",
-        "visited",
-        "end_touching",
-        "end_on_ground",
-        "end_called",
-        "memory",
-        "heard",
-        "failed",
-        "tries",
-        "walk_tries",
-        "touched_dock",
-        "touched_sd",
-        "sd",
-        "end_sd",
-    }
-)
-"""What a climber knows of itself: it senses what it touches, and what its flips would meet."""
+LOCAL: Mapping[str, str] = {
+    "stance": "Flips that each has taken: number of its current stance, shape (M,).",
+    "center": "Its center [R], shape (M, 3).",
+    "orientation_wxyz": "Its orientation, body to world, shape (M, 4).",
+    "goal": "What it climbs toward [R], shape (M, 3).",
+    "patience": "`structure.climb.patience` of each, shape (M,).",
+    "walk": "Centers of its stances up to the current one, then NaN [R], (M, most stances, 3).",
+    "walk_tries": "Flips tried by the time it came to each stance of `walk`, (M, most stances).",
+    "tries": "Flips that it has tried so far, failed ones included, shape (M,).",
+    "touching": "Docks n i + k that its docks touch, or -1, shape (M, n, MAX_TOUCHING).",
+    "on_ground": "Ground below its docks: flat 1, an edge 2, else 0, shape (M, n).",
+    "called": "Whether it touches a dock that passes a call on, shape (M,).",
+    "touched_dock": "Center of the dock that each dock touches [R], or NaN, shape (M, n, 3).",
+    "touched_sd": "Standard deviation of the place of the robot that a dock touches [R], (M, n).",
+    "sd": "Standard deviation of its place, over all three axes [R], shape (M,).",
+    "heard": "Last message of the dock that each dock touches, or NaN, shape (M, n, B).",
+    "angle": "Angle of each flip [rad], negative if backward, 0 if there is none, shape (M, K).",
+    "possible": "Which flips there are, shape (M, K).",
+    "failed": "Which flips it has tried in vain from its stance, shape (M, K).",
+    "visited": "Whether its walk has been where a flip ends, shape (M, K).",
+    "end": "Centers where flips end [R], meaningless where there is none, shape (M, K, 3).",
+    "end_orientation_wxyz": "Orientations where flips end, shape (M, K, 4).",
+    "end_sd": "Standard deviation of the place where each flip ends [R], shape (M, K).",
+    "end_touching": "As `touching`, where flips end, shape (M, K, n, MAX_TOUCHING).",
+    "end_on_ground": "As `on_ground`, where flips end, shape (M, K, n).",
+    "end_called": "Whether a dock with a call is touched where a flip ends, shape (M, K).",
+}
+"""What a climber knows of itself, with its memory: it senses what it touches, and what its flips
+would meet."""
 
 
-class LocalStep:
-    """What climbers of a local rule see: each its own senses, memory, and what it hears.
+class LocalStep(Rewritable):
+    """What M climbers of a local rule see, each with K flips about n docks.
 
-    It has a part of what a `ClimbStep` has, in the same shapes. Robots that a climber does not
-    touch are absent, but for what its flips meet.
+    Each has its own senses, memory, and what it hears: a part of what a `ClimbStep` has, in the
+    same shapes. Robots that a climber does not touch are absent, but for what its flips meet. It
+    writes `memory`, and says nothing: only robots that have joined send messages.
     """
+
+    _writable = ("memory",)
 
     def __init__(self, step: ClimbStep, rows: AnyInts | None = None) -> None:
         """Take what all climbers see, or some of them, shape (m,)."""
         self._step = step
         self._rows = np.arange(len(step.stance)) if rows is None else rows
-        self.pivot: AnyInts = step.pivot
+        self._memory: Reals = step.memory[self._rows]
+
+    @property
+    def memory(self) -> Reals:
+        """Numbers that each robot keeps, 0 as it starts; those that it writes stay, (M, W)."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, values: Reals) -> None:
+        rewrite(self._memory, values, "step.memory")
+
+    @property
+    def pivot(self) -> AnyInts:
         """Dock about which each flip turns, shape (K,)."""
-        self.memory: Reals = step.memory[self._rows]
-        """Numbers that each robot keeps; those that it writes stay, shape (m, W)."""
+        return self._step.pivot
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - arrays of any type
-        """Return what each climber knows of itself.
+        """Refuse what a climber does not know.
 
         Raises:
-            AttributeError: it does not know that.
+            AttributeError: always.
         """
-        if name not in LOCAL:
-            seen = ", ".join(sorted(LOCAL | {"pivot"}))
-            problem = f"a climber of a local rule does not know {name}; it knows {seen}"
-            raise AttributeError(problem)
-        return getattr(self._step, name)[self._rows]
+        if name.startswith("__"):
+            raise AttributeError(name)
+        seen = ", ".join(attributes_of(self))
+        problem = f"a climber of a local rule does not know {name}; it knows {seen}"
+        raise AttributeError(problem)
 
     def uniform(self, stream: str, count: int) -> Reals:
-        """Draw numbers in [0, 1), shape (m, count); see `ClimbStep.uniform`."""
+        """Draw numbers in [0, 1), shape (M, count); see `ClimbStep.uniform`."""
         return self._step.uniform(stream, count)[self._rows]
 
     def back(self, stance: AnyInts | int) -> AnyInts:
@@ -93,11 +105,29 @@ class LocalStep:
 
     def remember(self) -> None:
         """Keep what rows of the memory were set to."""
-        self._step.memory[self._rows] = self.memory
+        self._step.memory[self._rows] = self._memory
 
 
-class Members:
-    """What P robots that have joined see in a round: each its own senses, memory, and messages."""
+def _of_climbers(name: str, meaning: str) -> property:
+    """Return a property of a `LocalStep`: the rows of its climbers."""
+
+    def rows(step: LocalStep) -> Any:  # noqa: ANN401 - arrays of any type
+        return getattr(step._step, name)[step._rows]  # noqa: SLF001 - of this module
+
+    return property(rows, doc=meaning)
+
+
+for _name, _meaning in LOCAL.items():
+    setattr(LocalStep, _name, _of_climbers(_name, _meaning))
+
+
+class Members(Rewritable):
+    """What P robots that have joined see in a round: each its own senses, memory, and messages.
+
+    Robots have n docks, and C contacts with each other. They write `memory` and `say`.
+    """
+
+    _writable = ("memory", "say")
 
     def __init__(self, arrays: "MemberArrays", numbers: AnyInts, robots: AnyInts) -> None:
         """Take the arrays of all structures, and which robots act, both of shape (P,)."""
@@ -105,35 +135,101 @@ class Members:
         self._round = arrays.rounds[numbers]
         self._robot = robots
         place = (numbers, robots)
-        self.age: AnyInts = arrays.rounds[numbers] - arrays.joined_in[place]
-        """Rounds since each joined, shape (P,)."""
-        self.goal: Reals = arrays.goal[place]
-        """What each climbed toward [R], shape (P, 3)."""
-        self.center: Reals = arrays.center[place]
-        """Its center [R], shape (P, 3)."""
-        self.orientation_wxyz: Reals = arrays.orientation[place]
-        """Its orientation, body to world, shape (P, 4)."""
-        self.sd: Reals = arrays.sd[place]
-        """Standard deviation of its place [R], 0 where robots know the truth, shape (P,)."""
-        self.sensed: Reals = arrays.sensed[place]
-        """Load that it sensed at the last solve [weight of a dock], shape (P,)."""
-        self.on_ground: Bools = arrays.on_ground[place]
-        """Whether each of its docks stands on the ground, shape (P, n)."""
-        self.memory: Reals = arrays.memory[place]
-        """Numbers that it keeps; those that it writes stay, shape (P, W)."""
+        self._age: AnyInts = arrays.rounds[numbers] - arrays.joined_in[place]
+        self._goal: Reals = arrays.goal[place]
+        self._center: Reals = arrays.center[place]
+        self._orientation: Reals = arrays.orientation[place]
+        self._sd: Reals = arrays.sd[place]
+        self._sensed: Reals = arrays.sensed[place]
+        self._on_ground: Bools = arrays.on_ground[place]
+        self._memory: Reals = arrays.memory[place]
         row_of = np.full(arrays.memory.shape[:2], -1)
         row_of[place] = np.arange(len(robots))
         structure, *ends = arrays.contacts.T
         row = row_of[structure, ends[0]]
         acts = row >= 0
-        self.contacts: AnyInts = np.column_stack([row, *ends[1:]])[acts]
+        self._contacts: AnyInts = np.column_stack([row, *ends[1:]])[acts]
+        self._heard: Reals = arrays.said[structure, ends[2], ends[3]][acts]
+        self._say: Reals = np.full((len(robots), *arrays.said.shape[2:]), np.nan)
+
+    @property
+    def robot(self) -> AnyInts:
+        """Its number, by which `contacts` of others name it: robots that joined before, (P,)."""
+        return self._robot
+
+    @property
+    def age(self) -> AnyInts:
+        """Rounds since each joined, shape (P,)."""
+        return self._age
+
+    @property
+    def goal(self) -> Reals:
+        """What each climbed toward [R], shape (P, 3)."""
+        return self._goal
+
+    @property
+    def center(self) -> Reals:
+        """Its center [R], shape (P, 3)."""
+        return self._center
+
+    @property
+    def orientation_wxyz(self) -> Reals:
+        """Its orientation, body to world, shape (P, 4)."""
+        return self._orientation
+
+    @property
+    def sd(self) -> Reals:
+        """Standard deviation of its place [R], 0 where robots know the truth, shape (P,)."""
+        return self._sd
+
+    @property
+    def sensed(self) -> Reals:
+        """Load that it sensed at the last solve [weight of a dock], shape (P,)."""
+        return self._sensed
+
+    @property
+    def on_ground(self) -> Bools:
+        """Whether each of its docks stands on the ground, shape (P, n)."""
+        return self._on_ground
+
+    @property
+    def memory(self) -> Reals:
+        """Numbers that it keeps, as it took them along; those that it writes stay, shape (P, W)."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, values: Reals) -> None:
+        rewrite(self._memory, values, "members.memory")
+
+    @property
+    def contacts(self) -> AnyInts:
         """Rows (robot of these, its dock, neighbor's number, neighbor's dock), shape (C, 4)."""
-        self.heard: Reals = arrays.said[structure, ends[2], ends[3]][acts]
+        return self._contacts
+
+    @property
+    def heard(self) -> Reals:
         """Message of the round before that came by each contact, or NaN, shape (C, B)."""
-        self.say: Reals = np.full((len(robots), *arrays.said.shape[2:]), np.nan)
-        """Message to the docks that touch each of its docks; NaN for none, shape (P, n, B)."""
-        self.shape_of = {"memory": self.memory.shape, "say": self.say.shape}
-        """Shapes of what robots write."""
+        return self._heard
+
+    @property
+    def say(self) -> Reals:
+        """Message to all docks that touch each of its docks; NaN for nothing, shape (P, n, B)."""
+        return self._say
+
+    @say.setter
+    def say(self, values: Reals) -> None:
+        rewrite(self._say, values, "members.say")
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - arrays of any type
+        """Refuse what a robot does not know.
+
+        Raises:
+            AttributeError: always.
+        """
+        if name.startswith("__"):
+            raise AttributeError(name)
+        seen = ", ".join(attributes_of(self))
+        raise AttributeError(f"a robot that has joined does not know {name}; it knows {seen}")
 
     def uniform(self, stream: str, count: int) -> Reals:
         """Draw numbers in [0, 1), shape (P, count), by seed, stream, robot and round alone."""

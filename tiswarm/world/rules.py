@@ -43,6 +43,12 @@ _MOST_CALLED = 2**30
 
 _METHODS = ("choose", "score", "call", "spread", "act")
 
+_SIZES = ("memory", "message", "rounds_after")
+"""Attributes of a rule that are numbers from 0 up."""
+
+_MOST = 2**20
+"""Largest of these."""
+
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _SHAPES: Mapping[str, Callable[..., tuple[int, ...]]] = {
     "goal": lambda _side: (3,),
@@ -101,9 +107,15 @@ def rule(name: str, *, local: bool = False) -> Callable[[_Class], _Class]:
         rule_class: Any = settings
         if hasattr(rule_class, "choose") == hasattr(rule_class, "score"):
             raise InputError(f"{name} should have choose or score, one of the two; define it")
+        fault = _fault_of_sizes(rule_class)
+        if fault:
+            raise InputError(f"{name}: {fault}")
         functions = [value for value in vars(rule_class).values() if isfunction(value)]
         if "__dataclass_fields__" not in vars(rule_class):
             rule_class = plain_dataclass(frozen=True, kw_only=True)(rule_class)
+        if any(size in rule_class.__dataclass_fields__ for size in _SIZES):
+            check = getattr(rule_class, "__post_init__", None)
+            rule_class.__post_init__ = _with_checked_sizes(check)
         guards: dict[str, Any] = {
             method: _guarded(name, method, getattr(rule_class, method))
             for method in _METHODS
@@ -115,6 +127,36 @@ def rule(name: str, *, local: bool = False) -> Callable[[_Class], _Class]:
         return section
 
     return add
+
+
+def _fault_of_sizes(rule: object) -> str:
+    """Say which number of a rule, a class or settings, is wrong; empty if none is."""
+    for name in _SIZES:
+        size = getattr(rule, name, 0)
+        if isinstance(size, bool) or not isinstance(size, int) or not 0 <= size <= _MOST:
+            return f"{name} is {size!r}; write a whole number from 0 to {_MOST}"
+    return ""
+
+
+def _with_checked_sizes(check: Callable[[Any], None] | None) -> Callable[[Any], None]:
+    """Return what checks settings of a rule: its numbers, after what its class checks itself."""
+
+    def check_all(settings: Any) -> None:  # noqa: ANN401 - of any class
+        if check is not None:
+            check(settings)
+        fault = _fault_of_sizes(settings)
+        if fault:
+            raise ValueError(fault)
+
+    return check_all
+
+
+def _hint_of_sizes(rule: object, error: BaseException) -> str:
+    """Say how many numbers robots keep and say, where code reached beyond an array."""
+    memory, message, _ = (int(getattr(rule, name, 0)) for name in _SIZES)
+    if not isinstance(error, IndexError | ValueError) or not memory + message:
+        return ""
+    return f"; the rule has memory = {memory} and message = {message}"
 
 
 def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[..., Any]:
@@ -140,6 +182,7 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
                 method=method,
                 repeats=unguarded,
                 owner=arguments[0],
+                hint=partial(_hint_of_sizes, arguments[0]),
             )
         if method == "score":
             return call_plugin(
@@ -172,6 +215,7 @@ def _guarded(name: str, method: str, inherited: Callable[..., Any]) -> Callable[
             method=method,
             repeats=unguarded,
             owner=arguments[0],
+            hint=partial(_hint_of_sizes, arguments[0]),
         )
         return choices.astype(np.int32)
 
@@ -195,9 +239,8 @@ def _fault_of_leaving(members: Members, returned: object) -> str:
     if leaves.dtype.kind != "b" or leaves.shape != members.age.shape:
         have = f"{leaves.dtype} of shape {leaves.shape}"
         return f"{have}; return True for each of {len(members.age)} robots that leaves, or None"
-    for written in ("memory", "say"):
-        if np.shape(getattr(members, written)) != members.shape_of[written]:
-            return f"a {written} of another shape; write into members.{written}"
+    if np.isinf(members.say).any():
+        return "a message with an infinite number; say finite ones, or NaN for nothing"
     return ""
 
 

@@ -12,7 +12,7 @@ Losses and the order of events depend on the seed and on numbers of messages and
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from operator import itemgetter
@@ -127,6 +127,8 @@ class Channel:
         self._reaches_all = self._is_radio and params.radio_reach is None
         self._air: list[_Hop] = []
         self._links: list[set[int]] = []
+        self._present: list[int] = []
+        self._degree: list[int] = []
         self._events: dict[int, list[tuple[int, Callable[[], None]]]] = {}
         self._round = 0
         self._serial = 0
@@ -159,11 +161,34 @@ class Channel:
     def join(self, touching: set[int]) -> None:
         """Add the next robot, with those that it touches, or by radio is in reach of."""
         number = len(self._links)
+        self._present.append(number)
         self._links.append(set(touching))
+        self._degree.append(len(touching))
         for count in (self.sent, self.heard, self.messages):
             count.append(0)
         for neighbor in touching:
             self._links[neighbor].add(number)
+            self._degree[neighbor] += 1
+
+    @property
+    def present(self) -> list[int]:
+        """Robots that have joined and not left, ascending."""
+        return [*self._present]
+
+    def leave(self, robots: Collection[int]) -> list[int]:
+        """Take robots away: from now on they neither send nor hear.
+
+        Returns:
+            Robots that touched one of them, or were in its reach, and remain, ascending.
+        """
+        touched: set[int] = set()
+        for number in robots:
+            self._present.remove(number)
+            touched |= self._links[number]
+            for neighbor in self._links[number]:
+                self._links[neighbor].discard(number)
+            self._links[number] = set()
+        return sorted(touched.intersection(self._present))
 
     def send(self, message: Message, after: int = 0) -> None:
         """Send a message after some silent rounds; parts of robots out of reach are lost."""
@@ -192,8 +217,8 @@ class Channel:
 
     @property
     def degree(self) -> Ints:
-        """Robots that each one touches, or by radio is in reach of, shape (N,)."""
-        return np.array([len(touching) for touching in self._links], np.int64)
+        """Robots that each one has touched, or by radio was in reach of, shape (N,)."""
+        return np.array(self._degree, np.int64)
 
     def broadcast(self, size: int, times: int = 1, *, by_all: bool = True) -> None:
         """Count messages of so many bytes of each robot to all others, without letting them pass.
@@ -202,14 +227,13 @@ class Channel:
         where not all pass messages on, it hears those that it touches. By radio it hears those in
         reach.
         """
-        robots = range(len(self._links))
         if self._is_radio:
-            self._count_by_radio([*robots], size, times)
+            self._count_by_radio(self._present, size, times)
             return
-        for source in robots:
+        for source in self._present:
             tree = {source: sorted(self._links[source])}
             if by_all:
-                tree = self._tree(source, {*robots})
+                tree = self._tree(source, {*self._present})
             for sender, after in tree.items():
                 self._count_by_touch(sender, after, size, times)
 
@@ -243,7 +267,7 @@ class Channel:
         """
         senders = sorted(self._links[robot])
         if by_all and self._reaches_all:
-            senders = [number for number in range(len(self._links)) if number != robot]
+            senders = [number for number in self._present if number != robot]
         if self._is_radio:
             self._count_by_radio(senders, size, 1)
             return
@@ -253,7 +277,7 @@ class Channel:
     def _count_by_radio(self, senders: list[int], size: int, times: int) -> None:
         """Count transmissions of some robots, which all in reach hear."""
         sending = {*senders}
-        for number in range(len(self._links)):
+        for number in self._present:
             sends = number in sending
             self.sent[number] += sends * times * size
             self.messages[number] += sends * times
@@ -279,7 +303,7 @@ class Channel:
     def _tree(self, root: int, targets: set[int]) -> dict[int, list[int]]:
         """Find ways to some robots: by robot, whom it passes a message on to."""
         if self._reaches_all:
-            receivers = sorted(targets & {*range(len(self._links))} - {root})
+            receivers = sorted(targets & {*self._present} - {root})
             return {root: receivers} if receivers else {}
         parent: dict[int, int] = {root: root}
         queue = deque([root])
@@ -371,7 +395,7 @@ class Channel:
         if not self._is_radio:
             return hop.waited
         if self._reaches_all:
-            return [number for number in range(len(self._links)) if number != hop.sender]
+            return [number for number in self._present if number != hop.sender]
         return sorted(self._links[hop.sender])
 
     def _heard(

@@ -89,6 +89,8 @@ class LocalSwarm:
             if record.place is not None:
                 position[k], turn[k], sd[k, 0] = record.place[:3]
                 self.body = record.place.body
+            if record.is_gone:
+                self.layers.gone.add(k)  # others may stand in its place
         if self.body:
             self.layers.gone.add(0)  # the anchor is elsewhere
         count = len(self.numbers)

@@ -41,6 +41,9 @@ class Record:
     is_current: bool = False
     """Whether it lets the robot that holds this know as it moves."""
 
+    is_gone: bool = False
+    """Whether it has left, as the robot that holds this sensed or heard: it answers no more."""
+
     @property
     def body(self) -> int:
         """First robot of the body in which it is placed; -1 if it is not."""
@@ -55,10 +58,21 @@ class Memory:
         self._program = program
         self._number = number
         self.records = {number: Record(line, sharing=program.partners(line))}
+        self._gone: set[int] = set()
 
     def of(self, number: int) -> Record:
         """Return what is held of a robot; what was not is empty, and held from then on."""
-        return self.records.setdefault(number, Record())
+        return self.records.setdefault(number, Record(is_gone=number in self._gone))
+
+    def has_left(self, number: int) -> bool:
+        """Whether this robot knows that one has left."""
+        return number in self._gone
+
+    def hold_leaver(self, number: int) -> None:
+        """Take in that a robot has left; what is held of it stays."""
+        self._gone.add(number)
+        if number in self.records:
+            self.records[number].is_gone = True
 
     def hold_line(self, number: int, line: bytes) -> None:
         """Take in what a robot sensed, if anything was sent of it."""
@@ -124,7 +138,8 @@ class Memory:
     def is_current(self, number: int) -> bool:
         """Judge whether nothing is to be asked of a robot: it lets this one know as it moves."""
         record = self.of(number)
-        return number == self._number or (record.is_current and bool(record.line))
+        is_held = record.is_current or record.is_gone
+        return number == self._number or (is_held and bool(record.line))
 
     def placed(self) -> dict[int, Record]:
         """List the robots whose lines and places are held."""

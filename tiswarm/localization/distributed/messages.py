@@ -17,6 +17,7 @@
 | `Shift` | robot, those that hang on it | move with me |
 | `Hang` | keeper, robot that touches two bodies | a robot to hang on, one that hangs on you |
 | `Lost` | robot of another body, parent | repeat the shift of my body |
+| `Left` | robot that touched some that left, all others | these robots have left |
 
 A channel carries each as a `Message`: content for all who hear it, and a part for each receiver.
 Places and shifts stay packed where robots pass them on: a number that is rounded twice may change.
@@ -319,6 +320,29 @@ class _OfShift(Content):
         return cls(message.parts.keys(), message.common)
 
 
+@dataclass(frozen=True)
+class Left(Content):
+    """Robots that the sender touched have left, with those that fell with them."""
+
+    kind = "left"
+
+    robots: Collection[int]
+    """Numbers of those that left."""
+
+    @property
+    def common(self) -> bytes:
+        """Their numbers."""
+        return b"".join(number.to_bytes(_SIZE, "big") for number in self.robots)
+
+    @classmethod
+    def read(cls, message: Message) -> Self:
+        """Read what a message says."""
+        packed = message.common
+        starts = range(0, len(packed), _SIZE)
+        robots = [int.from_bytes(packed[start : start + _SIZE], "big") for start in starts]
+        return cls(message.parts.keys(), robots)
+
+
 class Branch(_OfShift):
     """All that hang on the receiver move as one."""
 
@@ -370,6 +394,7 @@ KINDS: dict[str, type[Content]] = {
         Shift,
         Hang,
         Lost,
+        Left,
     )
 }
 """Kinds of messages by their names."""

@@ -133,8 +133,6 @@ def localize(
     if log.robot_count > MOST_ROBOTS:
         problem = f"distributed numbers up to {MOST_ROBOTS} robots; choose method joint"
         raise InputError(problem)
-    if log.gone.size:
-        raise InputError("distributed takes robots that stay; choose joint", key="event")
     # Robots go by their numbers in join order.
     numbered = replace(log, robot_id=np.arange(log.robot_count))
     head, lines = lines_of(numbered)
@@ -146,11 +144,18 @@ def localize(
     swarm = PeerSwarm(head, params)
     for line in lines:
         swarm.join(line)
+        swarm.leave(_leavers(log, line.robot + 1))
         on_progress((line.robot + 1) / len(lines))
     if params.solver == "keeper":
         for _ in range(params.reviews):
             swarm.review()
     return estimate_of(log, params, swarm.solution())
+
+
+def _leavers(log: SensingLog, joined: int) -> list[int]:
+    """List the robots that left when so many had joined, by their numbers in join order."""
+    leavers: list[int] = log.gone[log.left_after == joined].tolist()
+    return leavers
 
 
 class PeerSwarm:
@@ -180,6 +185,20 @@ class PeerSwarm:
         self._settle()
         self._at_join.append(self._centers()[-1])
 
+    def leave(self, robots: Sequence[int]) -> None:
+        """Let robots leave: who touched them lets all that it reaches know.
+
+        Those that left know no more than they knew by then.
+        """
+        touched = self.channel.leave(robots)
+        for number in touched:
+            witness = self.robots[number]
+            # One message serves all that it reaches.
+            if not all(witness.memory.has_left(leaver) for leaver in robots):
+                witness.announce(robots, [n for n in self.channel.present if n != number])
+                self._send(witness)
+                self._settle()
+
     def review(self) -> None:
         """Let all robots that solved do so again, one after the other."""
         self.robots[0].review()
@@ -190,7 +209,7 @@ class PeerSwarm:
         """Let messages pass until no robot waits for an answer."""
         self.channel.settle()
         for _ in range(_MOST_TURNS):
-            waiting = [robot for robot in self.robots if robot.waits]
+            waiting = [self.robots[n] for n in self.channel.present if self.robots[n].waits]
             if not waiting:
                 break
             # Nothing is under way, so no answer will come.
@@ -339,7 +358,7 @@ def _hear_poses(channel: Channel, touching: set[int], params: DistributedParams)
 
     heard: set[int] = set()
     if not asks_all:
-        heard = heard_of(range(joiner + 1) if params.undocked_repulsion else sorted(touching))
+        heard = heard_of(channel.present if params.undocked_repulsion else sorted(touching))
     for attempt in range(1 - asks_all, params.retries + 1):
         missing = touching - heard
         if not (asks_all or missing):
@@ -396,6 +415,7 @@ def algorithm_1(
         channel.join(reached(line, params))
         if params.poses != "once" or not params.undocked_repulsion or number == robots - 1:
             _send_poses(channel, params)
+        channel.leave(_leavers(log, number + 1))
         if rounds is not None and _follows(rounds, number + 1, robots):
             channel.broadcast(moved, rounds.sweeps, by_all=params.undocked_repulsion)
     hears_all = params.undocked_repulsion and params.radio_reach is None
@@ -412,6 +432,7 @@ def _with_losses(
     swarm = PublishedSwarm(head, params)
     for line in lines:
         swarm.join(line)
+        swarm.channel.leave(_leavers(log, line.robot + 1))
     settings = params.published
     position = swarm.positions
     rows = measure(log, ["contacts", "anchors"])

@@ -44,6 +44,7 @@ from tiswarm.localization.distributed.messages import (
     Full,
     Hang,
     Join,
+    Left,
     Lines,
     Lost,
     Moved,
@@ -325,6 +326,11 @@ def _hear_lost(robot: Peer, sender: int, _: Lost) -> None:
         robot.say(Shift([sender], robot.joined))
 
 
+def _hear_left(robot: Peer, _: int, left: Left) -> None:
+    """Take note of robots that have left."""
+    robot.lose(left.robots)
+
+
 _HANDLERS: dict[type[Content], Callable[[Peer, int, Any], Content | None]] = {
     Join: _hear_join,
     Task: _hear_task,
@@ -341,5 +347,6 @@ _HANDLERS: dict[type[Content], Callable[[Peer, int, Any], Content | None]] = {
     Shift: _hear_shift,
     Hang: _hear_hang,
     Lost: _hear_lost,
+    Left: _hear_left,
 }
 """What a robot does as it hears a message of each kind; returns what goes on if that changes."""

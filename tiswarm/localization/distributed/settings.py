@@ -57,7 +57,6 @@ class DistributedParams(ChiSquareParams, SendsPlugins):
 
     module: ClassVar = "tiswarm.localization.distributed.method"
     calls: ClassVar = VirtualForceParams
-    robots_stay: ClassVar = True
 
     method: Literal["distributed"] = "distributed"
     """Name of the method."""

@@ -99,9 +99,12 @@ def merge_bodies(robot: PeerState, joiner: int, records: Mapping[int, Record], b
     moving = of_body(records, body)
     line = records[joiner].line
     # By radio, messages reach robots that it touched on its way, too.
-    reached = [n for n in (*program.touched(line), *sorted(program.partners(line))) if n in records]
-    parent = next(n for n in reached if records[n].body == stays)
-    child = next(n for n in reached if records[n].body == body)
+    partners = (*program.touched(line), *sorted(program.partners(line)))
+    reached = [n for n in partners if n in records and not records[n].is_gone]
+    parent = next((n for n in reached if records[n].body == stays), None)
+    child = next((n for n in reached if records[n].body == body), None)
+    if parent is None or child is None:  # who tied one of the bodies to the robot has left
+        return
     unplaced = replace(records[joiner], place=None)
     places = LocalSwarm(program, moving | {joiner: unplaced}).places_of(joiner)
     both = LocalSwarm(program, of_body(records, stays) | moving)

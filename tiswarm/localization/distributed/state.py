@@ -1,11 +1,12 @@
 """The state of a robot: what it holds, what it hangs on, who solves, and what it is to send."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from tiswarm.localization.distributed import wire
 from tiswarm.localization.distributed.channel import Message
 from tiswarm.localization.distributed.memory import Memory
-from tiswarm.localization.distributed.messages import Child, Content, Moved, Shift
+from tiswarm.localization.distributed.messages import Child, Content, Left, Moved, Shift
 from tiswarm.localization.distributed.program import Program
 from tiswarm.localization.distributed.waiting import Tasks, WhenPlaced
 from tiswarm.records.sensing_format import RobotLine
@@ -108,6 +109,32 @@ class PeerState:
         warned = self.watchers - {keeper}
         self.watchers &= {keeper}
         self.say(Moved(sorted(warned)))
+
+    def lose(self, robots: Collection[int]) -> None:
+        """Take note that robots have left: none of them is asked, visited or heard any more.
+
+        Who hung on one of them hangs on the next robot that it touches, unless its body has joined
+        another one: there ways from robot to robot may lead back to it. Then no walk comes to it.
+        """
+        for number in robots:
+            self.memory.hold_leaver(number)
+            self.keepers.pop(number, None)
+        self.watchers.difference_update(robots)
+        self.children.difference_update(robots)
+        self.kept.difference_update(robots)
+        self.walk.unvisited = [child for child in self.walk.unvisited if child not in robots]
+        if self.parent is None or not self.memory.has_left(self.parent):
+            return
+        remaining = [robot for robot in self.touching if not self.memory.has_left(robot)]
+        self.parent = None
+        if remaining and not self.joined:
+            self.parent = remaining[0]
+            self.say(Child([self.parent]))
+
+    def announce(self, robots: Collection[int], receivers: Collection[int]) -> None:
+        """Let robots know that some which this one touched have left."""
+        self.lose(robots)
+        self.say(Left(receivers, robots))
 
     def hang_on(self, parent: int) -> None:
         """Hang on a robot; what this one hung on before hangs on it then, as its body joined."""

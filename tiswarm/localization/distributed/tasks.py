@@ -171,7 +171,7 @@ def _await_answers(
         asked: Robots to ask.
         answered: Robots that answered since the task began, also to others; more are added.
     """
-    waiting = {*asked}
+    waiting = {n for n in asked if not robot.memory.has_left(n)}
     if waiting:
         _ask(robot, waiting)
     while waiting:
