@@ -538,8 +538,9 @@ def design(
         condition: Condition of the scenario to design for; the only one if None.
         seeds: Structures to search on; 3 for sensors and 8 for growth if None.
         fresh: Structures to run the best candidates on.
-        out: Folder for `design.yaml`, the best scenario, `design.csv`, all candidates, and the
-            runs on fresh seeds; nothing is written if None.
+        out: Folder for `design.yaml`, the best scenario, `design.csv`, all candidates,
+            `design.png`, the front of several objectives, and the runs on fresh seeds; nothing is
+            written if None.
         overwrite: Whether to replace files that exist.
         arch: As for `run`.
         threads: As for `run`.

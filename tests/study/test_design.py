@@ -74,7 +74,7 @@ def test_a_text_is_a_goal_or_is_refused_in_a_line(text):
 @pytest.mark.parametrize("text", ["rmse_R", "rmse_R<=1", "a<1<2", "<1", "max:a<1", "a<nan", "a>x"])
 def test_what_has_no_direction_or_number_is_no_goal(text):
     """A name alone, two bounds, or a bound that is no number are refused."""
-    with pytest.raises(InputError, match=r"^goal: "):
+    with pytest.raises(InputError, match=r"^goals: "):
         parse_goals([text])
 
 
@@ -306,19 +306,19 @@ def test_a_design_of_growth_needs_no_folder():
 
 
 BAD = [
-    ({"goals": "rmse<1"}, "goal: there is no 'rmse'; choose one of rmse_R, price; did you mean"),
-    ({"goals": "height_R>1"}, "goal: height_R: sensors do not change it"),
-    ({"goals": "price<3"}, "goal: price: needs prices"),
-    ({"goals": []}, "goal: is missing"),
-    ({"goals": ["rmse_R<1", "min:rmse_R"]}, "goal: two goals are of rmse_R"),
-    ({"goals": "rmse_R<1e-9"}, "goal: no candidate of 2 reaches rmse_R<1e-09; the best has rmse_R"),
+    ({"goals": "rmse<1"}, "goals: there is no 'rmse'; choose one of rmse_R, price; did you mean"),
+    ({"goals": "height_R>1"}, "goals: height_R: sensors do not change it"),
+    ({"goals": "price<3"}, "goals: price: needs prices"),
+    ({"goals": []}, "goals: is missing"),
+    ({"goals": ["rmse_R<1", "min:rmse_R"]}, "goals: two goals are of rmse_R"),
+    ({"goals": "rmse_R<1e-9"}, "goals: no candidate of 2 reaches rmse_R<1e-09; the best has rmse_R"),
     ({"vary": {}}, "vary: is missing"),
     ({"vary": {"sensing.tilt": [1]}}, "vary: sensing.tilt: unknown key"),
     ({"vary": {"sensing.stances": [3]}}, "vary: sensing.stances[0]: 3 should be"),
     ({"vary": {"localization.chains": [3]}}, "vary: localization.chains: vary robots, or keys"),
     ({"vary": {"sensing.drift": [0.1]}}, "vary: sensing.drift: logs do not state"),
     ({"vary": {"robots": [8], "sensing.stances": [True]}}, "vary: sensing.stances: vary sensing"),
-    ({"goals": "rmse_R<1", "vary": {"robots": [8]}}, "goal: rmse_R: is a goal of sensors"),
+    ({"goals": "rmse_R<1", "vary": {"robots": [8]}}, "goals: rmse_R: is a goal of sensors"),
     ({"prices": {"sensing.stances": {True: 1}}}, "prices: sensing.tilt_noise_deg: the value 1.0"),
     ({"prices": {"sensing.stances": {True: -1}}}, "prices: sensing.stances: the price -1"),
     ({"seeds": 0}, "seeds: 0 should be from 1 to 10,000"),
@@ -327,7 +327,7 @@ BAD = [
     ({"overrides": {"robots": 2000}}, "robots: errors are predicted for up to 1000 robots"),
     ({"overrides": {"localization": {"method": "none"}}}, "localization.method: none has no rmse"),
     ({"overrides": {"sweep": {"robots": [5, 6]}}}, "sweep: a design varies keys of its own"),
-    ({"goals": "min:least_margin", "vary": {"robots": [4, 5]}}, "goal: no structure of this scen"),
+    ({"goals": "min:least_margin", "vary": {"robots": [4, 5]}}, "goals: no structure of this scen"),
 ]
 
 

@@ -17,6 +17,8 @@ from tiswarm.base.params import AnyArch
 from tiswarm.records.frames import write_frame
 from tiswarm.records.messages import counted, shown
 from tiswarm.records.outputs import Outputs
+from tiswarm.report.design_figure import draw_front
+from tiswarm.report.figure_style import write
 from tiswarm.scenario.model import Scenario, dump_scenario, to_plain
 from tiswarm.study.design.candidates import (
     PRICE,
@@ -39,8 +41,8 @@ from tiswarm.study.design.search import (
 )
 from tiswarm.study.design.verification import choose, verify
 
-FILES = ("design.yaml", "design.csv")
-"""Files of a design."""
+FILES = ("design.yaml", "design.csv", "design.png")
+"""Files of a design: its scenario, its table, and with several objectives a figure of the front."""
 
 USUAL_SEEDS = {"sensing": 3, "growth": 8}
 """Structures that a candidate is tried on, by what is designed."""
@@ -64,7 +66,8 @@ class Design:
     """Which structures the search saw, and which ones the best candidates were run on."""
 
     folder: Path | None = None
-    """Folder with `design.yaml`, `design.csv` and the runs on fresh seeds; None without one."""
+    """Folder with `design.yaml`, `design.csv`, with several objectives `design.png`, and the runs
+    on fresh seeds; None without one."""
 
     @property
     def front(self) -> pd.DataFrame:
@@ -84,14 +87,21 @@ class Design:
 
     def __str__(self) -> str:
         """Tabulate the candidates that were run, and say on what."""
-        reaching = int(self.table["reaches"].sum())
-        goals = " and ".join(self.goals)
-        lines = [f"{reaching} of {counted(len(self.table), 'candidate')} reach {goals}"]
         text = _shortened(self.verified).to_string(index=False, na_rep="")
-        lines += [text, self.note, self.verdict]
+        lines = [self._summary, text, self.note, self.verdict]
         if self.folder is not None:
-            lines.append(f"{' and '.join(FILES)} in {self.folder}")
+            written = [name for name in FILES if (self.folder / name).exists()]
+            lines.append(f"{', '.join(written)} in {self.folder}")
         return "\n".join(lines)
+
+    @property
+    def _summary(self) -> str:
+        """How many candidates reach the bounds, and what else was asked for."""
+        count = counted(len(self.table), "candidate")
+        bounds = " and ".join(goal for goal in self.goals if ":" not in goal)
+        best = " and ".join(goal for goal in self.goals if ":" in goal)
+        reached = f"{self.table['reaches'].sum()} of {count} reach {bounds}" if bounds else count
+        return f"{reached}, for {best}" if best else reached
 
     def _repr_html_(self) -> str:
         return f"{_shortened(self.verified).to_html(index=False, na_rep='')}<p>{self.note}</p>"
@@ -146,8 +156,10 @@ def design(
     progress = ConsoleProgress(quiet=quiet)
     found = search(base, candidates, part, wanted, seeds=count, threads=threads, progress=progress)
     _require_reached(candidates, wanted, found)
-    is_priced = prices is not None and all(goal.name != PRICE for goal in wanted)
-    numbers = choose(found, len(wanted) + is_priced)
+    objectives = [goal.name for goal in wanted]
+    if prices is not None:
+        objectives = [PRICE, *(name for name in objectives if name != PRICE)]
+    numbers = choose(found, len(objectives))
     studies = [
         study_of(candidates[number], place, first_seed=FIRST_FRESH_SEED, count=fresh)
         for place, number in enumerate(numbers, start=1)
@@ -168,6 +180,8 @@ def design(
     if out is not None:
         outputs.write(out / FILES[0], dump_scenario(studies[0]).encode())
         write_frame(result.table, out / FILES[1], opened=outputs.opened)
+        if len(objectives) > 1:
+            write(out / FILES[2], lambda: draw_front(result.table, objectives), outputs)
     return result
 
 
@@ -197,7 +211,7 @@ def _require_reached(candidates: Sequence[Candidate], goals: Sequence[Goal], fou
         f"no candidate of {len(candidates)} reaches {' and '.join(map(str, goals))}; the best has "
         f"{best}, with {values}; vary other values, or ask for less"
     )
-    raise InputError(problem, argument="goal")
+    raise InputError(problem, argument="goals")
 
 
 def _tabulate(

@@ -72,6 +72,7 @@ class InputError(TiswarmError):
             "estimate": "ESTIMATE",
             "movie": "--animate",
             "form": "--format",
+            "goals": "--goal",
             "prices": "--price",
             "case_limit_s": "--case-limit",
         }

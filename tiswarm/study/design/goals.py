@@ -64,11 +64,11 @@ def parse_goals(texts: Sequence[str]) -> list[Goal]:
         InputError: there is no goal, one cannot be parsed, or two have the same name.
     """
     if not texts:
-        raise InputError(f"is missing; {_FORMS}", argument="goal")
+        raise InputError(f"is missing; {_FORMS}", argument="goals")
     goals = [parse_goal(text) for text in texts]
     name, count = Counter(goal.name for goal in goals).most_common(1)[0]
     if count > 1:
-        raise InputError(f"two goals are of {name}; keep one", argument="goal")
+        raise InputError(f"two goals are of {name}; keep one", argument="goals")
     return goals
 
 
@@ -91,8 +91,8 @@ def parse_goal(text: str) -> Goal:
     if re.fullmatch(_NAME, text.strip()):
         name = text.strip()
         problem = f"{name!r} has no direction; write min:{name} or max:{name}, or a bound"
-        raise InputError(problem, argument="goal")
-    raise InputError(f"{text!r} is no goal; {_FORMS}", argument="goal")
+        raise InputError(problem, argument="goals")
+    raise InputError(f"{text!r} is no goal; {_FORMS}", argument="goals")
 
 
 def on_front(cost: Reals) -> Bools:

@@ -87,8 +87,8 @@ def require_results(goals: Sequence[Goal], part: Part, *, priced: bool) -> None:
         elif part == "growth" and goal.name == RMSE.column:
             problem = "is a goal of sensors; vary keys of sensing, or ask for a size or load"
         if problem:
-            raise InputError(f"{goal.name}: {problem}", argument="goal")
-        require_name(goal.name, [*names, PRICE], "goal")
+            raise InputError(f"{goal.name}: {problem}", argument="goals")
+        require_name(goal.name, [*names, PRICE], "goals")
 
 
 def search(
@@ -236,7 +236,7 @@ def _require_results(names: Sequence[str], scores: Reals) -> None:
         if np.isnan(of_name).all():
             meaning = measures.MEASURES[name].meaning
             problem = f"no structure of this scenario has {name}: {meaning}; give another goal"
-            raise InputError(problem, argument="goal")
+            raise InputError(problem, argument="goals")
 
 
 def _grow_and_score(
