@@ -311,7 +311,9 @@ class Linear:
         turns = 3 * self.noise.earlier
         rows = len(self.residual)
         every = rows + turns + len(self.precision)
-        count = max(1, min(draws, _MOST_DRAWN // max(every, 1)))
+        # Turns count as noise of each row, and are not drawn, where no row is of an earlier stance.
+        drawn = every if len(self.walked) else every - turns
+        count = max(1, min(draws, _MOST_DRAWN // max(drawn, 1)))
         for first in range(0, draws, count):
             draw = range(first, min(first + count, draws))
             error = np.sqrt(self.own_variance)[:, None] * _drawn_errors(0, rows, draw)
