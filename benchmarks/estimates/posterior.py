@@ -123,7 +123,7 @@ def compared(number: int, method: str) -> Iterator[RobotRow]:
         laws[2], one.sd[moving], other.sd[moving], apart[moving],
     ]  # fmt: skip
     for robot, values in enumerate(np.array(columns).T.tolist(), start=1):
-        yield RobotRow(number, case.kind, robot, *values, method_s, exact_s)
+        yield RobotRow._make([number, case.kind, robot, *values, method_s, exact_s])
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:

@@ -141,7 +141,7 @@ _SMALL_TILT, _SMALL_YAW = (0.5, 3.0), (0.5, 5.0)
 
 
 def small(number: int) -> Case:
-    """Make a structure of any kind of 8 to 12 robots, of which only the end was sensed; no lie."""
+    """Make 8 to 12 robots of any kind of structure, with final stances alone and no lie."""
     rng = random("posterior", number)
     kind = KINDS[number % len(KINDS)]
     noise_deg = float(rng.uniform(*_SMALL_TILT)), float(rng.uniform(*_SMALL_YAW))

@@ -120,16 +120,16 @@ def test_a_ring_of_three_is_as_brute_force_says(ring):
 
 
 @pytest.fixture(scope="module")
-def star():
-    """Compare what `joint` states of a star of eight robots with two runs of the oracle."""
-    return pd.DataFrame([*compared(5, "joint")])
+def stated():
+    """Compare what `joint` states of a ring of robots with two runs of the oracle."""
+    return pd.DataFrame([*compared(14, "joint")])
 
 
-def test_two_runs_agree(star):
+def test_two_runs_agree(stated):
     """Means are within a third of the sd of each other, and sd within a quarter."""
-    square = (star[["runs_apart_R", "exact_sd_R"]] ** 2).mean()
+    square = (stated[["runs_apart_R", "exact_sd_R"]] ** 2).mean()
 
-    assert star["one_run_sd_R"].to_numpy() == pytest.approx(star["other_run_sd_R"], rel=0.25)
+    assert stated["one_run_sd_R"].to_numpy() == pytest.approx(stated["other_run_sd_R"], rel=0.25)
     assert square["runs_apart_R"] < square["exact_sd_R"] / 9.0
 
 
@@ -137,17 +137,17 @@ def _median_ratio(table):
     return (table["sd_R"] / table["exact_sd_R"]).groupby(table["number"]).median().median()
 
 
-def test_joint_states_the_deviation_of_the_posterior(star):
+def test_joint_states_the_deviation_of_the_posterior(stated):
     """Of one log, the median ratio of its sd to the exact one is within 15 % of 1."""
-    ratio = _median_ratio(star)
+    ratio = _median_ratio(stated)
 
     assert ratio == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.slow
 def test_joint_states_deviations_and_errors_of_posteriors():
-    """Of 40 logs that is within 10 %, and its law scores at most 1.15 times what is attainable."""
-    table = pd.concat([pd.DataFrame([*compared(number, "joint")]) for number in range(40)])
+    """Of 30 logs that is within 10 %, and its law scores at most 1.15 times what is attainable."""
+    table = pd.concat([pd.DataFrame([*compared(number, "joint")]) for number in range(30)])
 
     ratio = _median_ratio(table)
     score = table.groupby("number")[["crps_law_R", "crps_exact_R"]].mean().mean()

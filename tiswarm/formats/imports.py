@@ -552,7 +552,7 @@ def _describe(log: sensing_log.SensingLog) -> Iterator[str]:
     lacking = [name for name in is_stated if not is_stated[name]]
     if lacking:
         yield f"the log lacks {', '.join(lacking)}"
-    if np.isnan(log.flip_height).all() or log.stances is None:
+    if log.stances is None:
         yield GAINS
 
 
@@ -782,7 +782,7 @@ def with_noise(assumed: Assumptions, rests: Rests) -> tuple[Assumptions, list[st
     if max(tilt, yaw) < _LEAST_NOISE_DEG:
         return assumed, []
     text = f"orientations of robots at rest vary by {tilt:g} deg of tilt and {yaw:g} deg of yaw "
-    text += "(1 sd), which the log states; --tilt-deg, --yaw-deg"
+    text += "(1 sd), which the log states; --tilt-deg and --yaw-deg state others"
     return replace(assumed, tilt_deg=tilt, yaw_deg=yaw), [text]
 
 

@@ -293,7 +293,7 @@ def _fit(
         parameter: The parameter.
         posed: The log as it is stated.
         state: Where to begin.
-        tried: Parameters; the likeliest one is chosen.
+        tried: Number of parameters, the likeliest of them being chosen.
         change: Change of the parameter to begin with, none if None.
     """
     if change is None:
