@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.api import check as check
     from tiswarm.api import check_local as check_local
     from tiswarm.api import compare as compare
+    from tiswarm.api import design as design
     from tiswarm.api import export as export
     from tiswarm.api import grow as grow
     from tiswarm.api import import_poses as import_poses

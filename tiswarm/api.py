@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from typing import BinaryIO, TextIO
 
     from tiswarm.app.comparison import Comparison
+    from tiswarm.app.design import Design
     from tiswarm.app.navigation import Believer
     from tiswarm.app.swarms import Swarms
     from tiswarm.evaluation.tables import Scores
@@ -543,6 +544,84 @@ def advise(
 
     require_set(budget, kinds)
     return open_log(log).with_estimate(estimate, quiet=quiet).findings.advise(budget, kinds)
+
+
+def design(
+    scenario: File | Mapping[str, object],
+    goals: str | Sequence[str],
+    vary: "Mapping[str, Sequence[Any]]",
+    prices: "File | Mapping[str, Mapping[object, float]] | None" = None,
+    *,
+    overrides: Overrides | None = None,
+    condition: str | None = None,
+    seeds: int | None = None,
+    fresh: int = 5,
+    out: File | None = None,
+    overwrite: bool = False,
+    arch: AnyArch = "cpu",
+    threads: int | None = None,
+    plugins: Sequence[File] = (),
+    quiet: bool = False,
+) -> "Design":
+    """Find sensors, or settings of growth, that reach a goal, as `tiswarm design` does.
+
+    Values of `sensing` make sensor suites. Their RMSE is predicted from the information in what
+    robots would sense at their true positions; no robot is localized. Values of `structure`,
+    `robot` and `robots` are grown, on few seeds at first, the better half on more. The best
+    candidates are then run on fresh seeds.
+
+    Args:
+        scenario: As for `run`.
+        goals: Goals such as "rmse_R<0.2", "height_R>60", "min:price" or "max:reach_R". Results are
+            `rmse_R` of sensors, and all of a structure in `summary.csv`; with prices also `price`.
+        vary: Values to choose from by dotted key.
+        prices: Prices by key and value, or their table `key,value,price` or YAML file; the price of
+            a candidate is the sum over its values.
+        overrides: As for `run`.
+        condition: Condition of the scenario to design for; the only one if None.
+        seeds: Structures to search on; 3 for sensors and 8 for growth if None.
+        fresh: Structures to run the best candidates on.
+        out: Folder for `design.yaml`, the best scenario, `design.csv`, all candidates,
+            `design.png`, the front of several objectives, and the runs on fresh seeds; nothing is
+            written if None.
+        overwrite: Whether to replace files that exist.
+        arch: As for `run`.
+        threads: As for `run`.
+        plugins: As for `run`.
+        quiet: Whether to hide progress.
+
+    Returns:
+        The candidates, a data frame `table`, those of the `front` and those `verified` on fresh
+        seeds, and the best `scenario`.
+
+    Raises:
+        InputError: a goal, key, value or price is wrong, no result has the name of a goal, no
+            candidate reaches the goals, or an output exists and is to stay.
+        CasesFailedError: no candidate could be run.
+    """
+    from tiswarm.app import design as designs  # noqa: PLC0415 - slow to import
+    from tiswarm.study.design.prices import Prices  # noqa: PLC0415 - slow to import
+
+    load_plugins(plugins)
+    priced: Prices | None = None
+    if isinstance(prices, Mapping):
+        priced = Prices.of(prices)
+    elif prices is not None:
+        priced = Prices.read(as_path(prices, "prices"))
+    return designs.design(
+        _load(scenario, overrides),
+        [goals] if isinstance(goals, str) else goals,
+        cast("dict[str, Sequence[Any]]", plain({key: [*values] for key, values in vary.items()})),
+        priced,
+        condition=condition,
+        seeds=seeds,
+        fresh=fresh,
+        out=None if out is None else as_path(out, "out"),
+        overwrite=overwrite,
+        arch=arch,
+        threads=threads,
+        quiet=quiet,
+    )
 
 
 def _fields(execution: Mapping[str, Any]) -> Mapping[str, Any]:

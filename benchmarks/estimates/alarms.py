@@ -2,10 +2,13 @@
 
     python -m benchmarks.estimates.alarms clean --sizes 30 100 --logs 200
     python -m benchmarks.estimates.alarms anchor half false --logs 40
+    python -m benchmarks.estimates.alarms common drifting --logs 108
     python -m benchmarks.estimates.alarms clean --sizes 100 --training    # to fit constants on
 
-A false alarm is a verdict "not consistent" on a log whose errors are as stated. Logs are made from
-the name of their family, their size and a number. --out has a row a log, and the tables.
+A false alarm is a verdict "not consistent" on a log whose errors are as stated. A wrong common
+parameter is named right if it is the first cause that is named, or one that fits as well, and its
+value is within 3 sd. Logs are made from the name of their family, their size and a number. --out
+has a row a log, and the tables.
 """
 
 import argparse
@@ -22,15 +25,25 @@ import pandas as pd
 import tiswarm
 from benchmarks.estimates import lies
 from benchmarks.estimates.grade import FAR_SD, as_claimed, is_beacon, share
-from benchmarks.estimates.sets import KINDS, NONE, TRAINING, Case, drawn, grown, noisy, random
+from benchmarks.estimates.sets import (
+    KINDS,
+    NONE,
+    TRAINING,
+    Case,
+    drawn,
+    grown,
+    noisy,
+    random,
+)
 from tests.structures import Rule, structure
 from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
+from tiswarm.measurements.verdicts import distrust
 from tiswarm.records.estimate import MOST_WITHIN, Estimate
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog, canonical_contacts
 from tiswarm.sensing import SensingParams
-from tiswarm.world.params import CantileverParams, TowerParams
+from tiswarm.world.params import BridgeParams, CantileverParams, StructureParams, TowerParams
 
 TILT_DEG, YAW_DEG = 1.0, 2.0
 """Noise of orientations of right logs [deg]."""
@@ -52,6 +65,20 @@ _FEWEST, _MOST = 15, 40
 
 _LEAST_TILT, _MOST_TILT = 1.0, 3.0
 _FALSE_CONTACTS = 3
+_NAMED = ("right", "beside", "value", "other")
+_SAME_SD = 3.0
+"""Standard deviations within which a value that is named is right."""
+
+_PRECISE_DEG = 0.2
+"""Noise of orientations by motion capture [deg]."""
+
+_PRECISE_ROBOTS = (12, 25)
+_GROWN: Mapping[str, StructureParams] = {
+    "tower": TowerParams(),
+    "cantilever": CantileverParams(),
+    "bridge": BridgeParams(),
+}
+"""Robots, and kinds of structures, that motion capture records."""
 _RANGES = (10, 31)
 
 CUE_SETS: Mapping[str, SensingParams] = {
@@ -86,6 +113,13 @@ class Alarm:
 
     beyond: bool
     """Trusted, with a robot farther than 5 sd from where it truly is."""
+
+    named: str
+    """What is named as the common cause: the "right" one, the right one "beside" a first one that
+    fits as well, the right one with a wrong "value", an "other" one, or "none"."""
+
+    robots_named: int
+    """Robots that are named as outliers, or as those that carry the misfit."""
 
     within_90: float
     rmse: float
@@ -185,12 +219,74 @@ def false(_robots: int, number: int) -> tuple[str, Case]:
     return "three false contacts", replace(case, log=log)
 
 
+def common(_robots: int, number: int) -> tuple[str, Case]:
+    """State a common parameter of a tower, a cantilever or a bridge by a small or a large error."""
+    name = [*lies.COMMON][number % len(lies.COMMON)]
+    turn = number // len(lies.COMMON)
+    size = ("small", "large")[turn % 2]
+    kind = [*_GROWN][turn // 2 % 3]
+    rng = random("common", number)
+    log, truth = _precise(kind, number, rng, with_ranges=name in _OF_RANGES)
+    parameter = lies.COMMON[name]
+    error = getattr(parameter, size) * (1.0 if rng.integers(2) else -1.0)
+    wrong = parameter.stated(log, error, rng)
+    cause = (name, parameter.value(wrong, error))
+    return f"{name}: {size}", Case(kind=kind, lie=name, log=wrong, truth=truth, cause=cause)
+
+
+_OF_RANGES = ("scale of measured lengths", "shift of all ranges")
+
+
+def _precise(
+    kind: str, number: int, rng: np.random.Generator, *, with_ranges: bool
+) -> tuple[SensingLog, Reals]:
+    """Grow a structure whose robots know their orientations as by motion capture."""
+    sensed = SensingParams(tilt_noise_deg=_PRECISE_DEG, yaw_noise_deg=_PRECISE_DEG)
+    robots = int(rng.integers(*_PRECISE_ROBOTS))
+    log, truth = grown(_GROWN[kind], robots, FIRST_SEED + number, sensed, RobotGeometry())
+    if with_ranges:
+        log = lies.with_ranges(log, truth, rng)
+    return log, truth
+
+
+def drifting(_robots: int, number: int) -> tuple[str, Case]:
+    """Let one robot of a tower, a cantilever or a bridge drift, or turn all it has."""
+    kind = [*_GROWN][number % 3]
+    rng = random("drifting", number)
+    log, truth = _precise(kind, number, rng, with_ranges=False)
+    log = lies.drifting_robot(log, truth, rng)
+    return "one robot drifts", Case(kind=kind, lie="drift", log=log, truth=truth)
+
+
+def precise(_robots: int, number: int) -> tuple[str, Case]:
+    """Make a right log of a tower, a cantilever or a bridge, with ranges in every second round."""
+    kind = [*_GROWN][number % 3]
+    rng = random("precise", number)
+    log, truth = _precise(kind, number, rng, with_ranges=number // 3 % 2 == 1)
+    return "right, by motion capture", Case(kind=kind, lie=NONE, log=log, truth=truth)
+
+
+def _named(estimate: Estimate, cause: tuple[str, float] | None) -> str:
+    """Compare the common causes that an estimate names with the true one."""
+    if not estimate.common_causes:
+        return "none"
+    for rank, one in enumerate(estimate.common_causes):
+        if cause is not None and one.parameter == cause[0]:
+            if abs(one.value - cause[1]) > _SAME_SD * one.sd:
+                return "value"
+            return "beside" if rank else "right"
+    return "other"
+
+
 FAMILIES: Mapping[str, Callable[[int, int], tuple[str, Case]]] = {
     "clean": clean,
     "right-anchor": right_anchor,
     "anchor": anchor,
     "half": half,
     "false": false,
+    "common": common,
+    "drifting": drifting,
+    "precise": precise,
 }
 """What makes a log, from its size, which those with a lie do not use, and its number."""
 
@@ -224,10 +320,19 @@ def judged(family: str, robots: int, number: int, method: str) -> Alarm:
         reason=verdict.reason,
         silent=verdict.trusted and within < HONEST,
         beyond=verdict.trusted and bool((off > FAR_SD * sd + 1e-2)[counts].any()),
+        named=_named(estimate, case.cause),
+        robots_named=_robots_named(log, estimate),
         within_90=within,
         rmse=float(np.sqrt((off**2).mean())),
         cpu_s=spent,
     )
+
+
+def _robots_named(log: SensingLog, estimate: Estimate) -> int:
+    """Count robots that are named as outliers, or as those that carry a misfit."""
+    suspects = estimate.outlier_robots
+    count = 0 if suspects is None else len(suspects)
+    return count + ("carried by" in distrust(log, estimate))
 
 
 def _errors(log: SensingLog, estimate: Estimate, truth: Reals) -> Reals:
@@ -251,6 +356,8 @@ def summary(alarms: pd.DataFrame) -> pd.DataFrame:
                 "trusted": int(trusted.sum()),
                 "silent": int(logs["silent"].sum()),
                 "beyond 5 sd": int(logs["beyond"].sum()),
+                **{f"named {what}": int((logs["named"] == what).sum()) for what in _NAMED},
+                "names robots": int((logs["robots_named"] > 0).sum()),
                 "within 90": logs["within_90"].mean(),
                 "median R": logs["rmse"].median(),
                 "CPU s": logs["cpu_s"].mean(),

@@ -1,11 +1,13 @@
 """What is wrong in a log and not stated there: exchanged names, wrong docks, biased ranges.
 
 Each lie takes a log and a random generator, and returns the log with the lie. True positions stay.
+A wrong common parameter, such as the dock offset, is stated by an error of a size of its own.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -23,6 +25,9 @@ from tiswarm.records.sensing_log import (
 
 WRONG_DEG = 20.0
 """Turn of orientations that are off [deg]."""
+
+DRIFT_DEG = 9.0
+"""Turn that the orientation of a robot that drifts gains at each stance [deg]."""
 
 YAW_BIAS_DEG = 10.0
 """Standard deviation of the bias of yaw that a log does not state [deg]."""
@@ -195,6 +200,132 @@ def wrong_anchor(log: SensingLog, truth: Reals, rng: np.random.Generator) -> Sen
         for axis in range(3)
     ]  # fmt: skip
     return replace(log, fixes=np.unique(np.concatenate([log.fixes, *fixes]), axis=0))
+
+
+class WrongParameter(NamedTuple):
+    """A parameter that all robots share, which a log states wrongly."""
+
+    stated: Callable[[SensingLog, float, np.random.Generator], SensingLog]
+    """Returns the log that states it with an error [R, 1, deg]."""
+
+    small: float
+    large: float
+    """Sizes of the error [R, 1, deg]."""
+
+    value: Callable[[SensingLog, float], float]
+    """Returns its right value, from the log that states it with an error [log unit, 1, deg]."""
+
+
+def _wrong_offset(log: SensingLog, error: float, _rng: np.random.Generator) -> SensingLog:
+    offset = np.linalg.norm(log.dock_offset_body, axis=1, keepdims=True)
+    return replace(log, dock_offset_body=log.dock_offset_body * (1.0 + error / offset))
+
+
+def _right_offset(log: SensingLog, error: float) -> float:
+    return float(np.linalg.norm(log.dock_offset_body, axis=1).mean()) - error
+
+
+def _wrong_scale(log: SensingLog, error: float, _rng: np.random.Generator) -> SensingLog:
+    """Multiply ranges and heights, and the place of the anchor and the ground."""
+    ranges = log.ranges.copy()
+    ranges[:, 2] *= 1.0 + error
+    return replace(
+        log,
+        ranges=ranges,
+        flip_height=log.flip_height * (1.0 + error),
+        anchor_position=log.anchor_position * (1.0 + error),
+        ground_z=None if log.ground_z is None else log.ground_z * (1.0 + error),
+    )
+
+
+def _wrong_ranges(log: SensingLog, error: float, _rng: np.random.Generator) -> SensingLog:
+    ranges = log.ranges.copy()
+    ranges[:, 2] += error
+    return replace(log, ranges=ranges)
+
+
+def _wrong_anchor_height(log: SensingLog, error: float, _rng: np.random.Generator) -> SensingLog:
+    return replace(log, anchor_position=log.anchor_position + error * np.eye(3)[2])
+
+
+def _wrong_world(log: SensingLog, error: float, rng: np.random.Generator) -> SensingLog:
+    """Tilt all orientations about a random horizontal axis."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    tilt = Rotation.from_rotvec(np.radians(error) * np.array([np.cos(angle), np.sin(angle), 0.0]))
+
+    def tilted(wxyz: Reals) -> Reals:
+        return (tilt * Rotation.from_quat(wxyz, scalar_first=True)).as_quat(scalar_first=True)
+
+    stances = log.earlier
+    stances = replace(stances, orientation_wxyz=tilted(stances.orientation_wxyz))
+    return replace(log, orientation_wxyz=tilted(log.orientation_wxyz), stances=stances)
+
+
+def _wrong_docks(log: SensingLog, error: float, rng: np.random.Generator) -> SensingLog:
+    """Turn all docks about a random axis of the body."""
+    axis = rng.normal(size=3)
+    turn = Rotation.from_rotvec(np.radians(error) * axis / np.linalg.norm(axis))
+    return replace(log, dock_offset_body=turn.apply(log.dock_offset_body))
+
+
+COMMON: Mapping[str, WrongParameter] = {
+    "dock offset": WrongParameter(_wrong_offset, 0.01, 0.1, _right_offset),
+    "dock radius": WrongParameter(
+        lambda log, error, _: replace(log, dock_radius=log.dock_radius + error),
+        0.01, 0.05, lambda log, error: log.dock_radius - error,
+    ),
+    "scale of measured lengths": WrongParameter(
+        _wrong_scale, 0.01, 0.05, lambda _, error: 1.0 / (1.0 + error)
+    ),
+    "ground height": WrongParameter(
+        lambda log, error, _: replace(log, ground_z=(log.ground_z or 0.0) + error),
+        0.05, 0.5, lambda log, error: (log.ground_z or 0.0) - error,
+    ),
+    "shift of all heights": WrongParameter(
+        lambda log, error, _: replace(log, flip_height=log.flip_height + error),
+        0.05, 0.5, lambda _, error: -error,
+    ),
+    "shift of all ranges": WrongParameter(_wrong_ranges, 0.1, 0.5, lambda _, error: -error),
+    "anchor height": WrongParameter(
+        _wrong_anchor_height, 0.05, 0.5, lambda log, error: float(log.anchor_position[2]) - error
+    ),
+    "turn of the world frame of all orientations": WrongParameter(
+        _wrong_world, 1.0, 8.0, lambda _, error: abs(error)
+    ),
+    "turn of all docks in the body frame": WrongParameter(
+        _wrong_docks, 1.0, 8.0, lambda _, error: abs(error)
+    ),
+}  # fmt: skip
+"""Wrong common parameters by the names that estimates give them."""
+
+
+def drifting_robot(log: SensingLog, _truth: Reals, rng: np.random.Generator) -> SensingLog:
+    """Let the orientation of the robot with most stances, or of one of all, drift from its spawn.
+
+    With one stance each, it is turned by 20 deg.
+    """
+    stances = log.earlier
+    count = np.diff(stances.start)
+    robot = int(count.argmax()) if count.any() else int(rng.integers(1, log.robot_count))
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    rows = np.arange(*stances.start[robot : robot + 2])
+    step = np.radians(DRIFT_DEG if len(rows) else WRONG_DEG)
+    of_stance = stances.orientation_wxyz.copy()
+    final = log.orientation_wxyz.copy()
+    for number, row in enumerate(rows.tolist()):
+        drift = Rotation.from_rotvec(number * step * axis)
+        of_stance[row] = (drift * Rotation.from_quat(of_stance[row], scalar_first=True)).as_quat(
+            scalar_first=True
+        )
+    drift = Rotation.from_rotvec(max(len(rows), 1) * step * axis)
+    final[robot] = (drift * Rotation.from_quat(final[robot], scalar_first=True)).as_quat(
+        scalar_first=True
+    )
+    turned_stances = None
+    if log.stances is not None:
+        turned_stances = replace(stances, orientation_wxyz=of_stance)
+    return replace(log, orientation_wxyz=final, stances=turned_stances)
 
 
 def part_behind(log: SensingLog, rng: np.random.Generator) -> Bools:

@@ -56,6 +56,9 @@ class Case:
     truth: Reals
     """True centers [log unit], shape (N, 3)."""
 
+    cause: tuple[str, float] | None = None
+    """Common parameter that the log states wrongly, with its right value; None if there is none."""
+
 
 def random(name: str, number: int) -> np.random.Generator:
     """Return the generator of random numbers of a log."""
@@ -131,6 +134,20 @@ def generated(number: int) -> Case:
     elif rng.integers(_RANGES_EACH) == 0:
         log = lies.with_ranges(log, truth, rng)
     return Case(kind=kind, lie=lie, log=log, truth=truth)
+
+
+_SMALL = (8, 12)
+_SMALL_TILT, _SMALL_YAW = (0.5, 3.0), (0.5, 5.0)
+
+
+def small(number: int) -> Case:
+    """Make 8 to 12 robots of any kind of structure, with final stances alone and no lie."""
+    rng = random("posterior", number)
+    kind = KINDS[number % len(KINDS)]
+    noise_deg = float(rng.uniform(*_SMALL_TILT)), float(rng.uniform(*_SMALL_YAW))
+    heights = bool(rng.random() < 0.5)  # noqa: PLR2004 - half of them
+    log, truth = drawn(kind, number, rng, noise_deg, heights=heights, sizes=_SMALL)
+    return Case(kind=kind, lie=NONE, log=log, truth=truth)
 
 
 def drawn(

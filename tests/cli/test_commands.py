@@ -20,7 +20,7 @@ from tiswarm.cli import main
 from tiswarm.records.sensing_file import write_sensing_log
 
 COMMANDS = (
-    "run", "localize", "view", "advise", "redraw", "compare", "import",
+    "run", "design", "localize", "view", "advise", "redraw", "compare", "import",
     "export", "score", "check", "schema", "doctor",
 )  # fmt: skip
 

@@ -427,3 +427,63 @@ def test_nothing_to_do_is_done():
     place = swarm(5)
     still = relax(*place, robot=ROBOT, ramp=0.5, steps=0, **GAINS)
     np.testing.assert_array_equal(still.position, place[0])
+
+
+@pytest.mark.parametrize(
+    "precision",
+    [pytest.param("f32", marks=pytest.mark.program(precision="f32")), "f64"],
+)
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6), parts=st.lists(st.integers(0, 7), min_size=1, max_size=6))
+def test_steps_on_the_device_do_not_depend_on_calls(precision, seed, parts):
+    """They are the same to the bit as those of one call, rows of neighbors made as often."""
+    place = swarm(60, seed)
+    gains = {**GAINS, "max_step": 0.1, "ramp": 0.5}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine, "SMALL", 0)
+        whole = engine.PreparedSwarm(*place, robot=ROBOT, precision=precision)
+        shared = engine.PreparedSwarm(*place, robot=ROBOT, precision=precision)
+    begun = shared.relax(steps=1, **gains)
+
+    result = whole.relax(steps=1 + sum(parts), **gains)
+    for steps in parts:
+        shared.step(steps, **gains)
+
+    assert shared.taken == result.taken == begun.taken + sum(parts)
+    np.testing.assert_array_equal(shared.position, result.position)
+    assert shared.stepper.neighbors.builds == result.list_builds
+
+
+@both_small
+def test_a_swarm_on_the_device_outlasts_steps_that_were_too_strong(small, monkeypatch):
+    """It is where it was before them, and goes on from there."""
+    monkeypatch.setattr(engine, "SMALL", small)
+    place = swarm(20)
+    gains = {**GAINS, "ramp": 0.5}
+    prepared = engine.PreparedSwarm(*place, robot=ROBOT)
+    prepared.step(3, **gains)
+    before = prepared.position
+
+    with pytest.raises(InputError, match="diverged"):
+        prepared.step(200, attraction_gain=3.0, repulsion_gain=1e4, ramp=0.5)
+
+    np.testing.assert_array_equal(prepared.position, before)
+    assert prepared.taken == 3
+    prepared.step(2, **gains)
+    assert prepared.taken == 5
+
+
+@pytest.mark.program(precision="f32")
+def test_a_swarm_on_the_device_that_outgrows_whole_numbers_takes_a_coarser_unit(monkeypatch):
+    """As one that is read after each call; both end within a unit of each other."""
+    monkeypatch.setattr(engine, "SMALL", 0)
+    pair = [[0, 0, 0], [0.3, 0, 0]], [[1, 0, 0, 0]] * 2, [[0, 0, 1, 0]]
+    strong = {"attraction_gain": 0.0, "repulsion_gain": 3e3, "ramp": 0.0}
+    read, stays = (engine.PreparedSwarm(*pair, robot=ROBOT, precision="f32") for _ in range(2))
+
+    for k in range(3):
+        read.relax(steps=1, resume=k > 0, **strong)
+        stays.step(1, **strong)
+
+    assert stays.state.places.unit > read.first.places.unit
+    assert stays.position == pytest.approx(read.position, abs=8 * stays.state.places.unit)

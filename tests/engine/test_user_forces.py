@@ -345,6 +345,22 @@ def test_steps_one_by_one_have_the_noise_of_steps_at_once():
     assert abs(rms / 10.0 - 1.0) < 4.0 / np.sqrt(2.0 * 1_500)
 
 
+def test_noise_and_last_steps_go_on_on_the_device():
+    """Steps that stay there are those of one call to the bit, and so are numbers of steps."""
+    numbers = {"friction": 0.8, "temperature": 2.0, "dt": 0.2}
+    options = {**KICKED, "integrator": langevin, "position": FAR}
+
+    whole = MovingSwarm(**options)
+    whole.relax(steps=7, seed=3, parameters=numbers)
+    stays = MovingSwarm(**options)
+    for steps in (2, 1, 4):
+        stays.step(steps, seed=3, parameters=numbers)
+
+    assert stays.taken == whole.taken == 7
+    np.testing.assert_array_equal(stays.position, whole.position)
+    np.testing.assert_array_equal(stays.state.last_step, whole.state.last_step)
+
+
 def test_stored_results_go_on_by_the_number_of_the_step():
     """Noise before, last steps and numbers one a step are those of a single call."""
     numbers = {"friction": 0.8, "temperature": 2.0}
@@ -510,6 +526,11 @@ def test_nan_of_a_function_is_an_error_that_names_it(kind, function, precision):
                 steps=4, parameters={"zero": [1, 1, 0, 1]}, max_step=limit, resume=True, **gains
             )
         assert str(caught.value).startswith(f"{where} returned NaN at step 4; guard it")
+    mover.step(1, parameters={"zero": 1.0}, **gains)
+    with pytest.raises(InputError) as caught:
+        mover.step(4, parameters={"zero": [1, 0, 1, 1]}, max_step=0.1, **gains)
+    assert str(caught.value).startswith(f"{where} returned NaN at step 4; guard it")
+    assert mover.taken == 3
     mover.relax(steps=2, parameters={"zero": 1.0}, resume=True, **gains)
 
 

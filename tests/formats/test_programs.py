@@ -350,6 +350,14 @@ STATIC_FAULTS: dict[str, tuple[Callable[..., Any], Mapping[str, Any], str]] = {
         lambda to, p, t: table(to, OURS, 1000.0 * p, t), {"dock_offset_body": None},
         "a dock radius of 1000 in the unit of the poses gives 12: give --dock-radius 1000, and",
     ),
+    "meters beside millimeters": (
+        lambda to, p, t: table(to, OURS, 0.001 * p, t), {"dock_offset_body": None},
+        "a dock radius of 0.001 in the unit of the poses gives 12: give --dock-radius 0.001, and",
+    ),
+    "docks in meters beside poses in millimeters": (
+        lambda to, p, t: table(to, OURS, p, t), {"dock_offset_body": 0.001 * BODY},
+        "docks 1000 times as far from the center give 12: give them in",
+    ),
     "one axis in millimeters": (
         lambda to, p, t: table(to, OURS, p * [1.0, 1.0, 1000.0], t), {},
         "z times 0.001 gives 12: the axes have different units; multiply z by 0.001",

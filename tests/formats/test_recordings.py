@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.recordings import (
     RADIUS_MM,
@@ -17,6 +18,9 @@ from benchmarks.recordings import (
     recorded,
 )
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.formats import imports
+from tiswarm.formats.geometry import fit_scale
+from tiswarm.formats.poses import TOLERANCE
 
 OFFSET_MM = RHO * RADIUS_MM
 BODY = RADIUS_MM * RobotGeometry(rho=RHO).dock_offset_body
@@ -113,6 +117,56 @@ def test_ground_at_another_height_is_measured(recording, tmp_path):
 
     (warning,) = [text for text in warnings if "correct --ground-z" in text]
     assert float(re.search(r"z = (\S+) \+-", warning)[1]) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(("share", "is_noted"), [(0.9, False), (1.1, True)])
+def test_an_offset_that_is_too_uncertain_asks_for_more_flips(
+    walks, tmp_path, monkeypatch, share, is_noted
+):
+    """Two standard deviations of it are to be within the largest gap of a contact."""
+    few = recorded(first_robots(walks, 1), Camera(rest_s=0.5, flip_s=1.0), 0)
+    limit = share * TOLERANCE * RADIUS_MM / 2.0
+
+    def uncertain(*args):
+        scale = fit_scale(*args)
+        distance = float(np.linalg.norm(args[0].dock_offset_body, axis=1).mean())
+        return scale._replace(factor=scale.factor._replace(sd=limit / distance))
+
+    monkeypatch.setattr(imports, "fit_scale", uncertain)
+
+    notes = imported(few, tmp_path).notes
+
+    (note,) = [note for note in notes if note.startswith("dock offset")]
+    assert ("record more flips" in note) is is_noted
+
+
+def tilted(recording, deg):
+    """Turn all poses of a recording about a horizontal axis."""
+    turn = Rotation.from_rotvec([np.radians(deg), 0.0, 0.0])
+    place = ["x_mm", "y_mm", "z_mm"]
+    wxyz = ["qw", "qx", "qy", "qz"]
+    orientation = Rotation.from_quat(recording[wxyz].to_numpy(), scalar_first=True)
+    turned = recording.copy()
+    turned[place] = turn.apply(recording[place].to_numpy())
+    turned[wxyz] = (turn * orientation).as_quat(scalar_first=True)
+    return turned
+
+
+def test_a_tilted_vertical_is_measured(recording, tmp_path):
+    """Docks that stand say by how many degrees the vertical of the recording is off."""
+    warnings = imported(tilted(recording, 1.0), tmp_path).warnings
+
+    (warning,) = [text for text in warnings if "tilted by" in text]
+    value, sd = map(float, re.search(r"tilted by (\S+) \+- (\S+) deg", warning).groups())
+    assert abs(value - 1.0) < 4.0 * sd
+    assert sd < 0.1
+
+
+def test_ground_that_is_level_is_not_called_tilted(recording, tmp_path):
+    """A twentieth of a degree is within the noise of the docks that stand."""
+    warnings = imported(tilted(recording, 0.05), tmp_path).warnings
+
+    assert not [text for text in warnings if "tilted by" in text]
 
 
 @pytest.mark.parametrize("samples", [1, 2, 5])

@@ -90,7 +90,7 @@ def residuals(cost, state):
     """Residuals of measurements, with what turns of earlier stances add to them."""
     linear = cost.linearized(state)
     missed = linear.residual[: len(cost.rows)]
-    return missed + linear.noise @ state.earlier.ravel()
+    return missed + by_turns(linear) @ state.earlier.ravel()
 
 
 def unknowns(cost, state):
@@ -103,10 +103,20 @@ def with_prior(cost, width):
     return cost.held(np.full(cost.rows.robots, width))
 
 
+def by_turns(linear):
+    """Derivatives B of all measurements by turns of earlier stances, one after the other."""
+    noise = linear.noise
+    turns = np.eye(3 * noise.earlier).reshape(noise.earlier, 3, 3 * noise.earlier)
+    every = np.zeros((len(linear.tables[0].residual), 3 * noise.earlier))
+    every[linear.walked] = noise.errors(turns)
+    return every
+
+
 def dense(linear):
     """Inverse covariance of all rows, B B^T + diag inverted, by numpy."""
-    noise = np.zeros((len(linear.residual), linear.noise.shape[1]))
-    noise[: linear.noise.shape[0]] = linear.noise.toarray()
+    of_measurements = by_turns(linear)
+    noise = np.zeros((len(linear.residual), of_measurements.shape[1]))
+    noise[: len(of_measurements)] = of_measurements
     return np.linalg.inv(noise @ noise.T + np.diag(linear.own_variance))
 
 
@@ -218,7 +228,7 @@ def test_derivatives_are_those_of_the_residuals(tall_towers, kind):
     motion.position[0] = 0.0
     linear = cost.linearized(at)
     slope = linear.jacobian @ unknowns(cost, motion)[cost.free]
-    slope[: len(known.rows)] += linear.noise @ motion.earlier.ravel()
+    slope[: len(known.rows)] += by_turns(linear) @ motion.earlier.ravel()
 
     def moved(by):
         state = State(*(a + by * d for a, d in zip(at, motion, strict=True)))
@@ -314,7 +324,7 @@ def test_steps_and_variances_are_those_of_generalized_least_squares(tall_towers,
 
     # Every motion is damped a little, in case that nothing else resists it.
     np.testing.assert_allclose(found, step, rtol=1e-6, atol=1e-5)
-    np.testing.assert_allclose(turn, -(linear.noise.T @ left), atol=1e-5)
+    np.testing.assert_allclose(turn, -(by_turns(linear).T @ left), atol=1e-5)
     shift = 3 * (robots - 1)
     true = np.diag(posterior)[:shift].reshape(-1, 3).sum(axis=1)
     assert variance[0] == 0.0
@@ -395,8 +405,8 @@ def test_the_cost_is_the_chi_square_written_out(tall_towers, kind):
 
     linear = with_prior(cost, 0.7).linearized(at)
 
-    weight, inverse = dense(linear), linear.inverse
-    inverse = np.diag(inverse) if isinstance(inverse, np.ndarray) else inverse.toarray()
+    weight = dense(linear)
+    inverse = linear.weighted(np.eye(len(weight)))
     np.testing.assert_allclose(inverse, weight, atol=1e-9 * np.abs(weight).max())
     measured, overlaps = len(known.rows), len(linear.tables[1].residual)
     pull = weight @ linear.residual

@@ -15,6 +15,7 @@ from tiswarm.localization.mixture.anchors import without_anchors
 from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.cues import in_plane, measure
+from tiswarm.measurements.verdicts import distrust
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import TowerParams
 
@@ -50,6 +51,7 @@ def test_an_anchor_that_walks_contradict_is_left_out_and_named(tower):
     assert verdict.consistent is False
     assert f"known position of robot {wrong} and contacts" in verdict.reason
     assert set(estimate.outlier_places[:, 0].tolist()) == {wrong}
+    assert "measure that position again, or leave it out of the log" in distrust(lied, estimate)
     assert np.linalg.norm(estimate.position[wrong] - truth[wrong]) < 0.5
     assert estimate.sd[wrong] > 0.01
 

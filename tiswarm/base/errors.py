@@ -72,6 +72,8 @@ class InputError(TiswarmError):
             "estimate": "ESTIMATE",
             "movie": "--animate",
             "form": "--format",
+            "goals": "--goal",
+            "prices": "--price",
             "case_limit_s": "--case-limit",
         }
         option = differs.get(self.argument, f"--{self.argument}")

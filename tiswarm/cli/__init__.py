@@ -16,7 +16,7 @@ from tiswarm.cli.options import Overrides, Plugins, app, main
 
 # Each module adds its commands, in the order of the help.
 # isort: off
-from tiswarm.cli import run, commands  # noqa: F401
+from tiswarm.cli import run, commands, design  # noqa: F401
 # isort: on
 
 __all__ = ["main"]

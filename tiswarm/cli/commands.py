@@ -276,7 +276,7 @@ def import_(
     ] = None,
     dock_offset: Annotated[
         float | None,
-        Option(min=0.0, max=1e12, help="Center to dock (default: where most docks touch)."),
+        Option(min=0.0, max=1e12, help="Center to dock (default: as contacts and flips say)."),
     ] = None,
     docks: Annotated[
         Path | None, Option(metavar="CSV", help="Docks in the body frame: dock,x,y,z.")

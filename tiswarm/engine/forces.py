@@ -53,7 +53,6 @@ from tiswarm.engine.kernels import (
     is_vector,
 )
 from tiswarm.engine.relax import PreparedSwarm, RelaxResult
-from tiswarm.engine.stepping import RelaxState
 
 FORCE = ("offset", "distance", "connected", "spacing")
 """What a force may ask for; the guide to the engine explains it."""
@@ -253,6 +252,38 @@ class MovingSwarm(PreparedSwarm):
         **options: Any,  # noqa: ANN401 - those of `PreparedSwarm.relax`
     ) -> RelaxResult:
         """Take steps from where the robots were at first, or, to `resume`, where they are."""
+        numbers = self._checked(steps, parameters, seed, ramp=ramp, **options)
+        self._refuse_wrong_start(steps, options)
+        with self._functions_named():
+            result = super().relax(steps=steps, parameters=numbers, ramp=ramp, seed=seed, **options)
+        return replace(result, force_error=np.nan) if self.dynamics.is_cut else result
+
+    @backend.exclusive()
+    def step(
+        self,
+        steps: int = 1,
+        *,
+        parameters: Mapping[str, ArrayLike] | None = None,
+        ramp: ArrayLike | None = None,
+        seed: int = 0,
+        **options: Any,  # noqa: ANN401 - those of `PreparedSwarm.step`
+    ) -> None:
+        """Take steps from where the robots are, and leave them on the device."""
+        numbers = self._checked(steps, parameters, seed, ramp=ramp, **options)
+        self._refuse_wrong_start(steps, {"resume": True})
+        with self._functions_named():
+            super().step(steps, parameters=numbers, ramp=ramp, seed=seed, **options)
+
+    def _checked(
+        self,
+        steps: int,
+        parameters: Mapping[str, ArrayLike] | None,
+        seed: int,
+        *,
+        ramp: ArrayLike | None,
+        **options: Any,  # noqa: ANN401 - those of `PreparedSwarm.relax`
+    ) -> dict[str, ArrayLike]:
+        """Check what steps need, and return the numbers of the functions."""
         if not isinstance(steps, Integral) or steps < 0:
             problem = f"{steps!r} is no number of steps; give a whole number, 0 or more"
             raise InputError(problem, argument="steps")
@@ -261,7 +292,6 @@ class MovingSwarm(PreparedSwarm):
                 f"{seed!r} is not 0 to {_LARGEST_SEED}, whole; correct it", argument="seed"
             )
         self._follow_functions()
-        start = self._checked_start(steps, options)
         numbers = self.law.numbers(dict(parameters or {}), steps)
         gains = {name: options.get(f"{name}_gain") for name in FREE.names}
         for name, gain in gains.items():
@@ -275,22 +305,24 @@ class MovingSwarm(PreparedSwarm):
                 if asker is None:
                     remedy += ", or a force of yours"
                 raise _error(f"needs {name}; give {remedy}", asker)
+        return numbers
+
+    @contextmanager
+    def _functions_named(self) -> Iterator[None]:
+        """Name the function that fails, or that returned NaN."""
         self.moves = np.zeros(0)
-        state_before = self.state
         try:
             with _mistakes_named(self.law):
-                result = super().relax(
-                    steps=steps, parameters=numbers, ramp=ramp, seed=seed, **options
-                )
+                yield
         finally:  # a robot that NaN would move stays, so that steps may end well
-            self._refuse_nan(state_before, start)
-        return replace(result, force_error=np.nan) if self.dynamics.is_cut else result
+            self._refuse_nan()
 
-    def _checked_start(self, steps: int, options: Mapping[str, Any]) -> RelaxState:
-        """Return where the robots start.
+    def _refuse_wrong_start(self, steps: int, options: Mapping[str, Any]) -> None:
+        """Refuse steps that would not go on from those that their number says were taken.
 
-        Raises:
-            InputError: steps would not go on from those that their number says were taken.
+        Args:
+            steps: Number of steps.
+            options: Arguments of `relax`.
         """
         names = ("resume", "first_step", "last_step")
         chosen = {name: options[name] for name in names if name in options}
@@ -306,11 +338,10 @@ class MovingSwarm(PreparedSwarm):
         if first and asks and last is None:
             problem = "the integrator asks for the step before; give last_step of the result, too"
             raise InputError(problem, argument="first_step")
-        start = self.start(**chosen)
-        if start.taken + steps > _MOST_STEPS:
+        taken = self.taken if chosen.get("resume") else self.start(**chosen).taken
+        if taken + steps > _MOST_STEPS:
             problem = f"steps are numbered up to {_MOST_STEPS}; take fewer, or begin at 0"
             raise InputError(problem, argument="steps")
-        return start
 
     def _follow_functions(self) -> None:
         """Compile the functions anew if what they read has changed since the last call."""
@@ -319,12 +350,13 @@ class MovingSwarm(PreparedSwarm):
         if self.stepper is not None:
             self.stepper.dynamics = self.dynamics
 
-    def _refuse_nan(self, state_before: RelaxState, start: RelaxState) -> None:
+    def _refuse_nan(self) -> None:
         """Name the function that returned NaN, unless the forces diverged before."""
         lost = np.argwhere(np.isclose(self.moves[:, None], np.sqrt([NAN_OF_FORCE, NAN_OF_STEP])))
         for step, which in lost[:1]:
+            start = self.begin
             if start.places.is_resolved(self.moves[:step]):
-                self.state = state_before
+                self.state = self.before
                 # A force is the first function, an integrator the last.
                 function = self.law.functions[-which]
                 kind = ("force", "integrator")[which]

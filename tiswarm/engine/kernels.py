@@ -60,7 +60,7 @@ class Control(Columns):
     STALE = 1
     """Whether rows are stale or no step is left."""
     STRAYED = 1
-    """On cards, whether a robot strayed too far."""
+    """Whether a robot strayed too far since rows were made."""
     LONGEST = 1
     """On cards, the bits of the longest squared step as an f32."""
 
@@ -394,10 +394,11 @@ def step_robots(
     robots = ti.static(SwarmState(
         position_out, reference, height, arm, dock_out, mobility, last_step_out, number
     ))  # fmt: skip
-    # The one dock of a card's row needs no bits; known to the compiler, this saves registers.
+    # The one dock of a card's row needs no bits, and entries of a processor's follow each other;
+    # known to the compiler, this saves registers and arithmetic.
     grid = ti.Struct(
-        docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride,
-        unit=unit,
+        docks=docks, own_bits=0 if ti.static(on_card) else own_bits,
+        entry_stride=entry_stride if ti.static(on_card) else 1, unit=unit,
     )  # fmt: skip
     half = dock_out.shape[0] // 2
     for k in ti.static(range(steps)):
@@ -431,6 +432,8 @@ def step_robots(
                 gone = gone or control_out[Control.STRAYED] == 1
                 moved = ti.bit_cast(control_out[Control.LONGEST], ti.f32)
                 control_out[Control.LONGEST] = 0
+            elif strayed > stray_limit * stray_limit:
+                control_out[Control.STRAYED] = 1
             control_out[Control.STALE] = ti.cast(gone, ti.i32)
             largest_move_out[t] = ti.sqrt(moved)
 
@@ -479,6 +482,15 @@ def start_interval(position: Reals2, reference_out: Reals2, control_out: Ints1):
         reference_out[robot, c] = position[robot, c]
     control_out[Control.STALE] = 0
     control_out[Control.STRAYED] = 0
+
+
+@ti.kernel
+def keep_state(position: Reals2, last_step: Reals2, position_out: Reals2, last_step_out: Reals2):
+    """Copy where robots are, and their last steps; arguments as for `step_robots`."""
+    for robot, c in ti.ndrange(position.shape[0], 3):
+        position_out[robot, c] = position[robot, c]
+    for robot, c in ti.ndrange(last_step.shape[0], last_step.shape[1]):
+        last_step_out[robot, c] = last_step[robot, c]
 
 
 @ti.kernel

@@ -85,11 +85,26 @@ class PreparedSwarm:
     first: RelaxState
     """The robots at rest, where they are at first."""
 
-    state: RelaxState
-    """The robots after the last call."""
+    taken: int
+    """Steps taken, those before a first one that has a number included."""
+
+    before: RelaxState
+    """The robots before the last steps that were read."""
+
+    begin: RelaxState
+    """The robots where these steps began."""
 
     moves: Reals
     """Longest steps of the last call, even if it diverged."""
+
+    _state: RelaxState | None
+    """The robots, None where they are on the device alone."""
+
+    _is_on_device: bool
+    """Whether the device has the robots as they are."""
+
+    _farthest: float
+    """No coordinate of a robot on the device is larger than this."""
 
     @backend.exclusive()
     def __init__(
@@ -130,8 +145,8 @@ class PreparedSwarm:
             position=swarm.position,
             last_step=np.zeros(swarm.position.shape),
         )
-        self.state = self.first
         self.stepper = None
+        self.begin = self.before = self.state = self.first
         if len(swarm.position):
             largest = np.bincount(swarm.structure).max()
             self.stepper = Stepper(
@@ -155,6 +170,25 @@ class PreparedSwarm:
                 f"{precision} resolves; bring robots nearer together{way_out}"
             )
         return places
+
+    @property
+    def state(self) -> RelaxState:
+        """The robots after the last call, copied from the device where they are not yet."""
+        if self._state is None and self.stepper is not None:
+            self._refuse_other_device(self.stepper)
+            self._state = self.stepper.state(self.taken)
+        return self._state or self.first
+
+    @state.setter
+    def state(self, state: RelaxState) -> None:
+        self._state = state
+        self.taken = state.taken
+        self._is_on_device = False
+
+    @property
+    def position(self) -> Reals:
+        """Centers after the last call, as the caller numbers robots, shape (N, 3)."""
+        return self.state.position.copy()
 
     @backend.exclusive()
     def relax(
@@ -183,27 +217,69 @@ class PreparedSwarm:
         times the ramp [1], and a robot takes the share `momentum` of its last step again [1].
         `parameters` are further numbers that dynamics ask for, each one, or one a step.
         """
-        limit = _NO_LIMIT if max_step is None else max_step
-        gains = attraction_gain or 0.0, repulsion_gain or 0.0, height_gain
-        if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains) and limit >= 0.0):
-            raise InputError(
-                f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
-                f"not {gains} and {limit:g}"
-            )
-        shared = {"height_gain": height_gain, "max_step": limit, "momentum": momentum}
-        weighted = self._weighted(
-            ramp, steps,
-            attraction=attraction_gain, repulsion=repulsion_gain, parting=parting_gain,
+        numbers = self._numbers(
+            steps, ramp=ramp, attraction_gain=attraction_gain, repulsion_gain=repulsion_gain,
+            height_gain=height_gain, max_step=max_step, parting_gain=parting_gain,
+            momentum=momentum, parameters=parameters,
         )  # fmt: skip
-        numbers = self._tabulate({**shared, **weighted, **(parameters or {})}, steps)
         state = self.start(resume=resume, first_step=first_step, last_step=last_step)
+        return self._taken_from(state, numbers, seed)
+
+    @backend.exclusive()
+    def step(
+        self,
+        steps: int = 1,
+        *,
+        attraction_gain: float | None = None,
+        repulsion_gain: float | None = None,
+        ramp: ArrayLike | None = None,
+        height_gain: float = 0.0,
+        max_step: float | None = None,
+        parting_gain: float = 0.0,
+        momentum: float = 0.0,
+        parameters: Mapping[str, ArrayLike] | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Take steps from where the robots are, and leave them on the device.
+
+        `position` and `state` copy them from there once they are asked for. Arguments are those of
+        `relax`. Steps are the same to the bit, however they are shared out among calls.
+        """
+        numbers = self._numbers(
+            steps, ramp=ramp, attraction_gain=attraction_gain, repulsion_gain=repulsion_gain,
+            height_gain=height_gain, max_step=max_step, parting_gain=parting_gain,
+            momentum=momentum, parameters=parameters,
+        )  # fmt: skip
+        if steps == 0:
+            return
+        stepper = self.stepper
+        if stepper is None or stepper.by_structure or not self._is_on_device:
+            self._taken_from(self.state, numbers, seed)
+            return
+        self._refuse_other_device(stepper)
+        moves, _ = stepper.go_on(numbers, self.taken, seed)
+        farthest = self._farthest + float(moves.sum())
+        if stepper.places.were_left(moves) or not stepper.places.is_resolved(farthest):
+            # Beyond its numbers, or diverged: take the steps again from the host, or refuse them.
+            self.state = stepper.state(self.taken, before=True)
+            self._taken_from(self.state, numbers, seed)
+            return
+        self.moves = moves
+        self.taken += steps
+        self._state = None
+        self._farthest = farthest
+
+    def _taken_from(self, state: RelaxState, numbers: Reals, seed: int) -> RelaxResult:
+        """Take a step from a state for each row of numbers, and read where the robots are then."""
+        self.before = self.state
+        self.begin = state
+        steps = len(numbers)
         stepper = self.stepper
         if steps == 0 or stepper is None:
             self.state = replace(state, taken=state.taken + steps)
             return self._result(np.zeros(steps), 0, np.abs(state.position).max(initial=0.0))
-        # Arrays of a single thread are on the host, and outlast the device.
-        if backend.current() is not self.running and not stepper.by_structure:
-            raise InputError("another device started, which freed the swarm; prepare it again")
+        self._refuse_other_device(stepper)
+        self._is_on_device = False
         while True:
             moves, builds = stepper.take_steps(state, numbers, seed)
             self.moves = moves
@@ -218,7 +294,17 @@ class PreparedSwarm:
         if not end.places.is_resolved(farthest):
             raise InputError(_DIVERGED)
         self.state = end
+        self._is_on_device = True
+        self._farthest = float(np.abs(end.position).max())
         return self._result(moves, builds, farthest)
+
+    def _refuse_other_device(self, stepper: Stepper) -> None:
+        """Refuse to go on where another device started meanwhile.
+
+        Arrays of a single thread are on the host, and outlast the device.
+        """
+        if backend.current() is not self.running and not stepper.by_structure:
+            raise InputError("another device started, which freed the swarm; prepare it again")
 
     def start(
         self, *, resume: bool = False, first_step: int = 0, last_step: ArrayLike | None = None
@@ -234,6 +320,34 @@ class PreparedSwarm:
             problem = f"shape {step.shape}, or not finite; give steps of robots of shape {shape}"
             raise InputError(problem, argument="last_step")
         return replace(self.first, taken=first_step, last_step=step)
+
+    def _numbers(
+        self,
+        steps: int,
+        *,
+        attraction_gain: float | None,
+        repulsion_gain: float | None,
+        ramp: ArrayLike | None,
+        height_gain: float,
+        max_step: float | None,
+        parting_gain: float,
+        momentum: float,
+        parameters: Mapping[str, ArrayLike] | None,
+    ) -> Reals:
+        """Check and tabulate the numbers of each step, shape (steps, columns)."""
+        limit = _NO_LIMIT if max_step is None else max_step
+        gains = attraction_gain or 0.0, repulsion_gain or 0.0, height_gain
+        if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains) and limit >= 0.0):
+            raise InputError(
+                f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
+                f"not {gains} and {limit:g}"
+            )
+        shared = {"height_gain": height_gain, "max_step": limit, "momentum": momentum}
+        weighted = self._weighted(
+            ramp, steps,
+            attraction=attraction_gain, repulsion=repulsion_gain, parting=parting_gain,
+        )  # fmt: skip
+        return self._tabulate({**shared, **weighted, **(parameters or {})}, steps)
 
     def _weighted(
         self, ramp: ArrayLike | None, steps: int, **gains: float | None

@@ -269,6 +269,9 @@ class Stepper:
     robots: SwarmState
     """RelaxState of the robots."""
 
+    kept: tuple[DeviceArray, ...]
+    """Centers and last steps as they were before the steps that `go_on` took; none before that."""
+
     structure: DeviceArray
     """Number of each robot's structure, shape (N,)."""
 
@@ -341,6 +344,7 @@ class Stepper:
             last_step=memory.reals(*((robots, 3) if "last_step" in dynamics.asks else (1, 1))),
             number=memory.ints(robots + 2 if "number" in dynamics.asks else 1),
         )
+        self.kept = ()
         self.control = memory.ints(Control.TOTAL)
         self.moves = memory.reals(1)
         self.numbers = memory.reals(1, Numbers.TOTAL + len(dynamics.names))
@@ -383,17 +387,40 @@ class Stepper:
             if moves_and_builds is not None:
                 return moves_and_builds
 
-    def state(self, taken: int) -> RelaxState:
-        """Read where the robots are after the steps that were taken last, `taken` in all."""
-        center = self.places.to_lengths(self.memory.download(self.robots.position))
+    def go_on(self, numbers: Reals, taken: int, seed: int) -> tuple[Reals, int]:
+        """Take further steps from where robots are on the device, after `taken` steps in all.
+
+        Nothing is copied to or from the host, and rows serve on until they are stale: steps are the
+        same to the bit, however they are shared out among calls. Arguments and values are those of
+        `take_steps`.
+        """
+        numbers[:, Numbers.ORIGIN : Numbers.ORIGIN + 3] = self.places.origin
+        robots = self.robots
+        if "number" in self.dynamics.asks:
+            robots.number[0] = seed
+            robots.number[1] = taken
+        if not self.kept:
+            numbered = self.memory.reals if self.places.unit is None else self.memory.ints
+            shape = robots.last_step.shape
+            self.kept = numbered(*robots.position.shape), self.memory.reals(*shape)
+        kernels.keep_state(robots.position, robots.last_step, *self.kept)
+        # A call of an odd number of steps left the docks in the other half.
+        kernels.place_docks(
+            self.places.scale, self.structure, robots.position, robots.arm, robots.dock
+        )
+        return self._all_at_once(numbers, are_fresh=not self.control[Control.STRAYED])
+
+    def state(self, taken: int, *, before: bool = False) -> RelaxState:
+        """Read where the robots are, `taken` steps being taken in all, or `before` `go_on`."""
+        position, last_step = self.robots.position, self.robots.last_step
+        if before:
+            position, last_step = self.kept
+        center = self.places.to_lengths(self.memory.download(position))
         step: Reals = np.zeros((len(self.order), 3))
         if "last_step" in self.dynamics.asks:
-            step = self.memory.download(self.robots.last_step)
+            step = self._by_caller(self.memory.download(last_step))
         return RelaxState(
-            places=self.places,
-            position=self._by_caller(center),
-            last_step=self._by_caller(step),
-            taken=taken,
+            places=self.places, position=self._by_caller(center), last_step=step, taken=taken
         )
 
     def _by_caller(self, array: Reals) -> Reals:
@@ -402,8 +429,11 @@ class Stepper:
         ordered[self.order] = array
         return ordered
 
-    def _all_at_once(self, numbers: Reals) -> tuple[Reals, int]:
-        """Step by step, each with all threads; make rows anew where they are stale."""
+    def _all_at_once(self, numbers: Reals, *, are_fresh: bool = False) -> tuple[Reals, int]:
+        """Step by step, each with all threads; make rows anew where they are stale.
+
+        The first ones are stale unless they `are_fresh`.
+        """
         neighbors = self.neighbors
         robots = self.robots
         control = self.control
@@ -419,8 +449,9 @@ class Stepper:
         taken = 0
         control.fill(0)
         while taken < steps:
-            neighbors.build(robots.dock, taken % 2 * half)
-            kernels.start_interval(robots.position, robots.reference, control)
+            if not (are_fresh and taken == 0):
+                neighbors.build(robots.dock, taken % 2 * half)
+                kernels.start_interval(robots.position, robots.reference, control)
             while not control[Control.STALE]:
                 with numerics.fast_arithmetic(ignores_nan=self.ignores_nan):
                     for t in range(taken, taken + calls * most, most):

@@ -19,6 +19,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.formats.motion import Rests
 from tiswarm.formats.poses import SD_PER_MEDIAN_DEVIATION, Assumptions, Poses
 from tiswarm.measurements.contacts import dock_pairs
+from tiswarm.records.messages import with_sd
 
 _FAR = 4.0
 """Standard deviations from which on a row does not count."""
@@ -58,8 +59,7 @@ class Value(NamedTuple):
         return Value(factor * self.value, abs(factor) * self.sd, self.rows)
 
     def __str__(self) -> str:
-        digits = max(0, int(np.ceil(1.0 - np.log10(max(self.sd, 1e-12)) - 0.3)))
-        return f"{self.value:.{digits}f} +- {self.sd:.{digits}f}"
+        return with_sd(self.value, self.sd)
 
 
 class DockGeometry(NamedTuple):

@@ -552,7 +552,7 @@ def _describe(log: sensing_log.SensingLog) -> Iterator[str]:
     lacking = [name for name in is_stated if not is_stated[name]]
     if lacking:
         yield f"the log lacks {', '.join(lacking)}"
-    if np.isnan(log.flip_height).all() or log.stances is None:
+    if log.stances is None:
         yield GAINS
 
 
@@ -782,7 +782,7 @@ def with_noise(assumed: Assumptions, rests: Rests) -> tuple[Assumptions, list[st
     if max(tilt, yaw) < _LEAST_NOISE_DEG:
         return assumed, []
     text = f"orientations of robots at rest vary by {tilt:g} deg of tilt and {yaw:g} deg of yaw "
-    text += "(1 sd), which the log states; --tilt-deg, --yaw-deg"
+    text += "(1 sd), which the log states; --tilt-deg and --yaw-deg state others"
     return replace(assumed, tilt_deg=tilt, yaw_deg=yaw), [text]
 
 
@@ -905,7 +905,9 @@ def few_contacts(
     problem = f"{counted(robots, 'robot')} have {counts} of docks; "
     usual = "correct --dock-radius and --dock-offset, or give larger --gap and --overlap"
     # Spheres are docks wherever the frame of the body is.
-    cause = "" if poses.docks_are_spheres else _likely_cause(poses, assumed, contacts)
+    # Where more docks overlap, contacts are chance.
+    believed = contacts if contacts >= overlaps else 0
+    cause = "" if poses.docks_are_spheres else _likely_cause(poses, assumed, believed)
     return [problem + (cause or usual)]
 
 
@@ -922,6 +924,15 @@ def _likely_cause(poses: Poses, assumed: Assumptions, contacts: int) -> str:
         touching = count_touching(reading, assumed)
         if touching >= max(least, tree):
             return f"{what} {touching}: {remedy}"
+    if assumed.dock_offset_body is not None:
+        for scale in (*_SCALES, *(1.0 / scale for scale in _SCALES)):
+            docks = assumed.dock_offset_body * scale
+            touching = count_touching(poses, replace(assumed, dock_offset_body=docks))
+            if touching >= max(least, tree):
+                return (
+                    f"docks {scale:.4g} times as far from the center give {touching}: give them "
+                    f"in {poses.length_unit}, the unit of the poses"
+                )
     quarter_turns = Rotation.create_group("O")
     for k in range(1, len(quarter_turns)):
         turn = quarter_turns[k]

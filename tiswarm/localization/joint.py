@@ -11,6 +11,7 @@ from tiswarm.localization.chains.annealer import Annealed, anneal
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import ANNEALING
 from tiswarm.localization.mixture.anchors import without_wrong_anchors
+from tiswarm.localization.mixture.common_causes import with_common_causes
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts
 from tiswarm.localization.mixture.exchange import with_exchanges
 from tiswarm.localization.mixture.mixture import mixed
@@ -55,11 +56,30 @@ def localize_batch(
 
 def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate:
     """Estimate positions from first chains, whose starts no estimate chose."""
-    fit, restarted = _further(posed, annealed)
-    estimate = mixed(fit, restarted=restarted)
+    fit, estimate = _mixed(posed, params, annealed)
     without_anchors = without_wrong_anchors(fit, estimate)
     if without_anchors is not None:
         return without_anchors
+    # One wrong number of all robots may look like some wrong robots: it is tried before them.
+    with_causes = with_common_causes(posed, estimate, lambda log: _of_log(log, params))
+    if with_causes is not None:
+        return with_causes
+    without_robots = without_outlier_robots(fit, estimate)
+    if without_robots is not estimate:
+        return without_robots
+    return with_exchanges(fit, estimate) or estimate
+
+
+def _of_log(log: SensingLog, params: JointParams) -> Estimate:
+    """Localize a log without a search for what is wrong in it."""
+    posed = Posed(log, params, pose_problem(log, params))
+    return _mixed(posed, params, _annealed(posed))[1]
+
+
+def _mixed(posed: Posed, params: JointParams, annealed: Annealed) -> tuple[Fit, Estimate]:
+    """Mix the ends of first chains, and of longer ones where these are not to be trusted."""
+    fit, restarted = _further(posed, annealed)
+    estimate = mixed(fit, restarted=restarted)
     steps = params.steps_for(posed.log.robot_count)
     verdict = estimate.convergence
     few = params.steps is None and posed.is_refined and steps < MOST_STEPS
@@ -70,10 +90,7 @@ def _searched(posed: Posed, params: JointParams, annealed: Annealed) -> Estimate
         again, more = _further(longer, _annealed(longer))
         fit = Fit.of(longer, fit.annealed.joined(again.annealed))
         estimate = mixed(fit, restarted=restarted + more + len(annealed.mean))
-    without_robots = without_outlier_robots(fit, estimate)
-    if without_robots is not estimate:
-        return without_robots
-    return with_exchanges(fit, estimate) or estimate
+    return fit, estimate
 
 
 def _further(posed: Posed, annealed: Annealed) -> tuple[Fit, int]:

@@ -256,6 +256,9 @@ def centered(log: SensingLog) -> SensingLog:
 def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
     """Put an estimate relative to the anchor where that of its log is, and mark who has left."""
     by = log.anchor_position
+    if estimate.common_causes:
+        lifted = tuple(cause.lifted(float(by[2])) for cause in estimate.common_causes)
+        estimate = estimate.with_common_causes(lifted)
     return replace(
         estimate,
         length_unit=log.length_unit,

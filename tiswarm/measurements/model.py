@@ -393,10 +393,14 @@ class Measurements:
         return np.column_stack([robot, p.stance - self.odometry.first[robot], p.dock])
 
     @property
+    def stance(self) -> Ints:
+        """Stance at which the robot of each row sensed it, shape (E,)."""
+        return ends(self.distances, self.offsets, self.places)[0]
+
+    @property
     def is_walked(self) -> Bools:
         """Which rows are about a stance of their robot before the final one, shape (E,)."""
-        stance = ends(self.distances, self.offsets, self.places)[0]
-        is_walked: Bools = stance != self.odometry.final[self.robot]
+        is_walked: Bools = self.stance != self.odometry.final[self.robot]
         return is_walked
 
     @property
@@ -510,11 +514,9 @@ class Measurements:
             shared_sd=self.shared_sd,
         )
 
-    def noisy_arms(self) -> tuple[tuple[Ints, Ints, Reals], tuple[Ints, Ints, Reals]]:
-        """Split the arms of all rows, and the other arms, as `Odometry.noisy_arms` does."""
-        arm_ends = ends(self.distances, self.offsets, self.places)
-        neighbor_arm_ends = other_ends(self.distances, self.offsets)
-        return self.odometry.noisy_arms(*arm_ends), self.odometry.noisy_arms(*neighbor_arm_ends)
+    def first_parts(self) -> Reals:
+        """Part of the arm of each row that its own stance turns [R], shape (E, 3)."""
+        return self.odometry.first_parts(*ends(self.distances, self.offsets, self.places))
 
     def variance(self) -> Reals:
         """Sum each row's variances: its own, that of its source, and the noise of orientations.

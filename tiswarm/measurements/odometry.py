@@ -250,6 +250,19 @@ class Odometry:
         self.walked = self._variance_walked(self.turn_sd)
         """Variance of what lies between a stance and the final center [R^2], shape (S, 3)."""
 
+    @property
+    def axis_sd(self) -> Reals:
+        """Standard deviation of each orientation about each axis of the world [rad], (S, 3)."""
+        sd: Reals = self.turn_sd[:, [0, 0, 1]]
+        return sd
+
+    @property
+    def is_earlier(self) -> Bools:
+        """Which stances are not final ones, shape (S,)."""
+        is_earlier = np.ones(len(self.owner), np.bool_)
+        is_earlier[self.final] = False
+        return is_earlier
+
     def widened(self, robots: Ints, sd: float) -> "Odometry":
         """Return a copy in which nothing better than `sd` [rad] is known of some orientations.
 
@@ -322,20 +335,21 @@ class Odometry:
         Returns:
             Variance of each component [R^2], shape (n,).
         """
-        which, of_part, part = self.noisy_arms(stance, dock, beyond)
         # A turn w moves a part by w x part, whose component along the axis is w . (part x axis).
-        turn = np.cross(part, axis[which]) * self.turn_sd[of_part][:, [0, 0, 1]]
-        noise = np.bincount(which, (turn**2).sum(axis=1), len(stance))
+        sd = self.axis_sd
+        first = np.cross(self.first_parts(stance, dock, beyond), axis) * sd[stance]
+        shift = np.cross(np.eye(3), self.reached[:, None]) * sd[:, None]
+        later = self.sums_of_later(shift @ shift.swapaxes(1, 2))[stance]
+        noise = (first**2).sum(axis=1) + np.einsum("ni,nij,nj->n", axis, later, axis)
         x, y, _ = (self.arms(stance, dock)[0] + beyond).T
         variance: Reals = noise + self.bias**2 * (x * axis[:, 1] - y * axis[:, 0]) ** 2
         return variance
 
-    def noisy_arms(
-        self, stance: Ints, dock: Ints, beyond: Reals | float = 0.0
-    ) -> tuple[Ints, Ints, Reals]:
-        """Split such arms into parts, each turned by the orientation of one stance.
+    def first_parts(self, stance: Ints, dock: Ints, beyond: Reals | float = 0.0) -> Reals:
+        """Return the parts of such arms that the orientations of their own stances turn.
 
-        An arm's error is the sum over its parts of w x part, with w the error of the orientation.
+        The rest of an arm are the vectors `reached` of all later stances, each turned by its own
+        orientation.
 
         Args:
             stance: Stances, shape (n,).
@@ -343,20 +357,30 @@ class Odometry:
             beyond: Vectors that begin there and that the stance turns too [R], shape (n, 3).
 
         Returns:
-            Which arm each part is of, and the part's stance, both of shape (m,), and the part [R],
-            shape (m, 3). Parts of one arm are in a row.
+            Vectors from the dock held by to the end of the arm [R], shape (n, 3).
         """
-        last = self.final[self.owner[stance]]
-        count = last - stance + 1
-        which = np.repeat(np.arange(len(stance)), count)
-        start = np.cumsum(count) - count
-        # The parts of an arm are of the stances from its own to the final one, in this order.
-        of_part = np.arange(len(which)) - (start - stance)[which]
-        part = self.reached[of_part]
-        offset = self._offset(stance, dock)
-        # The first part leads from the dock held by to the arm's own end.
-        part[start] = offset + beyond - self.held[stance]
-        return which, of_part, part
+        part: Reals = self._offset(stance, dock) + beyond - self.held[stance]
+        return part
+
+    def sums_of_later(self, value: Reals) -> Reals:
+        """Sum values of all later stances of the same robot, shape (S, ...)."""
+        last = len(value) - 1
+        return _sums_before(value[::-1], last - self.final[::-1])[::-1]
+
+    def sums_of_earlier(self, value: Reals) -> Reals:
+        """Sum values of all earlier stances of the same robot, shape (S, ...)."""
+        return _sums_before(value, self.first)
+
+
+def _sums_before(value: Reals, first: Ints) -> Reals:
+    """Sum what stands before each value in its group; groups begin at `first`, ascending."""
+    # Each group ends with minus its own sum: sums of early groups do not round those of later ones.
+    step = value.copy()
+    step[first[1:] - 1] -= np.add.reduceat(value, first, axis=0)[:-1]
+    total = np.zeros_like(value)
+    np.cumsum(step[:-1], axis=0, out=total[1:])
+    total[first] = 0.0
+    return total
 
 
 def _turned(turn_sd: Reals, arm: Reals) -> Reals:

@@ -40,6 +40,26 @@ _MOTIONS = {
 }
 
 
+_REMEDIES = {
+    "dock offset": "state it in the log (dock_offsets), or import again with --dock-offset",
+    "dock radius": "state it in the log (dock_radius), or import again with --dock-radius",
+    "scale of measured lengths": (
+        "multiply these lengths by it, or divide dock_radius and dock_offsets of the log by it"
+    ),
+    "ground height": "state it in the log (ground_z), or import again with --ground-z",
+    "shift of all heights": "add it to the heights of the log (flip_height)",
+    "shift of all ranges": "add it to the ranges of the log (ranges)",
+    "anchor height": "state it in the log (anchor_position)",
+    "turn of the world frame of all orientations": (
+        "turn the orientations of the log (orientation_wxyz), or the frame of what measured them"
+    ),
+    "turn of all docks in the body frame": (
+        "turn the docks of the log (dock_offsets), or import again with --docks"
+    ),
+}
+"""What to do about each common parameter that explains a misfit."""
+
+
 def reasons(log: SensingLog, estimate: Estimate) -> Iterator[str]:
     """State what `cautions` does not: bad verdicts, or what limits good ones."""
     if distrust(log, estimate):
@@ -89,6 +109,7 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
     if convergence.trusted:
         return ""
     text = verdict(estimate) + (f": {convergence.reason}" if convergence.reason else "")
+    causes = estimate.common_causes
     misfit = "" if convergence.consistent is not False else describe_misfit(convergence.misfit_sd)
     if misfit:
         text += f" ({misfit})"
@@ -97,13 +118,30 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
         clauses.append(f"sd is multiplied by {convergence.sd_factor:.2g}")
     carriers = (
         _carriers(estimate)
-        if convergence.converged and convergence.misfit_sd > 0.0
+        if convergence.converged and convergence.misfit_sd > 0.0 and not causes
         else np.empty(0, int)
     )
     if carriers.size:
         clauses.append(f"most of it is carried by {named(log, carriers)}")
-    remedy = _remedy(convergence, carriers, log, beyond)
+    anchors = _outlier_anchors(log, estimate)
+    if causes:
+        remedy = _REMEDIES[causes[0].parameter]
+    elif anchors.size:
+        remedy = "measure that position again, or leave it out of the log"
+        if len(anchors) > 1:
+            remedy = "measure these positions again, or leave them out of the log"
+    else:
+        remedy = _remedy(convergence, carriers, log, beyond)
     return "; ".join([*clauses, remedy])
+
+
+def _outlier_anchors(log: SensingLog, estimate: Estimate) -> Ints:
+    """List the robots whose known positions are outliers."""
+    if estimate.outlier_places is None:
+        return np.empty(0, np.int64)
+    robots = np.unique(estimate.outlier_places[:, 0])
+    anchors: Ints = robots[np.isfinite(log.known_position[robots, 0])].astype(np.int64)
+    return anchors
 
 
 def describe_misfit(misfit_sd: float) -> str:

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.records.error_law import ERRORS, SURE, sure_ratio
-from tiswarm.records.messages import counted, two_digits
+from tiswarm.records.messages import counted, decimals_for, two_digits, with_sd
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,6 +76,51 @@ class OpenTurn:
     place: Reals
     """Centers of the former in one configuration, and of the latter, in a line [log unit], shape
     (k + n, 3)."""
+
+
+class CommonCause(NamedTuple):
+    """A parameter that all robots share, whose stated value is wrong if this explains a misfit."""
+
+    parameter: str
+    """Name in words, such as "dock offset"."""
+
+    key: str
+    """Key of the log that states it."""
+
+    stated: float
+    """Value that the log states, 0 of a shift or a turn [`unit`]."""
+
+    value: float
+    """Value with which all measurements agree [`unit`]."""
+
+    sd: float
+    """Standard deviation of that value [`unit`]."""
+
+    unit: str
+    """Unit: that of the log's lengths, "deg", or "1"."""
+
+    axis: tuple[float, ...] | None = None
+    """Unit vector about which a turn is, 3 components; None of other parameters."""
+
+    is_height: bool = False
+    """Whether it is a height, and no difference of heights."""
+
+    def __str__(self) -> str:
+        """Write the value with its uncertainty, and what the log states."""
+        number = with_sd(self.value, self.sd)
+        if self.axis is not None:
+            axis = ", ".join(f"{component:.2f}" for component in self.axis)
+            return f"a {self.parameter} by {number} {self.unit} about [{axis}]"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        stated = f"{self.stated:.{decimals_for(self.sd)}f}{unit}"
+        text = f"{self.parameter} of {number}{unit} instead of {stated}"
+        return f"an {text}" if text[0] in "aeio" else f"a {text}"
+
+    def lifted(self, by: float) -> "CommonCause":
+        """Count a height from a point that is lower by a length [`unit`]."""
+        if not self.is_height:
+            return self
+        return self._replace(stated=self.stated + by, value=self.value + by)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +237,7 @@ class Estimate:
 
     outlier_contacts: Ints | None = None
     """Outliers among the contacts, rows as `Measurements.sensed_contacts`, shape (K, 5); None where
-    the method does not look for them, or did not converge."""
+    the method does not look for them, did not converge, or found `common_causes`."""
 
     outlier_places: Ints | None = None
     """Outliers among ground contacts, heights, fixes and spawn positions: rows of (robot, its
@@ -203,6 +248,10 @@ class Estimate:
     """Robots whose measurements all disagree with their neighbors', so that their orientations and
     what they sensed on their walks do not count, shape (K,); None where there are none, or the
     method does not look for them."""
+
+    common_causes: tuple[CommonCause, ...] = ()
+    """Parameters, the likeliest first, that would explain all measurements if one of them had
+    another value; empty where the estimate is trusted, or no parameter explains them."""
 
     misfit: Reals | None = None
     """Part of the chi-square that each robot's measurements carry, half of that of a pair for each
@@ -336,6 +385,25 @@ class Estimate:
         """
         located = self.located
         return self.disconnected if located is None else self.disconnected | ~located
+
+    def with_common_causes(self, causes: tuple[CommonCause, ...]) -> "Estimate":
+        """Return the estimate of a log that is not consistent, since one of some causes holds.
+
+        Outliers are not listed: all measurements agree where the cause is corrected.
+        """
+        verdict = self.convergence
+        if verdict is not None:
+            explained = ", and so would ".join(
+                [f"{causes[0]} would explain all measurements", *map(str, causes[1:])]
+            )
+            verdict = replace(verdict, consistent=False, testable=True, reason=explained)
+        return replace(
+            self,
+            convergence=verdict,
+            common_causes=causes,
+            outlier_contacts=None,
+            outlier_places=None,
+        )
 
     def within(self, distance: float) -> Reals | None:
         """Compute the probability that each robot is within a distance of its estimated position.

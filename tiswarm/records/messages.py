@@ -120,6 +120,25 @@ def two_digits(number: float) -> str:
     return np.format_float_positional(float(f"{number:.2g}"), trim="-")
 
 
+def decimals_for(sd: float) -> int:
+    """Return the decimals at which a value with this uncertainty is written.
+
+    >>> decimals_for(0.02), decimals_for(0.015), decimals_for(3.0)
+    (3, 3, 1)
+    """
+    return max(0, int(np.ceil(1.0 - np.log10(max(sd, 1e-12)) - 0.3)))
+
+
+def with_sd(value: float, sd: float) -> str:
+    """Write a value with its standard deviation, as many decimals as this one allows.
+
+    >>> with_sd(49.5471, 0.018)
+    '49.547 +- 0.018'
+    """
+    decimals = decimals_for(sd)
+    return f"{value:.{decimals}f} +- {sd:.{decimals}f}"
+
+
 def exact_text(numbers: Iterable[float]) -> str:
     """Write numbers in the shortest form that reads back as the same ones.
 

@@ -33,7 +33,9 @@ from tiswarm.world.history import DIED, FELL, LEFT, History, Walk
 from tiswarm.world.mechanics import ContactLoads, Frames, LoadSummary, StructureFailure, parts
 from tiswarm.world.members import LocalStep, MemberArrays
 from tiswarm.world.params import (
+    ClimbParams,
     ReactiveBuild,
+    RecruitParams,
     StructureParams,
     anchor_places,
     sides_of_bodies,
@@ -49,7 +51,6 @@ _DRAWN = 64
 """Robots whose first place is drawn at once: a draw of one costs as much."""
 
 
-@backend.exclusive()
 def grow(
     params: StructureParams,
     *,
@@ -77,12 +78,51 @@ def grow(
         One history a seed, in that order. Where growth ended early its `ended` says why, and
         what had grown is kept.
     """
+    return grow_each(
+        [params] * len(seeds),
+        robots=robots,
+        seeds=seeds,
+        robot=robot,
+        believe=believe,
+        turn=turn,
+        on_progress=on_progress,
+    )
+
+
+@backend.exclusive()
+def grow_each(
+    params: Sequence[StructureParams],
+    *,
+    robots: int,
+    seeds: Sequence[int],
+    robot: RobotGeometry,
+    believe: "Believe | None" = None,
+    turn: Turn | None = None,
+    on_progress: Advance = ignore,
+) -> list[History]:
+    """Grow structures side by side, each with settings and a seed of its own.
+
+    Each is the one that `grow` grows of these settings and this seed.
+
+    Args:
+        params: Settings of each structure, all with the same `batch_key`.
+        robots: As for `grow`.
+        seeds: Seed of each structure.
+        robot: As for `grow`.
+        believe: As for `grow`.
+        turn: As for `grow`.
+        on_progress: As for `grow`.
+
+    Returns:
+        One history a structure, in that order.
+    """
     backend.processor()
-    batch = GrowthBatch([params] * len(seeds), robots, seeds, robot, believe, turn)
-    if hasattr(params.rule, "choose"):
+    batch = GrowthBatch(params, robots, seeds, robot, believe, turn)
+    rule = params[0].rule
+    if hasattr(rule, "choose"):
         steered = SteeredGrowth(batch, together=True, on_progress=on_progress)
         while not steered.is_over.all():
-            steered.step(chosen_by(params.rule, steered.observe()))
+            steered.step(chosen_by(rule, steered.observe()))
     else:
         while len(movers := batch.spawn(batch.numbers)):
             batch.walks.climb_by_score(batch.arrays, batch.believed, movers)
@@ -93,6 +133,19 @@ def grow(
 
 _OWN_CLIMB = ("patience", "settle", "max_spawns")
 """Settings of `climb` that structures of a batch may have of their own."""
+
+_OWN_CALLS = ("force_threshold", "recruit_base", "recruit_limit")
+"""Settings of when robots call for help that they may have of their own, too."""
+
+
+def batch_key(params: StructureParams) -> str:
+    """Return what structures share that `grow_each` may grow side by side, as a text.
+
+    It is all but when robots call for help, and how long they climb.
+    """
+    calls = {name: getattr(RecruitParams(), name) for name in _OWN_CALLS}
+    climb = {name: getattr(ClimbParams(), name) for name in _OWN_CLIMB}
+    return repr(replace(params, **calls, climb=replace(params.climb, **climb)))
 
 
 def shared_settings(params: StructureParams) -> dict[str, object]:

@@ -20,13 +20,13 @@ from dataclasses import replace
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.cost import OVERLAP_SD
-from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows, RelatedRows
+from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows
+from tiswarm.localization.cost.walk_noise import WalkNoise, WalkRows
 from tiswarm.measurements import equations
 from tiswarm.measurements.contacts import close_docks, overlaps
 from tiswarm.measurements.equations import AXES
@@ -287,20 +287,22 @@ class WholeCost(Cost[Linear]):
         self.own_variance = self.variance
         if not are_independent:
             self.own_variance = rows.own_variance + further_variance
-        arms, neighbor_arms = rows.noisy_arms()
-        self.is_own = np.repeat([True, False], [len(arms[0]), len(neighbor_arms[0])])
-        self.row, self.stance = (np.concatenate([arms[k], neighbor_arms[k]]) for k in (0, 1))
-        self.arm = np.concatenate([arms[2], neighbor_arms[2]])
-        self._turn_sd = self.walks.turn_sd[:, [0, 0, 1]]
-        self.sd = self._turn_sd[self.stance]
-        self.owner = self.walks.owner[self.stance]
-        self.is_earlier = ~np.isin(np.arange(len(self.walks.owner)), self.walks.final)
-        is_noisy = self.sd.any(axis=1) & (not are_independent)
-        self.of_final = np.flatnonzero(is_noisy & ~self.is_earlier[self.stance])
-        self.of_earlier = np.flatnonzero(is_noisy & self.is_earlier[self.stance])
-        self.earlier = np.cumsum(self.is_earlier)[self.stance[self.of_earlier]] - 1
-        self._no_noise = csc_array((len(rows), 3 * int(self.is_earlier.sum())))
-        self._related = RelatedRows(np.unique(self.row[self.of_earlier]), rows.robot)
+        # Each arm has one part that a final orientation turns: the last one, that of its own stance
+        # where this is the final one.
+        self.owner = np.concatenate([rows.robot, rows.neighbor])
+        self.row = np.concatenate([np.arange(len(rows)), np.arange(len(rows.neighbor))])
+        self.stance = rows.stance
+        self.is_walked = rows.is_walked
+        self.part = rows.first_parts()
+        self.is_earlier = self.walks.is_earlier
+        self._turn_sd = self.walks.axis_sd
+        is_noisy: Bools = self._turn_sd.max(axis=1) > 0.0
+        if are_independent:
+            is_noisy = np.zeros_like(is_noisy)
+        self.of_final = np.flatnonzero(is_noisy[self.walks.final[self.owner]])
+        related = np.flatnonzero(self.is_walked & is_noisy[self.stance])
+        self._related = WalkRows(related, rows.robot, self.stance, self.walks)
+        self._no_noise = WalkNoise.none(self._related)
         self.reach = float(np.median(rows.distances.length)) if len(rows.distances.length) else 1.0
         self._listed: Reals = np.full_like(self.walks.arm[self.walks.final], np.inf)
         self._docks: Ints = np.empty((0, 4), np.int64)
@@ -336,7 +338,7 @@ class WholeCost(Cost[Linear]):
         is_free[6 * robots : 7 * robots] &= self.moving
         self.free = np.flatnonzero(is_free)
         self.column = np.where(is_free, np.cumsum(is_free) - 1, -1)
-        self.has_turns = bool(len(self.of_final) or len(self.of_earlier) or yaw_precision)
+        self.has_turns = bool(len(self.of_final) or len(self._related.rows) or yaw_precision)
         every = np.arange(len(rows))
         pairs = np.arange(len(rows.neighbor))
         with_source = np.flatnonzero(rows.source >= 0)
@@ -409,8 +411,9 @@ class WholeCost(Cost[Linear]):
         own_sd = np.sqrt(np.maximum(self.own_variance - self.further_variance, 0.0))
         cost.resensed = 0.0
         linear = cost.linearized(truth)
+        exact_residual = linear.residual[: len(self.rows)]
         away = truth.earlier - cost.prior_mean.earlier
-        exact_residual = linear.residual[: len(self.rows)] + linear.noise @ away.ravel()
+        exact_residual[self._related.rows] += linear.noise.errors(away[:, :, None])[:, 0]
         cost.resensed = own_sd * drawn("rows", (len(self.rows),)) - exact_residual
         return cost
 
@@ -434,23 +437,23 @@ class WholeCost(Cost[Linear]):
 
     def linearized(self, state: State) -> Linear:
         """Linearize the cost at a state, which is where priors of positions are."""
-        rows, arm = self._turned(state)
+        rows, part, reached = self._turned(state)
         residual, direction = rows.linearized(state.position)
         noise = self._no_noise
         final = np.empty((0, 3))
         yaw = np.empty(0)
         turning: Reals = np.empty(0)
         if self.has_turns:
-            across = _by_turns(direction[self.row], np.where(self.is_own[:, None], arm, -arm))
-            final = (across * self.sd)[self.of_final]
-            yaw = -across[self.of_yaw, 2]
-        if len(self.of_earlier):
-            # Three columns a stance; values of docks at the same stance add up.
-            row = np.repeat(self.row[self.of_earlier], 3)
-            column = (3 * self.earlier[:, None] + _AXIS).ravel()
-            value = (across * self.sd)[self.of_earlier].ravel()
-            noise = csc_array((value, (row, column)), shape=noise.shape)
-            residual -= noise @ (state.earlier - self.prior_mean.earlier).ravel()
+            last = np.where(self.is_walked[:, None], reached[self.walks.final[rows.robot]], part)
+            sd = self._turn_sd[self.walks.final[self.owner[self.of_final]]]
+            ends = np.concatenate([last, -rows.neighbor_arm])
+            final = _by_turns(direction[self.row], ends)[self.of_final] * sd
+            arms = np.concatenate([rows.arm, -rows.neighbor_arm])
+            yaw = -_by_turns(direction[self.row], arms)[self.of_yaw, 2]
+        if len(self._related.rows):
+            noise = self._noise(direction, part, reached)
+            away = state.earlier - self.prior_mean.earlier
+            residual[self._related.rows] -= noise.errors(away[:, :, None])[:, 0]
         if len(self.of_axis):  # the axes of offsets turn with the robot, too
             apart = rows.vectors(state.position)[self.of_axis]
             turning = _by_turns(direction[self.of_axis], apart)[:, 2]
@@ -480,7 +483,6 @@ class WholeCost(Cost[Linear]):
         return Linear(
             tables=tables,
             noise=noise,
-            related=self._related,
             column=self.column,
             precision=self.precision[self.free],
             off=np.concatenate([part.ravel() for part in off])[self.free],
@@ -488,31 +490,49 @@ class WholeCost(Cost[Linear]):
             moves=self.moving & (np.arange(self.rows.robots) > 0),
         )
 
-    def _turned(self, state: State) -> tuple[Measurements, Reals]:
-        """Turn the arms of all measurements as a state says; also the parts of these arms."""
+    def _noise(self, direction: Reals, part: Reals, reached: Reals) -> WalkNoise:
+        """Derive rows of earlier stances by turns of these.
+
+        Args:
+            direction: Derivative of each row by the center of its robot, shape (E, 3).
+            part: Part of its arm that its own stance turns [R], shape (E, 3).
+            reached: From the dock held by at each stance to the one that it was reached on [R],
+                shape (S, 3).
+        """
+        rows = self._related.rows
+        turn = _by_turns(direction[rows], part[rows]) * self._turn_sd[self.stance[rows]]
+        along = (np.broadcast_to(axis, reached.shape) for axis in np.eye(AXES))
+        shift = np.stack([_by_turns(axis, reached) * self._turn_sd for axis in along], axis=1)
+        shift[self.walks.final] = 0.0
+        return WalkNoise(self._related, direction[rows], turn, shift)
+
+    def _turned(self, state: State) -> tuple[Measurements, Reals, Reals]:
+        """Turn all arms as a state says.
+
+        Returns:
+            Rows with these arms, the part of each arm that its own stance turns [R], shape (E, 3),
+            and vectors `reached` of all stances [R], shape (S, 3).
+        """
+        walks = self.walks
         if not self.has_turns:
-            return self.rows, self.arm
-        arm = self.arm
-        if state.yaw.any():
-            yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
-            arm = Rotation.from_rotvec(yaw).apply(arm)
+            return self.rows, self.part, walks.reached
         turn = np.empty((len(self.is_earlier), 3))
-        turn[self.walks.final] = state.turn
+        turn[walks.final] = state.turn
         turn[self.is_earlier] = state.earlier
-        arm = Rotation.from_rotvec(-turn[self.stance] * self.sd).apply(arm)
-        offsets = self.rows.offsets
-        size = len(self.rows)
+        turning = Rotation.from_rotvec(-turn * self._turn_sd)
+        if state.yaw.any():
+            yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[walks.owner, None]
+            turning *= Rotation.from_rotvec(yaw)
+        reached = turning.apply(walks.reached)
+        part = turning[self.stance].apply(self.part)
+        neighbor_arm = turning[walks.final[self.rows.neighbor]].apply(self.rows.neighbor_arm)
         rows = replace(
             self.rows,
-            offsets=offsets._replace(axis=self.rows.axes(state.yaw)),
-            arm=self._summed(arm, self.is_own, size),
-            neighbor_arm=self._summed(arm, ~self.is_own, len(self.rows.neighbor)),
+            offsets=self.rows.offsets._replace(axis=self.rows.axes(state.yaw)),
+            arm=part + walks.sums_of_later(reached)[self.stance],
+            neighbor_arm=neighbor_arm,
         )
-        return rows, arm
-
-    def _summed(self, arm: Reals, chosen: Bools, size: int) -> Reals:
-        """Sum the parts of each arm, shape (size, 3)."""
-        return np.column_stack([np.bincount(self.row[chosen], a, size) for a in arm[chosen].T])
+        return rows, part, reached
 
     def _robust(self, residual: Reals) -> tuple[Reals, Reals]:
         """Widen what is missed by far, so that squares have the slope of Cauchy's loss.

@@ -1,5 +1,6 @@
 """One linear problem: residuals with their covariance, priors, steps and uncertainty."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -11,6 +12,7 @@ from scipy.sparse.linalg import SuperLU
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.compute.normal_equations import factored, inverted
+from tiswarm.localization.cost.walk_noise import WalkCovariance, WalkNoise
 
 DRAWS = 64
 """Draws of all errors from which the variance of the result is computed, of few robots."""
@@ -20,6 +22,9 @@ FEW_DRAWS = 16
 
 _BLOCK = 1024
 """Rows whose draws are kept together, 0.5 MB: many problems take the same ones."""
+
+_MOST_DRAWN = 2_000_000
+"""Errors that are drawn at once, 16 MB; several arrays are that large."""
 
 _FLOPPY = 1e-9
 """Information, relative to the largest one, below which nothing determines a motion."""
@@ -53,66 +58,6 @@ class LinearRows(NamedTuple):
     """Variance of each row, independent of others, shape (n,)."""
 
 
-class RelatedRows:
-    """Rows of a robot that have noise of its earlier stances in common, at all states."""
-
-    def __init__(self, rows: Ints, robot: Ints) -> None:
-        """Lay out the blocks of the covariance, and the places of its inverse.
-
-        Args:
-            rows: Rows with such noise, ascending, shape (n,).
-            robot: Robot that sensed each measurement, shape (E,).
-        """
-        self.rows = rows
-        if not len(rows):
-            return
-        # Robot after robot, so that the rows of each are one block of the covariance.
-        self.rows = rows[np.argsort(robot[rows], kind="stable")]
-        _, first, count = np.unique(robot[self.rows], return_index=True, return_counts=True)
-        self._block = np.repeat(np.arange(len(count)), count)
-        self._place = np.arange(len(rows)) - first[self._block]
-        most = int(count.max(initial=0))
-        # Blocks are filled up to the largest size by the identity: one call inverts them all.
-        self._identity = np.tile(np.eye(most), (len(count), 1, 1))
-        is_row = np.arange(most) < count[:, None]
-        self._entry = block_of, row_place, column_place = np.nonzero(
-            is_row[:, :, None] & is_row[:, None, :]
-        )
-        self._alone = np.setdiff1d(np.arange(len(robot)), rows)
-        self._row = self.rows[first[block_of] + row_place]
-        self._column = self.rows[first[block_of] + column_place]
-
-    def inverse(self, noise: csc_array, own_variance: Reals) -> csr_array | Reals:
-        """Invert B B^T + diag(own variance).
-
-        Args:
-            noise: B, of the first E rows, shape (E, M).
-            own_variance: Of all rows, shape (n,).
-
-        Returns:
-            The inverse, shape (n, n); its diagonal, shape (n,), if there is no B.
-        """
-        # B B^T couples rows of one robot only: the inverse has a dense block for each robot, and
-        # rows that share no such noise are on its diagonal. We invert the blocks as they are, and
-        # do not update 1 / variance by B (Woodbury 1950): rows whose own variance is tiny would
-        # lose their digits in a difference of large numbers.
-        if not len(self.rows):
-            return 1.0 / own_variance
-        shared = csr_array(noise)[self.rows, :]
-        covariance = (shared @ shared.T).tocoo()
-        dense = self._identity.copy()
-        block = self._block
-        place = self._place
-        i, j = covariance.coords
-        dense[block[i], place[i], place[j]] = covariance.data
-        dense[block, place, place] = covariance.diagonal() + own_variance[self.rows]
-        # Rows beyond the measured ones, such as overlaps, are on the diagonal, too.
-        alone = np.concatenate([self._alone, np.arange(noise.shape[0], len(own_variance))])
-        value = np.concatenate([inverted(dense)[self._entry], 1.0 / own_variance[alone]])
-        row, column = (np.concatenate([k, alone]) for k in (self._row, self._column))
-        return csr_array((value, (row, column)), shape=(len(own_variance),) * 2)
-
-
 @dataclass(kw_only=True)
 class Linear:
     """Residuals e + J d + B w + n with unknowns d, turns w of earlier stances, and own noise n."""
@@ -120,11 +65,8 @@ class Linear:
     tables: list[LinearRows]
     """Measurements, overlaps, and connections."""
 
-    noise: csc_array
-    """B, shape (E, M)."""
-
-    related: RelatedRows
-    """Which rows B relates."""
+    noise: WalkNoise
+    """B, derivatives of measurements by M turns of earlier stances."""
 
     column: Ints
     """Column of each unknown, -1 of those that stay, shape (U,)."""
@@ -153,10 +95,10 @@ class Linear:
         size = len(self.residual), len(self.precision)
         self.jacobian = csr_array((value, (row, column)), shape=size)
         """J of all rows, shape (n, F)."""
-        measured = self.noise.shape[0]
-        self.inverse = self.related.inverse(self.noise, self.own_variance)
-        """Inverse covariance of all rows, or the inverse variance of each if that is diagonal."""
-        pull = self._weighted(self.residual)
+        measured = len(self.tables[0].residual)
+        self.walked = self.noise.of.rows
+        """Rows that B relates; all others are independent, shape (m,)."""
+        pull = self.weighted(self.residual)
         square = self.residual * pull
         self.square = square[:measured] + self.excess
         """Part of the cost that each measurement carries [1], shape (E,)."""
@@ -171,22 +113,33 @@ class Linear:
         self.cost = self.chi_square + self.overlap
         self.slope = self.jacobian.T @ pull + self.precision * self.off
 
-    def _weighted(self, values: Reals) -> Reals:
-        """Multiply values of all rows by the inverse covariance."""
-        if isinstance(self.inverse, np.ndarray):
-            return np.asarray((self.inverse * values.T).T)
-        return np.asarray(self.inverse @ values)
+    @cached_property
+    def covariance(self) -> WalkCovariance:
+        """B B^T and the variance of each of these rows."""
+        return WalkCovariance(self.noise, self.own_variance[self.walked])
+
+    def weighted(self, values: Reals) -> Reals:
+        """Multiply values of all rows, (n,) or (n, k), by the inverse covariance."""
+        weighted = ((1.0 / self.own_variance) * values.T).T
+        if len(self.walked):
+            columns = values[self.walked].reshape(len(self.walked), -1)
+            of_walked = self.covariance.weighted(columns)
+            weighted[self.walked] = of_walked.reshape(-1, *values.shape[1:])
+        return np.asarray(weighted)
 
     @cached_property
     def information(self) -> csc_array:
         """J^T C^-1 J of all rows, shape (F, F)."""
-        if isinstance(self.inverse, np.ndarray):
-            # Half of C^-1 on each side keeps the product symmetric, bit by bit.
-            scaled = self.jacobian.copy()
-            scaled.data *= np.repeat(np.sqrt(self.inverse), np.diff(scaled.indptr))
-            information = csc_array(scaled.T @ scaled)
-        else:
-            information = csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
+        # Half of C^-1 on each side keeps the product symmetric, bit by bit.
+        scale = 1.0 / np.sqrt(self.own_variance)
+        scale[self.walked] = 0.0
+        scaled = self.jacobian.copy()
+        scaled.data *= np.repeat(scale, np.diff(scaled.indptr))
+        information = csc_array(scaled.T @ scaled)
+        if len(self.walked):
+            jacobian = csr_array(csc_array(self.jacobian)[self.walked, :])
+            for part in self.covariance.information(jacobian):
+                information = information + part
         information.eliminate_zeros()
         information.sort_indices()
         return information
@@ -226,8 +179,8 @@ class Linear:
         step = -factors.solve(self.slope)
         # Turns of earlier stances are in the covariance, not among the unknowns: their likeliest
         # values follow from the residuals that are left.
-        weighted_residual = self._weighted(self.residual + self.jacobian @ step)
-        return step, -(self.noise.T @ weighted_residual[: self.noise.shape[0]])
+        weighted_residual = self.weighted(self.residual + self.jacobian @ step)
+        return step, -self.noise.by_turns(weighted_residual[self.walked]).ravel()
 
     @property
     def log_volume(self) -> float:
@@ -276,12 +229,7 @@ class Linear:
         covariance = np.zeros((size, size))
         derivative[:first] = csc_array(self.jacobian)[rows, :].toarray()
         derivative[prior, columns] = 1.0
-        if isinstance(self.inverse, np.ndarray):
-            covariance[:first, :first] = np.diag(1.0 / self.inverse[rows])
-        else:
-            covariance[:first, :first] = inverted(
-                csc_array(self.inverse)[rows, :][:, rows].toarray()
-            )
+        covariance[:first, :first] = inverted(self._inverse_among(rows))
         covariance[prior, prior] = 1.0 / self.precision[columns]
         # C - J P J^T is what other rows leave open of these. Rows are in R, precise beside rough
         # ones, and priors in standard deviations: in units of their own sd, eigenvalues are shares
@@ -295,6 +243,16 @@ class Linear:
         is_checked = value > _CHECKED
         return float((part[is_checked] ** 2 / value[is_checked]).sum()), int(is_checked.sum())
 
+    def _inverse_among(self, rows: Ints) -> Reals:
+        """Compute the inverse covariance among some rows, shape (k, k)."""
+        among = np.diag(1.0 / self.own_variance[rows])
+        is_walked = np.isin(rows, self.walked)
+        if is_walked.any():
+            order = np.argsort(self.walked)
+            place = order[np.searchsorted(self.walked, rows[is_walked], sorter=order)]
+            among[np.ix_(is_walked, is_walked)] = self.covariance.inverse_among(place)
+        return among
+
     def variance(self, free: Reals | None = None, draws: int = DRAWS) -> Reals:
         """Compute the mean square error of positions from draws of all errors [R^2], shape (N,).
 
@@ -302,13 +260,16 @@ class Linear:
             free: Orthonormal motions of all robots that do not count as errors, shape (3 N, k).
             draws: How many of them.
         """
-        shift = self._drawn(draws)[1][: self.shifts]
-        if free is not None:
-            moved = free[np.repeat(self.moves, 3)]
-            # A motion that nothing measures is no error of the shape.
-            shift -= moved @ (moved.T @ shift)
+        squares = [np.empty((self.shifts // 3, 0))]
+        for _, off, _ in self._drawn(draws):
+            shift = off[: self.shifts]
+            if free is not None:
+                moved = free[np.repeat(self.moves, 3)]
+                # A motion that nothing measures is no error of the shape.
+                shift -= moved @ (moved.T @ shift)
+            squares.append((shift.reshape(len(squares[0]), 3, -1) ** 2).sum(axis=1))
         square = np.zeros(len(self.moves))  # of those that stay
-        square[self.moves] = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
+        square[self.moves] = np.concatenate(squares, axis=1).mean(axis=1)
         return square
 
     def shifts_by(self, error: Reals) -> Reals:
@@ -316,49 +277,63 @@ class Linear:
         every = np.zeros(len(self.residual))
         shift = np.zeros((len(self.moves), 3))
         every[len(every) - len(error) :] = error
-        step = self.undamped.solve(np.asarray(self.jacobian.T @ self._weighted(every)))
+        step = self.undamped.solve(np.asarray(self.jacobian.T @ self.weighted(every)))
         shift[self.moves] = step[: self.shifts].reshape(-1, 3)
         return shift
 
-    def residual_of_draws(self) -> tuple[Reals, Reals, Reals]:
-        """Draw all errors as stated, and fit them.
+    def residuals_of_draws(self) -> Iterator[tuple[Reals, Reals, Reals]]:
+        """Draw all errors as stated, some draws at a time, and fit them.
 
-        Returns:
-            Residuals that are left, and `square`, (E, draws) both; and the chi-square, (draws,).
+        Yields:
+            Residuals after the fit, and `square`, (E, k) both; and the chi-square, (k,), of
+            k draws. There are `DRAWS` in all.
         """
-        error, off, prior_draw = self._drawn(DRAWS)
-        residual = error - self.jacobian @ off
-        square = residual * self._weighted(residual)
-        of_rows = square.sum(axis=0) - square[self._overlapping].sum(axis=0)
-        prior = (prior_draw - np.sqrt(self.precision)[:, None] * off) ** 2
-        # Priors of shifts bound steps, and nominal ones say nothing.
-        says = self.precision > NOMINAL
-        says[: self.shifts] = False
-        count = self.noise.shape[0]
-        return residual[:count], square[:count], of_rows + prior[says].sum(axis=0)
+        for error, off, prior_draw in self._drawn(DRAWS):
+            residual = error - self.jacobian @ off
+            square = residual * self.weighted(residual)
+            of_rows = square.sum(axis=0) - square[self._overlapping].sum(axis=0)
+            prior = (prior_draw - np.sqrt(self.precision)[:, None] * off) ** 2
+            # Priors of shifts bound steps, and nominal ones say nothing.
+            says = self.precision > NOMINAL
+            says[: self.shifts] = False
+            count = len(self.tables[0].residual)
+            yield residual[:count], square[:count], of_rows + prior[says].sum(axis=0)
 
-    def _drawn(self, draws: int) -> tuple[Reals, Reals, Reals]:
-        """Draw errors of all rows, (n, draws), and solve for those of unknowns, (F, draws).
+    def _drawn(self, draws: int) -> Iterator[tuple[Reals, Reals, Reals]]:
+        """Draw errors of all rows, (n, k), and solve for those of unknowns, (F, k).
 
-        Returns:
-            Both, and the draws of priors in their standard deviations, (F, draws).
+        The inverse of a sparse matrix is dense; draws of all errors take one solve. Large logs do a
+        few draws at a time: only results of all are held.
+
+        Yields:
+            Both, and k draws of priors in their standard deviations, (F, k).
         """
-        turns = self.noise.shape[1]
-        sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
-        # The inverse of a sparse matrix is dense; draws of all errors take one solve.
-        count = max(1, -(-int(sizes[-1]) // _BLOCK))
-        blocks = [_standard_errors(k, draws) for k in range(count)]
-        draw = np.concatenate(blocks)[: sizes[-1]]
-        row_draw, turn_draw, prior_draw = np.split(draw, sizes[:-1])
-        error = np.sqrt(self.own_variance)[:, None] * row_draw
-        error[: self.noise.shape[0]] += self.noise @ turn_draw
-        pull = (
-            self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior_draw
-        )
-        return error, self.undamped.solve(pull), prior_draw
+        turns = 3 * self.noise.earlier
+        rows = len(self.residual)
+        every = rows + turns + len(self.precision)
+        count = max(1, min(draws, _MOST_DRAWN // max(every, 1)))
+        for first in range(0, draws, count):
+            draw = range(first, min(first + count, draws))
+            error = np.sqrt(self.own_variance)[:, None] * _drawn_errors(0, rows, draw)
+            if len(self.walked):
+                turn_draw = _drawn_errors(rows, rows + turns, draw)
+                error[self.walked] += self.noise.errors(turn_draw.reshape(-1, 3, len(draw)))
+            prior_draw = _drawn_errors(rows + turns, every, draw)
+            pull = self.jacobian.T @ self.weighted(error)
+            pull += np.sqrt(self.precision)[:, None] * prior_draw
+            yield error, self.undamped.solve(pull), prior_draw
+
+
+def _drawn_errors(first: int, end: int, draws: range) -> Reals:
+    """Draw standard normal errors of the rows from first to end, shape (rows, draws)."""
+    blocks = range(first // _BLOCK, -(-end // _BLOCK))
+    if not blocks:
+        return np.empty((0, len(draws)))
+    drawn = np.concatenate([_standard_errors(k, draws) for k in blocks])
+    return drawn[first - _BLOCK * blocks.start : end - _BLOCK * blocks.start]
 
 
 @lru_cache(maxsize=32)
-def _standard_errors(block: int, draws: int) -> Reals:
+def _standard_errors(block: int, draws: range) -> Reals:
     """Draw standard normal errors of the rows of a block."""
-    return normal(0, "errors", np.arange(_BLOCK)[:, None] + _BLOCK * block, np.arange(draws))
+    return normal(0, "errors", np.arange(_BLOCK)[:, None] + _BLOCK * block, np.array(draws))

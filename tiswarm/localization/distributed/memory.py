@@ -42,7 +42,7 @@ class Record:
     """Whether it lets the robot that holds this know as it moves."""
 
     is_gone: bool = False
-    """Whether it has left, by the docks or messages of the robot that holds this: it is asked no more."""
+    """Whether it has left, as the robot that holds this sensed or heard: it answers no more."""
 
     @property
     def body(self) -> int:

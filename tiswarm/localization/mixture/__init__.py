@@ -262,6 +262,45 @@ class AnchorSettings:
     """Steps toward a minimum [1]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class CommonCauseSettings:
+    """Parameters that all robots share, as causes of a misfit. Chosen on training structures."""
+
+    most_robots: int = 300
+    """Robots up to which a common cause is looked for [1]."""
+
+    chance: float = 1e-4
+    """Chance of a right log, times the number of parameters, below which one is a candidate [1]."""
+
+    most_fitted: int = 4
+    """Parameters that are fitted, those that promise most [1]."""
+
+    most_tested: int = 2
+    """Logs with fitted values that are localized again, the most likely ones [1]."""
+
+    confirmations: int = 3
+    """Localizations with one parameter, each beginning where the last one led [1]."""
+
+    rounds: int = 15
+    """Rounds toward a minimum of all unknowns at one value of a parameter [1]."""
+
+    steps: int = 8
+    """Steps of a parameter [1]."""
+
+    longest_step: float = 0.2
+    """Longest step of a parameter [R, 1, rad]."""
+
+    settled: float = 0.01
+    """Gain of a step below which no further one is taken [1]."""
+
+    least_share: float = 1e-3
+    """Share of a parameter's information that unknowns must leave for it to be determined [1]."""
+
+    as_likely: float = 6.0
+    """Excess of a cost up to which another parameter may be the cause as well [1]: it is as rare as
+    one in 20."""
+
+
 CONVERGENCE = ConvergenceTest()
 MIXTURE = MixtureSettings()
 SD_CALIBRATION = SdCalibration()
@@ -269,3 +308,4 @@ REFINEMENT = RefineSettings()
 OUTLIER_ROBOTS = OutlierRobotSettings()
 ANCHORS = AnchorSettings()
 EXCHANGE = ExchangeSettings()
+COMMON_CAUSES = CommonCauseSettings()

@@ -110,8 +110,17 @@ def mixed(fit: Fit, *, restarted: int = 0, prior_sd: Reals | None = None) -> Est
     problem = fit.problem
     annealed = ends.fit.annealed
     outlier = _outliers(ends)
-    open_sd = _open_sd(ends, ~outlier) if prior_sd is None else prior_sd
+    if prior_sd is None:
+        hinged = _hinged_variance(ends, ~outlier)
+        open_sd = _open_sd(ends, hinged)
+        most_sd = _sampled_sd(ends, hinged)
+    else:
+        open_sd = prior_sd
+        most_sd = np.full(len(prior_sd), np.inf)
     minima, share = _minima(ends, ~outlier, open_sd)
+    # Which solutions there are, and where, does not depend on what chains sample.
+    open_sd = np.minimum(open_sd, most_sd)
+    minima = [_bounded(solution, most_sd) for solution in minima]
     # A robot that some solution leaves open has no mean over all: chains say where it is.
     is_held = np.all([solution.is_held for solution in minima], axis=0)
     at = np.array([solution.position for solution in minima])
@@ -167,18 +176,27 @@ def gathered(ends: Ends) -> Ends:
     return replace(met, weight=weight, missed=np.minimum(met.missed, ends.missed))
 
 
-def _open_sd(ends: Ends, inlier: Bools) -> Reals:
+def _open_sd(ends: Ends, hinged: Reals) -> Reals:
     """Compute the standard deviation of positions that measurements leave open [R], shape (N,).
 
     Chains agree on motions that the search has not tried. Robots that only their contacts hold are
     as uncertain as if hinges joined them.
     """
     fit = ends.fit
-    problem = ends.fit.problem
     annealed = ends.fit.annealed
-    sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
+    sd = deviation(fit.problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
+    return np.sqrt(SD_CALIBRATION.chains * sd**2 + hinged) if fit.is_refined else sd
+
+
+def _hinged_variance(ends: Ends, inlier: Bools) -> Reals:
+    """Compute what counts of the variance of positions if contacts were hinges [R^2], shape (N,).
+
+    It is 0 of robots that nothing ties to the world, and of structures too large to be refined.
+    """
+    fit = ends.fit
+    problem = ends.fit.problem
     if not fit.is_refined:
-        return sd
+        return np.zeros(len(problem.part))
     best = int(ends.cost.argmin())
     start = ends.position[best], ends.yaw[best]
     joins = problem.is_final if problem.is_final.any() else np.ones(len(problem.pair), np.bool_)
@@ -189,8 +207,42 @@ def _open_sd(ends: Ends, inlier: Bools) -> Reals:
         hinged=np.unique(problem.pair[joins], axis=0),
     )
     square = cost.open_variance(*start, part=SD_CALIBRATION.hinged)
-    further: Reals = np.where(problem.untied, 0.0, square)
-    return np.sqrt(SD_CALIBRATION.chains * sd**2 + further)
+    return np.where(problem.untied, 0.0, square)
+
+
+def _sampled_sd(ends: Ends, hinged: Reals) -> Reals:
+    """Bound the standard deviation of positions by what chains sample [R], shape (N,).
+
+    Where chains go at least as far as hinges would say, they reach all that measurements leave
+    open: their variance is that of the posterior. Minima that are linearized there overstate it,
+    and so does what chains of larger structures need in addition, since they are too slow. It is
+    infinite where they are, of structures too large to be refined, and of robots that nothing ties.
+    """
+    problem = ends.fit.problem
+    annealed = ends.fit.annealed
+    variance = ends.weight @ annealed.within + between_chains(annealed.mean, ends.weight)
+    is_slow = hinged.mean() >= variance.mean()
+    if is_slow or not ends.fit.is_refined or not _are_errors_independent(problem):
+        return np.full(len(variance), np.inf)
+    return np.where(problem.untied, np.inf, np.sqrt(np.maximum(variance, hinged)))
+
+
+def _are_errors_independent(problem: Problem) -> bool:
+    """Judge whether rows have the independent errors that chains take them to have.
+
+    Errors of a walk, of a source, of chained orientations and of a bias are in many rows at once.
+    Chains seldom find the second places of ranges between centers.
+    """
+    rows = problem.rows
+    has_common_errors = bool(rows.is_walked.any()) or bool((rows.source >= 0).any())
+    has_common_errors |= problem.is_chained or rows.odometry.bias > 0.0
+    return not has_common_errors and not rows.is_central.any()
+
+
+def _bounded(solution: Minimum, most_sd: Reals) -> Minimum:
+    """Bound the standard deviations of a solution; motions that are small enough are linear."""
+    bound = np.where(solution.is_held, np.maximum(most_sd, REFINEMENT.linear_sd), most_sd)
+    return solution._replace(sd=np.minimum(solution.sd, bound))
 
 
 def _solution(fit: Fit, minimum: Minimum, share: float, position: Reals, loose: Reals) -> Solution:

@@ -14,7 +14,7 @@ from tiswarm.compute.chi_square import (
     chi_square_limit,
 )
 from tiswarm.localization.cost.cost import State, WholeCost
-from tiswarm.localization.cost.linear import Linear
+from tiswarm.localization.cost.linear import DRAWS, Linear
 from tiswarm.localization.mixture import CONVERGENCE, OUTLIER_ROBOTS
 from tiswarm.localization.settings import LARGE
 from tiswarm.measurements.model import Measurements
@@ -350,9 +350,13 @@ class _Readings(NamedTuple):
             np.add.at(mean, quantity, weight / total[quantity] * residual)
             return np.asarray(weight * (residual - mean[quantity]) ** 2)
 
-        open_residual, square, of_draws = linear.residual_of_draws()
+        expected = np.zeros(len(rows))
+        of_draws = []
+        for open_residual, square, chi_square in linear.residuals_of_draws():
+            expected += (square - scatter(open_residual)).sum(axis=1)
+            of_draws.append(chi_square)
+        expected /= DRAWS
         scatter_of_rows = scatter(linear.residual[: len(rows), None])[:, 0]
-        expected = (square - scatter(open_residual)).mean(axis=1)
         repeats = len(rows) - len(first)
         return cls(
             rows,
@@ -361,7 +365,7 @@ class _Readings(NamedTuple):
             expected,
             float(scatter_of_rows.sum()),
             repeats,
-            round(float(of_draws.mean())) - repeats,
+            round(float(np.concatenate(of_draws).mean())) - repeats,
         )
 
 

@@ -30,10 +30,9 @@ DISTANCE, HINGE, OFFSET, COORDINATE = range(4)
 
 
 class BlockStart(Columns):
-    """Columns of `Table.block`: where the rows, the noise and the members of a block begin."""
+    """Columns of `Table.block`: where the rows and the members of a block begin."""
 
     ROW = 1
-    NOISE = 1
     MEMBERS = 1
 
 
@@ -75,6 +74,42 @@ class RowValue(Columns):
     """Variance if it were independent of all others [R^2]."""
 
 
+class WalkedRow(Columns):
+    """Columns of `Table.noise`: rows in the order of their stances, the latest stance first.
+
+    As in `WalkNoise`, a row is wrong by d . x + t . w, with d its derivative by the center, x the
+    shift of its stance and w the turn of this stance, which shifts earlier ones by M w.
+    """
+
+    ROW = 1
+    """Row of the block."""
+
+    IS_NEW = 1
+    """Whether it is the first row of its stance."""
+
+    SHIFT = 9
+    """M of the stance of the row before, 0 of the first row [R]."""
+
+    SKIPPED = 9
+    """Covariance of the shift by all turns between these two stances [R^2]."""
+
+    TURN = 9
+    """Derivatives of t by d [R]."""
+
+
+class Whitening(Columns):
+    """Columns of `Scratch.factor`: what a row needs of those before it, by x and w."""
+
+    DERIVATIVE = 6
+    """d and t."""
+
+    GAIN = 6
+    """Change of the expectations of x and w for each R by which the row is off."""
+
+    SD = 1
+    """Standard deviation of the row, given those before it [R]."""
+
+
 class RobotState(Columns):
     """Columns of `BelievedRobots.state`."""
 
@@ -111,7 +146,7 @@ class Table(NamedTuple):
     """The rows of B blocks, one after the other: E rows, M members."""
 
     block: Ints2
-    """`BlockStart` of each block, and where the last one ends, shape (B + 1, 3)."""
+    """`BlockStart` of each block, and where the last one ends, shape (B + 1, 2)."""
 
     member: Ints1
     """BelievedRobots of each block: its own, then its partners ascending, shape (M,)."""
@@ -122,8 +157,8 @@ class Table(NamedTuple):
     real: Reals2
     """`RowValue`, shape (E, 15)."""
 
-    noise: Reals1
-    """As in `Block`, block after block."""
+    noise: Reals2
+    """`WalkedRow`, block after block, shape (E, 29)."""
 
 
 class BelievedRobots(NamedTuple):
@@ -145,8 +180,8 @@ class BelievedRobots(NamedTuple):
 class Scratch(NamedTuple):
     """Room for one block of m rows."""
 
-    covariance: Reals2
-    """Covariance, then its Cholesky factor, shape (m, m)."""
+    factor: Reals2
+    """`Whitening` of each row in the order of `WalkedRow`, shape (m, 13)."""
 
     row: Reals2
     """`RowState`, shape (m, 5)."""
@@ -255,42 +290,67 @@ def give_way(b, robust_square, table: Ref, scratch: Ref):
 
 
 @ti.func
-def factor_covariance(b, noise: Ref, table: Ref, scratch: Ref):
-    """Write the Cholesky factor of the covariance of the rows of block b.
-
-    Args:
-        noise: As `Table.noise`.
-    """
-    rows = table.block[b + 1, BlockStart.ROW] - table.block[b, BlockStart.ROW]
-    start = table.block[b, BlockStart.NOISE]
-    for a in range(rows):
-        way = part_at(scratch.row, a, RowState.DIRECTION)
-        for k in range(a + 1):
-            # d N e, less the part that earlier columns of the factor explain.
-            way_k = part_at(scratch.row, k, RowState.DIRECTION)
-            total = 0.0
-            for c in ti.static(range(AXES)):
-                n = start + ((AXES * a + c) * rows + k) * AXES
-                through = ti.Vector([noise[n], noise[n + 1], noise[n + 2]])
-                total += way[c] * through.dot(way_k)
-            if a == k:
-                total += scratch.row[a, RowState.WIDENED]
-            for c in range(k):
-                total -= scratch.covariance[a, c] * scratch.covariance[k, c]
-            if a == k:
-                scratch.covariance[a, a] = ti.sqrt(total)
-            else:
-                scratch.covariance[a, k] = total / scratch.covariance[k, k]
+def matrix_at(table: Ref, row, first):
+    """Read nine columns of a table, from `first` on, as a matrix, row after row."""
+    matrix = ti.Matrix.zero(ti.f64, AXES, AXES)
+    for c in ti.static(range(AXES)):
+        for k in ti.static(range(AXES)):
+            matrix[c, k] = table[row, first + AXES * c + k]
+    return matrix
 
 
 @ti.func
-def whiten(u, rows, scratch: Ref):
-    """Divide row u of the values by the Cholesky factor."""
-    for a in range(rows):
-        total = scratch.value[u, a]
-        for c in range(a):
-            total -= scratch.covariance[a, c] * scratch.value[u, c]
-        scratch.value[u, a] = total / scratch.covariance[a, a]
+def factor_covariance(b, table: Ref, scratch: Ref):
+    """Factor the covariance of the rows of block b, stance after stance back from the final one.
+
+    This is a Kalman filter (1960) of the shift x and the turn w: its innovations are whitened rows.
+    """
+    start = table.block[b, BlockStart.ROW]
+    shift = ti.Matrix.zero(ti.f64, AXES, AXES)  # covariance of x
+    both = ti.Matrix.zero(ti.f64, AXES, AXES)  # covariance of x and w
+    turn = ti.Matrix.zero(ti.f64, AXES, AXES)  # covariance of w
+    for k in range(table.block[b + 1, BlockStart.ROW] - start):
+        if table.noise[start + k, WalkedRow.IS_NEW] > 0.0:
+            by_turn = matrix_at(table.noise, start + k, WalkedRow.SHIFT)
+            skipped = matrix_at(table.noise, start + k, WalkedRow.SKIPPED)
+            crossed = both @ by_turn.transpose()
+            shift += crossed + crossed.transpose() + by_turn @ turn @ by_turn.transpose() + skipped
+            both = ti.Matrix.zero(ti.f64, AXES, AXES)
+            turn = ti.Matrix.identity(ti.f64, AXES)
+        a = ti.cast(table.noise[start + k, WalkedRow.ROW], ti.i32)
+        d = part_at(scratch.row, a, RowState.DIRECTION)
+        t = matrix_at(table.noise, start + k, WalkedRow.TURN).transpose() @ d
+        of_shift = shift @ d + both @ t
+        of_turn = both.transpose() @ d + turn @ t
+        variance = d.dot(of_shift) + t.dot(of_turn) + scratch.row[a, RowState.WIDENED]
+        shift -= of_shift.outer_product(of_shift) / variance
+        both -= of_shift.outer_product(of_turn) / variance
+        turn -= of_turn.outer_product(of_turn) / variance
+        for c in ti.static(range(AXES)):
+            scratch.factor[k, Whitening.DERIVATIVE + c] = d[c]
+            scratch.factor[k, Whitening.DERIVATIVE + AXES + c] = t[c]
+            scratch.factor[k, Whitening.GAIN + c] = of_shift[c] / variance
+            scratch.factor[k, Whitening.GAIN + AXES + c] = of_turn[c] / variance
+        scratch.factor[k, Whitening.SD] = ti.sqrt(variance)
+
+
+@ti.func
+def whiten(u, b, table: Ref, scratch: Ref):
+    """Divide row u of the values by the factor of the covariance of block b."""
+    start = table.block[b, BlockStart.ROW]
+    shift = ti.Vector([0.0, 0.0, 0.0])
+    turn = ti.Vector([0.0, 0.0, 0.0])
+    for k in range(table.block[b + 1, BlockStart.ROW] - start):
+        if table.noise[start + k, WalkedRow.IS_NEW] > 0.0:
+            shift += matrix_at(table.noise, start + k, WalkedRow.SHIFT) @ turn
+            turn = ti.Vector([0.0, 0.0, 0.0])
+        a = ti.cast(table.noise[start + k, WalkedRow.ROW], ti.i32)
+        innovation = scratch.value[u, a]
+        innovation -= part_at(scratch.factor, k, Whitening.DERIVATIVE).dot(shift)
+        innovation -= part_at(scratch.factor, k, Whitening.DERIVATIVE + AXES).dot(turn)
+        shift += innovation * part_at(scratch.factor, k, Whitening.GAIN)
+        turn += innovation * part_at(scratch.factor, k, Whitening.GAIN + AXES)
+        scratch.value[u, a] = innovation / scratch.factor[k, Whitening.SD]
 
 
 @ti.func
@@ -505,9 +565,9 @@ def _add_overlaps(
 @ti.kernel
 def sum_equations(
     robust_square: F64, non_overlap: I32, reach: F64,
-    block: Ints2, member: Ints1, number: Ints2, real: Reals2, noise: Reals1,  # Table
+    block: Ints2, member: Ints1, number: Ints2, real: Reals2, noise: Reals2,  # Table
     state: Reals2, arm: Reals3, touch: Ints2, touch_start: Ints1,  # BelievedRobots
-    covariance: Reals2, row: Reals2, value: Reals2, place: Ints1,  # Scratch
+    factor: Reals2, row: Reals2, value: Reals2, place: Ints1,  # Scratch
     mover: Ints1, column: Ints1,
     total_out: Reals2, square_out: Reals1, overlap_out: Reals1,
 ):  # fmt: skip
@@ -527,7 +587,7 @@ def sum_equations(
     """
     table = ti.static(Table(block, member, number, real, noise))
     robots = ti.static(BelievedRobots(state, arm, touch, touch_start))
-    scratch = ti.static(Scratch(covariance, row, value, place))
+    scratch = ti.static(Scratch(factor, row, value, place))
     ti.loop_config(serialize=True)
     for b in range(block.shape[0] - 1):
         moving = mover.shape[0]
@@ -545,9 +605,9 @@ def sum_equations(
             excess = give_way(b, robust_square, table, scratch)
         square_out[blocks] += excess
         # With L the factor of the covariance, products of L^-1 V are those of V in its inverse.
-        factor_covariance(b, noise, table, scratch)
+        factor_covariance(b, table, scratch)
         for u in range(values):
-            whiten(u, rows, scratch)
+            whiten(u, b, table, scratch)
         _add_products(rows, values, scratch, total_out)
         square_out[b] = excess
         for a in range(rows):
@@ -570,7 +630,7 @@ def sum_equations(
 
 
 @ti.func
-def _sum_at(at, noise: Ref, table: Ref, robots: Ref, scratch: Ref, total_out: Ref):
+def _sum_at(at, table: Ref, robots: Ref, scratch: Ref, total_out: Ref):
     """Add up the squares of the rows of one robot at a place, as `sum_equations` does."""
     rows = table.block[1, BlockStart.ROW]
     for a in range(rows):
@@ -578,9 +638,9 @@ def _sum_at(at, noise: Ref, table: Ref, robots: Ref, scratch: Ref, total_out: Re
         for c in ti.static(range(AXES)):
             scratch.value[c, a] = scratch.row[a, RowState.DIRECTION + c]
         scratch.value[AXES, a] = scratch.row[a, RowState.RESIDUAL]
-    factor_covariance(0, noise, table, scratch)
+    factor_covariance(0, table, scratch)
     for u in range(_VALUES):
-        whiten(u, rows, scratch)
+        whiten(u, 0, table, scratch)
         scratch.place[u] = u
         for v in range(_VALUES):
             total_out[u, v] = 0.0
@@ -637,9 +697,9 @@ def _overlaps_at(at, robot, reach, robots: Ref):
 @ti.kernel
 def descend(
     non_overlap: I32, reach: F64,
-    block: Ints2, member: Ints1, number: Ints2, real: Reals2, noise: Reals1,  # Table
+    block: Ints2, member: Ints1, number: Ints2, real: Reals2, noise: Reals2,  # Table
     state: Reals2, arm: Reals3, touch: Ints2, touch_start: Ints1,  # BelievedRobots
-    covariance: Reals2, row: Reals2, value: Reals2, place: Ints1,  # Scratch
+    factor: Reals2, row: Reals2, value: Reals2, place: Ints1,  # Scratch
     total_out: Reals2, place_out: Reals2, cost_out: Reals1, count_out: Ints1,
 ):  # fmt: skip
     """Step from all starts to minima of the chi-square of one block.
@@ -654,7 +714,7 @@ def descend(
     """
     table = ti.static(Table(block, member, number, real, noise))
     robots = ti.static(BelievedRobots(state, arm, touch, touch_start))
-    scratch = ti.static(Scratch(covariance, row, value, place))
+    scratch = ti.static(Scratch(factor, row, value, place))
     ti.loop_config(serialize=True)
     for once in range(1):
         robot = member[once]
@@ -666,7 +726,7 @@ def descend(
             # Each start goes on by itself: a merge drops starts, and moves none.
             for n in range(count):
                 at = vector_at(place_out, n)
-                _sum_at(at, noise, table, robots, scratch, total_out)
+                _sum_at(at, table, robots, scratch, total_out)
                 step = _step(total_out)
                 far = step.norm()
                 farthest = ti.max(farthest, far)
@@ -680,7 +740,7 @@ def descend(
         for n in range(count):
             at = vector_at(place_out, n)
             # The covariance depends on where the robot is.
-            _sum_at(at, noise, table, robots, scratch, total_out)
+            _sum_at(at, table, robots, scratch, total_out)
             cost_out[n] = total_out[AXES, AXES]
             if non_overlap:
                 cost_out[n] += _overlaps_at(at, robot, reach, robots)

@@ -36,6 +36,8 @@ from tiswarm.localization.online.kernels import (
     RowValue,
     Scratch,
     Table,
+    WalkedRow,
+    Whitening,
     descend,
     sum_equations,
 )
@@ -141,8 +143,7 @@ class Block:
     """The same: `Table.real`, shape (m, 15)."""
 
     noise: Reals
-    """N: covariance of rows a and b by noise of earlier stances, for unit derivatives along axes
-    i and j [R^2], at [b, j, a, i], shape (m, 3, m, 3)."""
+    """The noise of earlier stances: `Table.noise`, shape (m, 29)."""
 
     about: Ints
     """Which of the members rows are about, ascending, shape (k,)."""
@@ -163,9 +164,8 @@ class Block:
         return self.members[self.about]
 
     def with_final_noise(self) -> Reals:
-        """Return `noise` with that of the robot's final orientation, shape (m, 3, m, 3)."""
-        tail = self.real[:, RowValue.TAIL : RowValue.NEIGHBOR_ARM]
-        return self.noise + _products(_turns(tail, self.turn_sd)[:, :, None])
+        """Return `noise` with that of the robot's final orientation, shape (m, 29)."""
+        return _walked(self.rows, has_final_noise=True)
 
 
 def block_of(rows: Measurements, members: Ints) -> Block:
@@ -180,19 +180,9 @@ def block_of(rows: Measurements, members: Ints) -> Block:
     last = rows.robots - 1
     # Where other robots were measured to be is in the blocks of their own.
     rows = rows.select((rows.robot == last) & (rows.robot > 0))
-    row, stance, part = rows.noisy_arms()[0]
+    final = odometry.final[last]
     # The final orientation is an unknown beside the position; earlier ones are noise.
-    is_final = stance == odometry.final[last]
-    tail = np.zeros((len(rows), AXES))
-    tail[row[is_final]] = part[is_final]
-    sd = odometry.turn_sd[:, [0, 0, 1]]
-    row = row[~is_final]
-    stance = stance[~is_final]
-    part = part[~is_final]
-    # Three columns for each earlier stance, whose turn is in all rows sensed before it.
-    which, column = np.unique(stance, return_inverse=True)
-    turns = np.zeros((len(rows), AXES, len(which), AXES))
-    turns[row, :, column] = _turns(part, sd[stance])
+    tail = np.where(rows.is_walked[:, None], odometry.reached[final], rows.first_parts())
     about, place = np.unique(rows.neighbor, return_inverse=True)
     number, real = _columns(rows, place, tail)
     return Block(
@@ -200,9 +190,9 @@ def block_of(rows: Measurements, members: Ints) -> Block:
         members=members,
         number=number,
         real=real,
-        noise=_products(turns),
+        noise=_walked(rows, has_final_noise=False),
         about=about,
-        turn_sd=sd[odometry.final[last]],
+        turn_sd=odometry.axis_sd[final],
         arm=odometry.arm[odometry.final[last]],
     )
 
@@ -247,14 +237,36 @@ def _turns(part: Reals, sd: Reals) -> Reals:
     return turns
 
 
-def _products(turns: Reals) -> Reals:
-    """Multiply derivatives by all turns, shape (m, 3, turns, 3), in pairs, (m, 3, m, 3)."""
-    rows = len(turns)
-    columns = 0
-    if rows:
-        columns = turns[0].size // AXES
-    flat = turns.reshape(AXES * rows, columns)
-    return (flat @ flat.T).reshape(rows, AXES, rows, AXES)
+def _walked(rows: Measurements, *, has_final_noise: bool) -> Reals:
+    """Write the noise of stances as `Table.noise` has it.
+
+    Args:
+        rows: Those of one robot.
+        has_final_noise: Whether the final orientation is noise, too.
+    """
+    odometry = rows.odometry
+    order = np.argsort(-rows.stance, kind="stable")
+    stance = rows.stance[order]
+    sd = odometry.axis_sd
+    if not has_final_noise:
+        sd[odometry.final] = 0.0
+    shift = _turns(odometry.reached, sd)
+    square = shift @ shift.swapaxes(1, 2)
+    later = odometry.sums_of_later(square)[stance]
+    before = np.roll(stance, 1)
+    is_new = stance != before
+    skipped = later - np.roll(later, 1, axis=0) - square[before]
+    shift = shift[before]
+    is_new[:1] = True
+    shift[:1] = 0.0
+    skipped[:1] = later[:1]
+    return WalkedRow.pack(
+        ROW=order,
+        IS_NEW=is_new,
+        SHIFT=shift.reshape(-1, AXES**2),
+        SKIPPED=np.where(is_new[:, None], skipped.reshape(-1, AXES**2), 0.0),
+        TURN=_turns(rows.first_parts()[order], sd[stance]).reshape(-1, AXES**2),
+    )
 
 
 def table_of(blocks: list[Block]) -> Table:
@@ -262,13 +274,13 @@ def table_of(blocks: list[Block]) -> Table:
     member: list[Ints] = []
     for block in blocks:
         member += [block.members[-1:], block.partners]
-    size = [(len(b), b.noise.size, 1 + len(b.about)) for b in blocks]
+    size = [(len(b), 1 + len(b.about)) for b in blocks]
     return Table(
-        block=np.cumsum([(0, 0, 0), *size], axis=0, dtype=np.int32),
+        block=np.cumsum([(0, 0), *size], axis=0, dtype=np.int32),
         member=np.concatenate(member).astype(np.int32),
         number=np.concatenate([b.number for b in blocks]),
         real=np.concatenate([b.real for b in blocks]),
-        noise=np.concatenate([b.noise.ravel() for b in blocks]),
+        noise=np.concatenate([b.noise for b in blocks]),
     )
 
 
@@ -278,7 +290,7 @@ def scratch_for(blocks: list[Block]) -> Scratch:
     # An overlap has two members.
     values = _PARTS * max(2, *(1 + len(b.about) for b in blocks)) + 1 + AXES
     return Scratch(
-        covariance=np.empty((rows, rows)),
+        factor=np.empty((rows, Whitening.TOTAL)),
         row=np.empty((rows, RowState.TOTAL)),
         value=np.empty((values, rows)),
         place=np.empty(values, np.int32),
@@ -493,7 +505,7 @@ def candidates(
     robots = robots_at(state, shapes)
     # Its own turn is noise of its rows.
     robots.state[block.members[-1], RobotState.TURN : RobotState.TURN_SD] = 0.0
-    table = table_of([block])._replace(noise=block.with_final_noise().ravel())
+    table = table_of([block])._replace(noise=block.with_final_noise())
     place = _starts(block, state)
     cost = np.empty(len(place))
     count = np.empty(1, np.int32)

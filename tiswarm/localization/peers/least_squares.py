@@ -16,6 +16,7 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import set_apart
 from tiswarm.localization.mixture.assessment import open_variance
+from tiswarm.localization.mixture.common_causes import with_common_causes
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts, settled
 from tiswarm.localization.mixture.mixture import mixed
 from tiswarm.localization.peers.hop_by_hop import place
@@ -43,6 +44,14 @@ def localize(
         residual is the root mean square over contacts, ranges, and the components of measured
         offsets.
     """
+    estimate = _localized(log, params)
+    posed = Posed(log, params, pose_problem(log, params))
+    with_causes = with_common_causes(posed, estimate, lambda changed: _localized(changed, params))
+    return with_causes or estimate
+
+
+def _localized(log: SensingLog, params: LeastSquaresParams) -> Estimate:
+    """Localize a log without a search for what is wrong in it."""
     posed = Posed(log, params, pose_problem(log, params))
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     rows = measure(

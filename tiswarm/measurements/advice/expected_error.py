@@ -18,7 +18,8 @@ of that variance, or less (the Bhattacharyya bound).
 Lengths in R.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +27,46 @@ from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_arra
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute.normal_equations import inverted
+from tiswarm.measurements.cues import measure
+from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.odometry import ASSUMED, Odometry
 from tiswarm.records.estimate import Solution
+from tiswarm.records.sensing_log import SensingLog
+
+MOST_ROBOTS = 1000
+"""Expected errors of larger swarms are not computed: time grows as the cube of their size."""
 
 _AT_ONCE = 256
 """Candidates that are judged at a time: memory."""
+
+
+def odometry_without_bias(log: SensingLog) -> Odometry:
+    """Follow the stances of a log; yaw biases are unknowns, and no noise of the arms."""
+    noise = log.noise or ASSUMED
+    if log.yaw_bias > 0.0:
+        noise = replace(noise, yaw_bias_deg=0.0)
+    return Odometry(log, noise)
+
+
+def expected_square(log: SensingLog, cues: Collection[str], center: Reals) -> float:
+    """Compute the expected mean square error of the robots that stay, from their measurements.
+
+    It is that of an estimate near the centers: of solutions that are mirrored, the right one.
+
+    Args:
+        log: What was sensed, of `MOST_ROBOTS` robots or fewer.
+        cues: Cues in use.
+        center: Centers at which rows are linearized [R], shape (N, 3).
+
+    Returns:
+        Mean square position error [R^2].
+    """
+    if log.robot_count == 1:
+        return 0.0
+    rows = measure(log, cues, odometry=odometry_without_bias(log)).associated(center)
+    square = Posterior(rows.averaged(), center, log.yaw_bias).square
+    return float(square[~log.is_gone].mean())
 
 
 class Images(NamedTuple):
@@ -118,6 +154,13 @@ class Posterior:
 
         self.apart_square = 0.0
         """Square of the difference between both solutions in the rows that were added [sd]."""
+
+    @property
+    def square(self) -> Reals:
+        """Expected square error of the position of each robot [R^2], shape (N,); 0 of robot 0."""
+        diagonal = self.covariance.diagonal()[: self.coordinates]
+        square: Reals = np.insert(diagonal.reshape(-1, AXES).sum(axis=1), 0, 0.0)
+        return square
 
     def with_rows(
         self, jacobian: csc_array, variance: Reals, change: Reals, size: int

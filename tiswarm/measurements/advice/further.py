@@ -18,12 +18,17 @@ from scipy.spatial.distance import cdist
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import normal
-from tiswarm.measurements.advice.expected_error import Images, Posterior
+from tiswarm.measurements.advice.expected_error import (
+    MOST_ROBOTS,
+    Images,
+    Posterior,
+    odometry_without_bias,
+)
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Coordinates, Distances, Measurements
-from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
+from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
 from tiswarm.measurements.turns import Turns
 from tiswarm.measurements.verdicts import IMAGES_APART, named
@@ -33,9 +38,6 @@ from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
 
 if TYPE_CHECKING:
     import pandas as pd
-
-MOST_ROBOTS = 1000
-"""Expected errors of larger swarms are not computed: time grows as the cube of their size."""
 
 _EACH = 3
 """Candidates of each kind that are worth showing."""
@@ -122,13 +124,11 @@ class _Question(NamedTuple):
         cls, log: SensingLog, cues: Collection[str], position: Reals, images: Sequence[Solution]
     ) -> "_Question | None":
         """Measure a log, whose arguments `advise` explains; None for too many robots or loops."""
-        noise = log.noise or ASSUMED
-        yaw_unknown = log.yaw_bias > 0.0  # then it is an unknown, and no noise of the arms
-        odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if yaw_unknown else noise)
+        odometry = odometry_without_bias(log)
         pair = Images.of(images, log.dock_radius) if len(images) > 1 else None
         center = position / log.dock_radius if pair is None else pair.first
         rows = measure(log, cues, odometry=odometry).associated(center)
-        bodies = weld(rows, center, yaw_unknown=yaw_unknown)
+        bodies = weld(rows, center, yaw_unknown=log.yaw_bias > 0.0)
         motions = floppy_motions(bodies)
         if motions is None:
             return None

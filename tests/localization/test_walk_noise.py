@@ -1,0 +1,165 @@
+"""Noise of earlier stances: the covariance of rows of long walks, in linear time and memory."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
+
+from tests.structures import NOISY
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.cost.cost import WholeCost
+from tiswarm.localization.cost.linear import DRAWS, Linear
+from tiswarm.localization.cost.walk_noise import WalkCovariance, WalkNoise, WalkRows
+from tiswarm.localization.settings import JointParams
+from tiswarm.measurements.odometry import Odometry
+from tiswarm.records.sensing_log import Stances
+from tiswarm.sensing import observe
+
+
+def walked(history, flips, draw):
+    """Sense a tower, and put walks of so many flips before each robot's own."""
+    log = observe(history, NOISY)
+    count = np.full(log.robot_count, flips) if np.ndim(flips) == 0 else np.asarray(flips)
+    stances = int(count.sum())
+    later = np.repeat(np.arange(log.robot_count), count)
+    rows = np.flatnonzero(later > 0)
+    contacts = np.column_stack(
+        [
+            rows,
+            draw.integers(3, size=len(rows)),
+            draw.integers(later[rows]),
+            draw.integers(3, size=len(rows)),
+        ]
+    )
+    docks = np.column_stack([np.arange(stances), draw.integers(3, size=stances)])
+    walks = Stances(
+        start=np.concatenate([[0], np.cumsum(count)]),
+        orientation_wxyz=Rotation.random(stances, random_state=1).as_quat(scalar_first=True),
+        pivot_dock=draw.integers(3, size=stances).astype(np.int32),
+        contacts=contacts.astype(np.int32),
+        ground_docks=docks.astype(np.int32),
+    )
+    return replace(log, stances=walks)
+
+
+def noise_of(log, draw, *, every=1):
+    """Derivatives of several rows at every so many stances of a log, drawn at random."""
+    odometry = Odometry(log)
+    earlier = np.flatnonzero(odometry.is_earlier)[::every]
+    stance = np.repeat(earlier, draw.integers(1, 5, size=len(earlier)))
+    stance = np.concatenate([stance, odometry.final])
+    draw.shuffle(stance)
+    rows = np.flatnonzero(odometry.is_earlier[stance])
+    of = WalkRows(rows, odometry.owner[stance], stance, odometry)
+    shift = 0.1 * draw.normal(size=(len(odometry.owner), 3, 3))
+    shift[:, :, 2] = 0.0  # of a turn about the vertical that is known
+    shift[odometry.final] = 0.0
+    center, turn = draw.normal(size=(2, len(rows), 3))
+    return WalkNoise(of, center, 0.1 * turn, shift)
+
+
+def derivatives(noise):
+    """Derivatives of rows by all turns of earlier stances, stance by stance, shape (n, 3 M)."""
+    odometry = noise.of.odometry
+    dense = np.zeros((len(noise.center), len(odometry.owner), 3))
+    for row, stance in enumerate(noise.of.stance.tolist()):
+        final = odometry.final[odometry.owner[stance]]
+        dense[row, stance] = noise.turn[row]
+        for later in range(stance + 1, final):
+            dense[row, later] = noise.center[row] @ noise.shift[later]
+    return dense[:, odometry.is_earlier].reshape(len(dense), -1)
+
+
+@pytest.mark.parametrize(
+    "flips", [3, [0, 1, 40, 0, 7, 90, 2] + [0] * 23, [0] * 29 + [120], [60] + [0] * 29]
+)
+@pytest.mark.parametrize("every", [1, 5])
+def test_rows_are_weighed_by_the_inverse_of_their_dense_covariance(tall_towers, flips, every):
+    """However long walks are, and whether or not robots sensed something at each stance."""
+    draw = np.random.default_rng(3)
+    noise = noise_of(walked(tall_towers[0], flips, draw), draw, every=every)
+    rows = len(noise.center)
+    own = 10.0 ** draw.uniform(-4.0, 0.0, rows)
+    by_turns = derivatives(noise)
+    inverse = np.linalg.inv(by_turns @ by_turns.T + np.diag(own))
+    column = draw.integers(12, size=(rows, 4))
+    jacobian = np.zeros((rows, 12))
+    np.put_along_axis(jacobian, column, draw.normal(size=column.shape), axis=1)
+    chosen = draw.permutation(rows)[: rows // 2]
+
+    covariance = WalkCovariance(noise, own)
+
+    precise = {"rtol": 1e-9, "atol": 1e-9 * np.abs(inverse).max()}
+    np.testing.assert_allclose(covariance.weighted(np.eye(rows)), inverse, **precise)
+    among = covariance.inverse_among(chosen)
+    np.testing.assert_allclose(among, inverse[np.ix_(chosen, chosen)], **precise)
+    information = sum(part.toarray() for part in covariance.information(csr_array(jacobian)))
+    np.testing.assert_allclose(information, jacobian.T @ inverse @ jacobian, **precise)
+    turns = draw.normal(size=(noise.earlier, 3, 2))
+    errors = by_turns @ turns.reshape(-1, 2)
+    np.testing.assert_allclose(noise.errors(turns), errors, rtol=1e-9, atol=1e-12)
+    value = draw.normal(size=rows)
+    transposed = (by_turns.T @ value).reshape(-1, 3)
+    np.testing.assert_allclose(noise.by_turns(value), transposed, rtol=1e-9, atol=1e-12)
+
+
+def test_the_factor_grows_in_proportion_to_flips(tall_towers):
+    """A dense block of all rows of a robot has 100 times the entries for ten times the flips."""
+    entries = []
+    for flips in (10, 50, 100):
+        draw = np.random.default_rng(4)
+        log = walked(tall_towers[0], flips, draw)
+        cost = WholeCost(log, pose_problem(log, JointParams()).rows, non_overlap=False)
+        linear = cost.linearized(cost.at(tall_towers[0].position, np.zeros(log.robot_count)))
+        rows = len(linear.walked)
+        assert rows > flips * (log.robot_count - 1)
+        entries.append(linear.covariance.size)
+
+    assert entries[2] < 12.0 * entries[0]
+    assert entries[2] < 2.2 * entries[1]
+
+
+def test_one_long_walk_makes_those_of_others_no_larger(tall_towers):
+    """Most robots walk few flips, and some a hundred times as many."""
+    draw = np.random.default_rng(5)
+    short = noise_of(walked(tall_towers[0], [8] * 30, draw), draw)
+    long = noise_of(walked(tall_towers[0], [8] * 29 + [800], draw), draw)
+
+    sizes = [WalkCovariance(noise, np.ones(len(noise.center))).size for noise in (short, long)]
+
+    grown = (len(long.center) - len(short.center)) / len(short.center)
+    assert grown > 2.0
+    assert sizes[1] < (1.5 + 1.5 * grown) * sizes[0]
+
+
+def test_few_draws_at_a_time_are_those_of_all_at_once(tall_towers, monkeypatch):
+    """Logs of many robots draw few errors at a time, which takes less memory."""
+    log = observe(tall_towers[0], NOISY)
+    cost = WholeCost(log, pose_problem(log, JointParams()).rows)
+    linear = cost.linearized(cost.at(tall_towers[0].position, np.zeros(30)))
+    at_once = [
+        np.concatenate(parts, axis=-1) for parts in zip(*linear.residuals_of_draws(), strict=True)
+    ]
+    variance = linear.variance()
+    widest = []
+    drawn = Linear._drawn  # noqa: SLF001 - nothing else says how much memory it takes
+
+    def counted(self, draws):
+        for part in drawn(self, draws):
+            widest.append(part[0].shape[1])
+            yield part
+
+    monkeypatch.setattr(Linear, "_drawn", counted)
+    monkeypatch.setattr("tiswarm.localization.cost.linear._MOST_DRAWN", 5000)
+
+    parts = [
+        np.concatenate(parts, axis=-1) for parts in zip(*linear.residuals_of_draws(), strict=True)
+    ]
+
+    assert max(widest) < DRAWS // 4
+    assert sum(widest) == DRAWS
+    for part, whole in zip(parts, at_once, strict=True):
+        np.testing.assert_allclose(part, whole, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(linear.variance(), variance, rtol=1e-9)

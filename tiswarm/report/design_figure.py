@@ -1,0 +1,53 @@
+"""The figure of a design: all candidates, their front, and what fresh structures gave."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from tiswarm.records.measures import MEASURES
+from tiswarm.report.figure_style import Panels, dot_style, line_style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_HEIGHT = 3.0
+"""Height of the figure [inch]."""
+
+
+def draw_front(table: pd.DataFrame, objectives: Sequence[str]) -> "Figure":
+    """Draw candidates by the first two objectives.
+
+    Args:
+        table: A row for each candidate, `design.csv`.
+        objectives: Names of two results or more; the first is `price` if there are prices.
+    """
+    across, up = objectives[:2]
+    panels = Panels(_HEIGHT, 1, 1)
+    axes = panels.first
+    x, y = (_column(table, name, "predicted") for name in (across, up))
+    axes.plot(x, y, label="candidates", alpha=0.4, **dot_style(6, 2.5))
+    front = table[table["front"]].iloc[x[table["front"]].argsort(kind="stable")]
+    x, y = (_column(front, name, "predicted") for name in (across, up))
+    axes.plot(x, y, label="front, as predicted", **line_style(0))
+    run = table[table["fresh_structures"] > 0]
+    x, y = (_column(run, name, "found") for name in (across, up))
+    axes.plot(x, y, label="found on fresh structures", **dot_style(1))
+    axes.set_xlabel(_label(across))
+    axes.set_ylabel(_label(up))
+    panels.legend(structures=int(run["fresh_structures"].max()))
+    return panels.finish()
+
+
+def _column(table: pd.DataFrame, name: str, kind: str) -> "pd.Series[float]":
+    """Return predicted or found values of a result; a price is the same in both."""
+    column = f"{kind}_{name}"
+    return table[column if column in table else name]
+
+
+def _label(name: str) -> str:
+    """Label the axis of a result."""
+    if name not in MEASURES:
+        return name
+    measure = MEASURES[name]
+    return measure.axis if measure.label else f"{name} [{measure.unit}]"
