@@ -25,6 +25,7 @@ from tiswarm.base.version import __version__
 if TYPE_CHECKING:  # the one list of all names: the rest is read from it
     from tiswarm.api import advise as advise
     from tiswarm.api import check as check
+    from tiswarm.api import check_local as check_local
     from tiswarm.api import compare as compare
     from tiswarm.api import design as design
     from tiswarm.api import export as export

@@ -261,6 +261,49 @@ def grow(
     return swarms.grow(scenario, place=navigation.place, threads=threads, quiet=quiet)
 
 
+def check_local(
+    rule: Section,
+    structure: Section = "tower",
+    robots: int = 12,
+    seeds: int | Sequence[int] = 1,
+    *,
+    robot: Section | None = None,
+    plugins: Sequence[File] = (),
+) -> int:
+    """Check that robots of a local rule decide by nothing that they cannot know.
+
+    Structures grow by the rule, by the truth. Each climber, and each robot that acts, decides by
+    itself, too, once places, loads, uncertainty and messages of robots that it does not touch have
+    changed. It has to choose, remember, say and leave as among the others.
+
+    Args:
+        rule: Rule of growth, as `tiswarm.grow` takes it, that `local=True` registers.
+        structure: Kind of structure, as `tiswarm.grow` takes it.
+        robots: Robots in each structure.
+        seeds: Seeds, one structure each, or their number: 0, 1, ...
+        robot: Shape of the robots; FireAntV3 if None.
+        plugins: Python files that register structures and rules.
+
+    Returns:
+        Decisions that were compared.
+
+    Raises:
+        InputError: an argument has a mistake, or the rule is not local.
+        PluginError: a robot decides otherwise alone, or the rule failed.
+    """
+    from tiswarm.app import swarms  # noqa: PLC0415 - slow to import
+    from tiswarm.world.locality import compare_alone  # noqa: PLC0415 - slow to import
+
+    load_plugins(plugins)
+    scenario = swarms.growth_scenario(structure, robots, seeds, rule=rule, robot=robot)
+    return compare_alone(
+        scenario.structure,
+        robots=scenario.robots,
+        seeds=scenario.seed_list,
+        robot=scenario.robot,
+    )
+
+
 def open_swarms(path: File, *, plugins: Sequence[File] = ()) -> "Swarms":
     """Read structures that `Swarms.save` wrote.
 

@@ -396,3 +396,55 @@ def test_structures_of_a_rule_that_is_not_loaded_say_how_to_load_it(tmp_path):
         tiswarm.open_swarms(file)
 
     assert "--plugin" not in str(refused.value)
+
+
+@pytest.mark.usefixtures("page_rules")
+def test_the_rule_of_the_guide_is_local():
+    """Its robots decide alone as they do among others, as they climb and as they act."""
+    assert tiswarm.check_local("visit", robots=5) > 100
+
+
+@pytest.mark.parametrize(
+    ("choose", "act", "method"),
+    [
+        (
+            "return np.full(len(step.stance), -1 - (len(step.stance) > 1))",
+            "",
+            "choose",
+        ),
+        ("step.memory[:] = step.stance.sum() + len(step.stance)", "", "choose"),
+        ("", "members.memory[:, 0] = members.center[:, 2].max()", "act"),
+        ("", "members.say[:] = len(members.age)", "act"),
+        ("", "return members.age > members.age.mean()", "act"),
+        ("", "COUNT.append(0); members.memory[:, 0] = len(COUNT)", "act"),
+    ],
+)
+def test_a_rule_that_knows_of_others_is_not_local(tmp_path, choose, act, method):
+    """The line names the method and the robot."""
+    text = TALKER.format(choose=choose or "pass", act=act or "pass")
+    written(tmp_path, "COUNT = []\n" + text)
+
+    with pytest.raises(plugins.PluginError, match=rf"talker\.{method} is not local: robot \d+"):
+        tiswarm.check_local("talker", {"kind": "tower", "movers": 2}, robots=5)
+
+    plugins.forget()
+
+
+def test_a_rule_that_sees_all_is_refused_as_local():
+    """The line says how to register it."""
+    with pytest.raises(InputError, match="register it with local=True"):
+        tiswarm.check_local("reactive-build")
+
+
+@pytest.mark.usefixtures("page_rules")
+def test_a_local_rule_grows_step_by_step_what_it_grows_alone():
+    """A caller that asks the rule for its choices ends where `grow` does, memory included."""
+    rule = registry.get("rule", "visit")()
+    growth = tiswarm.Growth({"kind": "tower", "rule": rule}, robots=5, seeds=[SEED])
+
+    while not growth.is_over.all():
+        growth.step(chosen_by(rule, growth.observe()))
+
+    [alone] = tiswarm.grow("tower", robots=5, seeds=[SEED], rule=rule, quiet=True)
+    assert growth.swarms()[0].departures.tolist() == alone.departures.tolist()
+    assert growth.swarms().sent[0].tolist() == alone.sent.tolist()

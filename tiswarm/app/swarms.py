@@ -334,7 +334,10 @@ class Swarms(Sequence[GrownStructure]):
 
     @property
     def leave_round(self) -> Ints:
-        """Round of growth in which each robot left, fell or died; -1 if none, shape (S, N)."""
+        """Round in which each robot left, fell or died; -1 if none, shape (S, N).
+
+        Rounds in which robots of a complete structure act follow those of growth.
+        """
         return self._padded(lambda structure: structure.leave_round)
 
     @property
@@ -394,12 +397,14 @@ class Swarms(Sequence[GrownStructure]):
 
     @property
     def sent(self) -> Ints:
-        """Bytes that robots sent by the rule of growth, 0 without messages, shape (S, N)."""
-        return self._padded(
-            lambda structure: (
-                structure.sent if len(structure.sent) else np.zeros(structure.robot_count, np.int64)
-            )
-        )
+        """Bytes that robots sent by the rule of growth, shape (S, N).
+
+        0 without messages, and of robots that did not join.
+        """
+        sent = np.zeros((len(self), self.scenario.robots), np.int64)
+        for number, structure in enumerate(self):
+            sent[number, : len(structure.sent)] = structure.sent
+        return sent
 
     @property
     def broken(self) -> Ints:

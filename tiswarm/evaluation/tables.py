@@ -167,6 +167,9 @@ def by_robot(
         robot, after, event = history.departures.T
         table["lost"] = pd.Series(np.array(LOSSES)[event], robot)
         table["lost_after"] = pd.Series(after, robot).astype("Int64")
+        table["lost_round"] = pd.Series(history.leave_round[robot], robot).astype("Int64")
+    if len(history.sent):
+        table["rule_sent_B"] = history.sent
     apart = pd.Series(hops_from_anchors(log))
     return table.assign(
         **error,
@@ -302,7 +305,7 @@ def by_join(history: History) -> pd.DataFrame:
 
 def _losses(history: History) -> dict[str, Ints]:
     """Count who had left, fallen and died by each join; empty where all must stay."""
-    if not (len(history.departures) or history.breaks):
+    if not (history.may_lose or len(history.departures) or history.breaks):
         return {}
     _, after, event = history.departures.T
     joined = np.arange(1, history.robot_count + 1)
@@ -361,6 +364,7 @@ def totals(history: History) -> dict[str, float | int]:
         "beyond_edge": float(is_beyond.mean()) if terrain.has_edge else np.nan,
         **_flips(history),
         **_beliefs(history),
+        **_messages(history),
         "first_on_anchor": first,
         "second_on_anchor": second,
         "third_on_anchor": third,
@@ -423,6 +427,13 @@ def _beliefs(history: History) -> dict[str, float]:
         "belief_sent_B": beliefs[-1, 3],
         "belief_worst_sent_B": beliefs[-1, 4],
     }
+
+
+def _messages(history: History) -> dict[str, float]:
+    """Return the bytes of the messages of the rule of growth; empty where it has none."""
+    if not len(history.sent):
+        return {}
+    return {"rule_sent_B": _mean(history.sent), "worst_rule_sent_B": int(history.sent.max())}
 
 
 def _on_anchor(history: History) -> NDArray[np.int32]:

@@ -227,6 +227,14 @@ BELIEF_SENT = _smaller(
     label="Sent by a robot",
 )
 BELIEF_WORST_SENT = _smaller("belief_worst_sent_B", "B", _WALKS, "most that a robot sent for these")
+RULE_SENT = _smaller(
+    "rule_sent_B",
+    "B",
+    _STRUCTURE,
+    "sent by a robot in the mean by the rule of growth; empty where that has no messages",
+    label="Sent by the rule",
+)
+RULE_WORST_SENT = _smaller("worst_rule_sent_B", "B", _STRUCTURE, "most that a robot sent by it")
 PEAK_STRESS = Measure(
     "peak_stress", "dock weights/R^2", _STRUCTURE, "largest stress in any contact"
 )

@@ -436,21 +436,28 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         robots = [table.assign(join=np.arange(len(table))) for table in robots]
         gone = ["left", "fell"]
         robots = [t[~t["lost"].isin(gone)] if "lost" in t else t for t in robots]
+        robots = [t[[*names, "join"]] for t in robots]
         names = ["hops_apart", "pairs", "mean_error_R", measures.RMSE.column]
         relative = [
             read_frame(folder / "relative.csv", numbers=names, empty=True) for folder in folders
         ]
         errors = [
-            metrics.error_profile(pd.concat(robots)),
-            metrics.relative_profile(pd.concat(relative)),
+            metrics.error_profile(_joined_tables(robots)),
+            metrics.relative_profile(_joined_tables(relative)),
         ]
-        profiles_of_series.append(pd.concat(errors))
+        profiles_of_series.append(_joined_tables(errors))
         first = {"condition": of_row[0].condition, **of_row[0].point_cells}
         names_of += [first for _ in range(len(profiles_of_series[-1]))]
     if not profiles_of_series:
         return pd.DataFrame(columns=["condition", "by"])
     rows = pd.concat(profiles_of_series, ignore_index=True)
     return pd.concat([pd.DataFrame(names_of), rows], axis=1)
+
+
+def _joined_tables(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Join tables of equal columns; those without rows have no types that count."""
+    with_rows = [table for table in tables if len(table)]
+    return pd.concat(with_rows or tables[:1])
 
 
 def throughput(

@@ -133,6 +133,12 @@ class ClimbStep:
     Where robots build by estimates, all places are those that they believe. A flip that truly meets
     nothing, or ends where the climber has been, fails: the climber stands where it stood, and
     chooses again.
+
+    Beside what is listed below it has `structure`, `slot`, `robot`, `stance` and `patience`, (M,);
+    `center` and `goal` [R], (M, 3), `orientation_wxyz`, (M, 4); `touching`, (M, n, MAX_TOUCHING),
+    `on_ground`, (M, n), `called`, (M,); `angle` [rad], `possible` and `failed`, (M, K). Of all
+    structures it has `dock` [R], (S, n N, 3), `relay`, (S, n N), `robot_count`, (S,), and `sensed`
+    [weight of a dock], `present` and `robot_sd` [R], (S, N).
     """
 
     def __init__(

@@ -199,6 +199,12 @@ class SteeredGrowth:
                 self._step = step
         return self._step
 
+    def observe_again(self) -> ClimbStep:
+        """List the climbers of `observe` anew, as the structures are now."""
+        self.observe()
+        self._step = self._climb.observe()
+        return self._step
+
     def step(self, choice: AnyInts) -> None:
         """Let the climbers of `observe` do what was chosen, shape (M,).
 
@@ -279,8 +285,7 @@ class GrowthBatch:
         self.robots = robots
         self.believe = believe
         self.rule = params[0].rule
-        self.loses = hasattr(self.rule, "act")
-        self.loses |= any(of.departures is not None or of.strength is not None for of in params)
+        self.loses = any(of.may_lose for of in params)
         self.turn = turn
         robot = params[0].robot(robot)
         self.robot = robot
@@ -454,8 +459,8 @@ class GrowthBatch:
             return
         acting = np.array([n for n in numbers if self.structures[n].walks], np.int64)
         for _ in range(int(getattr(self.rule, "rounds_after", 0)) if len(acting) else 0):
-            self._act(acting, [])
             self.rounds[acting] += 1
+            self._act(acting, [])
 
     def end_round(
         self, movers: NDArray[np.int32], numbers: AnyInts, waits: Bools | None = None
@@ -548,6 +553,8 @@ class GrowthBatch:
 
     def _act(self, numbers: AnyInts, grown: "Sequence[GrowingStructure]") -> None:
         """Let robots act, leave or die, then solve the structures that changed."""
+        for number in numbers:
+            self.structures[number].round = int(self.rounds[number]) - 1
         self._let_members_act(numbers)
         leavers = [self.structures[number] for number in numbers if self.leaves[number].any()]
         lost = [structure for structure in leavers if structure.leave(self.leaves)]
@@ -688,6 +695,8 @@ class GrowingStructure:
         self.call: NDArray[np.int32] = np.empty(0, np.int32)
         self.alive = np.ones(frames.gone.shape[1], np.bool_)  # those to come are, too
         self.departures: list[tuple[int, int, int]] = []
+        self.departure_rounds: list[int] = []
+        self.round = 0  # in which robots act, leave and fall
         self.broken: list[tuple[int, int, int]] = []  # docks, and joins before
         self.has_fallen = False
         self.drawn = 0  # joins after which a departure has been drawn
@@ -908,7 +917,7 @@ class GrowingStructure:
             robot = params.drawn(self.seed, joiner, able[able >= self.params.founder_count])
             if robot is not None:
                 self.alive[robot] = False
-                self.departures.append((robot, joined, event))
+                self._note_departures([robot], event)
         if len(self.departures) == departures_before:
             return False
         self._part(is_leaving=params.kind == "leave")
@@ -922,18 +931,23 @@ class GrowingStructure:
         joined = len(self.walks)
         leavers = np.flatnonzero(leaves[self.number, :joined] & self.alive[:joined])
         leavers = leavers[leavers >= self.params.founder_count]
-        self.departures += [(robot, joined, LEFT) for robot in leavers.tolist()]
+        self._note_departures(leavers.tolist(), LEFT)
         self.alive[leavers] = False
         if len(leavers):
             self._part(is_leaving=True)
         return len(leavers) > 0
+
+    def _note_departures(self, robots: Sequence[int], event: int) -> None:
+        """Note that robots left, fell or died in this round."""
+        self.departures += [(robot, len(self.walks), event) for robot in robots]
+        self.departure_rounds += [self.round for _ in robots]
 
     def _part(self, *, is_leaving: bool) -> None:
         """Take robots that have left, and those that nothing holds without them, away."""
         joined = len(self.walks)
         if is_leaving:
             fallen = np.flatnonzero(self.alive[:joined] & ~self.history().is_held)
-            self.departures += [(robot, joined, FELL) for robot in fallen.tolist()]
+            self._note_departures(fallen.tolist(), FELL)
             self.alive[fallen] = False
             gone = [robot for robot, _, event in self.departures if event != DIED]
             self.frames.remove(self.number, np.unique(gone))
@@ -977,7 +991,7 @@ class GrowingStructure:
             self.ended = f"the structure fell once robot {joined - 1} had joined"
         falls[: self.params.anchor_count] = False  # places that all know: anchors stay there
         fallen = np.flatnonzero(falls)
-        self.departures += [(robot, joined, FELL) for robot in fallen.tolist()]
+        self._note_departures(fallen.tolist(), FELL)
         self.alive[fallen] = False
         if len(fallen):
             self.frames.remove(self.number, fallen)
@@ -1068,6 +1082,8 @@ class GrowingStructure:
             loaded_contacts=loaded_contacts,
             contact_load=contact_load,
             departures=np.array(self.departures, np.int32).reshape(-1, 3),
+            departure_round=np.array(self.departure_rounds, np.int32),
+            may_lose=self.params.may_lose,
             crossed=self.crossed,
             ended=self.ended,
             stability=self.frames.stability[self.number],

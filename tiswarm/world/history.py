@@ -123,6 +123,13 @@ class History:
     number joined and left in between two walks.
     """
 
+    departure_round: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
+    """Round of each departure, from 0, shape (D,). Rounds in which robots of a complete structure
+    act follow those of growth."""
+
+    may_lose: bool = False
+    """Whether robots may leave, fall or die, by the settings of the structure."""
+
     sent: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     """Bytes that each robot has sent by the rule of growth, shape (N,), or empty without
     messages."""
@@ -169,10 +176,15 @@ class History:
 
     @property
     def leave_round(self) -> Ints:
-        """Round of growth in which each robot left, fell or died; -1 if none, shape (N,)."""
+        """Round in which each robot left, fell or died; -1 if none, shape (N,).
+
+        A robot that died and fell later has the round in which it fell.
+        """
         robot, joined, _ = self.departures.T
         rounds = np.full(self.robot_count, -1)
-        rounds[robot] = self.join_round[joined - 1]
+        # Structures of older versions have no rounds: there it is that of the latest join.
+        is_stated = len(self.departure_round) == len(robot)
+        rounds[robot] = self.departure_round if is_stated else self.join_round[joined - 1]
         return rounds
 
     @property

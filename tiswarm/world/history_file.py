@@ -23,7 +23,7 @@ _SINGLE = ("recruited", "round")
 """Fields of a walk that are one value each; the others are arrays."""
 
 _TABLES = tuple(field.name for field in fields(Walk) if field.name not in _SINGLE)
-_LATER = ("departures", "sent", "broken", "loaded_contacts", "contact_load")
+_LATER = ("departures", "departure_round", "sent", "broken", "loaded_contacts", "contact_load")
 """Tables of a structure that are not written where they are empty."""
 
 _FACTS = ("seed", "spawns", "crossed", "ended")
@@ -124,6 +124,9 @@ def from_arrays(
     _require_within(robot_of, 0, robots, "departures")
     _require_within(joined, 1, robots + 1, "departures")
     _require_within(event, LEFT, DIED + 1, "departures")
+    departure_round = _array(arrays.get("departure_round", np.empty(0, np.int32)), "i", 0)
+    _require(len(departure_round) in {0, len(departures)}, "a round of each departure")
+    _require((departure_round >= 0).all(), "rounds of departures from 0")
     sent = _array(arrays.get("sent", np.empty(0, np.int32)), "i", 0)
     _require(len(sent) in {0, robots} and (sent >= 0).all(), "bytes that robots sent")
     broken = _array(arrays.get("broken", np.empty((0, 5), np.int32)), "i", 5)
@@ -142,6 +145,8 @@ def from_arrays(
         loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
         sensed=sensed,
         departures=departures,
+        departure_round=departure_round,
+        may_lose=params.may_lose,
         sent=sent.astype(np.int64),
         broken=broken,
         loaded_contacts=loaded,

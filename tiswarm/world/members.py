@@ -220,6 +220,18 @@ class Members(Rewritable):
     def say(self, values: Reals) -> None:
         rewrite(self._say, values, "members.say")
 
+    def alone(self, row: int) -> "Members":
+        """Return a copy of what one of the robots sees: a round in which no other robot acts."""
+        one = Members.__new__(Members)
+        by_contact = self._contacts[:, 0] == row
+        for name, values in vars(self).items():
+            of_one = values[row : row + 1]
+            if name in {"_contacts", "_heard"}:
+                of_one = values[by_contact]
+            setattr(one, name, of_one.copy())
+        one._contacts[:, 0] = 0  # noqa: SLF001 - of this class
+        return one
+
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - arrays of any type
         """Refuse what a robot does not know.
 

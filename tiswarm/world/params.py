@@ -400,6 +400,12 @@ class GrowthParams(RecruitParams):
         return self.anchors if isinstance(self.anchors, int) else len(self.anchors)
 
     @property
+    def may_lose(self) -> bool:
+        """Whether robots may leave, fall or die while the structure grows."""
+        loses = self.departures is not None or self.strength is not None
+        return loses or hasattr(self.rule, "act")
+
+    @property
     def founder_count(self) -> int:
         """Robots that may stay without touching another, the first to join."""
         return max(self.founders * self.sides, self.anchor_count)
