@@ -448,3 +448,14 @@ def test_a_local_rule_grows_step_by_step_what_it_grows_alone():
     [alone] = tiswarm.grow("tower", robots=5, seeds=[SEED], rule=rule, quiet=True)
     assert growth.swarms()[0].departures.tolist() == alone.departures.tolist()
     assert growth.swarms().sent[0].tolist() == alone.sent.tolist()
+
+
+def test_a_rule_of_all_that_a_climber_knows_is_local(tmp_path):
+    """Also by how sure it is of its place, which it has of the robot that it touched last."""
+    text = "step.memory[:, 0] = np.nan_to_num(step.sd); step.memory[:, 1] += step.called"
+    written(
+        tmp_path, TALKER.format(choose=text, act="members.say[:] = members.memory[:, None, :1]")
+    )
+
+    assert tiswarm.check_local("talker", robots=4) > 20
+    plugins.forget()

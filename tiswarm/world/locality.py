@@ -17,7 +17,6 @@ from tiswarm.base.plugins import PluginError
 from tiswarm.base.registry import registered
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
-from tiswarm.world.choices import ClimbStep
 from tiswarm.world.growth import GrowthBatch, SteeredGrowth, chosen_by
 from tiswarm.world.members import LocalStep, Members
 from tiswarm.world.params import StructureParams
@@ -138,14 +137,17 @@ def _climber_alone(
     """Let one climber choose alone, while all that it cannot know is changed; put that back."""
     step = steered.observe()
     number = int(step.structure[row])
-    unknown = _unknown_robots(batch, step, row)
+    unknown = _robots_but(batch, step.touching[row])
+    # A climber that touches nobody is as uncertain as the robot that it touched last.
+    walked = batch.walks.stances.touching[step.slot[row], : step.stance[row] + 1]
+    unmet = _robots_but(batch, walked)
     arrays = (batch.arrays.dock, batch.sd, batch.sensed, batch.members.said)
     saved = [array.copy() for array in arrays]
     dock = batch.arrays.dock[number]
     is_far = np.linalg.norm(dock - step.center[row], axis=1) > _FAR
     is_far &= np.repeat(np.isin(np.arange(batch.robots), unknown), len(dock) // batch.robots)
     dock[is_far] += change.normal(size=(int(is_far.sum()), 3))
-    batch.sd[number, unknown] = change.random(len(unknown))
+    batch.sd[number, unmet] = change.random(len(unmet))
     batch.members.said[number, unknown] = change.normal(size=batch.members.said.shape[2:])
     batch.sensed[:] = change.normal(size=batch.sensed.shape)
     one = LocalStep(steered.observe_again(), np.array([row]))
@@ -155,8 +157,7 @@ def _climber_alone(
     return choice, one.memory[0].tolist()
 
 
-def _unknown_robots(batch: GrowthBatch, step: ClimbStep, row: int) -> AnyInts:
-    """List the robots that a climber does not touch."""
-    docks = step.touching.shape[1]
-    touched = step.touching[row][step.touching[row] >= 0] // docks
+def _robots_but(batch: GrowthBatch, docks: AnyInts) -> AnyInts:
+    """List the robots that have none of some docks n i + k, -1 for none."""
+    touched = docks[docks >= 0] // batch.robot.dock_count
     return np.setdiff1d(np.arange(batch.robots), touched)

@@ -638,5 +638,3 @@ def test_a_log_that_robots_cannot_send_is_refused(log):
 
     with pytest.raises(InputError, match="touches"):
         localize_many([unknown], [QUICK])
-    with pytest.raises(InputError, match=r"event: .*choose joint"):
-        localize_many([replace(log, gone=np.array([5]))], [QUICK])
