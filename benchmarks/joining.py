@@ -3,6 +3,7 @@
     python -m benchmarks.joining                                  # 25 towers, 25 cantilevers
     python -m benchmarks.joining --kinds tower --robots 1000 --seeds 1 --at 1000
     python -m benchmarks.joining --messages --seeds 16 --first-seed 100010
+    python -m benchmarks.joining --messages --kinds bridge --robots 60 --seeds 64 --reviews 1
 
 Each structure of noisy robots (1 deg tilt, 2 deg yaw) is fed to a `Tracker` robot by robot, on one
 thread. `joint` has the whole log, and the logs of the first robots, of each number in `--at`: of
@@ -11,15 +12,17 @@ Structures that are in the table already are not measured again.
 
 With `--messages`, robots localize themselves by `distributed` instead. The table has their errors
 and bytes after 0 to `--reviews` reviews, the errors of `joint` and of the nearest minimum of all
-rows, and the shares of what they send by kind of message.
+rows, the shares of what they send by kind of message, and how many robots are off by more than R or
+doubt where they are. A bridge that does not close is left out, and takes no part in `--seeds`.
 """
 
 import argparse
+import itertools
 import json
 import time
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +48,9 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
-from tiswarm.world.params import CantileverParams, TowerParams
+from tiswarm.world.params import BridgeParams, CantileverParams, TowerParams
 
-KINDS = {"tower": TowerParams(), "cantilever": CantileverParams()}
+KINDS = {"tower": TowerParams(), "cantilever": CantileverParams(), "bridge": BridgeParams()}
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 WARM_UP = 12
 """Robots of the structure that kernels are compiled for."""
@@ -62,12 +65,11 @@ def main() -> None:
     table = pd.read_csv(file) if file.exists() else pd.DataFrame({"kind": [], "seed": []})
     _tracked(observe(_grown("tower", WARM_UP, options.first_seed), NOISY))
     for kind in options.kinds:
-        for seed in range(options.first_seed, options.first_seed + options.seeds):
+        for history, seed in _structures(kind, options.robots, options.first_seed, options.seeds):
             sizes = table.get("robots", pd.Series(dtype=float))
             is_there = (table["kind"] == kind) & (table["seed"] == seed)
-            if (sizes[is_there] == options.robots).any():
+            if (sizes[is_there] == history.robot_count).any():
                 continue
-            history = _grown(kind, options.robots, seed)
             if options.messages:
                 params = DistributedParams(hops=options.hops)
                 found = by_messages(history, params, options.reviews)
@@ -86,7 +88,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=["tower", "cantilever"])
     parser.add_argument("--robots", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=25, help="structures of each kind")
     parser.add_argument("--first-seed", type=int, default=0)
@@ -100,6 +102,20 @@ def _options() -> argparse.Namespace:
                         help="steps within which they ask others; give another --out")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("reports/joining"))
     return parser.parse_args()
+
+
+def _structures(
+    kind: str, robots: int, first_seed: int, count: int
+) -> Iterator[tuple[History, int]]:
+    """Grow structures, each with its seed; of bridges those that close."""
+    grown = 0
+    for seed in itertools.count(first_seed):
+        if grown == count:
+            return
+        history = _grown(kind, robots, seed)
+        if kind != "bridge" or history.crossed:
+            grown += 1
+            yield history, seed
 
 
 def _grown(kind: str, robots: int, seed: int) -> History:
@@ -176,12 +192,17 @@ def by_messages(history: History, params: DistributedParams, reviews: int) -> di
     for times in range(max(reviews, params.reviews) + 1):
         if times:
             swarm.review()
-        position = swarm.solution().position
+        solution = swarm.solution()
+        position = solution.position
         found[f"reviewed_{times}_R"] = _error(position, true)
         found[f"sent_{times}_B"] = float(np.mean(channel.sent))
         found[f"worst_sent_{times}_B"] = max(channel.sent)
         if times == params.reviews:
             found["nearest_R"] = _error(_nearest(log, params, position), true)
+            is_off = np.linalg.norm(position - true, axis=1) > 1.0
+            found["off_by_1R"] = int(is_off.sum())
+            found["off_and_doubt"] = int((is_off & solution.doubtful).sum())
+            found["others_that_doubt"] = int((~is_off & solution.doubtful).sum())
             found["worst_robot"] = worst = int(np.argmax(channel.sent))
             found["worst_passes_on"] = channel.passed[worst] / channel.sent[worst]
             total = sum(channel.counted.values())
@@ -248,9 +269,13 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def summary_of_messages(table: pd.DataFrame) -> pd.DataFrame:
-    """Average structures by kind and size, with half the width of 95 % confidence intervals."""
+    """Average structures by kind and size, with half the width of 95 % confidence intervals.
+
+    Bridges are of all sizes.
+    """
     columns = {}
-    for (kind, robots), group in table.groupby(["kind", "robots"]):
+    size = table["robots"].astype(str).where(table["kind"] != "bridge", "closed")
+    for (kind, robots), group in table.groupby(["kind", size]):
         # Not every structure has every kind of message.
         numbers = group.drop(columns=["kind", "seed", "robots"]).fillna(0.0)
         means = {name: mean_std_ci95(values.to_numpy(float)) for name, values in numbers.items()}
