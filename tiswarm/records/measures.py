@@ -115,7 +115,7 @@ _SWARM = "swarm"
 
 JOINED = Measure("joined", "1", _STRUCTURE, "robots that joined")
 LEFT, FELL, DIED = (
-    Measure(name, "1", _STRUCTURE, f"robots that {event}; empty where all stayed")
+    Measure(name, "1", _STRUCTURE, f"robots that {event}; empty where none may")
     for name, event in (
         ("left", "left"),
         ("fell", "fell as others left or contacts broke"),

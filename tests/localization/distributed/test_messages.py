@@ -25,6 +25,7 @@ CONTENTS = [
     messages.Place.of({2: b"there", 5: b"here"}),
     messages.Moved([1, 2]),
     messages.Child([0]),
+    messages.Left([1, 4], [2, 300]),
     messages.ReviewWalk([0], 4000, 7),
     messages.Walking([0]),
     messages.Branch([6], b"shift"),

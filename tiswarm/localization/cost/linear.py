@@ -267,7 +267,7 @@ class Linear:
                 moved = free[np.repeat(self.moves, 3)]
                 # A motion that nothing measures is no error of the shape.
                 shift -= moved @ (moved.T @ shift)
-            squares.append((shift.reshape(len(squares[0]), 3, -1) ** 2).sum(axis=1))
+            squares.append((shift.reshape(len(squares[0]), 3, shift.shape[-1]) ** 2).sum(axis=1))
         square = np.zeros(len(self.moves))  # of those that stay
         square[self.moves] = np.concatenate(squares, axis=1).mean(axis=1)
         return square
