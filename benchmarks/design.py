@@ -66,8 +66,8 @@ def compare(kind: Mapping[str, Any], *, robots: int, seeds: int) -> pd.DataFrame
         squares = run.summary.assign(square=run.summary["rmse_R"] ** 2)
     mean = squares.groupby("condition", sort=False)["square"].mean()
     suites = [", ".join(f"{key} {value}" for key, value in suite.items()) for suite in SUITES]
-    found = np.sqrt(mean[[*conditions]].to_numpy())
-    return pd.DataFrame({"suite": suites, "predicted_R": predicted, "found_R": found})
+    rmse = np.sqrt(mean[[*conditions]].to_numpy())
+    return pd.DataFrame({"suite": suites, "predicted_R": predicted, "found_R": rmse})
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -100,17 +100,17 @@ def compared(number: int, method: str) -> Iterator[RobotRow]:
         estimate = tiswarm.localize(case.log, method, threads=1)
     method_s = time.process_time() - begun
     begun = time.process_time()
-    one = posterior(case.log, seed=0)
-    other = posterior(case.log, seed=1)
+    first = posterior(case.log, seed=0)
+    second = posterior(case.log, seed=1)
     exact_s = time.process_time() - begun
-    exact = Posterior.of_both(one, other)
+    exact = Posterior.of_both(first, second)
     if estimate.sd is None:
         message = f"{method} states no sd"
         raise SystemExit(message)
     sd = estimate.sd / unit
     error = np.linalg.norm(estimate.position / unit - truth, axis=1)
     exact_error = np.linalg.norm(exact.mean - truth, axis=1)
-    apart = np.linalg.norm(one.mean - other.mean, axis=1)
+    apart = np.linalg.norm(first.mean - second.mean, axis=1)
     moving = slice(1, None)
     ratio = GRID / sd[moving, None]
     laws = [
@@ -120,7 +120,7 @@ def compared(number: int, method: str) -> Iterator[RobotRow]:
     ]
     columns = [
         error[moving], sd[moving], laws[0], laws[1], exact_error[moving], exact.sd[moving],
-        laws[2], one.sd[moving], other.sd[moving], apart[moving],
+        laws[2], first.sd[moving], second.sd[moving], apart[moving],
     ]  # fmt: skip
     for robot, values in enumerate(np.array(columns).T.tolist(), start=1):
         yield RobotRow._make([number, case.kind, robot, *values, method_s, exact_s])
@@ -136,9 +136,9 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     def mean_square(column: str) -> Reals:
         return by_log(table[column].to_numpy(np.float64) ** 2)
 
-    def of_ratio(one: Reals, other: Reals, form: Callable[[float], float] = float) -> str:
-        low, high = interval(one, other)
-        return _text(form(one.sum() / other.sum()), form(low), form(high))
+    def of_ratio(upper: Reals, lower: Reals, form: Callable[[float], float] = float) -> str:
+        low, high = interval(upper, lower)
+        return _text(form(upper.sum() / lower.sum()), form(low), form(high))
 
     ratio = (table["sd_R"] / table["exact_sd_R"]).to_numpy(np.float64)
     of_log = pd.Series(ratio).groupby(table["number"].to_numpy()).median().to_numpy(np.float64)

@@ -36,14 +36,14 @@ def test_a_robot_on_one_contact_is_on_a_shell():
     log = _one_dock(2, contacts=[[0, 0, 1, 0]])
     variance = _length_variance()
 
-    found = posterior(log, seed=0, particles=2_000, levels=30)
+    drawn = posterior(log, seed=0, particles=2_000, levels=30)
 
     # Moments of r^2 N(r; 2, s^2) over r in closed form: a shell has more room outside.
     fourth = 2.0**4 + 6.0 * 2.0**2 * variance + 3.0 * variance**2
     square = fourth / (2.0**2 + variance)
-    assert found.sd[1] == pytest.approx(np.sqrt(square), rel=0.02)
+    assert drawn.sd[1] == pytest.approx(np.sqrt(square), rel=0.02)
     # Four standard deviations of a mean of 2,000 draws.
-    assert_allclose(found.mean[1], 0.0, atol=4.0 * 2.0 / np.sqrt(3.0 * 2_000))
+    assert_allclose(drawn.mean[1], 0.0, atol=4.0 * 2.0 / np.sqrt(3.0 * 2_000))
 
 
 def test_a_height_weighs_directions():
@@ -52,16 +52,16 @@ def test_a_height_weighs_directions():
     fix = [1, 0.0, 0.0, 1.0, height, sd, -1]
     log = _one_dock(2, contacts=[[0, 0, 1, 0]], fixes=np.array([fix]))
 
-    found = posterior(log, seed=1, particles=2_000, levels=30)
+    drawn = posterior(log, seed=1, particles=2_000, levels=30)
 
     # By quadrature over a shell without width, which s = 0.06 R changes by (s / 2)^2.
     z = np.linspace(-2.0, 2.0, 4_001)
     density = np.exp(-0.5 * ((z - height) / sd) ** 2)
     density /= density.sum()
     mean = float(density @ z)
-    assert found.mean[1, 2] == pytest.approx(mean, abs=0.05)
+    assert drawn.mean[1, 2] == pytest.approx(mean, abs=0.05)
     square = float(density @ (4.0 - z**2)) + float(density @ (z - mean) ** 2)
-    assert found.sd[1] == pytest.approx(np.sqrt(square), rel=0.03)
+    assert drawn.sd[1] == pytest.approx(np.sqrt(square), rel=0.03)
 
 
 @pytest.fixture(scope="module")
@@ -112,11 +112,11 @@ def test_a_ring_of_three_is_as_brute_force_says(ring):
     mean, sd, effective = _by_force(ring, 400_000, seed=5)
     assert effective > 1_000.0
 
-    found = posterior(ring, seed=2, particles=1_000)
+    drawn = posterior(ring, seed=2, particles=1_000)
 
     # Four standard deviations of means of 1,000 draws, which are related, are 0.2 sd.
-    assert_allclose(found.mean, mean, atol=0.2 * sd.max())
-    assert_allclose(found.sd[1:], sd[1:], rtol=0.1)
+    assert_allclose(drawn.mean, mean, atol=0.2 * sd.max())
+    assert_allclose(drawn.sd[1:], sd[1:], rtol=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -194,19 +194,19 @@ def test_the_better_half_has_twice_as_many_structures():
     candidates = list_candidates(base, patience, None)
     goal = Goal(name="height_R", larger=True)
 
-    found = search(base, candidates, "growth", [goal], seeds=8, threads=None, progress=Progress())
+    result = search(base, candidates, "growth", [goal], seeds=8, threads=None, progress=Progress())
 
-    assert sorted(found.structures) == [2, 2, 4, 8]
-    best = found.order[0]
-    assert found.structures[best] == 8
-    assert found.front.tolist() == [number == best for number in range(4)]
+    assert sorted(result.structures) == [2, 2, 4, 8]
+    best = result.order[0]
+    assert result.structures[best] == 8
+    assert result.front.tolist() == [number == best for number in range(4)]
     heights = tiswarm.grow(
         {"kind": "tower", "climb": {"patience": int(best) + 1}},
         robots=6,
         seeds=range(FIRST_SEED, FIRST_SEED + 8),
         quiet=True,
     ).height
-    assert found.results["height_R"][best] == pytest.approx(heights.mean())
+    assert result.results["height_R"][best] == pytest.approx(heights.mean())
 
 
 def test_prices_are_those_of_a_table_and_of_yaml(tmp_path):

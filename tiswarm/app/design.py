@@ -35,7 +35,7 @@ from tiswarm.study.design.search import (
     FIRST_FRESH_SEED,
     FIRST_SEED,
     MOST_SEEDS,
-    Found,
+    SearchResult,
     require_results,
     search,
 )
@@ -154,12 +154,14 @@ def design(
         outputs.check({"out": [out / name for name in FILES]})
     candidates = list_candidates(base, vary, prices)
     progress = ConsoleProgress(quiet=quiet)
-    found = search(base, candidates, part, wanted, seeds=count, threads=threads, progress=progress)
-    _require_reached(candidates, wanted, found)
+    search_result = search(
+        base, candidates, part, wanted, seeds=count, threads=threads, progress=progress
+    )
+    _require_reached(candidates, wanted, search_result)
     objectives = [goal.name for goal in wanted]
     if prices is not None:
         objectives = [PRICE, *(name for name in objectives if name != PRICE)]
-    numbers = choose(found, len(objectives))
+    numbers = choose(search_result, len(objectives))
     studies = [
         study_of(candidates[number], place, first_seed=FIRST_FRESH_SEED, count=fresh)
         for place, number in enumerate(numbers, start=1)
@@ -171,7 +173,7 @@ def design(
             studies, wanted, parent=parent, progress=progress, arch=arch, threads=threads
         ).set_index(pd.Index(numbers))
     result = Design(
-        table=_tabulate(candidates, wanted, found, verified, priced=prices is not None),
+        table=_tabulate(candidates, wanted, search_result, verified, priced=prices is not None),
         scenario=to_plain(studies[0]),
         goals=tuple(map(str, wanted)),
         note=_note(part, count, fresh),
@@ -192,20 +194,24 @@ def _note(part: str, seeds: int, fresh: int) -> str:
     return f"{how} on {counted(seeds, 'structure')} ({searched}), found on {fresh} fresh ({run})"
 
 
-def _require_reached(candidates: Sequence[Candidate], goals: Sequence[Goal], found: Found) -> None:
+def _require_reached(
+    candidates: Sequence[Candidate], goals: Sequence[Goal], search_result: SearchResult
+) -> None:
     """Refuse goals that no candidate reaches, and name the best that one has.
 
     Raises:
         InputError: no candidate reaches all goals.
     """
-    if found.reaches.any():
+    if search_result.reaches.any():
         return
-    full = found.structures == found.structures.max()
-    reached = np.sum([goal.is_reached(found.results[goal.name]) for goal in goals], axis=0)
+    full = search_result.structures == search_result.structures.max()
+    reached = np.sum([goal.is_reached(search_result.results[goal.name]) for goal in goals], axis=0)
     bounded = [goal for goal in goals if not np.isnan(goal.bound)]
-    costs = [goal.cost(found.results[goal.name]) for goal in bounded]
+    costs = [goal.cost(search_result.results[goal.name]) for goal in bounded]
     number = int(np.lexsort([*costs[::-1], -reached, ~full])[0])
-    best = " and ".join(f"{goal.name} {found.results[goal.name][number]:.3g}" for goal in goals)
+    best = " and ".join(
+        f"{goal.name} {search_result.results[goal.name][number]:.3g}" for goal in goals
+    )
     values = ", ".join(f"{key}={shown(value)}" for key, value in candidates[number].point.items())
     problem = (
         f"no candidate of {len(candidates)} reaches {' and '.join(map(str, goals))}; the best has "
@@ -217,7 +223,7 @@ def _require_reached(candidates: Sequence[Candidate], goals: Sequence[Goal], fou
 def _tabulate(
     candidates: Sequence[Candidate],
     goals: Sequence[Goal],
-    found: Found,
+    search_result: SearchResult,
     verified: pd.DataFrame,
     *,
     priced: bool,
@@ -228,13 +234,13 @@ def _tabulate(
         {key: [_cell(candidate.point[key]) for candidate in candidates] for key in keys}
     )
     if priced:
-        table[PRICE] = found.results[PRICE]
+        table[PRICE] = search_result.results[PRICE]
     names = [goal.name for goal in goals if goal.name != PRICE]
     for name in names:
-        table[f"predicted_{name}"] = found.results[name]
-    table["structures"] = found.structures
-    table["reaches"] = found.reaches
-    table["front"] = found.front
+        table[f"predicted_{name}"] = search_result.results[name]
+    table["structures"] = search_result.structures
+    table["reaches"] = search_result.reaches
+    table["front"] = search_result.front
     reached = [
         goal.is_reached(verified[f"found_{goal.name}"].to_numpy())
         for goal in goals
@@ -242,7 +248,7 @@ def _tabulate(
     ]
     # A goal of the price alone needs no run to be reached.
     on_fresh = verified.assign(found_reaches=np.all(reached, axis=0) if reached else True)
-    return table.join(on_fresh).loc[found.order].reset_index(drop=True)
+    return table.join(on_fresh).loc[search_result.order].reset_index(drop=True)
 
 
 def _cell(value: object) -> object:

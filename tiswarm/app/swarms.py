@@ -753,9 +753,9 @@ def open_swarms(path: Path) -> Swarms:
     try:
         scenario = load_scenario(stated)
     except InputError as error:
-        # Here nobody has an option of the command.
-        here = "import its file first, or name it in plugins=[...]"
-        problem = error.problem.replace("(--plugin FILE)", f"({here})")
+        # A call has no option of the command.
+        remedy = "import its file first, or name it in plugins=[...]"
+        problem = error.problem.replace("(--plugin FILE)", f"({remedy})")
         raise InputError(problem, path=path, key=error.key) from error
     by_structure: dict[str, dict[str, NDArray[Any]]] = {}
     for name, values in arrays.items():

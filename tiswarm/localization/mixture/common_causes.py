@@ -140,10 +140,10 @@ def _causes(
         if cause is None:
             continue
         alike = [
-            other.described(posed.log)
-            for other in fitted
-            if other.parameter is not cause.parameter
-            and other.cost - candidate.cost <= COMMON_CAUSES.as_likely
+            rival.described(posed.log)
+            for rival in fitted
+            if rival.parameter is not cause.parameter
+            and rival.cost - candidate.cost <= COMMON_CAUSES.as_likely
         ]
         return (cause.described(posed.log), *alike)
     return ()

@@ -41,7 +41,7 @@ _FIRST_SEEDS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class SearchResult:
     """What a search found of n candidates."""
 
     results: Mapping[str, Reals]
@@ -100,7 +100,7 @@ def search(
     seeds: int,
     threads: int | None,
     progress: Progress,
-) -> Found:
+) -> SearchResult:
     """Predict or grow the results of candidates, and order them.
 
     Args:
@@ -286,7 +286,7 @@ def _judged(
     goals: Sequence[Goal],
     results: Mapping[str, Reals],
     structures: AnyInts,
-) -> Found:
+) -> SearchResult:
     """Judge the results of candidates; those that were tried on fewer structures come last."""
     results = {**results, PRICE: np.array([candidate.price for candidate in candidates])}
     reaches = np.all([goal.is_reached(results[goal.name]) for goal in goals], axis=0)
@@ -295,7 +295,9 @@ def _judged(
     front = np.zeros(len(candidates), np.bool_)
     front[reaches] = on_front(cost[reaches])
     order = np.lexsort([*cost.T[::-1], ~reaches, -structures])
-    return Found(results=results, structures=structures, reaches=reaches, front=front, order=order)
+    return SearchResult(
+        results=results, structures=structures, reaches=reaches, front=front, order=order
+    )
 
 
 def _better_half(goals: Sequence[Goal], results: Mapping[str, Reals]) -> AnyInts:

@@ -14,25 +14,25 @@ from tiswarm.records.measures import RMSE
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.design.candidates import PRICE
 from tiswarm.study.design.goals import Goal
-from tiswarm.study.design.search import Found
+from tiswarm.study.design.search import SearchResult
 from tiswarm.study.run import run
 
 MOST_RUN = 8
 """Most candidates that are run."""
 
 
-def choose(found: Found, objectives: int) -> list[int]:
+def choose(result: SearchResult, objectives: int) -> list[int]:
     """Choose the candidates to run, the best first.
 
     Of several objectives it is the front, and of a long front every so many. Of one objective it
     is the best candidates that reach the goal.
 
     Args:
-        found: What the search found.
+        result: What the search found.
         objectives: Number of goals, and of prices.
     """
-    wanted = found.front if objectives > 1 else found.reaches
-    ordered = [int(number) for number in found.order if wanted[number]]
+    wanted = result.front if objectives > 1 else result.reaches
+    ordered = [int(number) for number in result.order if wanted[number]]
     if objectives == 1 or len(ordered) <= MOST_RUN:
         return ordered[:MOST_RUN]
     places = np.linspace(0, len(ordered) - 1, MOST_RUN).round().astype(int)
