@@ -25,8 +25,16 @@ def draw_front(table: pd.DataFrame, objectives: Sequence[str]) -> "Figure":
     across, up = objectives[:2]
     panels = Panels(_HEIGHT, 1, 1)
     axes = panels.first
-    x, y = (_column(table, name, "predicted") for name in (across, up))
-    axes.plot(x, y, label="candidates", alpha=0.4, **dot_style(6, 2.5))
+    # A search gives up candidates on few structures: their results are less certain than others.
+    is_complete = table["structures"] == table["structures"].max()
+    for chosen, label, alpha in (
+        (is_complete, "candidates", 1.0),
+        (~is_complete, "given up on fewer structures", 0.3),
+    ):
+        if chosen.any():
+            x, y = (_column(table[chosen], name, "predicted") for name in (across, up))
+            axes.plot(x, y, label=label, alpha=alpha, **dot_style(6, 2.5))
+    x = _column(table, across, "predicted")
     front = table[table["front"]].iloc[x[table["front"]].argsort(kind="stable")]
     x, y = (_column(front, name, "predicted") for name in (across, up))
     axes.plot(x, y, label="front, as predicted", **line_style(0))
@@ -50,4 +58,5 @@ def _label(name: str) -> str:
     if name not in MEASURES:
         return name
     measure = MEASURES[name]
-    return measure.axis if measure.label else f"{name} [{measure.unit}]"
+    unit = measure.unit.replace("^2", "²")
+    return measure.axis if measure.label else f"{name.replace('_', ' ')} [{unit}]"
