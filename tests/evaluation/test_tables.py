@@ -269,6 +269,18 @@ def test_what_does_not_match_is_refused(tmp_path, robots, unit, problem):
         score_files(tmp_path / "truth.csv", path)
 
 
+def test_exchanged_tables_are_refused(tmp_path):
+    """Errors would be the same, and the picture would lie beside the truth."""
+    truth = tmp_path / "truth.csv"
+    estimate = tmp_path / "estimate.csv"
+    write_positions(truth, np.arange(6), SHAPE)
+    write_positions(estimate, np.arange(6), SHAPE, {"sd_R": [0.1] * 6})
+
+    assert score_files(truth, estimate)["RMSE"] == 0.0
+    with pytest.raises(InputError, match=r"estimate.csv:1: sd_R is a column of an estimate"):
+        score_files(estimate, truth)
+
+
 def test_a_table_without_a_unit_is_refused(tmp_path):
     """The message shows what the columns should be."""
     (tmp_path / "truth.csv").write_text("robot,x,y,z\n0,0,0,0\n")

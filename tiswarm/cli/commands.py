@@ -452,7 +452,7 @@ def score(
     """
     from tiswarm import api
 
-    figure = out or estimate.with_name(f"{estimate.name.partition('.')[0]}-score.png")
+    figure = out or estimate.with_name(f"{estimate.name.removesuffix('.csv')}-score.png")
     typer.echo(api.score(truth, estimate, out=figure, overwrite=overwrite, quiet=quiet))
 
 

@@ -497,15 +497,20 @@ def score_files(truth: Path, estimate: Path | Estimate) -> Scores:
     Robots that left do not count.
 
     Raises:
-        InputError: if a table is malformed, or the estimate has another unit or other robots.
+        InputError: if a table is malformed, the estimate has another unit or other robots, or the
+            truth has an sd that the estimate lacks, as where the two are exchanged.
     """
     unit = read_length_unit(truth)
-    names, true, _ = read_positions(truth, unit)
+    names, true, columns_of_truth = read_positions(truth, unit)
     further: Mapping[str, object]
     path = None
     if isinstance(estimate, Path):
         path = estimate
         estimated_names, estimated, further = read_positions(estimate, unit)
+        sd = f"sd_{unit}"
+        if sd in columns_of_truth and sd not in further:
+            problem = f"{sd} is a column of an estimate; give the table of true positions first"
+            raise InputError(problem, path=truth, line=1)
     else:
         estimated_names = estimate.robot_id
         estimated = estimate.position
