@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import jupytext
 from sphinx.application import Sphinx
 
 import tiswarm
@@ -21,6 +22,12 @@ IN_ROOT = {"index": "README.md"}
 
 EXAMPLE = {"seeds": 1, "robots": 60}
 """Settings of the run whose page the site shows."""
+
+NOTEBOOKS = ROOT / "docs" / "notebooks"
+DOWNLOAD = (
+    '<p><a href="{name}.ipynb" download>Download this page as a notebook</a> for Jupyter. Run it '
+    "in the root of the repository.</p>"
+)
 
 CELL = re.compile(r"^```python\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
 """A cell of a notebook."""
@@ -49,7 +56,9 @@ def read_page(_app: Sphinx, page: str, source: list[str]) -> None:
         text = text.replace("](../docs/", "](")
         source[0] = (text.replace("\n## ", f"{first}\n## ", 1) if first else text) + last
     if page.startswith("notebooks/"):
-        source[0] = add_outputs(source[0])
+        download = DOWNLOAD.format(name=Path(page).name)
+        titled = re.sub(r"^# .*\n", rf"\g<0>\n{download}\n", source[0], count=1, flags=re.MULTILINE)
+        source[0] = add_outputs(titled)
     for target, name in IN_ROOT.items():
         source[0] = re.sub(rf"\]\((\.\./)*{name}", f"](/{target}.md", source[0])
     # Other pages of the root go along as files.
@@ -100,7 +109,17 @@ def add_example(app: Sphinx, failed: Exception | None) -> None:
         shutil.copyfile(run.view(quiet=True), Path(app.outdir) / "example.html")
 
 
+def add_notebooks(app: Sphinx, failed: Exception | None) -> None:
+    """Write each notebook in the format of Jupyter beside its page."""
+    if failed or app.builder.name != "html":
+        return
+    for page in NOTEBOOKS.glob("*.md"):
+        notebook = Path(app.outdir) / "notebooks" / f"{page.stem}.ipynb"
+        jupytext.write(jupytext.read(page), notebook)
+
+
 def setup(app: Sphinx) -> None:
-    """Read pages and add an example as above."""
+    """Read pages, and add an example and notebooks as above."""
     app.connect("source-read", read_page)
     app.connect("build-finished", add_example)
+    app.connect("build-finished", add_notebooks)

@@ -97,6 +97,7 @@ def test_the_citation_names_this_version():
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
 
     assert citation["version"] == tiswarm.__version__
+    assert f"version = {{{tiswarm.__version__}}}" in (REPOSITORY / "README.md").read_text()
     assert citation["license"] == PROJECT["license"]
     assert {"cff-version", "message", "title", "authors"} <= citation.keys()
 
@@ -216,16 +217,36 @@ def test_no_file_names_a_registry_or_a_home():
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> Path:
-    """Build the wheel from a copy, so that leftovers of earlier builds are not in it."""
-    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+def source(tmp_path_factory) -> Path:
+    """Copy what a distribution is built from, so that leftovers of earlier builds are not in it."""
+    source = tmp_path_factory.mktemp("source")
     for name in ("tiswarm", "scenarios"):
-        left = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(REPOSITORY / name, source / name, symlinks=True, ignore=left)
+        leftovers = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(REPOSITORY / name, source / name, symlinks=True, ignore=leftovers)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(REPOSITORY / name, source / name)
+    return source
+
+
+@pytest.fixture(scope="module")
+def wheel(source, tmp_path_factory) -> Path:
+    """Build the wheel."""
+    return _wheel_of(source, tmp_path_factory.mktemp("wheel"))
+
+
+def _wheel_of(source: Path, out: Path) -> Path:
     _pip("wheel", source, "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", out)
     return next(out.iterdir())
+
+
+def _content(wheel: Path) -> dict[str, int]:
+    """List the files of a wheel with their checksums, without its own list of them."""
+    with zipfile.ZipFile(wheel) as archive:
+        return {
+            entry.filename: entry.CRC
+            for entry in archive.infolist()
+            if not entry.filename.endswith("/RECORD")
+        }
 
 
 def _pip(*arguments: object) -> None:
@@ -327,25 +348,52 @@ def test_the_wheel_works_without_the_checkout(wheel, tmp_path):
     names = [line.split()[0] for line in listed.stdout.splitlines()]
     assert names == sorted(path.stem for path in (REPOSITORY / "scenarios").glob("*.yaml"))
     assert planned.returncode == 0, planned.stderr
-    with zipfile.ZipFile(wheel) as content:
-        held = {name for name in content.namelist() if "/templates/" in name}
+    held = {name for name in _content(wheel) if "/templates/" in name}
     assert held == {
         f"tiswarm/report/templates/{path.name}"
         for path in (REPOSITORY / "tiswarm" / "report" / "templates").iterdir()
     }
 
 
+@pytest.mark.trial
+def test_a_source_distribution_builds_the_same_wheel(source, wheel, tmp_path):
+    """Packagers build from it; it has the files that the checkout only links to."""
+    build = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
+    subprocess.run(
+        [sys.executable, "-c", build, str(tmp_path)], check=True, cwd=source, capture_output=True
+    )
+    [distribution] = tmp_path.glob("tiswarm-*.tar.gz")
+
+    built = _wheel_of(distribution, tmp_path / "wheel")
+
+    assert _content(built) == _content(wheel)
+
+
 @pytest.mark.slow
-def test_the_wheel_installs_with_its_dependencies(wheel, tmp_path):
+@pytest.mark.parametrize("installer", ["pip", "pipx", "uvx"])
+def test_the_wheel_installs_with_its_dependencies(wheel, tmp_path, installer):
     """A new environment gets what is pinned, and a small run draws its page."""
     venv.create(tmp_path / "env", with_pip=True)
     python = tmp_path / "env" / "bin" / "python"
-    _pip("--python", python, "install", "--constraint", REPOSITORY / "constraints.txt", wheel)
+    pins = REPOSITORY / "constraints.txt"
+    command = [python.with_name("tiswarm")]
+    if installer == "pip":
+        _pip("--python", python, "install", "--constraint", pins, wheel)
+    elif installer == "pipx":
+        _pip("--python", python, "install", "pipx")
+        command = [python.with_name("pipx"), "run", f"--pip-args=--constraint={pins}"]
+        command += ["--spec", wheel, "tiswarm"]
+    else:
+        _pip("--python", python, "install", "uv")
+        command = [python.with_name("uvx"), "--constraints", pins, "--from", wheel, "tiswarm"]
 
-    done = _run(python, "run", "tower", "--set", "robots=10", "--set", "seeds=1")
+    done = subprocess.run(
+        [*command, "run", "tower", "--set", "robots=10", "--set", "seeds=1"],
+        check=False, cwd=tmp_path, capture_output=True, text=True,
+    )  # fmt: skip
 
     assert done.returncode == 0, done.stderr
-    assert list((tmp_path / "env").glob("reports/tower-*/report.html"))
+    assert list(tmp_path.glob("reports/tower-*/report.html"))
 
 
 def test_the_workflow_runs_the_check_on_every_python():

@@ -1,5 +1,6 @@
 """The site can be built, has every call, and its notebooks and Python examples run."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -54,6 +55,12 @@ def test_the_site_can_be_built(tmp_path):
     assert "<iframe srcdoc=" in grow  # the page of a log, within the page
     assert "data:image/png;base64" in study
     assert "<td>no-heights</td>" in study
+    for page in NOTEBOOKS:
+        notebook = json.loads((tmp_path / f"site/notebooks/{page.stem}.ipynb").read_text())
+        cells = ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
+        assert cells == [cell.strip() for cell in PYTHON.findall(page.read_text())]
+        shown = (tmp_path / f"site/notebooks/{page.stem}.html").read_text()
+        assert f'href="{page.stem}.ipynb"' in shown
 
 
 def test_pictures_fit_a_dark_page():
