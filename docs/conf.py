@@ -39,6 +39,7 @@ autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
 autodoc_typehints_format = "short"
 myst_heading_anchors = 3
+exclude_patterns = ["joss"]  # for a journal, not for readers of the site
 html_theme = "furo"
 html_static_path, html_css_files = ["static"], ["site.css"]
 html_title = f"tiswarm {version}"

@@ -82,7 +82,18 @@ def test_the_list_of_pages_is_complete():
     pages = {
         str(page.relative_to(docs)) for page in docs.rglob("*.md") if "notes/" not in str(page)
     }
-    assert pages - listed == {"index.md"}
+    assert pages - listed == {"index.md", "joss/paper.md"}
+
+
+def test_the_paper_cites_what_it_lists():
+    """The draft for a journal has an entry for each citation, and no other entry."""
+    draft = REPOSITORY / "docs" / "joss"
+    text = (draft / "paper.md").read_text().partition("bibliography:")[2]
+    cited = set(re.findall(r"@(\w+)", text))
+
+    assert cited == set(
+        re.findall(r"^@\w+\{(\w+),", (draft / "paper.bib").read_text(), re.MULTILINE)
+    )
 
 
 def test_rows_of_tables_have_the_cells_of_their_header():
