@@ -489,7 +489,7 @@ def score(
 def compare(
     *runs: Run | File, out: File = "reports/comparison", overwrite: bool = False
 ) -> "Comparison":
-    """Compare runs in two tables and a figure.
+    """Compare runs in tables, a figure and a page of all cases.
 
     Args:
         runs: Two or more runs, or their folders.
@@ -497,7 +497,8 @@ def compare(
         overwrite: Whether to replace files that exist.
 
     Returns:
-        A comparison, with data frames `table` and `paired` and a `figure`, which prints its table.
+        A comparison, with data frames `table` and `paired`, a `figure` and a `page`, which prints
+        its table.
 
     Raises:
         InputError: there are fewer than two different runs, one has no results, or an output

@@ -6,11 +6,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.browser import probe
 from tests.runs import REPOSITORY
 from tiswarm.app.comparison import compare
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.report import figure_style
+from tiswarm.report.cases_page import cases_page
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import run
 
@@ -72,8 +74,85 @@ def test_labels_stand_where_keys_would(small_run, other_run, tmp_path):
     found = compare([other_run, folder], tmp_path / "both")
 
     rows = [line.split()[1:4] for line in str(found).splitlines()]
-    assert rows[-3:-1] == [["without", "heights", "one"], ["without", "heights", "two"]]
+    assert rows[-4:-2] == [["without", "heights", "one"], ["without", "heights", "two"]]
     assert pd.read_csv(tmp_path / "both" / "comparison.csv")["condition"].iloc[-1] == "no-z"
+
+
+def test_the_page_has_all_cases_of_all_runs(small_run, other_run, both):
+    """`cases.csv` has each case once, with its run and all numbers of its summary."""
+    cases = pd.read_csv(both / "cases.csv")
+
+    for folder in (small_run, other_run):
+        summary = pd.read_csv(folder / "summary.csv")
+        rows = cases[cases["run"] == folder.name].reset_index(drop=True)
+        pd.testing.assert_series_equal(rows["rmse_R"], summary["rmse_R"])
+        assert rows["case"].tolist() == summary["case"].tolist()
+
+
+SUMMARY = "case,seed,series,condition,point,kind,status,reason,rmse_R"
+
+SELECTION = """
+const numbers = (id) => [...document.querySelectorAll(id)].length;
+const shown = () => ({
+  dots: numbers("#chart circle"), rows: numbers("tbody tr"),
+  first: document.querySelector("tbody tr")?.textContent,
+  matches: document.getElementById("matches").textContent,
+  x: document.getElementById("x").value, hash: location.hash,
+});
+const change = (id, value, kind) => {
+  const control = document.getElementById(id);
+  control.value = value;
+  control.dispatchEvent(new Event(kind));
+};
+found.all = shown();
+change("rows", "no-z-no", "input");
+found.filtered = shown();
+change("y", "height_R", "change");
+const buttons = () => [...document.querySelectorAll("th button")];
+for (const _ of "12") buttons().find(({ textContent }) => textContent === "RMSE [R]").click();
+found.sorted = shown();
+document.querySelector("#chart circle").dispatchEvent(new MouseEvent("click", { bubbles: true }));
+found.chosen = numbers("tr.chosen");
+change("rows", "", "input");
+location.hash = "#x=seed&rows=other";
+dispatchEvent(new Event("hashchange"));
+found.linked = shown();
+document.body.dataset.found = JSON.stringify(found);
+"""
+
+
+@pytest.mark.trial
+def test_a_reader_plots_sorts_and_selects_cases(both, tmp_path):
+    """The address has the selection, and a link with a selection shows it."""
+    cases = pd.read_csv(both / "cases.csv")
+    page = (both / "comparison.html").read_text()
+
+    found = probe(page, SELECTION, tmp_path)
+
+    assert found["troubles"] == []
+    assert found["all"]["dots"] == found["all"]["rows"] == len(cases)
+    of_condition = cases[cases["condition"] == "no-z-no-undock"]
+    assert found["filtered"]["dots"] == found["filtered"]["rows"] == len(of_condition)
+    assert found["filtered"]["matches"] == f"{len(of_condition)} of {len(cases)}"
+    assert "y=height_R" in found["sorted"]["hash"]
+    assert "rows=no-z-no" in found["sorted"]["hash"]
+    assert "sort=-rmse_R" in found["sorted"]["hash"]
+    greatest = of_condition.loc[of_condition["rmse_R"].idxmax()]
+    assert greatest["run"] in found["sorted"]["first"]
+    assert f"{greatest['rmse_R']:.4g}" in found["sorted"]["first"]
+    assert found["chosen"] == 1
+    assert found["linked"]["x"] == "seed"
+    assert found["linked"]["rows"] == cases["run"].str.contains("other").sum()
+
+
+def test_texts_of_others_are_no_code_of_the_page(tmp_path):
+    """Names of runs and conditions are data of the page, and nothing that it runs."""
+    cases = pd.DataFrame({"run": ["</script><script>boom()</script>"], "rmse_R": [1.0]})
+
+    page = cases_page("<b>Runs</b>", cases, ["run"], file="cases.csv")
+
+    assert "boom()</script>" not in page
+    assert "<b>" not in page
 
 
 def test_comparing_needs_two_runs(small_run, tmp_path):
@@ -109,6 +188,8 @@ def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
         (tmp_path / name).mkdir()
         table = f"{first},{measured}\n{row},2,1,0.1,0.1,0.1\n"
         (tmp_path / name / "table.csv").write_text(table)
+        case = f"{SUMMARY}\n0-a,0,a,a,,tower,done,,1\n"
+        (tmp_path / name / "summary.csv").write_text(case)
 
     found = compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
 

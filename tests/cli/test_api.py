@@ -323,8 +323,9 @@ def test_a_comparison_prints_its_table(run, tmp_path):
     printed = str(found).splitlines()
     assert printed[0].split()[:2] == ["run", "condition"]
     assert sum(run.folder.name in line for line in printed) == len(run.table)
-    assert max(map(len, printed[:-1])) < 100
-    assert "comparison.csv" in printed[-1]
+    assert max(map(len, printed[:-2])) < 100
+    assert "comparison.csv" in printed[-2]
+    assert printed[-1] == f"open {found.page}"
     assert found._repr_html_().count("<tr") == 1 + len(found.table)
 
 

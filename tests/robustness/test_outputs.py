@@ -47,7 +47,7 @@ FOLDERS = {
     ),
     "compare": (
         ["compare", "run", "other", "--out"],
-        {"comparison.csv", "paired.csv", "comparison.png"},
+        {"comparison.csv", "paired.csv", "comparison.png", "cases.csv", "comparison.html"},
     ),
 }  # fmt: skip
 """By name: a command that lacks the name of a folder, and files that it writes there."""

@@ -1,4 +1,4 @@
-"""Comparison of runs, on the structures that they share: two tables and a figure."""
+"""Comparison of runs: tables, a figure, and a page of all cases."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,9 @@ from tiswarm.records.messages import shown
 from tiswarm.records.outputs import NEW, Outputs
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import figure_style, table_figures
+from tiswarm.report.cases_page import cases_page
 from tiswarm.report.figure_style import Panels, marker_style
-from tiswarm.report.run_data import joined_words, read_labels, swept_columns, with_points
+from tiswarm.report.run_data import joined_words, load_run, read_labels, swept_columns, with_points
 from tiswarm.study import tables
 from tiswarm.study.store import CaseRecord, RunFolder
 
@@ -32,7 +33,21 @@ _ERRORS = [RMSE.mean, RMSE.ci95, DISPARITY.mean]
 _COMPARED = ["run", "series", "against_run", "against_series", "measure"]
 
 
-FILES = ("comparison.csv", "paired.csv", "comparison.png")
+_CASE_WORDS = [
+    "run",
+    "point",
+    "condition",
+    "kind",
+    "method",
+    "measurements",
+    "case",
+    "status",
+    "distrust",
+    "reason",
+]
+"""Columns of words of `cases.csv`, which come first."""
+
+FILES = ("comparison.csv", "paired.csv", "comparison.png", "cases.csv", "comparison.html")
 """Files of a comparison."""
 
 
@@ -55,14 +70,20 @@ class Comparison:
         return self._frame("paired")
 
     @property
+    def page(self) -> Path:
+        """Page of all cases, which readers plot, sort and select by any column."""
+        return self.folder / "comparison.html"
+
+    @property
     def figure(self) -> Picture:
         """Errors of all runs."""
         return Picture(self.folder / "comparison.png")
 
     def __str__(self) -> str:
         """Write the results of each run by condition, and name the files."""
-        files = f"comparison.csv, paired.csv and comparison.png in {self.folder}"
-        return f"{self._short().to_string(index=False, na_rep='')}\n{files}"
+        files = f"comparison.csv, paired.csv, cases.csv and comparison.png in {self.folder}"
+        page = f"open {self.page}"
+        return f"{self._short().to_string(index=False, na_rep='')}\n{files}\n{page}"
 
     def _repr_html_(self) -> str:
         return self._short().to_html(index=False, na_rep="")
@@ -76,10 +97,11 @@ class Comparison:
 
 
 def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparison:
-    """Write `comparison.csv`, all rows of the runs' `table.csv`, `paired.csv` and a figure.
+    """Write `comparison.csv`, all rows of the runs' `table.csv`, `paired.csv`, figure and page.
 
     `paired.csv` has differences on the structures that two runs share: those with the same true
     positions to the last bit; names of scenarios do not matter. The figure is `comparison.png`.
+    `cases.csv` has all cases, and `comparison.html` is the page of these.
 
     Raises:
         InputError: fewer than two different runs are given, a folder has no `table.csv`, or a table
@@ -111,6 +133,7 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
         if is_of_two_runs and not before.index.intersection(after.index).empty:
             pair = dict(zip(_COMPARED, (*second_key, *first_key), strict=False))
             rows += tables.differences(pair, before, after)
+    cases = _cases(runs, names)
     make_folder(out)
     columns = [*first, *stacked.columns.difference(first, sort=False)]
     write_frame(stacked[columns], out / "comparison.csv", opened=outputs.opened)
@@ -119,7 +142,21 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
     comparison = Comparison(out, _stacked(labeled))
     with style.context(["default", figure_style.STYLE]):
         outputs.write(out / FILES[2], figure_style.png(draw_rows(comparison.shown)))
+    write_frame(cases, out / "cases.csv", opened=outputs.opened)
+    page = cases_page(f"Comparison of {len(runs)} runs", cases, _CASE_WORDS, file="cases.csv")
+    outputs.write(comparison.page, page.encode())
     return comparison
+
+
+def _cases(runs: Sequence[Path], names: Sequence[str]) -> pd.DataFrame:
+    """Put the cases of all runs below each other, with labels in place of keys."""
+    parts = [
+        load_run(run).summary.drop(columns="series").assign(run=name)
+        for run, name in zip(runs, names, strict=True)
+    ]
+    cases = pd.concat(parts, ignore_index=True)
+    words = [name for name in _CASE_WORDS if name in cases]
+    return cases[[*words, *cases.columns.difference(words, sort=False)]]
 
 
 def _stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:

@@ -526,9 +526,10 @@ def compare(
     overwrite: options.Overwrite = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Compare runs in a table and a figure.
+    """Compare runs in a table, a figure and a page of all cases.
 
-    paired.csv has differences on the structures that the runs share.
+    paired.csv has differences on the structures that the runs share. comparison.html plots, sorts
+    and selects cases by any column.
     """
     from tiswarm import api
 
