@@ -3,7 +3,8 @@
 for kind in tower cantilever bridge chain; do tiswarm run scenarios/$kind.yaml --set seeds=1; done
 python -m benchmarks.images reports/tower-* reports/cantilever-* reports/bridge-* reports/chain-*
 
-`python -m benchmarks.images --large` grows a tower of 10,000 robots, and draws picture and film.
+`python -m benchmarks.images --large` grows a tower of 10,000 robots, and draws picture and film. It
+takes some five minutes of processor time.
 `python -m benchmarks.images --grounds reports/terrain-*` draws a structure on each ground alone.
 `python -m benchmarks.images --repair repair.py` draws only the film of robots that leave, with the
 rule of docs/guides/repair.md in that file.
@@ -11,6 +12,7 @@ rule of docs/guides/repair.md in that file.
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +42,7 @@ from tiswarm.report.pictures.pictures import (
     encode_webp,
 )
 from tiswarm.report.pictures.raycast import Pixels, draw_scenes
-from tiswarm.report.pictures.scene import TRUE_SIZE, build_scene
+from tiswarm.report.pictures.scene import TRUE_SIZE, Camera, build_scene
 from tiswarm.report.run_data import RunData, StoredCase, load_run
 from tiswarm.report.swarm_view import DrawnRobots, SwarmView, read_case_view
 
@@ -55,14 +57,21 @@ _BELOW = 64  # rows for its title [pixels]
 _QUALITY = 70
 _ROBOTS, _LEFT_SEED = 100, 0
 """Size and seed of the structure that loses robots."""
-_LARGE = 10_000
 _LARGE_TOWER = {
-    "kind": "tower", "goal_height": 302.0, "movers": 100, "solve_every": 200,
-    "mechanics": {"model": "rigid"},
+    "kind": "tower", "goal_height": 340.0, "force_threshold": 200.0, "climb": {"patience": 64},
+    "movers": 100, "solve_every": 200, "mechanics": {"model": "rigid"},
 }  # fmt: skip
-"""Size and settings of the large structure, those of scenarios/scaling.yaml."""
-_LARGE_FRAME = (2000, 1040)
+"""Settings of the large structure. At the default force threshold it would be a heap."""
+_LARGE_STAGES = (500, 4_500, 10_000)
+"""Robots of the structures in its picture, which begin alike."""
+_LARGE_SEED = 1
+_LARGE_FRAME = (1200, 1000)
 _LARGE_FRAMES = 50
+_LOAD_COLORS = ("#3d2f7a", "#8a2f8f", "#d8456c", "#f98e52", "#fde3a0")
+"""From a small load to the greatest: a glow that stands out on white and on dark pages."""
+_CLOSE = 430  # width of the picture of single robots [pixels]
+_CLOSE_RADIUS = 7.5  # distance within which robots are in it [R]
+_BAR = 100.0  # length of the bar that shows the scale [R]
 
 
 def draw_methods(run: RunData, renderer: str) -> Image.Image:
@@ -107,21 +116,111 @@ def draw_growing(run: RunData, renderer: str) -> bytes:
 
 
 def draw_large(renderer: str) -> tuple[Image.Image, bytes]:
-    """Draw a large structure, transparent around it, and animate its growth as WebP."""
-    [grown] = tiswarm.grow(_LARGE_TOWER, robots=_LARGE)
-    robots = _drawn(grown, colors_along(np.linspace(0.0, 1.0, _LARGE), JOIN_COLORS))
-    joined = np.linspace(1, _LARGE, _LARGE_FRAMES).round().astype(int).tolist()
+    """Draw stages of a large structure colored by load, and animate its growth as WebP."""
+    stages = [
+        tiswarm.grow(_LARGE_TOWER, robots=count, seeds=[_LARGE_SEED])[0] for count in _LARGE_STAGES
+    ]
+    return _draw_stages(stages, renderer), _film(stages[-1], renderer)
+
+
+def _film(grown: Any, renderer: str) -> bytes:  # noqa: ANN401 - one of `Swarms`
+    """Animate the growth of a structure, colored by join order."""
+    last = grown.robot_count
+    robots = _drawn(grown, colors_along(np.linspace(0.0, 1.0, last), JOIN_COLORS))
+    joined = np.linspace(1, last, _LARGE_FRAMES).round().astype(int).tolist()
     drawn, _, _ = draw_states(robots, Terrain(), [*map(np.arange, joined)], _LARGE_FRAME, renderer)
     frames = []
     for count, picture in zip(joined, drawn, strict=True):
         half = (picture.shape[1] // 2, picture.shape[0] // 2)
         small = Image.fromarray(picture).resize(half, Image.Resampling.LANCZOS)
-        legend = Scale(JOIN_COLORS, "join index  0", f"{_LARGE - 1:,}    {count:,} robots")
-        frames.append(add_legend(small, legend))
+        wide = Image.new("RGBA", (max(half[0], _LARGE_FRAME[0] // 3), half[1]), NOTHING)
+        wide.paste(small, ((wide.width - half[0]) // 2, 0))
+        legend = Scale(JOIN_COLORS, "join index  0", f"{last - 1:,}    {count:,} robots")
+        frames.append(add_legend(wide, legend))
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    scene = build_scene(robots, None).within(*_LARGE_FRAME)
-    [picture], _, _ = draw_scenes([scene], renderer)
-    return Image.fromarray(picture), encode_webp(frames, durations, _QUALITY)
+    return encode_webp(frames, durations, _QUALITY)
+
+
+def _draw_stages(stages: Sequence[Any], renderer: str) -> Image.Image:
+    """Draw structures side by side at one scale, with a few robots of the last one enlarged."""
+    loads = [np.nan_to_num(stage.sensed_load) for stage in stages]
+    greatest = max(load.max() for load in loads)
+    colors = [
+        colors_along(np.log(np.maximum(load, 1.0)) / np.log(greatest), _LOAD_COLORS)
+        for load in loads
+    ]
+    robots = [_drawn(stage, color) for stage, color in zip(stages, colors, strict=True)]
+    around = robots[-1].dock.reshape(-1, 3)
+    camera = build_scene(robots[-1], Terrain(), around=around).within(*_LARGE_FRAME).camera
+    scenes = [build_scene(group, Terrain(), around=around).seen_by(camera) for group in robots]
+    enlarged, center = _enlarged(robots[-1], camera)
+    *pictures, close = draw_scenes([*scenes, build_scene(enlarged, None).within(_CLOSE, _CLOSE)],
+                                   renderer)[0]  # fmt: skip
+    height, width, _ = pictures[0].shape
+    whole = Image.new("RGBA", (len(pictures) * width + _CLOSE + 50, height + _BELOW), NOTHING)
+    pen = ImageDraw.Draw(whole)
+    font = ImageFont.load_default(30)
+    for place, picture in enumerate(pictures):
+        whole.paste(Image.fromarray(picture), (place * width, 0))
+        middle = ((place + 0.5) * width, height + _BELOW / 2)
+        pen.text(middle, f"{len(robots[place].center):,} robots", INK, font, anchor="mm")
+    left = len(pictures) * width + 25
+    column, row = camera.frame(center[None])[0]
+    _add_close_up(whole, close, (left, 60), (column + left - 25 - width, row), font)
+    side = around[:, 0].max()
+    ends = np.array([[side, 0.0, 0.0], [side, 0.0, _BAR]])
+    (_, top), (_, bottom) = camera.frame(ends)
+    across = left + 40
+    for y in (top, bottom):
+        pen.line((across - 10, y, across + 10, y), INK, 4)
+    pen.line((across, top, across, bottom), INK, 4)
+    words = f"{_BAR:g} R\nR: radius of a dock"
+    pen.text((across + 20, (top + bottom) / 2), words, INK, font, anchor="lm")
+    low = "sensed load [dock weights, logarithmic]  1 or less"
+    return add_legend(whole, Scale(_LOAD_COLORS, low, f"{greatest:,.0f}"), 1.6)
+
+
+def _enlarged(robots: DrawnRobots, camera: Camera) -> tuple[DrawnRobots, Reals]:
+    """Choose robots in front at half the height; returns them, and the center of one [R]."""
+    height = robots.center[:, 2]
+    right, _, forward = camera.project(robots.center).T
+    is_at_half = np.abs(height / height.max() - 0.5) < 0.04  # noqa: PLR2004 - a narrow band
+    first = np.flatnonzero(is_at_half)[np.argmin((forward + 0.3 * right)[is_at_half])]
+    center: Reals = robots.center[first]
+    is_near = np.linalg.norm(robots.center - center, axis=1) < _CLOSE_RADIUS
+    chosen = replace(
+        robots, center=robots.center[is_near], dock=robots.dock[is_near],
+        color=robots.color[is_near],
+    )  # fmt: skip
+    return chosen, center
+
+
+def _add_close_up(
+    whole: Image.Image,
+    picture: Pixels,
+    corner: tuple[int, int],
+    seen: tuple[float, float],
+    font: Any,  # noqa: ANN401 - one of two kinds of fonts
+) -> None:
+    """Paste a picture in a circle, with a line to where its robots are [pixels]."""
+    width, height = picture.shape[1], picture.shape[0]
+    tile = Image.new("RGBA", (_CLOSE, _CLOSE), NOTHING)
+    tile.paste(Image.fromarray(picture), ((_CLOSE - width) // 2, (_CLOSE - height) // 2))
+    circle = Image.new("L", (4 * _CLOSE, 4 * _CLOSE), 0)
+    ImageDraw.Draw(circle).ellipse((0, 0, 4 * _CLOSE - 1, 4 * _CLOSE - 1), fill=255)
+    circle = circle.resize(tile.size, Image.Resampling.LANCZOS)
+    mask = Image.composite(tile.getchannel("A"), Image.new("L", tile.size, 0), circle)
+    whole.paste(tile, corner, mask)
+    pen = ImageDraw.Draw(whole)
+    radius = _CLOSE / 2
+    middle = np.array(corner) + radius
+    place = np.array(seen)
+    pen.ellipse((*(middle - radius), *(middle + radius)), outline=INK, width=3)
+    pen.ellipse((*(place - 14), *(place + 14)), outline=INK, width=3)
+    toward = (place - middle) / np.linalg.norm(place - middle)
+    pen.line((*(place - 14 * toward), *(middle + radius * toward)), INK, 3)
+    below = (float(middle[0]), float(middle[1]) + radius + 30)
+    pen.text(below, "each robot has three docks", INK, font, anchor="mm")
 
 
 def _drawn(structure: Any, color: Reals) -> DrawnRobots:  # noqa: ANN401 - one of `Swarms`
