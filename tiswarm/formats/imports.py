@@ -44,6 +44,7 @@ from tiswarm.formats.poses import (
     poses_by_run,
     read_contacts,
     read_dock_offsets,
+    upward,
     with_earlier_first,
 )
 from tiswarm.formats.ranges import read_ranges
@@ -159,7 +160,7 @@ def _import_recording(path: Path, assumed: Assumptions) -> Imported:
     with at_line(path, 1):
         check_header(log)
     refuse_crowds(log, path)
-    notes += [*_describe(log), log.size]
+    notes += [*_describe(log, assumed), log.size]
     return Imported(log, np.full((log.robot_count, 3), np.nan), notes, [])
 
 
@@ -258,7 +259,7 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     else:
         size = log.size
     notes = [*order_of_numbers, *guessed, *glitches, *widened, *gaps, *joined]
-    notes += [*_describe_rests(poses, rests), *_describe(log), size]
+    notes += [*_describe_rests(poses, rests), *_describe(log, assumed), size]
     # Docks at wrong places stand nowhere, so the ground says nothing more.
     in_motion = 0 if rests is None else len(rests.in_motion)
     warnings = at_rest.doubts or few_contacts(poses, assumed, len(contacts), overlaps, in_motion)
@@ -551,15 +552,20 @@ def _named(poses: Poses, robots: Ints) -> str:
     return f"{counted(len(robots), 'robot')} ({first_names(poses.robot_id[robots].tolist())})"
 
 
-def _describe(log: sensing_log.SensingLog) -> Iterator[str]:
-    """Say in lines what a log lacks, and what it would gain."""
-    is_stated = {
-        "ground contacts (--ground-z)": len(log.ground_docks) > 0,
-        "heights (--heights)": not np.isnan(log.flip_height).all(),
-        "stances": log.stances is not None,
-        "noise (--tilt-deg, --yaw-deg)": log.noise is not None,
-    }
-    lacking = [name for name in is_stated if not is_stated[name]]
+def _describe(log: sensing_log.SensingLog, assumed: Assumptions) -> Iterator[str]:
+    """Say in lines what a log lacks, by which options it would have it, and what it would gain."""
+    has_poses = assumed.orientations is None
+    ground = "--ground-z" if has_poses else "--ground"
+    has_ground = assumed.ground_z is not None if has_poses else assumed.ground is not None
+    lacking = []
+    if not len(log.ground_docks):
+        lacking.append("ground contacts" if has_ground else f"ground contacts ({ground})")
+    if np.isnan(log.flip_height).all():
+        lacking.append("heights (--heights)" if has_poses else "heights")
+    if log.stances is None:
+        lacking.append("stances")
+    if log.noise is None:
+        lacking.append("noise (--tilt-deg, --yaw-deg)")
     if lacking:
         yield f"the log lacks {', '.join(lacking)}"
     if log.stances is None:
@@ -987,10 +993,13 @@ def _readings(poses: Poses, assumed: Assumptions) -> Iterator[tuple[Poses, str, 
 
     These are conventions of orientations first, then of units and of handedness.
     """
-    yield poses.conjugate(), "quaternions that turn world to body give", "add --conjugate"
+    turned, remedy = "world to body", "add --conjugate"
+    if assumed.conjugate:
+        turned, remedy = "body to world", "leave --conjugate out"
+    yield poses.conjugate(), f"quaternions that turn {turned} give", remedy
     if poses.other_order:
-        statement = "quaternions in the other order that turn world to body give"
-        yield poses.reordered().conjugate(), statement, "rename the columns, and add --conjugate"
+        statement = f"quaternions in the other order that turn {turned} give"
+        yield poses.reordered().conjugate(), statement, f"rename the columns, and {remedy}"
     if poses.angles is not None:
         yield from _readings_of_angles(poses, poses.angles)
     for scale in (*_SCALES, *(1.0 / scale for scale in _SCALES)):
@@ -1019,17 +1028,18 @@ def _readings_of_angles(poses: Poses, angles: Reals) -> Iterator[tuple[Poses, st
             turned = poses._replace(orientation_wxyz=turns_by(scale * angles, order))
             if unit:
                 what = f"angles in {unit}, read as {order}, give"
-                remedy = f"write [{unit}] behind their names, and add --euler {order}"
+                remedy = f"write [{unit}] behind their names, and give --euler {order}"
             else:
                 what = f"angles read as {order} give"
-                remedy = f"add --euler {order}"
+                remedy = f"give --euler {order}"
             yield turned, what, remedy
 
 
 def _by_docks(offset: Reals, touching: int) -> str:
     """Name the offsets at which docks would touch, and the remedy."""
     places = ", ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in (offset + 0.0).tolist())
-    return f"docks at {places} in the body frame give {touching}: measure them, and add --docks"
+    statement = f"docks at {places} in the body frame give {touching}: "
+    return f"{statement}measure them, and give them by --docks"
 
 
 def off_the_ground(poses: Poses, assumed: Assumptions) -> list[str]:
@@ -1050,9 +1060,25 @@ def off_the_ground(poses: Poses, assumed: Assumptions) -> list[str]:
     problem = f"{docks} on the ground at z = {assumed.ground_z:g}, and {below} of "
     problem += f"{poses.docks[..., 0].size} are below it"
     if explains:
-        return [f"{problem}; with {up} up, {most_standing} stand and none is below: add --up {up}"]
+        problem += f"; with {up} up, {most_standing} stand and none is below: "
+        axis = _axis_of_file(up, assumed.up)
+        return [problem + ("leave --up out" if axis == "z" else f"give --up {axis}")]
     lowest = float(poses.docks[..., 2].min()) - assumed.dock_radius
     return [f"{problem}; the lowest reaches to z = {lowest:.4g}: correct --ground-z or --up"]
+
+
+def _axis_of_file(up: str, turned: str) -> str:
+    """Name an axis of poses as it was before another axis of theirs became z.
+
+    >>> _axis_of_file("-z", "y"), _axis_of_file("y", "y")
+    ('-y', '-z')
+    """
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    names = ["x", "y", "z", "-x", "-y", "-z"]
+    along = axes[names.index(up)]
+    if turned != "z":
+        along = upward(turned).inv().apply(along)
+    return names[int((axes @ along).argmax())]
 
 
 class _OnGround(NamedTuple):
