@@ -400,6 +400,23 @@ def test_a_page_tabulates_the_parameters_that_may_be_wrong(log, estimate, tmp_pa
     assert "Parameters that may be wrong" not in without
 
 
+@pytest.mark.parametrize(
+    ("file", "heading"),
+    [
+        ("take/sensing.jsonl", "take/sensing.jsonl, 30 robots"),
+        ("take/sensing.jsonl.xz", "take/sensing.jsonl.xz, 30 robots"),
+        ("take/monday.jsonl", "monday.jsonl, 30 robots"),
+    ],
+)
+def test_the_heading_of_a_page_tells_logs_of_one_name_apart(log, estimate, file, heading):
+    """Imports and runs call each log sensing; robots and the method follow."""
+    shown = Log.of(log, Path(file)).with_estimate(estimate)
+
+    assert shown.title == heading
+    assert replace(shown, method="joint").title == f"{heading} by joint"
+    assert shown.with_solution(2).title == f"solution 2 of 2, weight 50 %: {heading}"
+
+
 def test_what_to_measure_next_is_a_table(log, estimate, tmp_path):
     """Advice has the headings of its rows; a page without advice has no such section."""
     advice = [{"rank": "1", "further measurement": "height of robot 3", "robots determined": "2"}]
