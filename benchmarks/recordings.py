@@ -2,13 +2,15 @@
 
     python -m benchmarks.recordings                     # the table of docs/accuracy.md
     python -m benchmarks.recordings --seeds 1 --localize
+    python -m benchmarks.recordings --wrong-offsets     # who notices a wrong dock offset
     python -m benchmarks.recordings --write take.csv    # one recording, a row for each pose
 
 A tower grows; robots walk to their places one after the other. Each robot rests at a stance, then
 turns about its pivot by a smooth ramp. Cameras record all robots at one rate, with noise, and lose
 single poses. The table counts the stances that come back: those with the orientation, within 3 deg,
 and the pivot of a true one, in the order of time. `invented` are stances beside these. Errors of
-the dock offset have the unit of the recording, mm.
+the dock offset have the unit of the recording, mm. Orientations are those of stances and final
+poses, about all three axes; the log states their sd, for tilt and yaw.
 """
 
 import argparse
@@ -31,7 +33,8 @@ from tiswarm.formats.imports import Imported, import_poses
 from tiswarm.formats.poses import Assumptions
 from tiswarm.localization.methods import localize
 from tiswarm.localization.settings import JointParams
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.estimate import MOST_WITHIN
+from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
 RADIUS_MM = 32.9
 RHO = 1.45
@@ -53,6 +56,8 @@ class Camera(NamedTuple):
     lost: float = 0.02  # share of poses
     flip_s: float = 1.5  # time of a flip
     rest_s: float = 1.0  # time at a stance
+    bias_mm: float = 0.0  # sd of what all poses of a rest share, of each coordinate of a center
+    bias_deg: float = 0.0  # and of an orientation about each axis
 
 
 class Walks(NamedTuple):
@@ -99,21 +104,26 @@ def recorded(walks: Walks, camera: Camera, seed: int, rho: float = RHO) -> pd.Da
     first_frame = []
     frame = 0
     for robot in range(int(walks.robot.max()) + 1):
-        center, turn = _track(walks, np.flatnonzero(walks.robot == robot), camera, offset)
-        tracks.append((center, turn))
+        track = _track(walks, np.flatnonzero(walks.robot == robot), camera, offset)
+        tracks.append(track)
         first_frame.append(frame)
-        frame += len(center)
+        frame += len(track.stage)
     last_frame = frame + int(_LAST_S * camera.rate_hz)
     rng = np.random.default_rng(seed)
     parts = []
-    for robot, (center, turn) in enumerate(tracks):
+    for robot, (stage, center, turn) in enumerate(tracks):
         all_frames = np.arange(first_frame[robot], last_frame)
         frames = all_frames[rng.random(len(all_frames)) >= camera.lost]
         row = np.minimum(frames - first_frame[robot], len(center) - 1)
         noise = rng.normal(0.0, 1.0, (2, len(row), 3))
-        error = Rotation.from_rotvec(np.radians(camera.noise_deg) * noise[1])
-        wxyz = (error * turn[row]).as_quat(scalar_first=True)
-        pose = np.column_stack([center[row] + camera.noise_mm * noise[0], wxyz])
+        shift = camera.noise_mm * noise[0]
+        swing = camera.noise_deg * noise[1]
+        if camera.bias_mm or camera.bias_deg:
+            bias = _interpolated(rng.normal(0.0, 1.0, (2, int(stage[-1]) + 1, 3)), stage[row])
+            shift += camera.bias_mm * bias[0]
+            swing += camera.bias_deg * bias[1]
+        wxyz = (Rotation.from_rotvec(np.radians(swing)) * turn[row]).as_quat(scalar_first=True)
+        pose = np.column_stack([center[row] + shift, wxyz])
         part = pd.DataFrame(pose, columns=["x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"])
         part.insert(0, "robot", robot)
         part.insert(0, "time", (frames / camera.rate_hz).tolist())
@@ -121,24 +131,43 @@ def recorded(walks: Walks, camera: Camera, seed: int, rho: float = RHO) -> pd.Da
     return pd.concat(parts, ignore_index=True)
 
 
-def _track(walks: Walks, rows: Ints, camera: Camera, offset: Reals) -> tuple[Reals, Rotation]:
-    """Return centers and orientations of a robot at each frame, from its first stance on."""
+class _Track(NamedTuple):
+    """A robot at each of F frames, from its first stance on."""
+
+    stage: Reals  # number of its stance, with the share of the way to the next one, (F,)
+    center: Reals  # [mm], (F, 3)
+    turn: Rotation  # body to world, (F,)
+
+
+def _interpolated(values: Reals, stage: Reals) -> Reals:
+    """Interpolate values at stances, (2, stances, 3), for the flips between, (2, F, 3)."""
+    before = stage.astype(np.int64)
+    after = np.minimum(before + 1, values.shape[1] - 1)
+    share = (stage - before)[:, None]
+    return np.asarray((1.0 - share) * values[:, before] + share * values[:, after])
+
+
+def _track(walks: Walks, rows: Ints, camera: Camera, offset: Reals) -> _Track:
+    """Let a robot rest at its stances, and flip between them."""
     turn = Rotation.from_quat(walks.orientation_wxyz[rows], scalar_first=True)
     rest_frames = max(1, round(camera.rest_s * camera.rate_hz))
     ramp = np.linspace(0.0, 1.0, max(2, round(camera.flip_s * camera.rate_hz)))[1:-1]
     share = ramp * ramp * (3.0 - 2.0 * ramp)
+    stages = []
     centers = []
     turns = []
     for k, row in enumerate(rows.tolist()):
+        stages.append(np.full(rest_frames, float(k)))
         centers.append(np.repeat(walks.center[[row]], rest_frames, axis=0))
         turns.append(Rotation.concatenate([turn[k]] * rest_frames))
         if k + 1 < len(rows) and len(share):
             arm = offset[walks.pivot[row]]
             pivot = walks.center[row] + turn[k].apply(arm)
             moving = Slerp([0.0, 1.0], turn[k : k + 2])(share)
+            stages.append(k + share)
             centers.append(pivot - moving.apply(arm))
             turns.append(moving)
-    return np.concatenate(centers), Rotation.concatenate(turns)
+    return _Track(np.concatenate(stages), np.concatenate(centers), Rotation.concatenate(turns))
 
 
 class Count(NamedTuple):
@@ -183,6 +212,24 @@ def _longest_common(same: Any) -> int:  # noqa: ANN401 - Bools
     return int(length[-1, -1])
 
 
+def orientation_errors(walks: Walks, log: SensingLog) -> Reals:
+    """Compare orientations at rest with the nearest true ones [deg], shape (n, 3)."""
+    row_of = {name: row for row, name in enumerate(log.robot_id.tolist())}
+    errors = []
+    for robot in range(int(walks.robot.max()) + 1):
+        rows = np.flatnonzero(walks.robot == robot)
+        true = Rotation.from_quat(walks.orientation_wxyz[rows], scalar_first=True)
+        row = row_of[robot]
+        earlier = log.earlier.orientation_wxyz[slice(*log.earlier.start[row : row + 2])]
+        logged = Rotation.from_quat([*earlier, log.orientation_wxyz[row]], scalar_first=True)
+        for k in range(len(logged)):
+            apart = (logged[k] * true.inv()).as_rotvec(degrees=True)
+            nearest = apart[np.linalg.norm(apart, axis=1).argmin()]
+            if np.linalg.norm(nearest) <= _SAME_DEG:
+                errors.append(nearest)
+    return np.array(errors).reshape(-1, 3)
+
+
 def imported(recording: pd.DataFrame, folder: Path, **assumed: Any) -> Imported:  # noqa: ANN401
     """Import a recording of robots of the radius of `grown`, on the ground."""
     file = folder / "recording.csv"
@@ -203,8 +250,12 @@ CASES = {
     "flips of 0.5 s": Camera(flip_s=0.5),
     "flips of 3 s": Camera(flip_s=3.0),
     "rests of 0.2 s": Camera(rest_s=0.2),
+    "bias of 0.1 mm and 0.07 deg": Camera(bias_mm=0.1, bias_deg=0.07),
+    "bias of 0.2 mm": Camera(bias_mm=0.2),
+    "bias of 0.1 deg": Camera(bias_deg=0.1),
 }
-"""Recordings of the table; what a row does not name is as in the third one."""
+"""Recordings of the table; what a row does not name is as in the third one. A bias is the sd of an
+error that all poses of a rest share."""
 
 
 def main() -> None:
@@ -215,7 +266,11 @@ def main() -> None:
         recording = recorded(grown(options.robots, 0), Camera(), 0)
         recording.to_csv(options.write, index=False, float_format="%.6f")
         return
+    if options.wrong_offsets:
+        _tell_wrong_offsets(options)
+        return
     columns = "| recording | true stances | found % | invented % | offset off by mm | stated +- |"
+    columns += " orientations off by deg | stated +- |"
     columns += " error / with true geometry |" if options.localize else ""
     print(columns)
     print("|---" * (columns.count("|") - 1) + "|")
@@ -228,6 +283,8 @@ def _row(camera: Camera, options: argparse.Namespace) -> Iterator[str]:
     counts = []
     errors = []
     stated = []
+    turns = []
+    stated_turns = []
     ratios = []
     for seed in range(options.first_seed, options.first_seed + options.seeds):
         walks = grown(options.robots, seed)
@@ -238,6 +295,9 @@ def _row(camera: Camera, options: argparse.Namespace) -> Iterator[str]:
             offset = float(np.linalg.norm(result.log.dock_offset_body, axis=1).mean())
             errors.append(abs(offset - RHO * RADIUS_MM))
             stated += _stated_sd(result.notes)
+            turns.append(orientation_errors(walks, result.log))
+            if result.log.noise is not None:
+                stated_turns.append(_stated_turn(result.log.noise))
             if options.localize:
                 body = RADIUS_MM * RobotGeometry(rho=RHO).dock_offset_body
                 exact = imported(recording, Path(folder), dock_offset_body=body)
@@ -248,6 +308,8 @@ def _row(camera: Camera, options: argparse.Namespace) -> Iterator[str]:
     yield f"{100 * invented / true:.1f}"
     yield f"{np.max(errors):.3f}"
     yield f"{np.max(stated):.3f}" if stated else "-"
+    yield f"{_rms(np.concatenate(turns)):.3f}"
+    yield f"{_rms(np.array(stated_turns)):.3f}" if stated_turns else "-"
     if options.localize:
         ours, best = np.mean(ratios, axis=0).tolist()
         yield f"{ours:.2f} / {best:.2f} mm"
@@ -259,12 +321,63 @@ def _stated_sd(notes: list[str]) -> list[float]:
     return [float(match[1]) for match in stated if match]
 
 
+def _stated_turn(noise: SensingNoise) -> float:
+    """Return the root of the mean square about three axes [deg]."""
+    return float(np.sqrt((2.0 * noise.tilt_deg**2 + noise.yaw_deg**2) / 3.0))
+
+
+def _rms(values: Reals) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+_OFFSET_ERRORS_MM = (0.0, 0.2, 0.35, 0.5)
+
+
+def _tell_wrong_offsets(options: argparse.Namespace) -> None:
+    """Print a row for each error of a stated dock offset: who names it, and what sd is worth."""
+    print("| offset off by mm | recordings | import warns | localize: not consistent |", end="")
+    print(" offset named, within 3 sd | trusted | of these within 90 % spheres |")
+    print("|---" * 7 + "|")
+    body = RADIUS_MM * RobotGeometry(rho=RHO).dock_offset_body
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    for error in _OFFSET_ERRORS_MM:
+        warned = doubted = named = trusted = 0
+        inside: list[bool] = []
+        for seed in seeds:
+            walks = grown(options.robots, seed)
+            recording = recorded(walks, Camera(), seed)
+            stated = (1.0 + error / (RHO * RADIUS_MM)) * body
+            with tempfile.TemporaryDirectory() as folder:
+                result = imported(recording, Path(folder), dock_offset_body=stated)
+            estimate = localize(result.log, JointParams())
+            verdict = estimate.convergence
+            warned += any("from the center as stated" in text for text in result.warnings)
+            doubted += verdict is not None and verdict.consistent is False
+            named += any(
+                cause.parameter == "dock offset"
+                and abs(cause.value - RHO * RADIUS_MM) <= 3.0 * cause.sd
+                for cause in estimate.common_causes
+            )
+            if verdict is not None and verdict.trusted and estimate.sd is not None:
+                trusted += 1
+                off = robot_errors(estimate.position, _truth(walks, result.log))
+                inside += (off <= MOST_WITHIN * estimate.sd)[1:].tolist()
+        share = f"{100.0 * np.mean(inside):.0f} % of {len(inside)}" if inside else "-"
+        print(
+            f"| {error:g} | {len(seeds)} | {warned} | {doubted} | {named} | {trusted} | {share} |"
+        )
+
+
+def _truth(walks: Walks, log: SensingLog) -> Reals:
+    """Return the true final centers of the robots of a log [mm], shape (N, 3)."""
+    last = np.flatnonzero(np.append(np.diff(walks.robot) > 0, True))
+    return walks.center[last][log.robot_id]
+
+
 def _median_error(walks: Walks, result: Imported) -> float:
     """Localize a log, and return the median distance from true places [mm]."""
     estimate = localize(result.log, JointParams())
-    last = np.flatnonzero(np.append(np.diff(walks.robot) > 0, True))
-    truth = walks.center[last][result.log.robot_id]
-    return float(np.median(robot_errors(estimate.position, truth)))
+    return float(np.median(robot_errors(estimate.position, _truth(walks, result.log))))
 
 
 def _options() -> argparse.Namespace:
@@ -274,6 +387,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=3, help="towers of each row")
     parser.add_argument("--first-seed", type=int, default=11)
     parser.add_argument("--localize", action="store_true", help="also localize, with joint")
+    parser.add_argument("--wrong-offsets", action="store_true", help="state dock offsets wrongly")
     parser.add_argument("--write", type=Path, help="write the recording of seed 0, and stop")
     return parser.parse_args()
 

@@ -48,6 +48,16 @@ def test_quaternions_from_world_to_body_are_named_and_mended_by_an_option(pose, 
     assert mended.warnings == []
 
 
+def test_an_option_that_was_wrong_to_give_is_named(pose, tmp_path):
+    """Poses that are right without an option are read as if another one were needed."""
+    position, turn = pose
+    count = len(imported(tmp_path, position, turn).log.contacts)
+
+    (warning,) = imported(tmp_path, position, turn, conjugate=True).warnings
+
+    assert warning.endswith(f"turn body to world give {count}: leave --conjugate out")
+
+
 @pytest.mark.parametrize("axis", "xyz")
 @pytest.mark.parametrize("body", [BODY, None], ids=["given", "found"])
 def test_bodies_that_are_turned_by_a_right_angle_are_named(pose, tmp_path, axis, body):
@@ -59,7 +69,7 @@ def test_bodies_that_are_turned_by_a_right_angle_are_named(pose, tmp_path, axis,
 
     (warning,) = found.warnings
     docks = docks_in(warning)
-    assert f"in the body frame give {count}: measure them, and add --docks" in warning
+    assert f"in the body frame give {count}: measure them, and give them by --docks" in warning
     mended = imported(tmp_path, position, turn * QUARTER[axis], dock_offset_body=docks)
     assert len(mended.log.contacts) == count
 
@@ -113,10 +123,36 @@ def test_another_axis_that_is_up_is_named_and_mended_by_an_option(pose, tmp_path
     standing = len(right.log.ground_docks)
     (warning,) = wrong.warnings
     assert warning.startswith("no dock stands on the ground at z = 0, and ")
-    assert warning.endswith(f"with {up} up, {standing} stand and none is below: add --up {up}")
+    assert warning.endswith(f"with {up} up, {standing} stand and none is below: give --up {up}")
     np.testing.assert_array_equal(mended.log.ground_docks, right.log.ground_docks)
     np.testing.assert_allclose(mended.position, right.position, atol=1e-12)
     assert mended.warnings == []
+
+
+@pytest.mark.parametrize("stated", ["x", "y", "-z"])
+@pytest.mark.parametrize(("up", "to_up"), [("z", Rotation.identity()), ("-y", QUARTER["x"])])
+def test_an_axis_that_is_not_up_is_named_with_the_one_that_is(pose, tmp_path, stated, up, to_up):
+    """The advice is about the axes of the file, however the wrong option turned them."""
+    position, turn = pose
+    standing = len(imported(tmp_path, position, turn).log.ground_docks)
+
+    (warning,) = imported(tmp_path, to_up.apply(position), to_up * turn, up=stated).warnings
+
+    advice = "leave --up out" if up == "z" else f"give --up {up}"
+    assert warning.endswith(f"{standing} stand and none is below: {advice}")
+
+
+def test_ground_that_is_stated_is_not_asked_for(pose, tmp_path):
+    """Where no dock stands on it, a note proposes no option that was given."""
+    position, turn = pose
+
+    lacking = imported(tmp_path, position + np.array([0.0, 0.0, 3.0]), turn)
+    without = imported(tmp_path, position, turn, ground_z=None)
+
+    (note,) = [note for note in lacking.notes if note.startswith("the log lacks")]
+    assert note.startswith("the log lacks ground contacts, heights (--heights)")
+    (note,) = [note for note in without.notes if note.startswith("the log lacks")]
+    assert note.startswith("the log lacks ground contacts (--ground-z), heights (--heights)")
 
 
 def test_ground_at_another_height_is_named(pose, tmp_path):

@@ -344,7 +344,7 @@ STATIC_FAULTS: dict[str, tuple[Callable[..., Any], Mapping[str, Any], str]] = {
     ),
     "angles in another order": (
         lambda to, p, t: table(to, GAZEBO._replace(cells=angles("XYZ")), p, t), {},
-        "angles read as XYZ give 12: add --euler XYZ",
+        "angles read as XYZ give 12: give --euler XYZ",
     ),
     "millimeters beside meters": (
         lambda to, p, t: table(to, OURS, 1000.0 * p, t), {"dock_offset_body": None},
@@ -368,7 +368,7 @@ STATIC_FAULTS: dict[str, tuple[Callable[..., Any], Mapping[str, Any], str]] = {
     ),
     "y up": (
         lambda to, p, t: table(to, OURS, UPWARD.apply(p), UPWARD * t), {},
-        "with y up, 4 stand and none is below: add --up y",
+        "with y up, 4 stand and none is below: give --up y",
     ),
 }  # fmt: skip
 """How a table is written, options, and the sentence that names its fault."""

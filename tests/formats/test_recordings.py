@@ -15,12 +15,15 @@ from benchmarks.recordings import (
     counted_stances,
     grown,
     imported,
+    orientation_errors,
     recorded,
 )
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.formats import imports
 from tiswarm.formats.geometry import fit_scale
 from tiswarm.formats.poses import TOLERANCE
+from tiswarm.localization.methods import localize
+from tiswarm.localization.settings import JointParams
 
 OFFSET_MM = RHO * RADIUS_MM
 BODY = RADIUS_MM * RobotGeometry(rho=RHO).dock_offset_body
@@ -53,12 +56,41 @@ def test_stances_come_back_from_noise(walks, result):
     assert count.invented <= 0.02 * count.true
 
 
-def test_the_log_states_the_noise_of_the_recording(result):
+def test_a_note_has_the_noise_of_the_recording(result):
     """Scatter within rests is measured, to some percent."""
-    noise = result.log.noise
+    (note,) = [note for note in result.notes if note.startswith("orientations vary by")]
 
-    assert noise.tilt_deg == pytest.approx(0.2, rel=0.1)
-    assert noise.yaw_deg == pytest.approx(0.2, rel=0.1)
+    tilt, yaw = map(float, re.findall(r"(\S+) deg of", note)[:2])
+    assert tilt == pytest.approx(0.2, rel=0.1)
+    assert yaw == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [Camera(), Camera(bias_deg=0.1), Camera(bias_mm=0.1, bias_deg=0.07)],
+    ids=["independent", "biased orientations", "both biased"],
+)
+def test_the_log_states_the_noise_of_poses_at_rest(walks, tmp_path, camera):
+    """It is that of means of many samples, with what lasts over a rest."""
+    log = imported(recorded(walks, camera, 0), tmp_path).log
+
+    error = orientation_errors(walks, log)
+    # 76 poses state an sd to 8 % or, about three axes, to 5 %; components of bias to some 20 %.
+    stated = [log.noise.tilt_deg, log.noise.tilt_deg, log.noise.yaw_deg]
+    assert len(error) == 76
+    assert 0.7 < np.sqrt(np.mean((error / stated) ** 2)) < 1.4
+
+
+def test_a_wrong_dock_offset_does_not_count_as_noise(result, recording, tmp_path):
+    """It is stated as if the offset were right, and joint names the right one."""
+    wrong = imported(recording, tmp_path, dock_offset_body=(1.0 + 0.35 / OFFSET_MM) * BODY)
+
+    estimate = localize(wrong.log, JointParams())
+
+    assert wrong.log.noise.tilt_deg == pytest.approx(result.log.noise.tilt_deg, rel=0.1)
+    assert estimate.convergence.consistent is False
+    (cause,) = [one for one in estimate.common_causes if one.parameter == "dock offset"]
+    assert abs(cause.value - OFFSET_MM) < 4.0 * cause.sd
 
 
 def test_flips_state_the_dock_offset_with_an_error_bar(result):

@@ -19,7 +19,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.cli import main
 from tiswarm.measurements.advice.further import AdviceTable
 from tiswarm.measurements.observability import observability
-from tiswarm.records.estimate import MOST_WITHIN, Convergence, Estimate, Solution
+from tiswarm.records.estimate import MOST_WITHIN, CommonCause, Convergence, Estimate, Solution
 from tiswarm.records.messages import MISSING
 from tiswarm.records.outputs import Outputs
 from tiswarm.records.sensing_log import SensingLog
@@ -375,6 +375,46 @@ def test_texts_of_a_log_stay_texts(log, estimate, tmp_path):
 
     assert "<script>boom" not in text
     assert data["unit"] == unit
+
+
+def test_a_page_tabulates_the_parameters_that_may_be_wrong(log, estimate, tmp_path):
+    """The line under the result names them, and each has its own remedy."""
+    verdicts = Convergence(converged=True, consistent=True, misfit_sd=9.0, chains=8, restarted=0)
+    causes = (
+        CommonCause("dock radius", "dock_radius", 32.9, 33.6334, 0.019, "mm"),
+        CommonCause("dock offset", "dock_offsets", 48.705, 47.6891, 0.018, "mm"),
+    )
+    wrong = replace(estimate, convergence=verdicts).with_common_causes(causes)
+
+    text, _ = _page(tmp_path, log, wrong, **_explained(log, wrong))
+    without, _ = _page(tmp_path, log, estimate)
+
+    assert "Not consistent: a wrong dock radius or dock offset, see Warnings." in text
+    assert "measure which of them is wrong; dock radius: state it in the log (dock_radius)" in text
+    assert "dock offset: state it in the log (dock_offsets)" in text
+    table = text[text.index("Parameters that may be wrong") :]
+    assert re.findall(r"<td[^>]*>([^<]*)</td>", table)[:12] == [
+        *("dock radius", "32.900", "33.633", "0.019", "mm", "dock_radius"),
+        *("dock offset", "48.705", "47.689", "0.018", "mm", "dock_offsets"),
+    ]
+    assert "Parameters that may be wrong" not in without
+
+
+@pytest.mark.parametrize(
+    ("file", "heading"),
+    [
+        ("take/sensing.jsonl", "take/sensing.jsonl, 30 robots"),
+        ("take/sensing.jsonl.xz", "take/sensing.jsonl.xz, 30 robots"),
+        ("take/monday.jsonl", "monday.jsonl, 30 robots"),
+    ],
+)
+def test_the_heading_of_a_page_tells_logs_of_one_name_apart(log, estimate, file, heading):
+    """Imports and runs call each log sensing; robots and the method follow."""
+    shown = Log.of(log, Path(file)).with_estimate(estimate)
+
+    assert shown.title == heading
+    assert replace(shown, method="joint").title == f"{heading} by joint"
+    assert shown.with_solution(2).title == f"solution 2 of 2, weight 50 %: {heading}"
 
 
 def test_what_to_measure_next_is_a_table(log, estimate, tmp_path):

@@ -28,6 +28,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import METHOD, AnyArch, AnyPrecision
 from tiswarm.records.estimate import Estimate, refuse_distance
+from tiswarm.records.messages import counted
 from tiswarm.records.outputs import Outputs
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
@@ -101,6 +102,7 @@ class Log(SensingLog):
         with progress.task(name, self.robot_count) as advance:
             estimate = methods.localize(self, params, on_progress=advance)
         localized = self.with_estimate(replace(estimate, tolerance=within))
+        localized = replace(localized, method=method)
         if solution is not None:
             localized = localized.with_solution(solution)
         if localized.findings.doubt:
@@ -134,6 +136,10 @@ class Log(SensingLog):
         return read_positions_of(self, as_path(truth, "truth"))
 
 
+_USUAL_NAME = "sensing"
+"""Name of logs that runs and imports write, which their folder tells apart."""
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Localized(Estimate):
     """An estimate with its log: it explains and shows itself, and prints as its findings."""
@@ -144,8 +150,21 @@ class Localized(Estimate):
     table: Path | None = None
     """Table that the positions were read from, if they were."""
 
+    method: str = ""
+    """Name of the method; empty where the positions were read from a table."""
+
     chosen: int | None = None
     """Number of the solution that the positions are, counted from 1; None for the mean of all."""
+
+    @property
+    def title(self) -> str:
+        """Heading of its page: solution, log, number of robots, and method."""
+        path = self.log.path
+        is_usual = path.name.partition(".")[0] == _USUAL_NAME
+        folder = path.absolute().parent.name if is_usual else ""
+        log = f"{folder}/{path.name}" if folder else path.name
+        by = f" by {self.method}" if self.method else ""
+        return f"{self.findings.solution}{log}, {counted(self.robot_count, 'robot')}{by}"
 
     @cached_property
     def findings(self) -> Findings:
@@ -221,7 +240,7 @@ class Localized(Estimate):
             page,
             self.log,
             self,
-            name=f"{findings.solution}{self.log.path.name}",
+            name=self.title,
             true=self.log.positions(truth),
             warnings=findings.warnings,
             notes=findings.notes,

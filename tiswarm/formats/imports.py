@@ -6,7 +6,7 @@ an option says so: two errors may look alike.
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,10 +44,13 @@ from tiswarm.formats.poses import (
     poses_by_run,
     read_contacts,
     read_dock_offsets,
+    upward,
     with_earlier_first,
 )
 from tiswarm.formats.ranges import read_ranges
 from tiswarm.formats.recordings import read_recording
+from tiswarm.formats.rest_noise import noise_of_rests
+from tiswarm.formats.segments import Noise
 from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.odometry import ASSUMED
 from tiswarm.records import sensing_log
@@ -157,7 +160,7 @@ def _import_recording(path: Path, assumed: Assumptions) -> Imported:
     with at_line(path, 1):
         check_header(log)
     refuse_crowds(log, path)
-    notes += [*_describe(log), log.size]
+    notes += [*_describe(log, assumed), log.size]
     return Imported(log, np.full((log.robot_count, 3), np.nan), notes, [])
 
 
@@ -231,13 +234,14 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     poses, glitches = without_glitches(poses, with_limits(poses, assumed)[0])
     moving, _ = with_limits(poses, assumed)
     is_sure = not any(note.startswith(_NO_OFFSET) for note in guessed)
-    poses, rests, noise_share, fitted, doubts = _at_rest(poses, moving, is_sure=is_sure)
-    guessed = fitted or guessed
-    assumed, widened = with_limits(poses, assumed, noise_share)
-    if rests is not None:
-        assumed, stated = with_noise(assumed, rests)
-        widened += stated
+    at_rest = _at_rest(poses, moving, is_sure=is_sure)
+    poses, rests = at_rest.poses, at_rest.rests
+    guessed = at_rest.fitted or guessed
+    assumed, widened = with_limits(poses, assumed, at_rest.noise_share)
     contacts, gaps, overlaps = find_contacts(poses, assumed)
+    if rests is not None:
+        assumed, stated = with_noise(assumed, poses, rests, contacts, at_rest.factor)
+        widened += stated
     anchors = _anchors(poses, rests, assumed.anchors, path)
     order, joined = _join_order(
         poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected
@@ -255,10 +259,10 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     else:
         size = log.size
     notes = [*order_of_numbers, *guessed, *glitches, *widened, *gaps, *joined]
-    notes += [*_describe_rests(poses, rests), *_describe(log), size]
+    notes += [*_describe_rests(poses, rests), *_describe(log, assumed), size]
     # Docks at wrong places stand nowhere, so the ground says nothing more.
     in_motion = 0 if rests is None else len(rests.in_motion)
-    warnings = doubts or few_contacts(poses, assumed, len(contacts), overlaps, in_motion)
+    warnings = at_rest.doubts or few_contacts(poses, assumed, len(contacts), overlaps, in_motion)
     warnings = warnings or _in_one_place(poses, assumed) or off_the_ground(poses, assumed)
     warnings = warnings or doubted_ground(poses, rests, assumed)
     warnings += _unrested(poses, rests)
@@ -269,9 +273,18 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     return Imported(log, poses.position[order], notes, warnings)
 
 
-def _at_rest(
-    poses: Poses, assumed: Assumptions, *, is_sure: bool
-) -> tuple[Poses, Rests | None, float, list[str], list[str]]:
+class _AtRest(NamedTuple):
+    """Robots at rest."""
+
+    poses: Poses  # final ones
+    rests: Rests | None  # None where each robot has one pose
+    noise_share: float  # part of the noise of samples that final poses have [1]
+    factor: float  # distance of docks by flips and contacts, per that of `poses`
+    fitted: list[str]  # what was fitted, in lines
+    doubts: list[str]  # what disagrees with what is stated, in lines
+
+
+def _at_rest(poses: Poses, assumed: Assumptions, *, is_sure: bool) -> _AtRest:
     """Find rests, and the distance of docks from the center where it is not stated.
 
     Segments of motion need that distance, and it follows from them, so we repeat both.
@@ -280,10 +293,6 @@ def _at_rest(
         poses: Robots, whose docks are known or guessed.
         assumed: Limits of contacts, and docks if they are given.
         is_sure: Whether contacts state where docks are.
-
-    Returns:
-        Final poses, rests, the part of noise that final poses have [1], what was fitted, in lines,
-        and what disagrees with what is stated, in lines.
     """
     is_guess = assumed.dock_offset_body is None and not poses.docks_are_spheres
     least = _SETTLED * assumed.dock_radius
@@ -293,11 +302,12 @@ def _at_rest(
         scale = fit_scale(poses, rests, assumed)
         is_stated = scale.flips > 0 or is_sure
         if scale.factor is None or poses.docks_are_spheres or not is_stated:
-            return poses, rests, noise_share, [], []
+            return _AtRest(poses, rests, noise_share, 1.0, [], [])
         distance = float(np.linalg.norm(poses.dock_offset_body, axis=1).mean())
         offset = scale.factor.scaled(distance)
         if not is_guess:
-            return poses, rests, noise_share, [], doubted_geometry(poses, scale, assumed)
+            doubts = doubted_geometry(poses, scale, assumed)
+            return _AtRest(poses, rests, noise_share, scale.factor.value, [], doubts)
         step = abs(offset.value - distance)
         poses = poses._replace(dock_offset_body=docks_in_plane(offset.value))
         if step < least:
@@ -314,7 +324,8 @@ def _at_rest(
     if _DOUBTFUL * offset.sd > TOLERANCE * assumed.dock_radius:
         note += "; too uncertain for contacts: record more flips, with rests of a second, or "
         note += "measure it (--dock-offset)"
-    return poses, rests, noise_share, [note], doubted_geometry(poses, scale, assumed)
+    doubts = doubted_geometry(poses, scale, assumed)
+    return _AtRest(poses, rests, noise_share, 1.0, [note], doubts)
 
 
 _NO_OFFSET = "no dock offset stands out"
@@ -541,15 +552,20 @@ def _named(poses: Poses, robots: Ints) -> str:
     return f"{counted(len(robots), 'robot')} ({first_names(poses.robot_id[robots].tolist())})"
 
 
-def _describe(log: sensing_log.SensingLog) -> Iterator[str]:
-    """Say in lines what a log lacks, and what it would gain."""
-    is_stated = {
-        "ground contacts (--ground-z)": len(log.ground_docks) > 0,
-        "heights (--heights)": not np.isnan(log.flip_height).all(),
-        "stances": log.stances is not None,
-        "noise (--tilt-deg, --yaw-deg)": log.noise is not None,
-    }
-    lacking = [name for name in is_stated if not is_stated[name]]
+def _describe(log: sensing_log.SensingLog, assumed: Assumptions) -> Iterator[str]:
+    """Say in lines what a log lacks, by which options it would have it, and what it would gain."""
+    has_poses = assumed.orientations is None
+    ground = "--ground-z" if has_poses else "--ground"
+    has_ground = assumed.ground_z is not None if has_poses else assumed.ground is not None
+    lacking = []
+    if not len(log.ground_docks):
+        lacking.append("ground contacts" if has_ground else f"ground contacts ({ground})")
+    if np.isnan(log.flip_height).all():
+        lacking.append("heights (--heights)" if has_poses else "heights")
+    if log.stances is None:
+        lacking.append("stances")
+    if log.noise is None:
+        lacking.append("noise (--tilt-deg, --yaw-deg)")
     if lacking:
         yield f"the log lacks {', '.join(lacking)}"
     if log.stances is None:
@@ -773,17 +789,39 @@ def with_limits(
     return replace(assumed, gap=gap, overlap=overlap), [f"{text}: {why}"]
 
 
-def with_noise(assumed: Assumptions, rests: Rests) -> tuple[Assumptions, list[str]]:
-    """State the noise of orientations at rest, unless it is given or none is seen, and say so."""
-    noise = rests.noise
-    if noise is None or assumed.tilt_deg is not None or assumed.yaw_deg is not None:
+def with_noise(
+    assumed: Assumptions, poses: Poses, rests: Rests, contacts: Ints, factor: float
+) -> tuple[Assumptions, list[str]]:
+    """State the noise of orientations at rest, unless it is given or none is seen, and say so.
+
+    Arguments as for `noise_of_rests`.
+    """
+    missing = [name for name in ("tilt", "yaw") if getattr(assumed, f"{name}_deg") is None]
+    noise = noise_of_rests(poses, rests, contacts, factor) if missing else None
+    if noise is None or rests.noise is None:
         return assumed, []
-    tilt, yaw = (float(f"{np.degrees(angle):.2g}") for angle in (noise.tilt, noise.yaw))
-    if max(tilt, yaw) < _LEAST_NOISE_DEG:
+    of_samples = _in_degrees(rests.noise)
+    if max(of_samples.values()) < _LEAST_NOISE_DEG:
         return assumed, []
-    text = f"orientations of robots at rest vary by {tilt:g} deg of tilt and {yaw:g} deg of yaw "
-    text += "(1 sd), which the log states; --tilt-deg and --yaw-deg state others"
-    return replace(assumed, tilt_deg=tilt, yaw_deg=yaw), [text]
+    at_rest = _in_degrees(noise)
+
+    def listed(angles: Mapping[str, float], names: Sequence[str]) -> str:
+        return " and ".join(f"{angles[name]:g} deg of {name}" for name in names)
+
+    text = f"orientations vary by {listed(of_samples, [*of_samples])} (1 sd); the log states what "
+    text += f"their means at rest vary by, {listed(at_rest, missing)}; "
+    text += f"{' and '.join(f'--{name}-deg' for name in missing)} state others"
+    if "tilt" in missing:
+        assumed = replace(assumed, tilt_deg=at_rest["tilt"])
+    if "yaw" in missing:
+        assumed = replace(assumed, yaw_deg=at_rest["yaw"])
+    return assumed, [text]
+
+
+def _in_degrees(noise: Noise) -> dict[str, float]:
+    """Return noise of tilt and yaw [deg], to two digits."""
+    angles = {"tilt": noise.tilt, "yaw": noise.yaw}
+    return {name: float(f"{np.degrees(angle):.2g}") for name, angle in angles.items()}
 
 
 def in_likely_order(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[str]]:
@@ -955,10 +993,13 @@ def _readings(poses: Poses, assumed: Assumptions) -> Iterator[tuple[Poses, str, 
 
     These are conventions of orientations first, then of units and of handedness.
     """
-    yield poses.conjugate(), "quaternions that turn world to body give", "add --conjugate"
+    turned, remedy = "world to body", "add --conjugate"
+    if assumed.conjugate:
+        turned, remedy = "body to world", "leave --conjugate out"
+    yield poses.conjugate(), f"quaternions that turn {turned} give", remedy
     if poses.other_order:
-        statement = "quaternions in the other order that turn world to body give"
-        yield poses.reordered().conjugate(), statement, "rename the columns, and add --conjugate"
+        statement = f"quaternions in the other order that turn {turned} give"
+        yield poses.reordered().conjugate(), statement, f"rename the columns, and {remedy}"
     if poses.angles is not None:
         yield from _readings_of_angles(poses, poses.angles)
     for scale in (*_SCALES, *(1.0 / scale for scale in _SCALES)):
@@ -987,17 +1028,18 @@ def _readings_of_angles(poses: Poses, angles: Reals) -> Iterator[tuple[Poses, st
             turned = poses._replace(orientation_wxyz=turns_by(scale * angles, order))
             if unit:
                 what = f"angles in {unit}, read as {order}, give"
-                remedy = f"write [{unit}] behind their names, and add --euler {order}"
+                remedy = f"write [{unit}] behind their names, and give --euler {order}"
             else:
                 what = f"angles read as {order} give"
-                remedy = f"add --euler {order}"
+                remedy = f"give --euler {order}"
             yield turned, what, remedy
 
 
 def _by_docks(offset: Reals, touching: int) -> str:
     """Name the offsets at which docks would touch, and the remedy."""
     places = ", ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in (offset + 0.0).tolist())
-    return f"docks at {places} in the body frame give {touching}: measure them, and add --docks"
+    statement = f"docks at {places} in the body frame give {touching}: "
+    return f"{statement}measure them, and give them by --docks"
 
 
 def off_the_ground(poses: Poses, assumed: Assumptions) -> list[str]:
@@ -1018,9 +1060,25 @@ def off_the_ground(poses: Poses, assumed: Assumptions) -> list[str]:
     problem = f"{docks} on the ground at z = {assumed.ground_z:g}, and {below} of "
     problem += f"{poses.docks[..., 0].size} are below it"
     if explains:
-        return [f"{problem}; with {up} up, {most_standing} stand and none is below: add --up {up}"]
+        problem += f"; with {up} up, {most_standing} stand and none is below: "
+        axis = _axis_of_file(up, assumed.up)
+        return [problem + ("leave --up out" if axis == "z" else f"give --up {axis}")]
     lowest = float(poses.docks[..., 2].min()) - assumed.dock_radius
     return [f"{problem}; the lowest reaches to z = {lowest:.4g}: correct --ground-z or --up"]
+
+
+def _axis_of_file(up: str, turned: str) -> str:
+    """Name an axis of poses as it was before another axis of theirs became z.
+
+    >>> _axis_of_file("-z", "y"), _axis_of_file("y", "y")
+    ('-y', '-z')
+    """
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    names = ["x", "y", "z", "-x", "-y", "-z"]
+    along = axes[names.index(up)]
+    if turned != "z":
+        along = upward(turned).inv().apply(along)
+    return names[int((axes @ along).argmax())]
 
 
 class _OnGround(NamedTuple):

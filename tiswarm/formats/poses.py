@@ -173,6 +173,12 @@ UPWARD = {
 """By the axis that is up, the turn that makes it z: half turns, and the axis of the turn."""
 
 
+def upward(up: str) -> Rotation:
+    """Return the turn by which an axis, a key of `UPWARD`, becomes z."""
+    half_turns, axis = UPWARD[up]
+    return Rotation.from_euler(axis, 180.0 * half_turns, degrees=True)
+
+
 def horizontal_mirror(up: str) -> Reals:
     """Return the signs of x, y and z that reverse a horizontal axis, shape (3,)."""
     return np.array([1.0, 1.0, -1.0] if up.endswith("y") else [1.0, -1.0, 1.0])
@@ -236,8 +242,7 @@ class Poses(NamedTuple):
 
     def upright(self, up: str) -> "Poses":
         """Turn the world so that an axis, a key of `UPWARD`, becomes z."""
-        half_turns, axis = UPWARD[up]
-        turn = Rotation.from_euler(axis, 180.0 * half_turns, degrees=True)
+        turn = upward(up)
         return self._mapped(lambda wxyz: _wxyz(turn * _rotation(wxyz)), turn.apply)
 
     def right_handed(self, up: str) -> "Poses":

@@ -1,6 +1,6 @@
 """An estimate in words: whether to trust it, which configurations fit, and what is an outlier."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ from tiswarm.base.aliases import AnyInts, Ints, Reals
 from tiswarm.measurements.contacts import connected_parts, reach
 from tiswarm.measurements.cues import CUES, WALKED, Measured, measure
 from tiswarm.measurements.model import SPACING
-from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, OpenTurn
+from tiswarm.records.estimate import MOST_MISFIT_SD, CommonCause, Convergence, Estimate, OpenTurn
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import NUMBERS, SensingLog
 
@@ -125,7 +125,7 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
         clauses.append(f"most of it is carried by {named(log, carriers)}")
     anchors = _outlier_anchors(log, estimate)
     if causes:
-        remedy = _REMEDIES[causes[0].parameter]
+        remedy = _remedy_of(causes)
     elif anchors.size:
         remedy = "measure that position again, or leave it out of the log"
         if len(anchors) > 1:
@@ -133,6 +133,14 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
     else:
         remedy = _remedy(convergence, carriers, log, beyond)
     return "; ".join([*clauses, remedy])
+
+
+def _remedy_of(causes: Sequence[CommonCause]) -> str:
+    """Say what to do about parameters one of which is wrong."""
+    if len(causes) == 1:
+        return _REMEDIES[causes[0].parameter]
+    listed = [f"{cause.parameter}: {_REMEDIES[cause.parameter]}" for cause in causes]
+    return "; ".join(["measure which of them is wrong", *listed])
 
 
 def _outlier_anchors(log: SensingLog, estimate: Estimate) -> Ints:

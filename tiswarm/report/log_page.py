@@ -1,7 +1,7 @@
 """The page of a log and its estimate: what was found, how certain it is, and what remains open."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.verdicts import IMAGES_APART, distrust, in_brief
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.messages import counted, percent
+from tiswarm.records.messages import counted, decimals_for, percent
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.page import Page, Shown
 from tiswarm.report.page_tables import MOST_ROWS, PageTable
@@ -56,7 +56,7 @@ def gather_log_page(
         warnings=warnings,
         notes=notes,
         headline=_summary(view, estimate, scores),
-        tables=[*_solutions(view, estimate), *_advice(advice)],
+        tables=[*_causes(estimate), *_solutions(view, estimate), *_advice(advice)],
         view=_space(view, estimate),
         figures=figures,
         rows=_robots(view, estimate),
@@ -83,7 +83,8 @@ def _in_words(log: SensingLog, estimate: Estimate) -> str:
     """State in a line why robots may not be where they are shown."""
     text = in_brief(log, estimate)
     if distrust(log, estimate):
-        text += ": see Warnings"
+        names = [cause.parameter for cause in estimate.common_causes]
+        text += f": a wrong {' or '.join(names)}, see Warnings" if names else ": see Warnings"
     sentences = []
     if text:
         sentences.append(_capital(text))
@@ -135,6 +136,36 @@ def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -
     return PageTable(
         frame=frame, words=["quantity"], title="Summary", note=f"{note}." if len(sd) else ""
     )
+
+
+def _causes(estimate: Estimate) -> Iterator[PageTable]:
+    """Tabulate the parameters one of which is probably wrong."""
+    causes = estimate.common_causes
+    if not causes:
+        return
+
+    def written(values: Iterable[float]) -> list[str]:
+        pairs = zip(values, causes, strict=True)
+        return [f"{value:.{decimals_for(cause.sd)}f}" for value, cause in pairs]
+
+    frame = pd.DataFrame(
+        {
+            "parameter": [cause.parameter for cause in causes],
+            "stated": written(cause.stated for cause in causes),
+            "would agree": written(cause.value for cause in causes),
+            "sd": written(cause.sd for cause in causes),
+            "unit": [cause.unit for cause in causes],
+            "key of the log": [cause.key for cause in causes],
+        }
+    )
+    which = "this parameter" if len(causes) == 1 else "one of these parameters"
+    note = (
+        f"All measurements would agree, within their noise, if {which} had another value. Measure "
+        "it, correct what is wrong, and localize again: positions on this page are those of the "
+        "stated values."
+    )
+    words = ["parameter", "unit", "key of the log"]
+    yield PageTable(frame=frame, words=words, title="Parameters that may be wrong", note=note)
 
 
 def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[PageTable]:
