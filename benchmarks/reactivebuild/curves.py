@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tiswarm.evaluation.metrics import power_law_exponent
+from tiswarm.evaluation.metrics import power_law
 
 Array = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ class Curve:
     def exponent(self, least: float = 0.0) -> float:
         """Fit p of mean ~ x^p to the points with x >= `least` [1]; NaN with too few points."""
         points = self.points[self.points["x"] >= least].astype(np.float64)
-        return power_law_exponent(points["x"].to_numpy(), points["mean"].to_numpy())
+        return power_law(points["x"].to_numpy(), points["mean"].to_numpy())[0]
 
     @property
     def structures(self) -> int:

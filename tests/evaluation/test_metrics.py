@@ -103,6 +103,45 @@ def test_intervals_hold_the_mean_as_often_as_they_say():
     assert held == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
 
 
+def test_an_interval_of_a_share_ends_at_one():
+    """Of zeros and ones it is Wilson's: 1.96 standard errors of its ends, not of the mean."""
+    values = np.array([1.0] * 63 + [0.0])
+
+    low, high = metrics.share_ci95(values).values()
+
+    assert 0.0 < low < 63 / 64 < high < 1.0
+    for end in (low, high):  # the ends solve the equation that Wilson's interval states
+        assert abs(63 / 64 - end) == pytest.approx(1.959964 * np.sqrt(end * (1 - end) / 64))
+    assert metrics.share_ci95(np.ones(64))["ci95_high"] == 1.0
+    assert metrics.share_ci95(np.zeros(3))["ci95_low"] == 0.0
+    assert np.isnan(metrics.share_ci95(np.array([np.nan]))["ci95_low"])
+
+
+def test_an_interval_of_shares_is_as_wide_as_they_vary():
+    """Shares of robots vary less than zeros and ones; their interval is near Student's."""
+    shares = np.random.default_rng(1).uniform(0.4, 0.6, size=200)
+
+    low, high = metrics.share_ci95(shares).values()
+
+    student = metrics.mean_std_ci95(shares)
+    assert high - low == pytest.approx(2.0 * student["ci95"], rel=0.02)
+    few = metrics.share_ci95(np.array([0.5, 0.6]))
+    assert few["ci95_high"] - few["ci95_low"] > 0.8  # variances of two values say little
+
+
+def test_intervals_of_powers_hold_the_true_one():
+    """Of 1,000 fits to 4 sizes of 5 structures with noise, 95 % within four standard errors."""
+    rng = np.random.default_rng(2)
+    sizes = np.repeat([10.0, 30.0, 100.0, 300.0], 5)
+    noise = np.exp(0.3 * rng.normal(size=(1000, len(sizes))))
+
+    fits = [metrics.power_law(sizes, 5.0 * sizes**-0.8 * factor) for factor in noise]
+
+    held = np.mean([abs(p + 0.8) <= half for p, half in fits])
+    assert held == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 1000))
+    assert np.isnan(metrics.power_law(sizes[:10], sizes[:10])).all()  # two sizes fit exactly
+
+
 def test_paired_differences_see_through_what_structures_share():
     """A small gain on very different structures is certain, and missing ones are left out."""
     rng = np.random.default_rng(3)

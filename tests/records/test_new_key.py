@@ -47,7 +47,7 @@ from tiswarm.localization.settings import Cues, JointParams
 from tiswarm.measurements.units import slips
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import line_schema
-from tiswarm.report.run_data import measured_words
+from tiswarm.report.series import measured_words
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
@@ -110,5 +110,5 @@ def test_a_key_a_cue_and_its_switch_are_an_edit_each(tmp_path):
         "refused": "wrong.jsonl:3: echoes[0]: the distance -1 should be positive; correct it",
         "used": [True, False],
         "slips": ["echoes"],
-        "words": "contacts and distances by sound",
+        "words": "final contacts and distances by sound",
     }

@@ -74,7 +74,7 @@ def write_case(folder, *, seed, last_iteration=40):
 
 def write_summary(folder, header, rows):
     """Write the summary of a run; columns that the header lacks are empty, but for the seed."""
-    first = "case,seed,series,condition,point,kind,method,status,reason"
+    first = "case,seed,series,condition,point,kind,method,measurements,status,reason"
     names = header.split(",")
     rows = [{"seed": 0} | dict(zip(names, row, strict=True)) for row in rows]
     columns = [*first.split(","), *(name for name in names if name not in first.split(","))]

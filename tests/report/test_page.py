@@ -14,6 +14,7 @@ from tests.browser import probe
 from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
+from tiswarm.evaluation.metrics import share_ci95
 from tiswarm.records.messages import MISSING
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import page as page_module
@@ -261,6 +262,19 @@ def test_cases_that_did_not_converge_are_named():
     assert warnings_of(summary) == []
 
 
+def test_a_condition_that_fails_everywhere_is_named_once():
+    """Algorithm 1 never states that it converged: thirty names said no more than its own."""
+    summary = pd.DataFrame(
+        {"condition": [*"aaaabb"], "series": ["20, a"] * 2 + ["40, a"] * 2 + ["20, b", "40, b"]}
+    )
+    summary = summary.assign(case=[f"{k}-x" for k in range(6)], status="done", reason=None)
+    lost = summary.assign(converged=[False] * 5 + [True], distrust=None)
+
+    (warning,) = warnings_of(lost)
+
+    assert warning.startswith("5 of 6 cases did not converge (all of a; seed 4 of 20, b).")
+
+
 def test_reasons_that_differ_in_numbers_are_one():
     """A warning for readers repeated the sentence of its author for each case."""
     summary = pd.DataFrame({"case": ["0-a", "1-a", "2-a"], "series": ["a", "a", "a"]})
@@ -287,7 +301,7 @@ def test_cases_that_are_not_consistent_are_named_with_the_reason():
     (too_good,) = warnings_of(found.assign(misfit_sd=-8.0, sd_factor=1.0))
 
     assert warning == (
-        "3 of 4 cases are not consistent with the noise that their logs state (all of a, seed 0 of "
+        "3 of 4 cases are not consistent with the noise that their logs state (all of a; seed 0 of "
         "b): "
         "wrong heights. At most, chi-square exceeds its expectation by 27 sd and sd is multiplied "
         "by 3.1."
@@ -316,30 +330,29 @@ def test_the_first_table_has_what_a_question_asks_for():
     table = pd.DataFrame({"condition": ["a", "a"], "structure.kind": ["tower", "bridge"]})
     table = table.assign(cases=[1, 2], rmse_R_mean=[1.0, 2.0], kind=["tower", "bridge"])
     table = table.assign(height_R_mean=[30.0, 9.0], crossed_mean=[np.nan, 0.5], sent_B_mean=[7, 8])
+    low, high = share_ci95(np.array([0.0, 1.0])).values()
+    table = table.assign(crossed_ci95_low=[np.nan, low], crossed_ci95_high=[np.nan, high])
 
     shown = headline_table(table, "reached")
     sent = headline_table(table, "traffic")
 
-    assert shown.frame["reached"].tolist() == ["30", "0.500"]
+    assert shown.frame["reached"].tolist() == ["30", "0.500 (0.0945 to 0.905)"]
     assert "of bridges, the share that closed" in shown.note
     assert sent.frame["sent by a robot [B]"].tolist() == ["7", "8"]
     assert "reached" not in headline_table(table).frame
 
 
-def test_measurements_beyond_those_of_all_have_a_column():
-    """A reader sees which conditions can be compared; one that failed measures nothing."""
+def test_a_table_states_what_all_series_measure():
+    """Names of series have the rest; a condition that failed measures nothing."""
     table = pd.DataFrame(
         {"condition": [*"abc"], "cases": [2, 2, 0], "rmse_R_mean": [1.0, 2.0, None]}
     )
     used = ["contacts, height, walk_contacts", "contacts, height", None]
 
     shown = headline_table(table.assign(measurements=used))
-    alike = headline_table(table.assign(measurements=used[1]))
 
     assert shown.frame["condition"].tolist() == [*"abc"]
-    assert shown.frame["also uses"].tolist() == ["contacts on the way", "", ""]
-    assert "All conditions use contacts and heights." in shown.note
-    assert "also uses" not in alike.frame
+    assert "All series use final contacts and heights." in shown.note
 
 
 def test_p_needs_five_structures():
@@ -361,16 +374,31 @@ def test_p_needs_five_structures():
     assert "Wilcoxon" not in none.note
 
 
-def test_disconnected_robots_are_stated_beside_the_error(tmp_path):
-    """An unfinished bridge must not look like a bad method."""
+def test_errors_are_of_located_robots():
+    """Positions that no measurement ties to the anchor are guesses, and their errors no errors."""
     table = pd.DataFrame({"condition": [*"ab"], "cases": 1, "rmse_R_mean": [18.3, 17.0]})
-    lost = table.assign(disconnected_mean=[15.0, 0.0], joined_mean=30.0)
+    table = table.assign(rmse_located_R_mean=[1.5, 17.0], procrustes_disparity_mean=5.9)
 
-    shown = headline_table(lost)
+    all_located = headline_table(table.assign(located_mean=1.0))
+    some = headline_table(table.assign(located_mean=[0.5, 1.0]))
 
-    assert shown.frame["robots tied [%]"].tolist() == ["100", "50"]
-    assert "No method can place" in shown.note
-    assert "robots tied [%]" not in headline_table(table).frame
+    assert [*all_located.frame] == ["condition", "RMSE [R]", "disparity", "located [%]"]
+    assert [*some.frame] == ["condition", "RMSE of located [R]", "located [%]"]
+    assert some.frame.to_numpy().tolist() == [["a", "1.50", "50"], ["b", "17", "100"]]
+    assert "positions of others are guesses" in some.note
+
+
+def test_powers_stand_at_the_largest_size():
+    """A power is of all sizes of a series, with its interval; two sizes have none."""
+    table = pd.DataFrame({"condition": [*"abab"], "robots": ["20 robots"] * 2 + ["80 robots"] * 2})
+    table = table.assign(cases=1, rmse_R_mean=[1.0, 2.0, 3.0, 4.0])
+    powers = pd.DataFrame({"series": [*"ab"], "measure": "rmse_R", "robots": 80, "mean": 1.0})
+    powers = powers.assign(exponent=[0.79, np.nan], exponent_ci95=[0.301, np.nan])
+
+    shown = headline_table(table, "sizes", powers=powers)
+
+    assert shown.frame["RMSE as N^p: p"].tolist() == ["", "", "0.79 ± 0.30", ""]
+    assert "p: power of the number of robots" in shown.note
 
 
 def test_doubtful_estimates_are_counted_beside_the_error():
@@ -399,18 +427,7 @@ def test_changes_are_from_the_first_condition_of_the_same_point():
     shown = headline_table(table, "cues")
 
     assert shown.frame["condition"].tolist() == ["all", "less", "less", "all"]
-    assert shown.frame["change from all [%]"].tolist() == ["", "+50", "-25", ""]
-
-
-def test_conditions_with_other_measurements_say_so_beside_their_name():
-    """A method that is given more measurements errs less, which says nothing of the method."""
-    table = pd.DataFrame({"condition": [*"ab"], "cases": 1, "rmse_R_mean": [1.0, 2.0]})
-    used = ["contacts, walk_contacts", "contacts"]
-
-    shown = headline_table(table.assign(measurements=used))
-
-    assert [*shown.frame][:2] == ["condition", "also uses"]
-    assert shown.frame["also uses"].tolist() == ["contacts on the way", ""]
+    assert shown.frame["change [%]"].tolist() == ["", "+50", "-25", ""]
 
 
 def test_the_console_has_the_table_in_aligned_columns():
@@ -653,7 +670,7 @@ def test_latex_prints_each_letter_of_a_label():
     )
     assert rf"{escaped} & 1.0 $\pm$ 0.5 \\" in text
     assert r"condition & p \textless{} q \\" in text
-    assert rf"\caption{{Of {escaped}.}}" in text
+    assert rf"by condition. Of {escaped}.}}" in text
 
 
 @pytest.mark.parametrize(

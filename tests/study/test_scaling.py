@@ -29,11 +29,16 @@ def _tower(*overrides):
 
 @pytest.fixture(scope="module")
 def scaled(tmp_path_factory):
-    """Folder of a run of three sizes, two seeds and three conditions."""
+    """Folder of a run of three sizes, two seeds and four conditions."""
     rows = {"robots, structure.movers": [[size, size // 6] for size in SIZES]}
     small = load_scenario(
         REPOSITORY / "scenarios" / "scaling.yaml",
-        [f"sweep={rows}", "seeds=2", "conditions.joint.localization.steps=20"],
+        [
+            f"sweep={rows}",
+            "seeds=2",
+            "conditions.joint.localization.steps=20",
+            "conditions.joint-with-walks.localization.steps=20",
+        ],
     )
     out = tmp_path_factory.mktemp("scaled")
     return study.run(small, out, progress=Progress()).folder
@@ -53,8 +58,8 @@ def test_scaling_tells_means_by_size(scaled):
     for size in SIZES:
         costs = _costs(scaled, size)
         grown = sum(cost["grow"]["cpu_s"] for cost in costs.values())
-        joint = [cost["localize"]["cpu_s"] for name, cost in costs.items() if "joint" in name]
-        assert len(costs) == 6
+        joint = [c["localize"]["cpu_s"] for name, c in costs.items() if name.endswith(",joint")]
+        assert len(costs) == 8
         assert mean["joint", "rmse_R", size] == pytest.approx(
             summary["rmse_R"].mean()["joint", size]
         )
@@ -162,17 +167,21 @@ def test_what_the_machine_lacks_is_found_before_a_case_is_computed(tmp_path, swe
 
 
 def test_exponents_are_slopes_on_logarithmic_axes(scaled):
-    """Exponents are least-squares slopes of log mean over log N; slopes are those of each step."""
-    for _, part in pd.read_csv(scaled / "scaling.csv").groupby(["series", "measure"]):
+    """Exponents are least-squares slopes over structures, slopes those of each step of means."""
+    summary = pd.read_csv(scaled / "summary.csv")
+    for (series, measure), part in pd.read_csv(scaled / "scaling.csv").groupby(
+        ["series", "measure"]
+    ):
         if not (part["mean"] > 0.0).all():
             assert part["slope"].isna().any()
             continue
-        x, y = np.log(part["robots"]), np.log(part["mean"])
-        slope = np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2)
-
-        np.testing.assert_allclose(part["exponent"], slope, atol=1e-9)
-        steps = np.diff(y) / np.diff(x)
+        steps = np.diff(np.log(part["mean"])) / np.diff(np.log(part["robots"]))
         np.testing.assert_allclose(part["slope"], [np.nan, *steps], atol=1e-9)
+        if measure in summary:
+            rows = summary[summary["condition"] == series]
+            slope, _ = np.polyfit(np.log(rows["robots"]), np.log(rows[measure]), 1)
+            np.testing.assert_allclose(part["exponent"], slope, atol=1e-9)
+            assert (part["exponent_ci95"] > 0.0).all()
 
 
 def test_the_manifest_adds_costs_up(scaled):
@@ -192,9 +201,14 @@ def test_the_figure_shows_every_series(scaled):
 
     figure = draw_scaling(load_run(scaled))
 
-    assert names == ["paper", "together", "joint"]
+    assert names == ["paper", "together", "joint", "joint-with-walks"]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["Algorithm 1", "Algorithm 1 (all at once)", "joint", "all series"]
+    assert legend[:4] == [
+        "Algorithm 1, final contacts",
+        "Algorithm 1 (all at once), final contacts",
+        "joint, final contacts",
+        "joint, walk contacts",
+    ]
     for axes, measure in zip(figure.axes, SCALING_PANELS, strict=True):
         wanted = [means[measure, n].to_numpy() for n in names if (measure, n) in means.index]
         if all(np.array_equal(mean, wanted[0]) for mean in wanted):
@@ -217,7 +231,7 @@ def test_a_plan_is_printed_and_nothing_runs(tiswarm, tmp_path):
     planned = tiswarm("run", scenario, "--plan", "--out", tmp_path / "out")
     checked = tiswarm("check", scenario)
 
-    expected = "57 cases, 699600 robots in all; estimate: "
+    expected = "76 cases, 932800 robots in all; estimate: "
     assert planned.stdout.startswith(expected)
     assert expected in checked.stdout
     assert not (tmp_path / "out").exists()

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,15 +20,23 @@ from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import figure_style, table_figures
 from tiswarm.report.cases_page import cases_page
 from tiswarm.report.figure_style import Panels, marker_style
-from tiswarm.report.run_data import joined_words, load_run, read_labels, swept_columns, with_points
+from tiswarm.report.run_data import (
+    Labels,
+    joined_words,
+    load_run,
+    read_labels,
+    swept_columns,
+    with_points,
+)
+from tiswarm.report.series import measured_cues, series_names
 from tiswarm.study import tables
 from tiswarm.study.store import CaseRecord, RunFolder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_ERRORS = [RMSE.mean, RMSE.ci95, DISPARITY.mean]
-"""Columns of errors that a table shows by default; `frame` has all."""
+_ERRORS = {RMSE.mean: "RMSE [R]", RMSE.ci95: "± 95 % CI [R]", DISPARITY.mean: "disparity"}
+"""Columns of errors that the printed table has, and their headings; `frame` has all."""
 
 _COMPARED = ["run", "series", "against_run", "against_series", "measure"]
 
@@ -118,9 +126,10 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
     read = {name: _read_table(run) for run, name in zip(runs, names, strict=True)}
     first = ["run", *dict.fromkeys(key for table in read.values() for key in swept_columns(table))]
     stacked = _stacked(read)
+    labels = _labels(dict(zip(names, runs, strict=True)), read)
     labeled = {
-        name: with_points(read_labels(run).put(read[name].copy(), before="cases"))
-        for run, name in zip(runs, names, strict=True)
+        name: with_points(labels[name].put(table.copy(), before="cases"))
+        for name, table in read.items()
     }
     series = {
         (name, label): accuracy
@@ -133,7 +142,7 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
         if is_of_two_runs and not before.index.intersection(after.index).empty:
             pair = dict(zip(_COMPARED, (*second_key, *first_key), strict=False))
             rows += tables.differences(pair, before, after)
-    cases = _cases(runs, names)
+    cases = _cases(dict(zip(names, runs, strict=True)), labels)
     make_folder(out)
     columns = [*first, *stacked.columns.difference(first, sort=False)]
     write_frame(stacked[columns], out / "comparison.csv", opened=outputs.opened)
@@ -148,15 +157,33 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
     return comparison
 
 
-def _cases(runs: Sequence[Path], names: Sequence[str]) -> pd.DataFrame:
+def _cases(runs: Mapping[str, Path], labels: Mapping[str, Labels]) -> pd.DataFrame:
     """Put the cases of all runs below each other, with labels in place of keys."""
     parts = [
-        load_run(run).summary.drop(columns="series").assign(run=name)
-        for run, name in zip(runs, names, strict=True)
+        load_run(run, labels[name]).summary.drop(columns="series").assign(run=name)
+        for name, run in runs.items()
     ]
     cases = pd.concat(parts, ignore_index=True)
     words = [name for name in _CASE_WORDS if name in cases]
     return cases[[*words, *cases.columns.difference(words, sort=False)]]
+
+
+def _labels(runs: Mapping[str, Path], read: Mapping[str, pd.DataFrame]) -> dict[str, Labels]:
+    """Name the series of all runs, with the measurements in which any two of them differ."""
+    labels = {name: read_labels(run) for name, run in runs.items()}
+    measured = {
+        (run, name): cues
+        for run, table in read.items()
+        for name, cues in measured_cues(table).items()
+    }
+    stated = {(run, name): labels[run].conditions.get(name, name) for run, name in measured}
+    names = series_names(stated, measured)
+    return {
+        run: replace(
+            of_run, conditions={name: text for (of, name), text in names.items() if of == run}
+        )
+        for run, of_run in labels.items()
+    }
 
 
 def _stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
@@ -222,5 +249,6 @@ def _short_table(table: pd.DataFrame) -> pd.DataFrame:
     Numbers have three digits, and a column that no row fills is left out.
     """
     head = table.loc[:, :"cases"]
-    errors = table.filter(_ERRORS).map(lambda value: float(f"{value:.3g}"))
-    return head.dropna(axis="columns", how="all").join(errors)
+    errors = table.filter([*_ERRORS]).map(lambda value: float(f"{value:.3g}"))
+    shown = head.join(errors).dropna(axis="columns", how="all")
+    return shown.rename(columns=_ERRORS)

@@ -101,7 +101,12 @@ class Run:
 
     @property
     def table(self) -> "pd.DataFrame":
-        """Results by condition that the page shows; `frame("table")` has all statistics."""
+        """Results by series that the page shows; `frame("table")` has all statistics.
+
+        The column `series` has the names that figures use.
+        """
+        from tiswarm.report.run_data import joined_words, with_points  # noqa: PLC0415
+
         full = self.frame("table")
         shown = {measure for headings in PAGE.values() for measure in headings}
         hidden = {measure.mean for measure in MEASURES.values() if measure not in shown}
@@ -111,7 +116,10 @@ class Run:
             is_shown_mean = name.endswith("_mean") and name not in hidden
             if (name in ranges or is_shown_mean) and full[name].notna().any():
                 kept.append(name)
-        return full.loc[:, :"failed"].join(full[kept])
+        shown_table = full.loc[:, :"failed"].join(full[kept])
+        labeled = with_points(self._labeled_table())
+        shown_table.insert(0, "series", joined_words(labeled, ["point", "condition"]))
+        return shown_table
 
     @property
     def summary(self) -> "pd.DataFrame":
@@ -126,24 +134,31 @@ class Run:
         """Write that table for a paper: "latex" with rules of booktabs, "markdown" or "csv"."""
         from tiswarm.report.page_tables import paper_text  # noqa: PLC0415 - slow to import
 
-        return paper_text(self._accuracy(), form)
+        return paper_text(self._accuracy(), form, self.folder.name.rpartition("-")[0])
 
     def _accuracy(self) -> "PageTable":
         table = self._labeled_table()
         if not table["cases"].any():
             problem = "no case of this run is done; correct the scenario and run it again"
             raise InputError(problem, path=self.folder)
-        return self._headline(table)
+        return self._headline(table, best_first=False)
 
     def _labeled_table(self) -> "pd.DataFrame":
         return self._data().table("table.csv", ["condition"], ["cases"], after="cases")
 
-    def _headline(self, table: "pd.DataFrame", *, with_verdicts: bool = False) -> "PageTable":
+    def _headline(
+        self, table: "pd.DataFrame", *, with_verdicts: bool = False, best_first: bool = True
+    ) -> "PageTable":
         from tiswarm.report.page_tables import headline_table  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import stated_scenario  # noqa: PLC0415 - slow to import
 
-        question = stated_scenario(self.folder).get("question", "")
-        return headline_table(table, question, with_verdicts=with_verdicts)
+        return headline_table(
+            table,
+            stated_scenario(self.folder).get("question", ""),
+            powers=self._data().powers,
+            with_verdicts=with_verdicts,
+            best_first=best_first,
+        )
 
     def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
         """Read another table of the run, or one of a case.

@@ -529,9 +529,7 @@ def score_files(truth: Path, estimate: Path | Estimate) -> Scores:
 
 def _of_located(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, float]:
     """Return the share of robots located, and their RMSE; both without anchors."""
-    if estimate.located is None:
-        return {}
-    located = estimate.located[unknown]
+    located = ~estimate.is_guess[unknown]
     square = metrics.robot_errors(estimate.position, truth.position)[unknown][located] ** 2
     return {"located": _mean(located), "rmse_located_R": _mean(square) ** 0.5}
 

@@ -60,6 +60,9 @@ class Measure:
     published: str = ""
     """Column of `table.csv` with the paper's number, if the paper has one."""
 
+    is_share: bool = False
+    """Whether it is a share from 0 to 1, or 0 or 1, whose mean over structures is a share."""
+
     @property
     def needs_estimate(self) -> bool:
         """Whether only cases whose robots were localized have it."""
@@ -72,7 +75,9 @@ class Measure:
 
     @property
     def axis(self) -> str:
-        """Label with the unit, if it has one."""
+        """Label with the unit, if it has one; shares name theirs."""
+        if self.is_share:
+            return f"{self.label} [share]"
         return self.label if self.unit == "1" else f"{self.label} [{self.unit}]"
 
     @property
@@ -82,8 +87,13 @@ class Measure:
 
     @property
     def ci95(self) -> str:
-        """Column of the half width of the confidence interval."""
+        """Column of the half width of the confidence interval; shares have `bounds` instead."""
         return self.statistic("ci95")
+
+    @property
+    def bounds(self) -> tuple[str, str]:
+        """Columns of the ends of the confidence interval of a share."""
+        return self.statistic("ci95_low"), self.statistic("ci95_high")
 
     @property
     def least(self) -> str:
@@ -151,6 +161,7 @@ TIPPED, SLID = (
         _STRUCTURE,
         f"whether the structure {name} on docks that rest; empty where the ground holds them",
         label=f"Structures that {name}",
+        is_share=True,
     )
     for name in ("tipped", "slid")
 )
@@ -179,9 +190,15 @@ BEYOND_EDGE = Measure(
     "1",
     _STRUCTURE,
     "share of the robots beyond the edge, or over the gap; empty on flat ground",
+    is_share=True,
 )
 CROSSED = Measure(
-    "crossed", "1", _STRUCTURE, "whether a bridge joins both sides of its gap", label="Closed"
+    "crossed",
+    "1",
+    _STRUCTURE,
+    "whether a bridge joins both sides of its gap",
+    label="Bridges closed",
+    is_share=True,
 )
 FLIPS_AS_PLANNED = _larger(
     "flips_as_planned",
@@ -190,6 +207,7 @@ FLIPS_AS_PLANNED = _larger(
     "share of all flips tried that ended at the robot, or on the ground, as planned; the way back "
     "does not count; empty where robots know the truth",
     label="Flips as planned",
+    is_share=True,
 )
 FAILED_FLIPS = _smaller(
     "failed_flips",
@@ -246,10 +264,18 @@ FLOPPY_MODES = _smaller(
     label="Floppy modes",
 )
 COVERAGE_50 = Measure(
-    "coverage_50", "1", _BOTH, "share of robots, without anchors, in their 50 % interval"
+    "coverage_50",
+    "1",
+    _BOTH,
+    "share of robots, without anchors, in their 50 % interval",
+    is_share=True,
 )
 COVERAGE_90 = Measure(
-    "coverage_90", "1", _BOTH, "share of robots, without anchors, in their 90 % interval"
+    "coverage_90",
+    "1",
+    _BOTH,
+    "share of robots, without anchors, in their 90 % interval",
+    is_share=True,
 )
 SURE = _larger(
     "sure_1R",
@@ -257,26 +283,39 @@ SURE = _larger(
     _ESTIMATE,
     "share of robots, without anchors, that are within 1 R of their estimated positions with a "
     "probability of 95 % or more, `within_1R`; empty if the method states no `sd_R`",
+    is_share=True,
 )
 SURE_OFF = Measure(
-    "sure_off_1R", "1", _BOTH, "share of these that are off by 1 R or more; empty without any"
+    "sure_off_1R",
+    "1",
+    _BOTH,
+    "share of these that are off by 1 R or more; empty without any",
+    is_share=True,
 )
 PRECISION = _larger(
-    "outlier_precision", "1", _BOTH, "wrong contacts among those reported as outliers"
+    "outlier_precision",
+    "1",
+    _BOTH,
+    "wrong contacts among those reported as outliers",
+    is_share=True,
 )
-RECALL = _larger("outlier_recall", "1", _BOTH, "reported outliers among wrong contacts")
-CONVERGED = _larger("converged", "1", _ESTIMATE, "whether the method converged")
+RECALL = _larger(
+    "outlier_recall", "1", _BOTH, "reported outliers among wrong contacts", is_share=True
+)
+CONVERGED = _larger("converged", "1", _ESTIMATE, "whether the method converged", is_share=True)
 CONSISTENT = _larger(
     "consistent",
     "1",
     _ESTIMATE,
     "whether noise as stated explains the measurements; empty where that was not tested",
+    is_share=True,
 )
 TESTABLE = Measure(
     "testable",
     "1",
     _ESTIMATE,
     "whether the log could be found not consistent: it was, or it has spare measurements",
+    is_share=True,
 )
 SPARE = Measure(
     "spare_measurements",
@@ -324,19 +363,32 @@ LOCATED = _larger(
     "located",
     "1",
     _ESTIMATE,
-    "share of robots located, without anchors, if the method places robots one by one",
+    "share of robots located, without anchors: measurements tie them to the anchor, and determine "
+    "their positions if the method places robots one by one",
+    is_share=True,
 )
 RMSE_LOCATED = _smaller(
-    "rmse_located_R", "R", _BOTH, "RMSE of the robots located; empty if there are none"
+    "rmse_located_R",
+    "R",
+    _BOTH,
+    "RMSE of the robots located, without anchors; empty if there are none",
 )
 RMSE_AT_JOIN = _smaller(
     "rmse_at_join_R", "R", _BOTH, "RMSE of robots as they joined, if the method places them then"
 )
 WITHIN_DOCK = _larger(
-    "within_dock", "1", _BOTH, "share of robots, without anchors, whose error is at most 2 R"
+    "within_dock",
+    "1",
+    _BOTH,
+    "share of robots, without anchors, whose error is at most 2 R",
+    is_share=True,
 )
 CONTACTS_WITHIN_DOCK = _larger(
-    "contacts_within_dock", "1", _BOTH, "share of pairs in contact whose vector errs by at most 2 R"
+    "contacts_within_dock",
+    "1",
+    _BOTH,
+    "share of pairs in contact whose vector errs by at most 2 R",
+    is_share=True,
 )
 DOUBTFUL = Measure(
     "doubtful",
@@ -361,7 +413,7 @@ ROUNDS = _smaller("rounds", "1", _TRAFFIC, "rounds with messages, which all robo
 OPERATIONS = _smaller("operations", "1", _TRAFFIC, "operations of a robot, in the mean")
 WORST_OPERATIONS = _smaller("worst_operations", "1", _TRAFFIC, "most operations of a robot")
 SOLVED_SHARE = _smaller(
-    "solved_share", "1", _TRAFFIC, "largest share of joins that one robot solves"
+    "solved_share", "1", _TRAFFIC, "largest share of joins that one robot solves", is_share=True
 )
 FIRST_ON_ANCHOR, SECOND_ON_ANCHOR, THIRD_ON_ANCHOR = (
     Measure(
@@ -437,6 +489,7 @@ SETTLED = _larger(
     _SWARM,
     "whether the longest last step of a robot is shorter than `settled_below`",
     label="Settled",
+    is_share=True,
 )
 LAST_MOVE = _smaller(
     "last_move_R", "R", _SWARM, "longest last step of a robot", label="Longest last step"

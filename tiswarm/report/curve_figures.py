@@ -568,7 +568,7 @@ class _Family(NamedTuple):
 def _families(run: RunData, table: pd.DataFrame) -> list[_Family]:
     """Gather conditions that set the same keys, and among these one number that differs."""
     stated = {
-        str(entries.get(LABEL, name)): entries
+        run.labels.conditions.get(name, name): entries
         for name, entries in stated_conditions(run.folder).items()
     }
     conditions_by_keys: dict[tuple[str, ...], dict[str, dict[str, Any]]] = {}

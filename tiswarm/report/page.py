@@ -348,7 +348,7 @@ def _gather(run: RunData) -> Page:
     if run.is_of_engine:
         speeds = run.table("throughput.csv", ["condition"], ["robot_count", "steps"], after="cases")
         tables = [page_tables.throughput_table(speeds), *tables]
-    headline = page_tables.headline_table(table, stated.get("question", ""))
+    headline = page_tables.headline_table(table, stated.get("question", ""), powers=run.powers)
     arch = manifest.backend.get("arch", "cpu")
     return Page(
         name=stated.get("name", run.folder.name),

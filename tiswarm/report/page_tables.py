@@ -24,12 +24,13 @@ from tiswarm.records.measures import (
     DISPARITY,
     FEWEST,
     FLOPPY_MODES,
-    JOINED,
     LEFT,
+    LOCATED,
     MISFIT,
     PAGE,
     REACH,
     RMSE,
+    RMSE_LOCATED,
     SD_FACTOR,
     SENT,
     SETTLED,
@@ -42,7 +43,8 @@ from tiswarm.records.measures import (
 )
 from tiswarm.records.messages import MISSING, counted, percent, three_digits
 from tiswarm.records.run_folder import Manifest
-from tiswarm.report.run_data import measured_words, with_points
+from tiswarm.report.run_data import NO_KEYS, joined_words, swept_columns, with_points
+from tiswarm.report.series import measured_cues, measured_words
 
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""
@@ -128,10 +130,11 @@ def _latex(text: object) -> str:
     return str(text).translate(_LATEX)
 
 
-def paper_text(table: PageTable, form: str) -> str:
+def paper_text(table: PageTable, form: str, name: str = "") -> str:
     """Write a table for a paper, as "latex" with rules of booktabs, "markdown" or "csv".
 
-    CSV repeats the point of the sweep in each row; the others write it once.
+    CSV repeats the point of the sweep in each row; the others write it once. In LaTeX, the label of
+    the table is `tab:` and the name.
     """
     frame = table.frame
     if form == "csv":
@@ -142,7 +145,12 @@ def paper_text(table: PageTable, form: str) -> str:
         sides = "".join("l" if name in table.words else "r" for name in frame)
         style = frame.style.hide(axis="index").format(_latex)
         style = style.format_index(_latex, axis="columns")
-        return style.to_latex(hrules=True, column_format=sides, caption=_latex(table.note))
+        return style.to_latex(
+            hrules=True,
+            column_format=sides,
+            caption=_latex(f"{table.title} by condition. {table.note}"),
+            label=f"tab:{name}" if name else None,
+        )
     rule = [":--" if name in table.words else "--:" for name in frame]
     cells = frame.replace(r"\|", r"\\|", regex=True).to_numpy().tolist()
     rows = [[*map(str, frame)], rule, *cells]
@@ -174,38 +182,57 @@ def console_text(table: PageTable, width: int = 100) -> str:
 
 
 def headline_table(
-    table: pd.DataFrame, question: str = "", *, with_verdicts: bool = False
+    table: pd.DataFrame,
+    question: str = "",
+    *,
+    powers: pd.DataFrame | None = None,
+    with_verdicts: bool = False,
+    best_first: bool = True,
 ) -> PageTable:
-    """Format accuracy, and what a question asks for: a row for each condition and point.
+    """Format accuracy, and what a question asks for: a row for each series.
 
-    The best condition of each point is first. Where conditions differ in their measurements, each
-    has its further ones beside its name. Verdicts are how many estimates converged and are
-    consistent, where not all are; a page has them in a table of their own.
+    Errors are those of located robots, whose share is beside them. Verdicts are how many estimates
+    converged and are consistent, where not all are; a page has them in a table of their own.
+
+    Args:
+        table: `table.csv` with labels.
+        question: Question of the scenario.
+        powers: Powers of N of series and measures, as `RunData.powers` has them.
+        with_verdicts: Whether to count verdicts.
+        best_first: Whether the series of each point are sorted by their errors.
     """
     if SETTLED.mean in table:
         return _swarm_table(table)
     if RMSE.mean not in table:
         return _structure_table(table)
-    rows = _best_first(table)
-    shared, further = _measurements(rows)
-    columns: dict[str, pd.Series] = {}
-    if any(further):
-        columns[FURTHER] = pd.Series(further, rows.index, dtype=str)
-    columns |= _means(rows, "accuracy") | _asked(rows, question) | _tied(rows)
+    rows = _best_first(table) if best_first else table
+    columns = _errors(rows) | _asked(rows, question, powers)
     if with_verdicts:
         columns |= _verdicts(rows)
     if rows["cases"].min() < rows["cases"].max():
         columns["structures"] = _numbers(rows["cases"])
     notes = _notes_on_means(rows)
+    shared = _shared_measurements(rows)
     if shared:
-        notes.append(f"All conditions use {shared}.")
-    notes.append("Conditions are ways to localize. R: a dock's radius. Disparity 0: right shape.")
+        notes.append(f"All series use {shared}.")
+    notes.append("R: a dock's radius.")
     notes += [note for label, note in _NOTES.items() if label in columns]
-    words = _names(rows)
-    shown = _labeled(words, columns, "Accuracy", " ".join(notes))
-    return replace(shown, words=[*words, FURTHER])
+    if {_LOCATED, "reached"} & {*columns}:
+        notes.append(_WILSON)
+    return _labeled(_names(rows), columns, "Accuracy", " ".join(notes))
 
 
+def _errors(rows: pd.DataFrame) -> dict[str, pd.Series]:
+    """Format the share of robots located, their RMSE, and disparity where all are located."""
+    share = {}
+    if LOCATED.mean in rows and rows[LOCATED.mean].notna().any():
+        share = {_LOCATED: _mean(rows, LOCATED, factor=100.0)}
+    if _has_guesses(rows):
+        return {_OF_LOCATED: _mean(rows, RMSE_LOCATED), **share}
+    return {**_means(rows, "accuracy"), **share}
+
+
+_WILSON = "Shares have Wilson's 95 % CI in parentheses."
 _REACHED = "Reached: height, reach or depth [R]; of bridges, the share that closed."
 
 
@@ -226,7 +253,7 @@ def _swarm_table(table: pd.DataFrame) -> PageTable:
     """Format whether swarms settled, and how they ended: a row for each point and condition."""
     columns = _means(table, "swarms")
     notes = [note.replace("structure", "swarm") for note in _notes_on_means(table)]
-    notes.append("R: a dock's radius.")
+    notes += [_WILSON, "R: a dock's radius."]
     notes.append(
         "Last step: the longest of a robot. Overlap: of docks that are not connected. Gap: root "
         "mean square by which connected docks miss touching. Moved: from where robots started."
@@ -263,41 +290,42 @@ def _structure_table(table: pd.DataFrame) -> PageTable:
         columns["structures"] = _numbers(table["cases"])
     notes = [*_notes_on_means(table), "R: a dock's radius."]
     notes += [note for label, note in _NOTES.items() if label in columns]
+    if "bridge" in {*table.get("kind", [])}:
+        notes.append(_WILSON)
     return _labeled(_names(table), columns, "Structures", " ".join(notes))
 
 
 def _best_first(table: pd.DataFrame) -> pd.DataFrame:
-    """Sort the rows of each point of the sweep by their mean RMSE; points stay in their order."""
+    """Sort the rows of each point of the sweep by the error that they state."""
     point = with_points(table).groupby("point", sort=False).ngroup()
-    order = ["point_rank"]
-    if RMSE.mean in table:
-        order.append(RMSE.mean)
-    return table.assign(point_rank=point).sort_values(order, kind="stable")
+    error = RMSE_LOCATED.mean if _has_guesses(table) else RMSE.mean
+    return table.assign(point_rank=point).sort_values(["point_rank", error], kind="stable")
 
 
-FURTHER = "also uses"
-"""Column of the measurements that a condition has and others lack."""
+def _has_guesses(rows: pd.DataFrame) -> bool:
+    """Whether robots of some series are not located."""
+    return bool((rows.get(LOCATED.mean, pd.Series(dtype=float)) < 1.0).any())
 
-_TIED = "robots tied [%]"
+
+_LOCATED = "located [%]"
+_OF_LOCATED = "RMSE of located [R]"
+_CHANGE = "change [%]"
+_POWER = "RMSE as N^p: p"
 _NOTES = {
+    "disparity": "Disparity 0: right shape.",
+    _LOCATED: "Located: robots that measurements tie to the anchor; positions of others are "
+    "guesses.",
     "reached": _REACHED,
+    _CHANGE: "Change: of the RMSE from that of the condition without a change, at the same point.",
+    _POWER: "p: power of the number of robots as which RMSE grows, over all sizes, with its 95 % "
+    "CI.",
     "standing": "Standing: robots that contacts tie to the ground in the end.",
     "least margin": "Margin: strength of a contact in parts of its load.",
     "peak stress": "Peak stress: in weights of a dock / R^2.",
-    _TIED: "Robots tied: the share that measurements connect to the anchor. No method can place "
-    "the others, whose errors count all the same.",
     "converged": "Converged: the search settled on one best fit; elsewhere, errors may be large.",
     "consistent": "Consistent: measurements agree within the noise that their logs state.",
 }
 """Meaning of a column, by its label."""
-
-
-def _tied(rows: pd.DataFrame) -> dict[str, pd.Series]:
-    """Format the share of robots that measurements tie to the anchor, where not all are."""
-    if DISCONNECTED.mean not in rows or not (rows[DISCONNECTED.mean] > 0.0).any():
-        return {}
-    robots = rows.get(JOINED.mean, math.nan)
-    return {_TIED: _numbers(100.0 * (1.0 - rows[DISCONNECTED.mean] / robots))}
 
 
 def _verdicts(rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -312,17 +340,48 @@ def _verdicts(rows: pd.DataFrame) -> dict[str, pd.Series]:
     return columns
 
 
-def _asked(rows: pd.DataFrame, question: str) -> dict[str, pd.Series]:
+def _asked(
+    rows: pd.DataFrame, question: str, powers: pd.DataFrame | None = None
+) -> dict[str, pd.Series]:
     """Format what a question asks for beside accuracy, by label."""
     if question == "traffic" and SENT.mean in rows:
-        return {"sent by a robot [B]": _mean(rows, SENT.column)}
+        return {"sent by a robot [B]": _mean(rows, SENT)}
     if question == "cues" and RMSE.mean in rows:
         return _changes(rows)
+    if question == "sizes" and powers is not None and len(powers):
+        return {_POWER: _powers(rows, powers)}
     aims = {kind: m for kind, m in BUILT_FOR.items() if m.mean in rows and "kind" in rows}
     if question != "reached" or not aims:
         return {}
-    cells = [_mean(rows[rows["kind"] == kind], measure.column) for kind, measure in aims.items()]
+    cells = [_mean(rows[rows["kind"] == kind], measure) for kind, measure in aims.items()]
     return {"reached": pd.concat(cells)}
+
+
+def _powers(rows: pd.DataFrame, powers: pd.DataFrame) -> "pd.Series[str]":
+    """Format the power of N of the RMSE of each series, in its row of the greatest N."""
+    axis = str(powers.columns[2])
+    of_rmse = powers[powers["measure"] == RMSE.column].set_index("series")
+    if axis not in swept_columns(rows):
+        return pd.Series("", rows.index)
+    swept = [key for key in swept_columns(rows) if key not in {axis, *NO_KEYS}]
+    series = pd.Series(joined_words(rows, [*swept, "condition"]), rows.index)
+    is_last = rows.index.to_series().groupby(series).transform("max") == rows.index
+    texts = series.map(
+        {
+            name: power_words(row["exponent"], row["exponent_ci95"])
+            for name, row in of_rmse.iterrows()
+        }
+    )
+    return texts.where(is_last).fillna("")
+
+
+def power_words(exponent: float, half: float) -> str:
+    """Write a power with the half width of its 95 % confidence interval; empty if it is unknown.
+
+    >>> power_words(-0.8, 0.123)
+    '-0.80 ± 0.12'
+    """
+    return f"{exponent:.2f} ± {half:.2f}" if math.isfinite(exponent + half) else ""
 
 
 def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -336,21 +395,14 @@ def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
     change = 100.0 * (named[RMSE.mean] / named["point"].map(of_first) - 1.0)
     texts = [_number(round(value), "+") if math.isfinite(value) else "" for value in change]
     changes = pd.Series(texts, named.index, dtype=str).where(named["condition"] != first, "")
-    return {f"change from {first} [%]": changes.reindex(rows.index)}
+    return {_CHANGE: changes.reindex(rows.index)}
 
 
-def _measurements(rows: pd.DataFrame) -> tuple[str, list[str]]:
-    """Write what all conditions measure, and what each measures beyond it."""
-    if "measurements" not in rows:
-        return "", [""] * len(rows)
-    texts = rows["measurements"].fillna("")
-    cues = [text.split(", ") if text else [] for text in texts]
-    finished = [names for names in cues if names]  # of conditions with finished cases
-    shared = []
-    if finished:
-        shared = [name for name in finished[0] if all(name in names for names in finished)]
-    further = [measured_words(", ".join(names), without=shared) for names in cues]
-    return measured_words(", ".join(shared)), further
+def _shared_measurements(rows: pd.DataFrame) -> str:
+    """Write what all conditions measure, in words."""
+    used = [cues for cues in measured_cues(rows).values() if cues]
+    shared = set.intersection(*used) if used else set()
+    return measured_words(", ".join(sorted(shared)))
 
 
 def result_tables(
@@ -379,7 +431,8 @@ def _errors_in_parts(table: pd.DataFrame) -> Iterator[PageTable]:
     yield _labeled(words, _means(table, "aligned"), "RMSE after alignment [R]", note)
     note = (
         "2 R, a dock's diameter, is what the paper calls sufficient for attachment. Robots: in the "
-        "world; neighbors: the vector between two robots in contact, one hop apart, with its RMSE."
+        "world; neighbors: the vector between two robots in contact, one hop apart, with its RMSE. "
+        f"{_WILSON}"
     )
     yield _labeled(words, _means(table, "attachment"), "Accuracy for attachment", note)
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
@@ -405,7 +458,7 @@ def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
     if not columns:
         return
     note = (
-        "Fractions. A robot is in its interval if its error is within the interval that its "
+        f"{_WILSON} A robot is in its interval if its error is within the interval that its "
         "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
         "are too large."
     )
@@ -491,7 +544,8 @@ def _measured_suites(suites: pd.DataFrame) -> PageTable:
         "included, and of what the suite needs, if Table I states it. Where a method does not "
         "place robots one by one, robots are located if its cues determine their positions, up to "
         "mirror images. Systems of a lattice, m-blocks and atron, cannot build these structures: "
-        "their rows mean FireAntV3 robots whose docks know the pose of a connection."
+        "their rows mean FireAntV3 robots whose docks know the pose of a connection. "
+        f"{_WILSON}"
     )
     prices = [name for name in map(str, suites) if name.startswith("usd_")]
     costs = {f"{int(n.removeprefix('usd_')):,} robots [USD]": _numbers(suites[n]) for n in prices}
@@ -515,7 +569,7 @@ def _beside_the_paper(table: pd.DataFrame) -> PageTable:
         "paper's towers; table.csv has mm, and rho, the distance from a robot's center to a dock. "
         "Changes are relative to the first condition."
     )
-    means = {measure.mean: measure.column for measure in (RMSE, DISPARITY)}
+    means = {measure.mean: measure for measure in (RMSE, DISPARITY)}
     columns = {
         heading: _mean(rows, means[name]) if name in means else _numbers(rows[name])
         for name, heading in _PUBLISHED.items()
@@ -661,16 +715,24 @@ def _means(table: pd.DataFrame, section: str) -> dict[str, pd.Series]:
 def _means_of(table: pd.DataFrame, headings: Mapping[Measure, str]) -> dict[str, pd.Series]:
     """Format the means of measures, by heading, if `table` has them."""
     return {
-        heading: _mean(table, measure.column)
+        heading: _mean(table, measure)
         for measure, heading in headings.items()
         if measure.mean in table and table[measure.mean].notna().any()
     }
 
 
-def _mean(table: pd.DataFrame, name: str, *, sign: str = "") -> "pd.Series[str]":
-    """Format means with the half widths of their confidence intervals, or with ranges."""
-    columns = [f"{name}_{statistic}" for statistic in ("mean", "ci95", "least", "most")]
-    values = table.reindex(columns=columns).astype(float).to_numpy()
+def _mean(
+    table: pd.DataFrame, measure: Measure | str, *, sign: str = "", factor: float = 1.0
+) -> "pd.Series[str]":
+    """Format means with the half widths of their confidence intervals, or with ranges.
+
+    Shares have both ends of their intervals, which are not symmetric.
+    """
+    name = measure.column if isinstance(measure, Measure) else measure
+    is_share = isinstance(measure, Measure) and measure.is_share
+    ends = ("ci95_low", "ci95_high") if is_share else ("least", "most")
+    columns = [f"{name}_{statistic}" for statistic in ("mean", "ci95", *ends)]
+    values = factor * table.reindex(columns=columns).astype(float).to_numpy()
     count = table["cases" if "cases" in table else "structures"]
     texts = [_spread(*row, sign=sign) for row in np.column_stack([count, values]).tolist()]
     return pd.Series(texts, table.index, dtype=str)
@@ -803,14 +865,21 @@ def _untrusted(done: pd.DataFrame) -> Iterator[str]:
 
 
 def _share(cases: pd.DataFrame, is_affected: pd.Series, what: str) -> str:
-    """Count and name cases, or a series that is among them as a whole, and state the reasons."""
-    series = cases["series"]
+    """Count and name cases, and state the reasons.
+
+    A condition or series is named once if all of its cases are among them.
+    """
     reasons = cases["distrust"][is_affected].dropna().unique()
-    is_repeated = series.groupby(series).transform("size") > 1
-    whole = is_affected.groupby(series).transform("all") & is_repeated
-    names = [f"all of {name}" for name in series[whole].unique()]
-    single = cases.loc[is_affected & ~whole, ["case", "series"]].itertuples(index=False)
+    names = []
+    is_open = is_affected.copy()  # cases that no name includes yet
+    for column in ("condition", "series"):
+        group = cases.get(column, pd.Series("", cases.index)).fillna("")
+        is_repeated = group.groupby(group).transform("size") > 1
+        is_whole = is_affected.groupby(group).transform("all") & is_repeated
+        names += [f"all of {name}" for name in group[is_whole & is_open].unique() if name]
+        is_open &= ~is_whole | (group == "")
+    single = cases.loc[is_open, ["case", "series"]].itertuples(index=False)
     names += [f"seed {case.partition('-')[0]} of {name}" for case, name in single]
     count = f"{is_affected.sum()} of {counted(len(cases), 'case')}"
-    text = f"{count} {what} ({_first_of(names, ', ')})"
+    text = f"{count} {what} ({_first_of(names, '; ')})"
     return f"{text}: {_first_of(_merged(reasons), '; ')}" if len(reasons) else text

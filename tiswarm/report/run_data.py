@@ -5,8 +5,8 @@ All functions of this room raise InputError if a file that they read is missing 
 
 import os
 import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.measurements.cues import CUES, Cue
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
 from tiswarm.records.measures import DISCONNECTED
@@ -28,6 +27,7 @@ from tiswarm.records.run_folder import (
     check_folders,
 )
 from tiswarm.records.terrain import NO_EDGE
+from tiswarm.report.series import measured_cues, series_names
 from tiswarm.scenario.labels import row_labels, words_of
 from tiswarm.scenario.yaml_source import plain_scalar, read_yaml
 
@@ -96,7 +96,7 @@ _PAIR = re.compile(r", (?=[a-z_.]+=)")
 class Labels:
     """What pages, figures and sentences call the conditions and points of a run."""
 
-    conditions: Mapping[str, str] = field(default_factory=dict)  # by name, of those that have one
+    conditions: Mapping[str, str] = field(default_factory=dict)  # by name, with measurements
     rows: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # by swept key and cell
 
     def cell(self, key: str, cell: Any) -> str:  # noqa: ANN401 - text or a number
@@ -271,6 +271,20 @@ class RunData:
         )
         return self.labels.put(table, before=after)
 
+    @property
+    def powers(self) -> pd.DataFrame:
+        """Powers p of N^p of each series and measure: the last rows of each in `scaling.csv`.
+
+        Empty if there is no such table. N may also be threads, workers or movers; the name of the
+        third column says what it is.
+        """
+        table = self.table(
+            "scaling.csv", ["series", "measure"], ["mean"], after="measure", optional=True
+        )
+        if table.empty or "exponent_ci95" not in table:
+            return pd.DataFrame()
+        return table.groupby(["series", "measure"], sort=False).tail(1)
+
     def subfolder(self, name: str) -> Path:
         """Make a folder within the run's folder, unless it exists.
 
@@ -286,8 +300,12 @@ class RunData:
         return folder
 
 
-def load_run(folder: Path) -> RunData:
+def load_run(folder: Path, labels: Labels | None = None) -> RunData:
     """Read the summary of a run.
+
+    Args:
+        folder: Its folder.
+        labels: Names of its series; those of this run alone if None.
 
     Raises:
         InputError: the folder is not one of a run, its summary is damaged, or a part is a link.
@@ -298,16 +316,18 @@ def load_run(folder: Path) -> RunData:
         raise InputError(problem, path=folder)
     check_folders(folder)
     summary = read_frame(path, _WORDS, ["seed"], numbers_after="reason")
-    labels = read_labels(folder)
+    if labels is None:
+        labels = read_labels(folder)
+        measured = measured_cues(summary)
+        stated = {name: labels.conditions.get(name, name) for name in measured}
+        labels = replace(labels, conditions=series_names(stated, measured))
     return RunData(folder, labels.put(summary), labels)
 
 
 def read_labels(folder: Path) -> Labels:
     """Read the labels of a run; values of a run without a scenario have labels made of them."""
     conditions = {
-        name: str(entries[LABEL])
-        for name, entries in stated_conditions(folder).items()
-        if LABEL in entries
+        name: str(entries.get(LABEL, name)) for name, entries in stated_conditions(folder).items()
     }
     stated = _stated(folder)
     sweep = stated.get("sweep") if isinstance(stated, dict) else None
@@ -368,22 +388,3 @@ def with_points(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
 def joined_words(table: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     """Join the words of some columns in each row, without those that are empty."""
     return [", ".join(filter(None, row)) for row in table[[*columns]].to_numpy().tolist()]
-
-
-def measured_words(names: str, *, without: Collection[str] = ()) -> str:
-    """Write cues, as tables list them, in words; leave some of them out.
-
-    >>> measured_words("contacts, height, walk_contacts, non_overlap", without={"non_overlap"})
-    'contacts, heights and contacts on the way'
-    """
-    kept = [name for name in names.split(", ") if name and name not in without]
-    *first, last = _in_words(kept) or [""]
-    return f"{', '.join(first)} and {last}" if first else last
-
-
-def _in_words(names: Collection[str]) -> list[str]:
-    """Return the words of cues in the order of sentences; an unknown one is its own word."""
-    cue_by_name = {cue.name: cue for cue in CUES}
-    cues = [cue_by_name.get(name, Cue(name=name)) for name in names]
-    cues.sort(key=lambda cue: cue.said)
-    return [cue.words or cue.name.replace("_", " ") for cue in cues]

@@ -35,11 +35,12 @@ from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams, anchor_fault, ground_fault
 
 Question = Annotated[
-    Literal["least-error", "reached", "traffic", "cues"],
+    Literal["least-error", "reached", "traffic", "cues", "sizes"],
     Field(
         description="What the table of results, which `run` prints at its end, has beside errors. "
         "`least-error`: nothing. `reached`: heights, reaches and depths of structures, and bridges "
-        "closed. `traffic`: bytes that a robot sends. `cues`: changes from the first condition."
+        "closed. `traffic`: bytes that a robot sends. `cues`: changes from the first condition. "
+        "`sizes`: the power of the number of robots as which RMSE grows."
     ),
 ]
 """A question as a key of a scenario."""

@@ -35,8 +35,9 @@ def scaling(
     """Tabulate accuracy, size, time to build and costs against N, with exponents p of N^p.
 
     Where all structures have the same N, threads, workers or movers take its place. `exponent` is
-    fitted to all points; `slope` is p between a point and the one before, where constant costs
-    matter less. The growth of a structure counts once for any number of its conditions. Memory is
+    fitted to all structures, `exponent_ci95` is the half width of its confidence interval; `slope`
+    is p between the means of a point and the one before, where constant costs matter less. The
+    growth of a structure counts once for any number of its conditions. Memory is
     that of the whole batch that a structure was computed in.
 
     Args:
@@ -71,14 +72,11 @@ def scaling(
                 if value is not None
             ]
     table = pd.DataFrame(rows, columns=["series", "measure", column, "mean"])
-    means = table.groupby(["series", "measure", column], sort=False)["mean"]
-    points = means.agg(mean="mean", least="min", most="max", structures="count").reset_index()
-    points = points.sort_values(column, kind="stable")
     curves = [
-        _with_powers(curve, column)
-        for _, curve in points.groupby(["series", "measure"], sort=False)
+        _with_powers(values, column)
+        for _, values in table.groupby(["series", "measure"], sort=False)
     ]
-    return {"scaling": pd.concat(curves) if curves else _with_powers(points, column)}
+    return {"scaling": pd.concat(curves) if curves else _with_powers(table, column)}
 
 
 def _built(case: Path) -> dict[str, float]:
@@ -139,10 +137,24 @@ def _together(costs: Sequence[Cost]) -> Cost:
     return {**times, "peak_memory_MB": peak} if measured else {}
 
 
-def _with_powers(points: pd.DataFrame, column: str) -> pd.DataFrame:
-    """Add the columns `exponent` and `slope` to the means of one measure, by ascending number."""
+def _with_powers(values: pd.DataFrame, column: str) -> pd.DataFrame:
+    """Average one measure of a series by ascending number, and add its power of the number.
+
+    Args:
+        values: A row for each structure, with its number in `column` and its value in `mean`.
+        column: Column of the number.
+    """
+    means = values.groupby(["series", "measure", column], sort=False)["mean"]
+    points = means.agg(mean="mean", least="min", most="max", structures="count").reset_index()
+    points = points.sort_values(column, kind="stable")
     at = points[column].to_numpy(float)
     mean = points["mean"].to_numpy(float)
     log_mean = np.log(np.where(mean > 0.0, mean, math.nan))
     slope = np.diff(log_mean, prepend=math.nan) / np.diff(np.log(at), prepend=math.nan)
-    return points.assign(exponent=metrics.power_law_exponent(at, mean), slope=slope)
+    finite = values[values["mean"].notna()]
+    exponent, half = math.nan, math.nan
+    if len(finite):
+        exponent, half = metrics.power_law(
+            finite[column].to_numpy(float), finite["mean"].to_numpy(float)
+        )
+    return points.assign(exponent=exponent, exponent_ci95=half, slope=slope)

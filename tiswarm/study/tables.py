@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.registry import get, registered
@@ -352,9 +353,18 @@ def _with_statistics(records: Sequence[CaseRecord], averaged: Sequence[Measure])
     for measure in averaged:
         column = scores.get(measure.column, pd.Series(dtype=float))
         values = column.to_numpy(np.float64)
-        statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
+        statistics = _statistics(measure, values)
         full |= {measure.statistic(name): value for name, value in statistics.items()}
     return full
+
+
+def _statistics(measure: Measure, values: Reals) -> dict[str, float]:
+    """Return the mean of a measure over structures with its uncertainty and range."""
+    statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
+    if measure.is_share:
+        del statistics["ci95"]
+        statistics |= metrics.share_ci95(values)
+    return statistics
 
 
 def _used(measurements: Iterable[str]) -> str:
@@ -525,8 +535,9 @@ def suites(
         }
         scores = pd.DataFrame(done, columns=[measure.column for measure in shown], dtype=float)
         for measure in shown:
-            statistics = metrics.mean_std_ci95(scores[measure.column].to_numpy())
-            row |= {measure.mean: statistics["mean"], measure.ci95: statistics["ci95"]}
+            statistics = _statistics(measure, scores[measure.column].to_numpy())
+            intervals = (name for name in statistics if name.startswith("ci95"))
+            row |= {measure.statistic(name): statistics[name] for name in ("mean", *intervals)}
         rows.append(row)
     return pd.DataFrame(rows)
 

@@ -1,0 +1,99 @@
+"""Names of series: a condition, the measurements that it uses, and a point of the sweep.
+
+Tables, figures, captions and sentences call a series by the name that it has here. Where conditions
+of a run differ in their measurements, the name of each has those that distinguish it, so that no
+reader compares unlike ones unawares.
+"""
+
+from collections.abc import Collection, Hashable, Mapping, Sequence
+from typing import TypeVar
+
+import pandas as pd
+
+from tiswarm.measurements.cues import CUES, WALKED, Cue
+
+_FINAL = "contacts"
+"""Cue of contacts at the end."""
+
+_MOST_LISTED = 3
+"""Most measurements in which conditions differ that names list; of more, they say what is missing
+where that is shorter."""
+
+_Key = TypeVar("_Key", bound=Hashable)
+
+
+def series_names(
+    conditions: Mapping[_Key, str], measured: Mapping[_Key, Collection[str]]
+) -> dict[_Key, str]:
+    """Name the conditions of one run or several, with the measurements in which they differ.
+
+    Args:
+        conditions: Labels by condition.
+        measured: Cues that each condition uses, by condition; empty if it measured nothing.
+
+    >>> used = {"joint": ["contacts", "walk_contacts"], "paper": ["contacts"]}
+    >>> series_names({"joint": "joint", "paper": "Algorithm 1"}, used)
+    {'joint': 'joint, walk contacts', 'paper': 'Algorithm 1, final contacts'}
+    """
+    used = {name: set(cues) for name, cues in measured.items() if cues}
+    shared = set.intersection(*used.values()) if used else set()
+    varied = set().union(*used.values()) - shared
+    names = {}
+    for name, label in conditions.items():
+        words = _distinction(used[name], varied) if varied and name in used else ""
+        is_said = not words or label.endswith(words)
+        names[name] = label if is_said else f"{label}, {words}"
+    return names
+
+
+def measured_cues(table: pd.DataFrame) -> dict[str, set[str]]:
+    """List the cues that each condition of `summary.csv` or `table.csv` uses at any point."""
+    measured: dict[str, set[str]] = {name: set() for name in table["condition"].dropna()}
+    if "measurements" in table:
+        used = table.dropna(subset=["condition", "measurements"])
+        for name, cues in zip(used["condition"], used["measurements"], strict=True):
+            measured[name] |= {*split_cues(str(cues))}
+    return measured
+
+
+def _distinction(cues: Collection[str], varied: Collection[str]) -> str:
+    """Say which of the measurements that vary a condition uses, or which it lacks."""
+    present = [cue for cue in varied if cue in cues]
+    absent = [cue for cue in varied if cue not in cues]
+    if not present and WALKED in absent and _FINAL in cues:
+        absent.remove(WALKED)
+        final = "final contacts"
+        return f"{final}, without {_listed(absent)}" if absent else final
+    if len(varied) <= _MOST_LISTED and present:
+        return _listed(present)
+    if not absent:
+        return "all measurements"
+    return _listed(present) if 0 < len(present) < len(absent) else f"without {_listed(absent)}"
+
+
+def measured_words(names: str) -> str:
+    """Write cues, as tables list them, in words.
+
+    >>> measured_words("contacts, height, walk_contacts")
+    'final contacts, heights and walk contacts'
+    """
+    return _listed(split_cues(names))
+
+
+def split_cues(names: str) -> list[str]:
+    """Split the list of cues of a table."""
+    return [name for name in names.split(", ") if name]
+
+
+def _listed(names: Collection[str]) -> str:
+    """List the words of cues in the order of sentences."""
+    *first, last = _in_words(names) or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _in_words(names: Collection[str]) -> Sequence[str]:
+    """Return the words of cues in the order of sentences; an unknown one is its own word."""
+    cue_by_name = {cue.name: cue for cue in CUES}
+    cues = [cue_by_name.get(name, Cue(name=name)) for name in names]
+    cues.sort(key=lambda cue: (cue.said, cue.name))
+    return [cue.words or cue.name.replace("_", " ") for cue in cues]
