@@ -180,6 +180,12 @@ BEYOND_EDGE = Measure(
     _STRUCTURE,
     "share of the robots beyond the edge, or over the gap; empty on flat ground",
 )
+ABOVE_CROWD = Measure(
+    "above_crowd",
+    "1",
+    _STRUCTURE,
+    "share of the robots more than 20 R above flat ground; empty elsewhere",
+)
 CROSSED = Measure(
     "crossed", "1", _STRUCTURE, "whether a bridge joins both sides of its gap", label="Closed"
 )
