@@ -23,6 +23,7 @@ from typing import Any
 
 import pandas as pd
 
+from benchmarks import paper_facts
 from benchmarks.marks import write_texts
 from benchmarks.statements import texts_of
 from tiswarm.base.errors import InputError
@@ -41,6 +42,7 @@ MEASURES = {
     "reach_R": "R",
     "beyond_edge": "1",
     "first_on_anchor": "1",
+    "within_dock": "1",
     "flips_as_planned": "1",
     "failed_flips": "1",
     "tries_per_robot": "1",
@@ -91,12 +93,16 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
     }
     scenario = run.name.rpartition("-")[0]
     done = cases[cases["status"] == "done"].fillna({"point": ""})
+    measures = MEASURES
+    if scenario == paper_facts.SCENARIO:
+        done = paper_facts.with_facts(run, done)
+        measures = MEASURES | paper_facts.UNITS
     rows = []
     for (condition, point), group in done.groupby(["condition", "point"], sort=False):
         first, last = group["seed"].min(), group["seed"].max()
         structures = {"seeds": f"{first}-{last}", "structures": len(group)}
         of = {"scenario": scenario, "condition": condition, "point": point}
-        for name, unit in MEASURES.items():
+        for name, unit in measures.items():
             if name not in group or group[name].isna().all():
                 continue
             found = mean_std_ci95(group[name].dropna().to_numpy(float))
@@ -108,6 +114,12 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
                 | structures
                 | shared
             )
+    if scenario == paper_facts.SCENARIO:
+        together = paper_facts.of_groups(run, done)
+        together["value"] = [float(f"{value:.{_DIGITS}g}") for value in together["value"]]
+        of_all = pd.DataFrame(rows).drop_duplicates(["condition", "point"])
+        of_all = of_all[["scenario", "condition", "point", "seeds", "structures", *shared]]
+        rows += together.merge(of_all, on=["condition", "point"]).to_dict("records")
     return pd.DataFrame(rows)
 
 

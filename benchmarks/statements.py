@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from benchmarks import paper_facts
+from benchmarks.paper_sentences import Facts, sentence_table, verdict_counts
 from benchmarks.result_texts import (
     Result,
     Results,
@@ -28,13 +30,13 @@ from benchmarks.result_texts import (
 )
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import FIREANT_RHO
-from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER
+from tiswarm.evaluation.paper import PAPER
 
 EPYC = "AMD EPYC family 26 model 2"
 """Kind of processor of most results, which docs/accuracy.md names."""
 
 OLDER_EPYC = "AMD EPYC family 25 model 17"
-"""Kind of processor of lossy channels, and of own messages over 20 R."""
+"""Kind of processor of the paper's table, lossy channels, and own messages over 20 R."""
 
 XEON = "Intel(R) Xeon(R) Processor family 6 model 167"
 """Kind of processor of errors on slopes."""
@@ -218,36 +220,33 @@ CUES = {
 }
 """Conditions of the scenarios paper and paper-sets, in the order of the paper's table."""
 
-PAPER_SET = (
-    "paper",
-    "{kind: tower, recruit_base: 1.5}",
-    "{kind: cantilever, recruit_base: 1.5, anchor: 6.5, founders: 2}",
-)
-"""Scenario, towers and cantilevers of the table of the paper."""
-
-OTHER_SETS = {
-    "J = 1, 5 R": (
-        "paper-sets",
+PAPER_SETS = {
+    "J = 1": (
         "{kind: tower, recruit_limit: 1}",
         "{kind: cantilever, recruit_limit: 1, anchor: 5.0, founders: 2}",
     ),
-    "F = 17, 5 R": (
-        "paper-sets",
+    "F = 17": (
         "{kind: tower, force_threshold: 17.0}",
         "{kind: cantilever, force_threshold: 17.0, anchor: 5.0, founders: 2}",
     ),
+    "B = 1.5": (
+        "{kind: tower, recruit_base: 1.5}",
+        "{kind: cantilever, recruit_base: 1.5, anchor: 6.5, founders: 2}",
+    ),
+}
+"""Towers and cantilevers of the scenario paper, by set; the first is nearest by its facts."""
+
+OTHER_SETS = {
     "F = 10, 6.5 R: tiswarm's defaults": (
-        "paper-sets",
         "{kind: tower}",
         "{kind: cantilever, anchor: 6.5, founders: 2}",
     ),
     "F = 3.5, 5 R, `placed`": (
-        "paper-sets",
         "{kind: tower, force_threshold: 3.5}",
         "{kind: cantilever, force_threshold: 3.5, anchor: 5.0, founders: 2, spawn_behind: placed}",
     ),
 }
-"""As `PAPER_SET`, of structures by other rules."""
+"""Towers and cantilevers of the scenario paper-sets."""
 
 
 @dataclass(frozen=True)
@@ -272,9 +271,10 @@ class PaperSet:
     @classmethod
     def of(cls, results: Results, scenario: str, tower: str, cantilever: str) -> "PaperSet":
         """Collect the results of a scenario for the settings of both kinds of structures."""
+        processor = OLDER_EPYC if scenario == paper_facts.SCENARIO else EPYC
 
         def of(settings: str, condition: str, measure: str) -> Result:
-            return results.of(scenario, condition, f"structure={settings}", measure, EPYC)
+            return results.of(scenario, condition, f"structure={settings}", measure, processor)
 
         settings = {"tower": tower, "cantilever": cantilever}
 
@@ -292,11 +292,11 @@ class PaperSet:
             beyond_edge=of(cantilever, "all-cues", "beyond_edge").mean,
         )
 
-    def rmse_ratios(self, kind: str) -> list[float]:
-        """Divide each RMSE in rho by that of the paper in its robot radii."""
+    def rmse_ratios(self, kind: str, radius: float = FIREANT_RHO) -> list[float]:
+        """Divide each RMSE by that of the paper, whose "robot radius" is `radius` [R]."""
         published = [cell.rmse_radii for key, cell in PAPER.items() if key[0] == kind]
         pairs = zip(self.rmse[kind], published, strict=True)
-        return [result.mean / FIREANT_RHO / radii for result, radii in pairs]
+        return [result.mean / radius / radii for result, radii in pairs]
 
     def disparity_ratios(self, kind: str) -> list[float]:
         """Divide each disparity by that of the paper."""
@@ -304,94 +304,217 @@ class PaperSet:
         pairs = zip(self.disparity[kind], published, strict=True)
         return [result.mean / disparity for result, disparity in pairs]
 
-    def mean_factor(self) -> float:
+    def mean_factor(self, radius: float = FIREANT_RHO) -> float:
         """Return exp(mean |ln ratio|) of the twelve ratios."""
-        ratios = [r for kind in BOTH for r in self.rmse_ratios(kind) + self.disparity_ratios(kind)]
+        ratios = [
+            ratio
+            for kind in BOTH
+            for ratio in self.rmse_ratios(kind, radius) + self.disparity_ratios(kind)
+        ]
         return math.exp(sum(abs(math.log(ratio)) for ratio in ratios) / len(ratios))
 
 
-@statement("paper")
-def _paper(results: Results) -> str:
-    ours = PaperSet.of(results, *PAPER_SET)
-    published = list(PAPER.values())
-    rows: list[list[str]] = []
-    for kind in BOTH:
-        for n, cues in enumerate(CUES):
-            rmse, disparity = ours.rmse[kind][n], ours.disparity[kind][n]
-            cell = published[len(rows)]
-            rows.append(
-                [
-                    f"{kind}, {cues}",
-                    f"{cell.rmse_radii:.2f}, {cell.disparity:.3f}",
-                    interval(rmse, 2),
-                    fixed(rmse.mean / FIREANT_RHO, 2),
-                    fixed(ours.rmse_ratios(kind)[n], 2),
-                    fixed(rmse.mean * MM_PER_RADIUS, 0),
-                    interval(disparity, 3),
-                    fixed(ours.disparity_ratios(kind)[n], 2),
+RADII = {"rho": FIREANT_RHO, "R": 1.0}
+"""What the paper's "robot radius" may be [R]."""
+
+
+def paper_sets(results: Results) -> dict[str, PaperSet]:
+    """Collect the results of the three sets of the scenario paper."""
+    return {
+        name: PaperSet.of(results, paper_facts.SCENARIO, *settings)
+        for name, settings in PAPER_SETS.items()
+    }
+
+
+def _paper_table(measure: str) -> Statement:
+    """Tabulate RMSE, or disparity, of the three sets beside the paper's."""
+
+    def compose(results: Results) -> str:
+        sets = paper_sets(results)
+        is_rmse = measure == "rmse"
+        rows: list[list[str]] = []
+        for kind in BOTH:
+            for n, cues in enumerate(CUES):
+                cell = [*PAPER.values()][len(rows)]
+                published = f"{cell.rmse_radii:.2f}" if is_rmse else f"{cell.disparity:.3f}"
+                row = [f"{kind}, {cues}", published]
+                for ours in sets.values():
+                    result = (ours.rmse if is_rmse else ours.disparity)[kind][n]
+                    row.append(interval(result, 2 if is_rmse else 3))
+                row += [
+                    span([ratios(ours)[n] for ours in sets.values()], 2)
+                    for ratios in _ratios_of(measure, kind)
                 ]
-            )
-    header = ["", "paper: RMSE, d", "RMSE [R]", "[rho]", "to the paper", "[mm]"]
-    return table([*header, "disparity d", "to the paper"], rows)
+                rows.append(row)
+        unit, to = (
+            (" [R]", ["ratio, radius = rho", "ratio, radius = R"]) if is_rmse else ("", ["ratio"])
+        )
+        return table(["", "paper", *(f"{name}{unit}" for name in sets), *to], rows)
+
+    return compose
+
+
+def _ratios_of(measure: str, kind: str) -> list[Callable[[PaperSet], list[float]]]:
+    """List functions that divide the results of a set by the paper's."""
+    if measure == "disparity":
+        return [lambda ours: ours.disparity_ratios(kind)]
+
+    def by(radius: float) -> Callable[[PaperSet], list[float]]:
+        return lambda ours: ours.rmse_ratios(kind, radius)
+
+    return [by(radius) for radius in RADII.values()]
+
+
+for _measure in ("rmse", "disparity"):
+    statement(f"paper-{_measure}")(_paper_table(_measure))
+
+
+def paper_facts_of(results: Results) -> dict[str, Facts]:
+    """Collect the facts of the three sets of the scenario paper."""
+    return {
+        name: Facts(
+            results, {k: f"structure={s}" for k, s in zip(BOTH, settings, strict=True)}, OLDER_EPYC
+        )
+        for name, settings in PAPER_SETS.items()
+    }
+
+
+statement("paper-sentences")(lambda results: sentence_table(paper_facts_of(results)))
+
+
+@statement("paper-method")
+def _paper_method(results: Results) -> str:
+    """Set sentences on sensing and building beside numbers of other scenarios."""
+    floppy = [
+        ", ".join(fixed(joint(results, condition, s, "floppy_modes").mean, 1) for s in BOTH)
+        for condition in ("no-height", "height", "noisy-walks")
+    ]
+    names = [
+        ", ".join(
+            fixed(results.of("vibration", c, f"structure.kind={s}", "rmse_R", EPYC).mean, 2)
+            for s in BOTH
+        )
+        for c in ("known", "slots-8")
+    ]
+    truth, off = (belief_error(results, "crossed", *of) for of in ((), ("independent", 2.0)))
+    built_by = [
+        fixed(built(results, "towers", by, "height_R").mean, 1)
+        for by in ("the truth", "Algorithm 1")
+    ]
+    gain = STATEMENTS["flip-axes-gain"](results)
+    rows = [
+        [
+            "II",
+            'the IMU leaves "a small set of candidate configurations"',
+            "depends",
+            f"flips end at any angle, about six axes; these remove {gain} of an error by yaw",
+        ],
+        [
+            "II",
+            "the height follows from flips",
+            "holds",
+            f"free motions of 297, tower, cantilever: {floppy[0]} without it, {floppy[1]} with it",
+        ],
+        [
+            "II",
+            'contacts leave a "near-unique localization"',
+            "depends",
+            f"free motions: {floppy[1]} by final contacts, {floppy[2]} with those of the way",
+        ],
+        [
+            "III-A",
+            "vibrations name neighbors",
+            "depends",
+            f"RMSE of `joint`: {names[0]} R if names are known, {names[1]} R with 8 time slots",
+        ],
+        [
+            "V",
+            'errors of 2 R are "sufficient for reliable attachment"',
+            "**does not hold**",
+            f"{count(off)} bridges over 30 R close, by the truth {count(truth)}",
+        ],
+        [
+            "VI",
+            'the method "operates during" self-assembly',
+            "holds",
+            f"towers of 60 robots that go by it rise {built_by[1]} R, by the truth {built_by[0]} R",
+        ],
+    ]
+    return table(["section", "the paper", "here", "number"], rows)
+
+
+statement("paper-verdicts")(lambda results: verdict_counts(paper_facts_of(results)))
+
+
+@statement("paper-structures")
+def _paper_structures(results: Results) -> str:
+    rows = []
+    for name, facts in paper_facts_of(results).items():
+        first, low, high = (
+            facts.mean("cantilever", f"{which}")
+            for which in ("first_median", "first_quartile", "third_quartile")
+        )
+        rows.append(
+            [
+                name,
+                fixed(facts.mean("tower", "height_R"), 1),
+                fixed(facts.mean("cantilever", "reach_R"), 1),
+                percent(facts.mean("cantilever", "beyond_edge")),
+                f"{first:.0f} ({low:.0f} to {high:.0f})",
+                percent(facts.mean("tower", "both_at_once")),
+            ]
+        )
+    header = ["set", "height of towers, goal 65 R", "reach of cantilevers, goal 45 R"]
+    header += [
+        "their robots beyond the edge",
+        "first on the anchor",
+        "towers with robots 2, 3 on it",
+    ]
+    return table(header, rows)
 
 
 @statement("paper-sets")
 def _paper_sets(results: Results) -> str:
-    sets = {"B = 1.5, 6.5 R: the table of the paper": PAPER_SET} | OTHER_SETS
+    sets = paper_sets(results)
+    sets |= {name: PaperSet.of(results, "paper-sets", *s) for name, s in OTHER_SETS.items()}
     rows = []
-    for label, settings in sets.items():
-        ours = PaperSet.of(results, *settings)
+    for label, ours in sets.items():
         row = [label, f"{fixed(ours.reach, 0)}, {fixed(ours.height, 0)}"]
         row += [_ratios_of_both(ours.rmse_ratios), _ratios_of_both(ours.disparity_ratios)]
-        rows.append([*row, fixed(ours.mean_factor(), 2)])
-    header = ["set", "reach, height [R]", "RMSE to the paper: towers, cantilevers"]
-    return table([*header, "d to the paper: towers, cantilevers", "mean factor off"], rows)
+        rows.append([*row, *(fixed(ours.mean_factor(radius), 2) for radius in RADII.values())])
+    header = ["set", "reach, height [R]", "RMSE to the paper, radius = rho: towers, cantilevers"]
+    header += ["d to the paper: towers, cantilevers", "mean factor off, rho", "R"]
+    return table(header, rows)
 
 
 def _ratios_of_both(ratios: Callable[[str], list[float]]) -> str:
     return ", ".join(" ".join(fixed(ratio, 2) for ratio in ratios(kind)) for kind in BOTH)
 
 
-def _of_paper(compose: Callable[[PaperSet], str]) -> Statement:
-    """Compose a text from the set of the table of the paper."""
-    return lambda results: compose(PaperSet.of(results, *PAPER_SET))
+def _over_sets(compose: Callable[[PaperSet], Sequence[float]], decimals: int) -> Statement:
+    """Write the least and the greatest of numbers over the three sets."""
+
+    def write(results: Results) -> str:
+        return span([x for ours in paper_sets(results).values() for x in compose(ours)], decimals)
+
+    return write
 
 
-def _without_cues(ours: PaperSet, kind: str) -> str:
-    """Write by how much RMSE grows without Z, and without undocked repulsion, too."""
-    first, *without = (result.mean for result in ours.rmse[kind])
-    growth = [f"{100.0 * (rmse / first - 1.0):+.0f}" for rmse in without]
-    return f"{' and '.join(growth)} %"
-
-
-def _farthest_off(ratios: Sequence[float]) -> str:
-    """Write how far ratios are from 1 at most."""
-    return percent(max(abs(ratio - 1.0) for ratio in ratios))
-
-
-statement("paper-height")(_of_paper(lambda ours: fixed(ours.height, 1)))
-statement("paper-reach")(_of_paper(lambda ours: fixed(ours.reach, 1)))
-statement("paper-beyond-edge")(_of_paper(lambda ours: percent(ours.beyond_edge)))
-statement("paper-tower-cues")(_of_paper(lambda ours: _without_cues(ours, "tower")))
-statement("paper-cantilever-cues")(_of_paper(lambda ours: _without_cues(ours, "cantilever")))
-statement("paper-tower-rmse-off")(_of_paper(lambda ours: _farthest_off(ours.rmse_ratios("tower"))))
-statement("paper-cantilever-rmse-ratios")(
-    _of_paper(lambda ours: span(ours.rmse_ratios("cantilever"), 2))
+for _name, _radius in RADII.items():
+    statement(f"paper-mean-factors-{_name}")(
+        _over_sets(lambda ours, r=_radius: [ours.mean_factor(r)], 2)
+    )
+    for _kind in BOTH:
+        statement(f"paper-{_kind}-ratios-{_name}")(
+            _over_sets(lambda ours, k=_kind, r=_radius: ours.rmse_ratios(k, r), 2)
+        )
+statement("paper-disparity-ratios")(
+    _over_sets(lambda ours: [r for kind in BOTH for r in ours.disparity_ratios(kind)], 2)
 )
-statement("paper-tower-disparity-off")(
-    _of_paper(lambda ours: _farthest_off(ours.disparity_ratios("tower")))
-)
-statement("paper-cantilever-disparity-off")(
-    _of_paper(lambda ours: _farthest_off(ours.disparity_ratios("cantilever")))
-)
-statement("paper-mean-factor")(_of_paper(lambda ours: fixed(ours.mean_factor(), 2)))
-statement("paper-tower-rmse")(_of_paper(lambda ours: f"{fixed(ours.rmse['tower'][0].mean, 2)} R"))
-
-
-@statement("paper-other-mean-factors")
-def _paper_other_mean_factors(results: Results) -> str:
-    sets = (PaperSet.of(results, *OTHER_SETS[name]) for name in ("J = 1, 5 R", "F = 17, 5 R"))
-    return " and ".join(fixed(ours.mean_factor(), 2) for ours in sets)
+statement("paper-height")(_over_sets(lambda ours: [ours.height], 0))
+statement("paper-reach")(_over_sets(lambda ours: [ours.reach], 0))
+statement("paper-beyond-edge")(_over_sets(lambda ours: [100.0 * ours.beyond_edge], 0))
+statement("paper-tower-rmse")(_over_sets(lambda ours: [ours.rmse["tower"][0].mean], 2))
 
 
 GAP_SETS = {

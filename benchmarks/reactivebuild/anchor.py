@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
+from benchmarks import paper_facts
 from benchmarks.reactivebuild.criterion import choose
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
-from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.metrics import rms_radius
 from tiswarm.evaluation.tables import totals
 from tiswarm.world.growth import grow
@@ -32,9 +31,6 @@ from tiswarm.world.params import CantileverParams, ClimbParams, TowerParams
 
 FIRST_SEED = 100_000
 """Seed of the first training structure; results are reported on seeds 0 to 24 and 7000 to 7024."""
-
-NEAR = 0.5
-"""Gap up to which docks that do not touch count as near [R]."""
 
 ON_ANCHOR = ("first_on_anchor", "second_on_anchor", "third_on_anchor")
 KINDS: dict[str, Callable[..., TowerParams | CantileverParams]] = {
@@ -120,19 +116,12 @@ def carpet(history: History) -> float:
 
 def near_docks(history: History) -> float:
     """Count pairs of docks per robot that are less than NEAR apart, but do not touch."""
-    arms = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)
-    centers = (history.position[:, None] + arms).reshape(-1, 3)
-    pair = cKDTree(centers).query_pairs(2.0 + NEAR, output_type="ndarray")
-    robot = pair // arms.shape[1]
-    between = np.count_nonzero(robot[:, 0] != robot[:, 1])
-    return (between - len(history.contacts)) / history.robot_count
+    return paper_facts.near_docks(history.position, history.orientation_wxyz, history.robot)
 
 
 def narrows(history: History) -> bool:
     """Whether each third of the height holds fewer robots than the one below it."""
-    z = history.position[:, 2] - history.ground_z
-    lower, middle, upper = np.histogram(z, bins=3, range=(0.0, z.max()))[0]
-    return bool(lower > middle > upper)
+    return paper_facts.narrows(history.position[:, 2] - history.ground_z)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

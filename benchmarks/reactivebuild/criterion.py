@@ -26,10 +26,11 @@ The paper has one kind of robot and one algorithm of growth, so F, B, J and the 
 are the same in both kinds. Rules of towers have to keep 1 and 2, of cantilevers 1, 2, 4 and 7. Of
 the sets for which both kinds have such rules, the ones with the best towers by 3 remain; of these
 the best by 8; of these the ones that keep 5, if any do; of these the best by 6; of these the one
-with the fewest changes from tiswarm's defaults, and the F nearest to its default. In the rules of
-that set left, robots start behind `leading` before `placed` before `rear`, as the text says; then
-the anchor climbs if it may; then the median of the first robot on it is nearest to 12, where 1 is
-equal; then it is nearest to the edge.
+with the fewest changes from tiswarm's defaults, and the F nearest to its default; of sets that are
+still equal the best by 8 without slack. In the rules of that set left, robots start behind
+`leading` before `placed` before `rear`, as the text says; then the anchor climbs if it may; then
+the median of the first robot on it is nearest to 12, where 1 is equal; then it is nearest to the
+edge.
 """
 
 import math
@@ -98,7 +99,8 @@ def choose(table: pd.DataFrame) -> pd.DataFrame:
         changes=sum(both[key] != usual for key, usual in _usual().items()),
         farther=abs(np.log(both["force_threshold"] / _usual()["force_threshold"])),
     )
-    both = _least(_least(both, "changes"), "farther")[[*SHARED]].drop_duplicates().head(1)
+    both = _most(_least(_least(both, "changes"), "farther"), "of_goal", 0.0)
+    both = both[[*SHARED]].drop_duplicates().head(1)
     return pd.concat([_place(rules.merge(both, on=[*SHARED])) for rules in (towers, cantilevers)])
 
 

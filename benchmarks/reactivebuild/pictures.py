@@ -45,8 +45,8 @@ SEED = 0
 """Structure of each set that is drawn."""
 
 TITLES = {
-    "paper.yaml": ("chosen: F 10, B 1.5",),
-    "paper-sets.yaml": ("F 3.5", "F 10: defaults", "J 1", "F 17"),
+    "paper.yaml": ("J 1", "F 17", "B 1.5"),
+    "paper-sets.yaml": ("F 3.5", "F 10: defaults"),
 }
 """Names of the sets of a scenario, in its order: each has a tower, then a cantilever."""
 

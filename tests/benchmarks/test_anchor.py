@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks import paper_facts
 from benchmarks.reactivebuild import anchor, criterion
 from tests import oracle
 
@@ -41,7 +42,7 @@ def test_near_docks_are_those_of_two_robots_that_do_not_touch(towers):
     ]
 
     near = [
-        np.linalg.norm(one - other) < 2.0 + anchor.NEAR and (i, a, j, b) not in contacts
+        np.linalg.norm(one - other) < 2.0 + paper_facts.NEAR and (i, a, j, b) not in contacts
         for i, a, one in docks
         for j, b, other in docks
         if i < j

@@ -75,6 +75,16 @@ def test_structures_that_come_nearer_to_their_goals_go_before_defaults():
     assert found["force_threshold"].tolist() == [20.0, 20.0]
 
 
+def test_the_nearer_of_equal_sets_is_chosen_however_they_are_listed():
+    """Shares within .1 are equal until nothing else decides; then the slack is gone."""
+    sets = [({"recruit_base": 1.5}, 0.5), ({"recruit_limit": 1}, 0.55)]
+    rows = [[TOWER | s, CANTILEVER | s | {"of_goal": share}] for s, share in sets]
+
+    for listed in (rows[0] + rows[1], rows[1] + rows[0]):
+        found = criterion.choose(pd.DataFrame(listed))
+        assert found["recruit_limit"].tolist() == [1, 1]
+
+
 def test_a_set_without_cantilevers_is_not_chosen():
     """Both kinds need a rule with the same F, B, J and share that settles."""
     rows = [TOWER, CANTILEVER, TOWER | {"force_threshold": 3.5, "both_at_once": 1.0}]

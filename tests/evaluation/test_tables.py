@@ -219,6 +219,18 @@ def test_tables_state_which_robots_touch_the_anchor_or_are_beyond_the_edge(kind)
     assert gaps > 10
 
 
+def test_tables_state_which_share_of_a_tower_stands_above_the_crowd():
+    """A heap of many robots is as high as a slender tower of few; their shares differ."""
+    cantilever = grow(CantileverParams(), robots=4, seeds=[1], robot=RobotGeometry())[0]
+    tower = grow(TowerParams(force_threshold=40.0), robots=30, seeds=[1], robot=RobotGeometry())[0]
+
+    share = totals(tower)["above_crowd"]
+
+    assert 0.0 < share < 1.0
+    assert share == np.mean([place[2] - tower.ground_z > 20.0 for place in tower.position])
+    assert np.isnan(totals(cantilever)["above_crowd"])
+
+
 def test_robots_are_matched_by_name(tmp_path):
     """Rows may have any order; yaw alignment removes a turn about the vertical."""
     order = np.array([3, 1, 4, 0, 5, 2])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests import frames
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.formats.physics import FIREANT_RADIUS, encode_mjcf, encode_wbt
+from tiswarm.formats.physics import NOMINAL_RADIUS, encode_mjcf, encode_wbt
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.world.ground.surface import shown_ground
 from tiswarm.world.growth import grow
@@ -72,7 +72,7 @@ def test_joints_are_where_docks_meet(histories, simulation):
         for weld in world.welds:
             own = [docks * robot + dock for robot, dock in weld.ends]
             expected = structure.dock[own].mean(axis=0) if len(own) > 1 else foot[own[0]]
-            expected = FIREANT_RADIUS * (expected - structure.center[0])
+            expected = NOMINAL_RADIUS * (expected - structure.center[0])
             np.testing.assert_allclose(weld.place, expected, rtol=0.0, atol=1e-9)
 
 
@@ -134,9 +134,9 @@ def test_without_ground_anchors_are_fixed(towers, simulation):
     assert b"plane" not in xml
 
 
-@pytest.mark.parametrize(("unit", "meters"), [("cm", 0.01), ("R", FIREANT_RADIUS), ("pixel", None)])
+@pytest.mark.parametrize(("unit", "meters"), [("cm", 0.01), ("R", NOMINAL_RADIUS), ("pixel", None)])
 def test_lengths_are_in_meters(towers, unit, meters):
-    """Units of length are converted; others leave docks of FireAntV3's size."""
+    """Units of length are converted; others get a nominal scale, and the file says so."""
     view = frames.view_of(towers[0])
     log = replace(view.log, length_unit=unit)
 
@@ -144,7 +144,8 @@ def test_lengths_are_in_meters(towers, unit, meters):
 
     root = ET.fromstring(xml)  # noqa: S314 - ours
     radius = float(root.find("custom/numeric[@name='R']").get("data"))
-    assert radius == pytest.approx(meters or FIREANT_RADIUS)
+    assert radius == pytest.approx(meters or NOMINAL_RADIUS)
+    assert (b"nominal scale" in xml) == (unit != "cm")
     body = root.find("worldbody/body[@name='robot_5']")
     place = np.array(body.get("pos").split(), float)
     np.testing.assert_allclose(
@@ -380,7 +381,7 @@ def test_webots_files_have_the_robots_and_their_contacts(histories):
                 expected = history.orientation_wxyz[i - 1]
                 expected = Rotation.from_quat(expected, scalar_first=True)
                 assert (turn * expected.inv()).magnitude() < 1e-6
-                center = FIREANT_RADIUS * (history.position[i - 1] - origin)
+                center = NOMINAL_RADIUS * (history.position[i - 1] - origin)
                 np.testing.assert_allclose(place, center, atol=1e-12)
                 docks = history.robot.dock_count
                 assert 9.81 * node["physics"]["mass"] == pytest.approx(docks)
@@ -522,4 +523,4 @@ def test_webots_has_the_heights_of_uneven_ground(uneven):
         assert numbers is not None
         height = np.array(numbers[1].replace(",", " ").split(), float)
         assert re.search(rf"xDimension {surface.height.shape[0]}\b", grid)
-        np.testing.assert_allclose(height / FIREANT_RADIUS, expected, atol=1e-6)
+        np.testing.assert_allclose(height / NOMINAL_RADIUS, expected, atol=1e-6)

@@ -503,7 +503,7 @@ def test_published_numbers_have_a_table_of_their_own():
     """It has the rows of the paper's settings only, and each number beside its counterpart."""
     table = pd.DataFrame({"condition": ["a", "b"], "cases": [25, 25]})
     table = table.assign(paper_rmse_radii=[1.64, None], rmse_R_mean=[2.0, 3.0], rmse_R_ci95=0.1)
-    table = table.assign(rmse_mm_mean=65.8, rmse_mm_ci95=3.29)
+    table = table.assign(rmse_R_to_paper=[1.22, None], rmse_rho_to_paper=[0.81, None])
 
     found = {t.title: t.frame for t in result_tables(table, pd.DataFrame())}
 
@@ -512,6 +512,8 @@ def test_published_numbers_have_a_table_of_their_own():
             "condition": "a",
             "published RMSE [robot radii]": "1.64",
             "RMSE [R]": "2.00 ± 0.10",
+            "to the published, radius = rho": "0.81",
+            "radius = R": "1.22",
         }
     ]
     silent = result_tables(table[1:].reset_index(drop=True), pd.DataFrame())

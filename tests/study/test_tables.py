@@ -24,7 +24,7 @@ TOWER, CANTILEVER = [1.64, 1.84, 2.36], [3.91, 5.26, 5.12]
 @pytest.mark.parametrize(
     ("changed", "published"),
     [
-        ("description=the same", [*TOWER, *TOWER[1:], *CANTILEVER, *CANTILEVER[1:]]),
+        ("description=the same", 3 * [*TOWER, *TOWER[1:], *CANTILEVER, *CANTILEVER[1:]]),
         ("structure.climb.settle=1.0", [1.64]),  # the paper leaves open how flips end
         ("structure.anchor=1", [1.64]),
         ("structure.force_threshold=2.5", [1.64]),  # it states no F, B and J

@@ -2,7 +2,8 @@
 
 M. Rashidioun, M. Sosa, P. Swissler (2026); means over 25 structures of 100 robots. The paper does
 not define its length unit, the "robot radius". It may be the radius R of a dock sphere, or the
-distance rho of a dock from the center, 1.506 R. The disparity has no unit.
+distance rho of a dock from the center, 1.506 R. Ratios are stated for both, millimeters for
+neither: nobody has measured R. The disparity has no unit.
 """
 
 from typing import NamedTuple
@@ -21,8 +22,11 @@ class Published(NamedTuple):
 PAPER_ROBOTS = 100
 """Robots in each structure of the paper."""
 
-MM_PER_RADIUS = 32.9
-"""Length of a "robot radius" in towers, where 1.64 of them are 54 mm [mm]."""
+NOMINAL_RADIUS_MM = 32.9
+"""Nominal radius of a dock, for exports in SI units alone [mm]; no dock was measured.
+
+It is 54 / 1.64, the paper's "robot radius" in towers. In cantilevers that is 92 / 3.91, 23.5 mm.
+"""
 
 PAPER = {
     ("tower", True, True): Published(1.64, 0.045),

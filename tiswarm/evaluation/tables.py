@@ -45,6 +45,9 @@ from tiswarm.world.strength import WEIGHTS, StrengthParams
 LOSSES = ("left", "fell", "died")
 """Names of what happened to a robot, in the order of `history.departures`."""
 
+CROWD = 20.0
+"""Height above the ground up to which robots count as the crowd at a tower's foot [R]."""
+
 DOCK_DIAMETER = 2.0
 """The accuracy that the paper calls sufficient for attachment [R]."""
 
@@ -350,8 +353,8 @@ def totals(history: History) -> dict[str, float | int]:
     """Return the size and load of a finished structure."""
     grown = by_join(history)
     names = ("height_R", "reach_R", "depth_R", "peak_stress", "sensed_max", "recruited")
-    x = history.position[~history.is_gone, 0]
     terrain = history.terrain
+    x, _, z = (history.position[~history.is_gone] - [0.0, 0.0, history.ground_z]).T
     is_beyond = (x > terrain.left_edge) & (x < terrain.right_edge)
     first, second, third, *_ = [*map(int, _on_anchor(history)), np.nan, np.nan, np.nan]
     return {
@@ -362,6 +365,7 @@ def totals(history: History) -> dict[str, float | int]:
         **_stability(history),
         "crossed": int(history.crossed),
         "beyond_edge": float(is_beyond.mean()) if terrain.has_edge else np.nan,
+        "above_crowd": float((z > CROWD).mean()) if terrain.is_plane else np.nan,
         **_flips(history),
         **_beliefs(history),
         **_messages(history),

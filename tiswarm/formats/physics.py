@@ -4,7 +4,7 @@ Both have the true structure, or the estimate where the truth is unknown, in SI 
 to the anchor. A robot is a rigid body. Its docks are spheres that collide, its links are capsules
 that do not. The docks alone have mass: each weighs 1 N, so that forces in newtons are in the
 mechanics' unit, the weight of a dock. The log's unit decides about lengths; docks of a log in R
-have a radius of 32.9 mm.
+have a nominal radius, which nobody measured.
 
 Docks that touch are joined halfway between their centers, and docks on the ground where they touch
 it: these are the contacts that the mechanics has as beams. Without ground, the anchors are joined
@@ -30,6 +30,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.version import __version__
 from tiswarm.compute.math import dock_offsets
+from tiswarm.evaluation.paper import NOMINAL_RADIUS_MM
 from tiswarm.records.messages import exact_text
 from tiswarm.records.surface import GroundSurface
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
@@ -38,7 +39,7 @@ from tiswarm.report.swarm_view import Slab, SwarmView, shown_slabs
 GRAVITY = 9.81
 """Acceleration of gravity [m/s^2]; a dock of 1 / 9.81 kg weighs 1 N."""
 
-FIREANT_RADIUS = 0.0329
+NOMINAL_RADIUS = NOMINAL_RADIUS_MM / 1000.0
 """Radius of a dock where the unit of the log is no unit of length [m]."""
 
 _METERS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -61,6 +62,11 @@ _INSET = 0.01
 _ABOUT = (
     "SI units. Positions are relative to the anchor, which is at `origin` [m]. `R` is the radius "
     "of a dock [m]. A dock weighs 1 N."
+)
+
+_NOMINAL = (
+    f"`R` is a nominal scale: the log has no unit of length, and {NOMINAL_RADIUS_MM} mm follow "
+    "from 54 mm for 1.64 robot radii in a paper's table, not from a measured dock."
 )
 
 _NONE = -1
@@ -91,6 +97,8 @@ class World(NamedTuple):
     """What it shows."""
     unit: float
     """R [m]."""
+    units: str
+    """What readers of the file need to know of its units."""
     robots: list[int]
     """Ids of the robots."""
     center: Reals
@@ -180,7 +188,8 @@ def build_world(view: SwarmView) -> World:
     meters = _METERS.get(view.log.length_unit)
     return World(
         view=view,
-        unit=FIREANT_RADIUS if meters is None else meters * view.log.dock_radius,
+        unit=NOMINAL_RADIUS if meters is None else meters * view.log.dock_radius,
+        units=f"{_ABOUT} {_NOMINAL}" if meters is None else _ABOUT,
         robots=view.robot[shown].tolist(),
         center=center,
         turn=Rotation.from_quat(wxyz, scalar_first=True),
@@ -265,7 +274,7 @@ def encode_mjcf(view: SwarmView) -> dict[str, bytes]:
     """
     world = build_world(view)
     root = ET.Element("mujoco", model=view.name or "case")
-    root.append(ET.Comment(f" {_ABOUT} tiswarm {__version__} "))
+    root.append(ET.Comment(f" {world.units} tiswarm {__version__} "))
     _add(root, "option", _OPTION)
     default = _add(root, "default")
     _add(default, "equality", _SOFTNESS)
@@ -385,7 +394,7 @@ def encode_wbt(view: SwarmView) -> dict[str, bytes]:
 def _scenery(world: World) -> Iterator[str]:
     """Write what is neither robot nor ground; the camera looks along y."""
     about = [f"{name}: {exact_text(numbers)}" for name, numbers in world.about.items()]
-    info = [_quoted(text) for text in (_ABOUT, *about, f"tiswarm {__version__}")]
+    info = [_quoted(text) for text in (world.units, *about, f"tiswarm {__version__}")]
     title = _quoted(world.view.name or "case")
     yield _node("WorldInfo", title=title, info=info, gravity=repr(GRAVITY), basicTimeStep="2")
     low = np.min(world.center, axis=0, initial=0.0)

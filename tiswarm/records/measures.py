@@ -192,6 +192,12 @@ BEYOND_EDGE = Measure(
     "share of the robots beyond the edge, or over the gap; empty on flat ground",
     is_share=True,
 )
+ABOVE_CROWD = Measure(
+    "above_crowd",
+    "1",
+    _STRUCTURE,
+    "share of the robots more than 20 R above flat ground; empty elsewhere",
+)
 CROSSED = Measure(
     "crossed",
     "1",

@@ -55,6 +55,8 @@ POINT = "point"
 _PUBLISHED = {
     RMSE.published: "published RMSE [robot radii]",
     RMSE.mean: "RMSE [R]",
+    "rmse_rho_to_paper": "to the published, radius = rho",
+    "rmse_R_to_paper": "radius = R",
     "paper_rmse_change_percent": "published change [%]",
     "rmse_change_percent": "change [%]",
     DISPARITY.published: "published disparity",
@@ -565,9 +567,9 @@ def _beside_the_paper(table: pd.DataFrame) -> PageTable:
     """Format the rows of the paper's settings beside its numbers."""
     rows = table[table[RMSE.published].notna()]
     note = (
-        'The paper does not define its "robot radius". R is the radius of a dock, 32.9 mm in the '
-        "paper's towers; table.csv has mm, and rho, the distance from a robot's center to a dock. "
-        "Changes are relative to the first condition."
+        'The paper does not define its "robot radius". It is either R, the radius of a dock, or '
+        "rho, the distance from a robot's center to a dock; ratios are stated for both. Changes "
+        "are relative to the first condition."
     )
     means = {measure.mean: measure for measure in (RMSE, DISPARITY)}
     columns = {

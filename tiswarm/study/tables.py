@@ -323,8 +323,6 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
     return {
         measures.RMSE.published: rmse,
         measures.DISPARITY.published: disparity,
-        "rmse_mm_mean": ours[measures.RMSE.mean] * paper.MM_PER_RADIUS,
-        "rmse_mm_ci95": ours[measures.RMSE.ci95] * paper.MM_PER_RADIUS,
         **{
             f"{of.column}_to_paper": ours[of.mean] / rmse
             for of in (measures.RMSE, measures.RMSE_RHO)
