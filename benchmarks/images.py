@@ -66,7 +66,8 @@ _LARGE_STAGES = (500, 4_500, 10_000)
 """Robots of the structures in its picture, which begin alike."""
 _LARGE_SEED = 1
 _LARGE_FRAME = (1200, 1000)
-_LARGE_FRAMES = 50
+_LARGE_FRAMES = 60
+_FIRST_FRAME = 10  # robots in the first frame of its film
 _LOAD_COLORS = ("#3d2f7a", "#8a2f8f", "#d8456c", "#f98e52", "#fde3a0")
 """From a small load to the greatest: a glow that stands out on white and on dark pages."""
 _CLOSE = 430  # width of the picture of single robots [pixels]
@@ -127,13 +128,14 @@ def _film(grown: Any, renderer: str) -> bytes:  # noqa: ANN401 - one of `Swarms`
     """Animate the growth of a structure, colored by join order."""
     last = grown.robot_count
     robots = _drawn(grown, colors_along(np.linspace(0.0, 1.0, last), JOIN_COLORS))
-    joined = np.linspace(1, last, _LARGE_FRAMES).round().astype(int).tolist()
+    # The first robots change its shape most.
+    joined = np.geomspace(_FIRST_FRAME, last, _LARGE_FRAMES).round().astype(int).tolist()
     drawn, _, _ = draw_states(robots, Terrain(), [*map(np.arange, joined)], _LARGE_FRAME, renderer)
     frames = []
     for count, picture in zip(joined, drawn, strict=True):
         half = (picture.shape[1] // 2, picture.shape[0] // 2)
         small = Image.fromarray(picture).resize(half, Image.Resampling.LANCZOS)
-        wide = Image.new("RGBA", (max(half[0], _LARGE_FRAME[0] // 3), half[1]), NOTHING)
+        wide = Image.new("RGBA", (max(half[0], round(0.4 * _LARGE_FRAME[0])), half[1]), NOTHING)
         wide.paste(small, ((wide.width - half[0]) // 2, 0))
         legend = Scale(JOIN_COLORS, "join index  0", f"{last - 1:,}    {count:,} robots")
         frames.append(add_legend(wide, legend))
