@@ -15,6 +15,7 @@ from benchmarks.recordings import (
     counted_stances,
     grown,
     imported,
+    median_error,
     orientation_errors,
     recorded,
 )
@@ -54,6 +55,13 @@ def test_stances_come_back_from_noise(walks, result):
     assert count.true == 71
     assert count.found >= 0.98 * count.true
     assert count.invented <= 0.02 * count.true
+
+
+def test_errors_are_near_those_with_the_true_geometry(walks, result, recording, tmp_path):
+    """A dock offset that flips state costs joint less than half of its median error more."""
+    exact = imported(recording, tmp_path, dock_offset_body=BODY)
+
+    assert median_error(walks, result) < 1.5 * median_error(walks, exact)
 
 
 def test_limits_of_contacts_are_those_of_means_at_rest(walks, result):
