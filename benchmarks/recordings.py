@@ -301,7 +301,7 @@ def _row(camera: Camera, options: argparse.Namespace) -> Iterator[str]:
             if options.localize:
                 body = RADIUS_MM * RobotGeometry(rho=RHO).dock_offset_body
                 exact = imported(recording, Path(folder), dock_offset_body=body)
-                ratios.append((_median_error(walks, result), _median_error(walks, exact)))
+                ratios.append((median_error(walks, result), median_error(walks, exact)))
     true, found, invented = np.sum(counts, axis=0).tolist()
     yield f"{true}"
     yield f"{100 * found / true:.1f}"
@@ -374,7 +374,7 @@ def _truth(walks: Walks, log: SensingLog) -> Reals:
     return walks.center[last][log.robot_id]
 
 
-def _median_error(walks: Walks, result: Imported) -> float:
+def median_error(walks: Walks, result: Imported) -> float:
     """Localize a log, and return the median distance from true places [mm]."""
     estimate = localize(result.log, JointParams())
     return float(np.median(robot_errors(estimate.position, _truth(walks, result.log))))

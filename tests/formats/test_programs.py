@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -508,6 +508,7 @@ def tables(pose, tmp_path_factory):
     return read
 
 
+@settings(max_examples=200)
 @given(
     name=st.sampled_from(["PyBullet", "ROS, a table of robots", "PlotJuggler", "MATLAB"]),
     column=st.integers(0, 60),

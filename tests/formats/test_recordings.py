@@ -15,6 +15,7 @@ from benchmarks.recordings import (
     counted_stances,
     grown,
     imported,
+    median_error,
     orientation_errors,
     recorded,
 )
@@ -54,6 +55,30 @@ def test_stances_come_back_from_noise(walks, result):
     assert count.true == 71
     assert count.found >= 0.98 * count.true
     assert count.invented <= 0.02 * count.true
+
+
+def test_errors_are_near_those_with_the_true_geometry(walks, result, recording, tmp_path):
+    """A dock offset that flips state costs joint less than half of its median error more."""
+    exact = imported(recording, tmp_path, dock_offset_body=BODY)
+
+    assert median_error(walks, result) < 1.5 * median_error(walks, exact)
+
+
+def test_limits_of_contacts_are_those_of_means_at_rest(walks, result):
+    """No dock that truly passes another one farther off than means of poses vary is a contact."""
+    log = result.log
+    turn = Rotation.from_quat(walks.orientation_wxyz, scalar_first=True)
+    docks = walks.center[:, None] + np.stack([turn.apply(arm) for arm in BODY], axis=1)
+    is_last = np.append(np.diff(walks.robot) > 0, True)
+    stance, dock, robot, robot_dock = log.stances.contacts.T
+
+    # All stances came back, and robots joined in the order of their names.
+    touching = docks[~is_last][stance, dock]
+    touched = docks[is_last][robot, robot_dock]
+    gap = np.linalg.norm(touching - touched, axis=1) - 2.0 * RADIUS_MM
+    assert len(gap) > 80
+    # A dock varies by 0.35 mm, in the mean of 20 poses by 0.08 mm.
+    assert gap.max() < TOLERANCE * RADIUS_MM + 3.0 * 0.08
 
 
 def test_a_note_has_the_noise_of_the_recording(result):

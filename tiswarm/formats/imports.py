@@ -249,7 +249,7 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     stances = None
     early = 0
     if rests is not None:
-        stances, early = stances_of(rests, poses, order, moving)
+        stances, early = stances_of(rests, poses, order, assumed, moving)
     log = _log(poses, contacts, anchors, order, stances, assumed)
     with at_line(path, 1):
         check_header(log)

@@ -580,6 +580,7 @@ def stances_of(
     poses: Poses,
     order: Ints,
     assumed: Assumptions,
+    moving: Assumptions,
 ) -> tuple[Stances | None, int]:
     """Derive what robots sensed at rest before their final poses.
 
@@ -590,7 +591,8 @@ def stances_of(
         rests: Poses at rest.
         poses: Final poses.
         order: Robots that are in the log, in join order.
-        assumed: Limits of contacts, and the ground.
+        assumed: Limits of final contacts, and the ground.
+        moving: Limits of contacts in single samples; those of means are narrower.
 
     Returns:
         The stances, None if there are none; and the number of contacts that only the clock
@@ -606,23 +608,29 @@ def stances_of(
     number = docks.shape[1]
     stance_docks = docks.reshape(-1, 3)
     final_docks = poses.docks[order].reshape(-1, 3)
-    least, greatest = assumed.spacing
-    neighbors = cKDTree(stance_docks).query_ball_tree(cKDTree(final_docks), greatest, p=2.0)
+    share = np.maximum(rests.number[chosen], 1) ** -0.5
+    gap = np.maximum(assumed.largest_gap, share * moving.largest_gap)
+    overlap = np.maximum(assumed.largest_overlap, share * moving.largest_overlap)
+    apart = 2.0 * assumed.dock_radius
+    farthest = apart + float(gap.max())
+    neighbors = cKDTree(stance_docks).query_ball_tree(cKDTree(final_docks), farthest, p=2.0)
     pairs = [(row, neighbor) for row, rows in enumerate(neighbors) for neighbor in rows]
     stance_row, final_row = np.array(pairs, np.int64).reshape(-1, 2).T
     distance = np.linalg.norm(stance_docks[stance_row] - final_docks[final_row], axis=1)
     stance = stance_row // number
     robot = final_row // number
     mover = np.repeat(np.arange(len(order)), np.diff(start))
-    is_contact = (distance >= least) & (robot < mover[stance])
+    is_contact = (distance >= apart - overlap[stance]) & (distance <= apart + gap[stance])
+    is_contact &= robot < mover[stance]
     early = np.zeros(len(is_contact), np.bool_)
     if poses.join is None:
         arrived = rests.begin[rests.last[order]]
         early = is_contact & (arrived[robot] > rests.end[chosen[stance]])
         is_contact &= ~early
     contacts = np.column_stack([stance, stance_row % number, robot, final_row % number])[is_contact]
-    lowest, highest = assumed.level
-    standing = (docks[:, :, 2] >= lowest) & (docks[:, :, 2] <= highest)
+    ground_z = np.nan if assumed.ground_z is None else assumed.ground_z
+    height = docks[:, :, 2] - ground_z - assumed.dock_radius
+    standing = (height >= -overlap[:, None]) & (height <= gap[:, None])
     stances = Stances(
         start=start,
         orientation_wxyz=turn,
