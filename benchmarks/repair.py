@@ -2,6 +2,7 @@
 
 python -m benchmarks.repair             # the table of the guide; 20 minutes
 python -m benchmarks.repair --seeds 2 --robots 30
+python -m benchmarks.repair --seeds 8 --patience 16 --rates 0.1
 """
 
 import argparse
@@ -18,6 +19,7 @@ import numpy as np
 import tiswarm
 from tiswarm.evaluation.metrics import mean_std_ci95
 from tiswarm.world.history import FELL
+from tiswarm.world.params import ClimbParams
 
 PAGE = Path("docs/guides/repair.md")
 KINDS = {"tower": "height", "cantilever": "reach"}
@@ -63,14 +65,21 @@ def write_rule(folder: Path, page: Path = PAGE) -> Path:
 
 
 def measure(
-    kind: str, rate: float, rule: dict[str, Any] | None, *, file: Path, robots: int, seeds: int
+    kind: str,
+    rate: float,
+    rule: dict[str, Any] | None,
+    *,
+    file: Path,
+    robots: int,
+    seeds: int,
+    patience: int,
 ) -> dict[str, str]:
     """Grow structures of one row of the table, and return its cells by heading.
 
     `file` has the rule of the guide.
     """
     by_rule = {"rule": rule, "plugins": [file]} if rule else {}
-    structure = {"kind": kind, "departures": {"rate": rate}}
+    structure = {"kind": kind, "departures": {"rate": rate}, "climb": {"patience": patience}}
     grown = tiswarm.grow(structure, robots, seeds, quiet=True, **by_rule)
     each = [grown[s] for s in range(len(grown))]
     found = [taken(one) for one in each]
@@ -103,14 +112,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--robots", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=32)
-    arguments = parser.parse_args()
+    parser.add_argument("--patience", type=int, default=ClimbParams().patience)
+    parser.add_argument("--rates", type=float, nargs="+", default=RATES)
+    arguments = vars(parser.parse_args())
+    rates = arguments.pop("rates")
     rows: list[dict[str, str]] = []
     with TemporaryDirectory() as folder:
         file = write_rule(Path(folder))
-        for kind, rate, rule in itertools.product(KINDS, RATES, RULES):
+        for kind, rate, rule in itertools.product(KINDS, rates, RULES):
             if not rate and rule:
                 continue
-            rows.append(measure(kind, rate, rule, file=file, **vars(arguments)))
+            rows.append(measure(kind, rate, rule, file=file, **arguments))
             if len(rows) == 1:
                 print(f"| {' | '.join(rows[0])} |\n|{'---|' * len(rows[0])}")
             print(f"| {' | '.join(rows[-1].values())} |", flush=True)

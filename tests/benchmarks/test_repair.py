@@ -22,7 +22,7 @@ def test_rows_have_the_columns_of_the_guide(tmp_path):
     """A row of few structures has means without intervals."""
     rule = {"name": "repair"}
 
-    row = measure("tower", 0.2, rule, file=write_rule(tmp_path), robots=8, seeds=2)
+    row = measure("tower", 0.2, rule, file=write_rule(tmp_path), robots=8, seeds=2, patience=3)
 
     assert f"| {' | '.join(row)} |" in PAGE.read_text()
     assert row["rule"] == "`repair`"
