@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from tiswarm.compute.normal_equations import Pivots, damped, factored, inverted, solved
+from tiswarm.compute.normal_equations import (
+    DenseFactors,
+    Pivots,
+    SparseFactors,
+    damped,
+    factored,
+    inverted,
+    solved,
+)
 
 RANDOM = np.random.default_rng(7)
 JACOBIAN = RANDOM.normal(size=(5, 12, 4))
@@ -50,3 +58,27 @@ def test_pivots_of_the_diagonal_count_negative_eigenvalues() -> None:
     pivots = factored(csc_array(INFORMATION[0] - shift * np.eye(4))).U.diagonal()
 
     assert (pivots > 0.0).sum() == 2
+
+
+@pytest.mark.parametrize("shift", [0.0, 1.5])
+@pytest.mark.parametrize("factor", [lambda dense: SparseFactors(csc_array(dense)), DenseFactors])
+def test_factors_have_the_inertia_and_determinant_of_information(factor, shift: float) -> None:
+    """Also where blocks of two pivots have eigenvalues of both signs."""
+    information = INFORMATION[0] - shift * np.linalg.eigvalsh(INFORMATION[0])[1] * np.eye(4)
+    information[[0, 1], [0, 1]] *= 1e-6 if shift else 1.0
+    values = np.linalg.eigvalsh(information)
+    right = np.column_stack([SLOPE[0], SLOPE[1]])
+
+    factors = factor(information.copy())
+
+    assert (factors.pivots > 0.0).sum() == (values > 0.0).sum()
+    assert np.prod(factors.pivots) == pytest.approx(np.prod(values))
+    assert np.allclose(information @ factors.solve(right), right)
+    assert np.allclose(information @ factors.solve(SLOPE[0]), SLOPE[0])
+
+
+@pytest.mark.parametrize("factor", [lambda dense: SparseFactors(csc_array(dense)), DenseFactors])
+def test_singular_information_is_refused(factor) -> None:
+    """A solution would be infinite."""
+    with pytest.raises(RuntimeError, match="singular"):
+        factor(np.zeros((2, 2)))

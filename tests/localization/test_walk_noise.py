@@ -11,7 +11,7 @@ from tests.structures import NOISY
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import WholeCost
 from tiswarm.localization.cost.linear import DRAWS, Linear
-from tiswarm.localization.cost.walk_noise import WalkCovariance, WalkNoise, WalkRows
+from tiswarm.localization.cost.walk_noise import WalkCovariance, WalkNoise, WalkRows, summed
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.records.sensing_log import Stances
@@ -95,8 +95,13 @@ def test_rows_are_weighed_by_the_inverse_of_their_dense_covariance(tall_towers, 
     np.testing.assert_allclose(covariance.weighted(np.eye(rows)), inverse, **precise)
     among = covariance.inverse_among(chosen)
     np.testing.assert_allclose(among, inverse[np.ix_(chosen, chosen)], **precise)
-    information = sum(part.toarray() for part in covariance.information(csr_array(jacobian)))
-    np.testing.assert_allclose(information, jacobian.T @ inverse @ jacobian, **precise)
+    parts = list(covariance.information(csr_array(jacobian)))
+    information = jacobian.T @ inverse @ jacobian
+    np.testing.assert_allclose(summed(parts, 12).toarray(), information, **precise)
+    dense = np.zeros((12, 12))
+    for columns, part in parts:
+        dense[np.ix_(columns, columns)] += part
+    np.testing.assert_allclose(dense, information, **precise)
     turns = draw.normal(size=(noise.earlier, 3, 2))
     errors = by_turns @ turns.reshape(-1, 2)
     np.testing.assert_allclose(noise.errors(turns), errors, rtol=1e-9, atol=1e-12)
@@ -119,6 +124,32 @@ def test_the_factor_grows_in_proportion_to_flips(tall_towers):
 
     assert entries[2] < 12.0 * entries[0]
     assert entries[2] < 2.2 * entries[1]
+
+
+@pytest.mark.parametrize("flips", [4, [0, 40, 0, 7, 90] + [3] * 25])
+def test_dense_and_sparse_information_solve_the_same_problem(tall_towers, flips, monkeypatch):
+    """Which of them is computed and factored is a matter of time alone."""
+    log = walked(tall_towers[0], flips, np.random.default_rng(6))
+    cost = WholeCost(log, pose_problem(log, JointParams()).rows)
+    position = tall_towers[0].position + 0.1 * np.random.default_rng(7).normal(size=(30, 3))
+    position[0] = tall_towers[0].position[0]
+    problems = []
+    for least in (0.0, np.inf):
+        monkeypatch.setattr("tiswarm.localization.cost.linear._DENSE", least)
+        linear = cost.held(np.full(30, 3.0)).linearized(cost.at(position, np.zeros(30)))
+        problems.append(linear)
+        assert linear.is_dense == (least == 0.0)
+        linear.undamped.solve(linear.slope)
+    dense, sparse = problems
+
+    largest = np.abs(dense.information).max()
+    np.testing.assert_allclose(sparse.information.toarray(), dense.information, atol=1e-9 * largest)
+    for radius in (np.inf, 0.5):
+        for one, another in zip(dense.step(radius), sparse.step(radius), strict=True):
+            np.testing.assert_allclose(one, another, rtol=1e-6, atol=1e-9)
+    assert dense.log_volume == pytest.approx(sparse.log_volume, rel=1e-9)
+    assert dense.freedom() == sparse.freedom()
+    np.testing.assert_allclose(dense.variance(), sparse.variance(), rtol=1e-6)
 
 
 def test_one_long_walk_makes_those_of_others_no_larger(tall_towers):

@@ -4,9 +4,10 @@ Information is J^T C^-1 J, with derivatives J and covariance C of the rows. Prec
 unknown has beside its rows, that of a prior or of a radius of trust, adds to its diagonal.
 """
 
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from scipy.linalg import get_lapack_funcs
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
@@ -53,6 +54,83 @@ def inverted(information: Reals) -> Reals:
         LinAlgError: a matrix is singular.
     """
     return np.asarray(np.linalg.inv(information), np.float64)
+
+
+_COLUMNS = 64
+"""Columns of a dense matrix that are eliminated at once, as LAPACK would choose."""
+
+
+class Factors(Protocol):
+    """Factors L D L^T of symmetric information of n unknowns, with permutations of these."""
+
+    @property
+    def pivots(self) -> Reals:
+        """Eigenvalues of D, shape (n,).
+
+        Their signs count eigenvalues of the information (Sylvester's law of inertia), and their
+        product is its determinant.
+        """
+
+    def solve(self, slope: Reals) -> Reals:
+        """Solve normal equations of right sides, (n,) or (n, k)."""
+
+
+class SparseFactors:
+    """Factors of sparse information, whose pivots are those of the diagonal."""
+
+    def __init__(self, information: csc_array) -> None:
+        """Factor information (n, n); errors as of `factored`."""
+        self._factors = factored(information)
+
+    @property
+    def pivots(self) -> Reals:
+        """Eigenvalues of D, shape (n,)."""
+        return np.asarray(self._factors.U.diagonal())
+
+    def solve(self, slope: Reals) -> Reals:
+        """Solve normal equations of right sides, (n,) or (n, k)."""
+        return np.asarray(self._factors.solve(slope))
+
+
+class DenseFactors:
+    """Factors of dense information, with blocks of one or two pivots (Bunch and Kaufman 1977)."""
+
+    def __init__(self, information: Reals) -> None:
+        """Factor information (n, n), which is overwritten; only its upper triangle counts.
+
+        Raises:
+            RuntimeError: the information is singular.
+        """
+        # Their stubs do not know the functions of LAPACK.
+        functions: Any = get_lapack_funcs(("sytrf", "sytrs"), dtype=np.float64)
+        factor, self._solve = functions
+        work = _COLUMNS * max(len(information), 1)
+        # Transposed, rows are the columns that LAPACK expects: nothing is copied.
+        self._factors, self._exchange, singular = factor(
+            information.T, lower=1, lwork=work, overwrite_a=1
+        )
+        if singular > 0:
+            message = "the information is singular"
+            raise RuntimeError(message)
+
+    @property
+    def pivots(self) -> Reals:
+        """Eigenvalues of D, shape (n,)."""
+        pivots = np.asarray(self._factors.diagonal(), np.float64).copy()
+        # Of a block of two pivots both exchanges are negative.
+        first = np.flatnonzero(self._exchange < 0)[::2]
+        block = np.empty((len(first), 2, 2))
+        block[:, 0, 0] = pivots[first]
+        block[:, 1, 1] = pivots[first + 1]
+        block[:, 1, 0] = self._factors[first + 1, first]
+        pivots[np.stack([first, first + 1], axis=1)] = np.linalg.eigvalsh(block, UPLO="L")
+        return pivots
+
+    def solve(self, slope: Reals) -> Reals:
+        """Solve normal equations of right sides, (n,) or (n, k)."""
+        columns = slope.reshape(len(slope), -1)
+        solved_columns, _ = self._solve(self._factors, self._exchange, columns, lower=1)
+        return np.asarray(solved_columns, np.float64).reshape(slope.shape)
 
 
 Pivots = Literal["diagonal", "largest", "any"]

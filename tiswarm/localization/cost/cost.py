@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
+from tiswarm.compute.normal_equations import Factors
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows
 from tiswarm.localization.cost.walk_noise import WalkNoise, WalkRows
@@ -306,6 +307,8 @@ class WholeCost(Cost[Linear]):
         self.reach = float(np.median(rows.distances.length)) if len(rows.distances.length) else 1.0
         self._listed: Reals = np.full_like(self.walks.arm[self.walks.final], np.inf)
         self._docks: Ints = np.empty((0, 4), np.int64)
+        self.factors: Factors | None = None
+        """Factors of information that are near enough at all states; those of each if None."""
         self.resensed: Reals | float = 0.0
         """What is added to each residual, so that rows measure something else [R], shape (E,)."""
         size = (rows.robots, 3)
@@ -664,7 +667,7 @@ class WholeCost(Cost[Linear]):
         Returns:
             The state there, and the predicted reduction of the cost [1].
         """
-        free, earlier = linear.step(radius)
+        free, earlier = linear.step(radius, self.factors)
         step = np.zeros(len(self.precision))
         step[self.free] = free
         count = state.position.size

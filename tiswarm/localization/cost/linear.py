@@ -3,16 +3,15 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
-from scipy.sparse.linalg import SuperLU
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
-from tiswarm.compute.normal_equations import factored, inverted
-from tiswarm.localization.cost.walk_noise import WalkCovariance, WalkNoise
+from tiswarm.compute.normal_equations import DenseFactors, Factors, SparseFactors, inverted
+from tiswarm.localization.cost.walk_noise import WalkCovariance, WalkNoise, summed
 
 DRAWS = 64
 """Draws of all errors from which the variance of the result is computed, of few robots."""
@@ -25,6 +24,10 @@ _BLOCK = 1024
 
 _MOST_DRAWN = 2_000_000
 """Errors that are drawn at once, 16 MB; several arrays are that large."""
+
+_DENSE = 0.5
+"""Pairs of unknowns that rows relate, those of two rows twice, relative to all pairs [1], from
+which on information is dense: elimination would fill most of a sparse matrix."""
 
 _FLOPPY = 1e-9
 """Information, relative to the largest one, below which nothing determines a motion."""
@@ -127,8 +130,32 @@ class Linear:
             weighted[self.walked] = of_walked.reshape(-1, *values.shape[1:])
         return np.asarray(weighted)
 
+    def _of_rows(self, rows: Ints) -> csr_array:
+        """J of some rows, shape (k, F)."""
+        jacobian: Any = self.jacobian  # its stubs know no rows of an array
+        return csr_array(jacobian[rows, :])
+
     @cached_property
-    def information(self) -> csc_array:
+    def _walked_jacobian(self) -> csr_array:
+        """J of the rows that B relates, shape (m, F)."""
+        return self._of_rows(self.walked)
+
+    @cached_property
+    def is_dense(self) -> bool:
+        """Whether information is computed and factored as a dense matrix.
+
+        Each row, or each walk, relates all its unknowns with each other.
+        """
+        count = np.diff(self.jacobian.indptr).astype(np.int64)
+        count[self.walked] = 0
+        related = int((count**2).sum())
+        if len(self.walked):
+            for batch in self.noise.of.batches(self._walked_jacobian):
+                related += sum(len(columns) ** 2 for columns in batch.columns)
+        return related > _DENSE * len(self.precision) ** 2
+
+    @cached_property
+    def information(self) -> csc_array | Reals:
         """J^T C^-1 J of all rows, shape (F, F)."""
         # Half of C^-1 on each side keeps the product symmetric, bit by bit.
         scale = 1.0 / np.sqrt(self.own_variance)
@@ -136,17 +163,25 @@ class Linear:
         scaled = self.jacobian.copy()
         scaled.data *= np.repeat(scale, np.diff(scaled.indptr))
         information = csc_array(scaled.T @ scaled)
+        parts = self.covariance.information(self._walked_jacobian) if len(self.walked) else ()
+        if self.is_dense:
+            total = information.toarray()
+            for column, part in parts:
+                total[np.ix_(column, column)] += part
+            return total
         if len(self.walked):
-            jacobian = csr_array(csc_array(self.jacobian)[self.walked, :])
-            for part in self.covariance.information(jacobian):
-                information = information + part
+            information = information + summed(parts, len(self.precision))
         information.eliminate_zeros()
         information.sort_indices()
         return information
 
-    def _factored(self, further: Reals, information: csc_array | None = None) -> SuperLU:
+    def _factored(self, further: Reals, information: csc_array | Reals | None = None) -> Factors:
         """Factor information with further precision of each free unknown, shape (F,)."""
         undamped = self.information if information is None else information
+        if isinstance(undamped, np.ndarray):
+            dense = undamped.copy()
+            dense[np.diag_indices(len(further))] += further
+            return DenseFactors(dense)
         column = np.repeat(np.arange(len(further)), np.diff(undamped.indptr))
         diagonal = np.flatnonzero(undamped.indices == column)
         if len(diagonal) == len(further):
@@ -154,10 +189,10 @@ class Linear:
             total.data[diagonal] += further
         else:  # nothing measures some unknowns
             total = csc_array(undamped + diags_array(further))
-        return factored(total)
+        return SparseFactors(total)
 
     @cached_property
-    def undamped(self) -> SuperLU:
+    def undamped(self) -> Factors:
         """Factors of the information, priors included."""
         return self._factored(self.precision + self._largest * _LEAST_DAMPING)
 
@@ -166,16 +201,18 @@ class Linear:
         """Largest information of a single unknown, at least 1."""
         return float(self.information.diagonal().max(initial=1.0))
 
-    def step(self, radius: float) -> tuple[Reals, Reals]:
+    def step(self, radius: float, factors: Factors | None = None) -> tuple[Reals, Reals]:
         """Solve for the steps of free unknowns, (F,), and the turns of earlier stances, (M,).
 
-        Steps of robots much beyond a radius [R] are damped.
+        Steps of robots much beyond a radius [R] are damped. Undamped ones may take the factors of
+        a problem nearby: they lead to the same minimum in a few more steps.
         """
-        factors = self.undamped
         if np.isfinite(radius):
             damping = self.precision + self._largest * _LEAST_DAMPING
             damping[: self.shifts] += radius**-2.0
             factors = self._factored(damping)
+        elif factors is None:
+            factors = self.undamped
         step = -factors.solve(self.slope)
         # Turns of earlier stances are in the covariance, not among the unknowns: their likeliest
         # values follow from the residuals that are left.
@@ -188,7 +225,7 @@ class Linear:
 
         It is up to a sum that is the same for all minima of a cost.
         """
-        return -0.5 * float(np.log(np.abs(self.undamped.U.diagonal())).sum())
+        return -0.5 * float(np.log(np.abs(self.undamped.pivots)).sum())
 
     def freedom(self) -> int:
         """Count rows and priors beyond the unknowns that they determine; overlaps do not count.
@@ -200,11 +237,13 @@ class Linear:
         says[: self.shifts] = False
         overlap = np.zeros(len(self.residual))
         overlap[self._overlapping] = 1.0 / self.own_variance[self._overlapping]
-        held = self.jacobian.T @ diags_array(overlap) @ self.jacobian
+        held = csc_array(self.jacobian.T @ diags_array(overlap) @ self.jacobian)
         shifted = np.where(says, self.precision, 0.0) - _FLOPPY * self._largest
-        determined = int(
-            (self._factored(shifted, self.information - held).U.diagonal() > 0.0).sum()
-        )
+        if isinstance(self.information, np.ndarray):
+            factors = self._factored(shifted, self.information - held.toarray())
+        else:
+            factors = self._factored(shifted, csc_array(self.information - held))
+        determined = int((factors.pivots > 0.0).sum())
         return int((overlap == 0.0).sum()) + int(says.sum()) - determined
 
     def gain_without(self, rows: Ints, columns: Ints) -> tuple[float, int]:
@@ -227,7 +266,7 @@ class Linear:
         prior = first + np.arange(len(columns))
         derivative = np.zeros((size, len(self.precision)))
         covariance = np.zeros((size, size))
-        derivative[:first] = csc_array(self.jacobian)[rows, :].toarray()
+        derivative[:first] = self._of_rows(rows).toarray()
         derivative[prior, columns] = 1.0
         covariance[:first, :first] = inverted(self._inverse_among(rows))
         covariance[prior, prior] = 1.0 / self.precision[columns]

@@ -19,8 +19,9 @@ We compute it block by block along each walk, all robots at once, and store no e
 Lengths in R.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array
@@ -33,8 +34,30 @@ from tiswarm.measurements.odometry import Odometry
 _BLOCK = 32
 """Rows of a block at most, where no stance has more: of 8 to 128 the quickest."""
 
-_MOST_VALUES = 4_000_000
-"""Entries of information that are summed at once, 32 MB."""
+_MOST_VALUES = 2_000_000
+"""Derivatives that are whitened, and entries that are summed, at once, 16 MB."""
+
+_MOST_PADDING = 2.0
+"""Size of an array of several robots, relative to that of what they fill of it [1]."""
+
+
+class Batch(NamedTuple):
+    """Derivatives of rows of k robots in one dense array, each robot with its own unknowns."""
+
+    ranks: slice
+    """The robots."""
+
+    shape: tuple[int, int, int, int]
+    """Shape of the array: robots, blocks of a robot, rows of a block, unknowns of a robot."""
+
+    entry: Ints
+    """Stored entries of the sparse derivatives that are in it, shape (m,)."""
+
+    place: Ints
+    """Place of each of these in the array, flattened, shape (m,)."""
+
+    columns: list[Ints]
+    """Unknowns of each robot, ascending, shape (C,)."""
 
 
 class WalkRows:
@@ -56,6 +79,7 @@ class WalkRows:
         self.stance = stance[self.rows]
         """Their stances, shape (n,)."""
         self._blocks(robot[self.rows])
+        self._batches: list[Batch] | None = None
 
     def _blocks(self, robot: Ints) -> None:
         """Cut the rows of each robot into blocks of whole stances."""
@@ -86,7 +110,8 @@ class WalkRows:
         depth = np.arange(len(start)) - np.repeat(first_block, blocks_of_robot)
         # The robots with most blocks first: at each depth those that have one are the first ones.
         rank = np.empty(len(first_block), np.int64)
-        rank[np.argsort(-blocks_of_robot, kind="stable")] = np.arange(len(first_block))
+        order = np.argsort(-blocks_of_robot, kind="stable")
+        rank[order] = np.arange(len(first_block))
         rank_of_block = np.repeat(rank, blocks_of_robot)
         number = np.empty(len(start), np.int64)
         number[np.lexsort((rank_of_block, depth))] = np.arange(len(start))
@@ -96,19 +121,87 @@ class WalkRows:
         """Blocks at each depth, the first one of each robot at depth 0."""
         self.place = (number[block], np.arange(rows) - start[block])
         """Block of each row, and its place there."""
+        self.depth = depth[block]
+        """Depth of the block of each row, shape (n,)."""
+        self.rank = rank_of_block[block]
+        """Rank of the robot of each row, shape (n,)."""
         self.blocks = len(start)
-        bound = np.append(start, rows)
-        self.of_robot = [
-            (number[k : k + count].tolist(), bound[k : k + count + 1].tolist())
-            for k, count in zip(first_block.tolist(), blocks_of_robot.tolist(), strict=True)
-        ]
-        """Blocks of each robot in order, and where each begins among the rows and the last ends."""
+        self.blocks_of_rank = blocks_of_robot[order]
+        """Number of blocks of each robot, descending, shape (robots,)."""
 
     def spread(self, value: Reals) -> Reals:
         """Write values of rows (n, k) into blocks, 0 beyond these, (blocks, room, k)."""
         every = np.zeros((self.blocks, self.room, *value.shape[1:]))
         every[self.place] = value
         return every
+
+    def blocks_at(self, depth: int, ranks: slice) -> slice:
+        """Find the blocks at a depth of consecutive robots, those that have one."""
+        level = self.levels[depth]
+        return slice(level.start + ranks.start, min(level.start + ranks.stop, level.stop))
+
+    def batches(self, jacobian: csr_array) -> list[Batch]:
+        """Lay out derivatives of the rows, (n, F), which are at the same places at all states."""
+        if self._batches is None:
+            self._batches = self._batched(jacobian)
+        return self._batches
+
+    def _batched(self, jacobian: csr_array) -> list[Batch]:
+        """Lay out derivatives of the rows, (n, F), those of robots of a similar size together."""
+        unknowns = jacobian.shape[-1]
+        row = np.repeat(np.arange(len(self.rows)), np.diff(jacobian.indptr))
+        rank = self.rank[row]
+        key, of_entry = np.unique(rank * unknowns + jacobian.indices, return_inverse=True)
+        robots = len(self.blocks_of_rank)
+        first = np.searchsorted(key, unknowns * np.arange(robots + 1))
+        width = np.diff(first)
+        order = np.argsort(rank, kind="stable")
+        bound = np.searchsorted(rank[order], np.arange(robots + 1))
+        batches = []
+        for ranks in self._ranges(width):
+            entry = order[bound[ranks.start] : bound[ranks.stop]]
+            shape = (
+                ranks.stop - ranks.start,
+                int(self.blocks_of_rank[ranks.start]),
+                self.room,
+                int(width[ranks].max()),
+            )
+            at = (
+                rank[entry] - ranks.start,
+                self.depth[row[entry]],
+                self.place[1][row[entry]],
+                of_entry[entry] - first[rank[entry]],
+            )
+            columns = [
+                key[first[number] : first[number + 1]] - unknowns * number
+                for number in range(ranks.start, ranks.stop)
+            ]
+            place = np.ravel_multi_index(at, shape)
+            batches.append(Batch(ranks, shape, entry, place, columns))
+        return batches
+
+    def _ranges(self, width: Ints) -> Iterator[slice]:
+        """Cut the robots into ranges that leave little of an array empty.
+
+        Args:
+            width: Number of unknowns of each robot in order of rank, shape (robots,).
+        """
+        start = 0
+        widest = 0
+        filled = 0
+        size = self.room * self.blocks_of_rank * width
+        for rank in range(len(width)):
+            widest = max(widest, int(width[rank]))
+            filled += int(size[rank])
+            count = rank + 1 - start
+            whole = count * self.room * int(self.blocks_of_rank[start]) * widest
+            if count > 1 and whole > min(_MOST_VALUES, _MOST_PADDING * filled):
+                yield slice(start, rank)
+                start = rank
+                widest = int(width[rank])
+                filled = int(size[rank])
+        if start < len(width):
+            yield slice(start, len(width))
 
     @cached_property
     def is_same_stance(self) -> Bools:
@@ -251,68 +344,86 @@ class WalkCovariance:
             of_level += self.center[level].swapaxes(1, 2) @ white[level]
         return np.asarray(white[self.of.place])
 
-    def _whitened_of_robot(self, robot: int, value: Reals) -> Reals:
-        """Multiply values of all rows of one robot (m, k) by L^-1, shape (m, k)."""
-        block, start = self.of.of_robot[robot]
-        white = np.empty_like(value)
-        state = np.zeros((AXES, value.shape[1]))
-        for number, a, b in zip(block, start, start[1:], strict=False):
-            count = b - a
-            rows = slice(a - start[0], b - start[0])
-            remaining = value[rows] - self.center[number, :count] @ state
-            white[rows] = self.inverse[number, :count, :count] @ remaining
-            state += self.passed_on[number, :count].T @ white[rows]
-        return white
-
-    def information(self, jacobian: csr_array) -> Iterator[csc_array]:
-        """Compute J^T C^-1 J as a sum of matrices.
+    def information(self, jacobian: csr_array) -> Iterator[tuple[Ints, Reals]]:
+        """Compute J^T C^-1 J as a sum of dense matrices, one of each robot.
 
         Args:
             jacobian: J, derivatives of the rows by F unknowns, shape (n, F).
 
         Yields:
-            Parts, shape (F, F).
+            Unknowns of the matrix, shape (C,), and the matrix, shape (C, C).
         """
-        unknowns = jacobian.shape[-1]
-        start = jacobian.indptr.tolist()
-        values: list[Reals] = []
-        columns: list[Ints] = []
-        size = 0
-        for robot, (_, first) in enumerate(self.of.of_robot):
-            of_rows = slice(start[first[0]], start[first[-1]])
-            column, place = np.unique(jacobian.indices[of_rows], return_inverse=True)
-            count = np.diff(jacobian.indptr[first[0] : first[-1] + 1])
-            dense = np.zeros((len(count), len(column)))
-            dense[np.repeat(np.arange(len(count)), count), place] = jacobian.data[of_rows]
-            white = self._whitened_of_robot(robot, dense)
-            values.append(white.T @ white)
-            columns.append(np.asarray(column, np.int64))
-            size += values[-1].size
-            if size > _MOST_VALUES:
-                yield _scattered(values, columns, unknowns)
-                values = []
-                columns = []
-                size = 0
-        yield _scattered(values, columns, unknowns)
+        for batch in self.of.batches(jacobian):
+            white = np.zeros(batch.shape)
+            white.reshape(-1)[batch.place] = jacobian.data[batch.entry]
+            self._whiten(batch.ranks, white)
+            robots, blocks, room, width = batch.shape
+            rows = white.reshape(robots, blocks * room, width)
+            for columns, product in zip(batch.columns, rows.swapaxes(1, 2) @ rows, strict=True):
+                yield columns, product[: len(columns), : len(columns)]
+
+    def _whiten(self, ranks: slice, value: Reals) -> None:
+        """Multiply values of consecutive robots (robots, blocks, room, k) by L^-1."""
+        state = np.zeros((len(value), AXES, value.shape[-1]))
+        for depth in range(value.shape[1]):
+            blocks = self.of.blocks_at(depth, ranks)
+            at = slice(0, blocks.stop - blocks.start)
+            remaining = value[at, depth] - self.center[blocks] @ state[at]
+            value[at, depth] = self.inverse[blocks] @ remaining
+            state[at] += self.passed_on[blocks].swapaxes(1, 2) @ value[at, depth]
 
     def inverse_among(self, chosen: Ints) -> Reals:
         """Compute C^-1 among some of the rows, given by their places 0 to n - 1, shape (k, k)."""
         among = np.zeros((len(chosen), len(chosen)))
-        for robot, (_, start) in enumerate(self.of.of_robot):
-            of_robot = np.flatnonzero((chosen >= start[0]) & (chosen < start[-1]))
-            if not len(of_robot):
-                continue
-            unit = np.zeros((start[-1] - start[0], len(of_robot)))
-            unit[chosen[of_robot] - start[0], np.arange(len(of_robot))] = 1.0
-            white = self._whitened_of_robot(robot, unit)
+        rank = self.of.rank[chosen]
+        for robot in np.unique(rank).tolist():
+            of_robot = np.flatnonzero(rank == robot)
+            rows = chosen[of_robot]
+            unit = np.zeros((1, int(self.of.blocks_of_rank[robot]), self.of.room, len(of_robot)))
+            unit[0, self.of.depth[rows], self.of.place[1][rows], np.arange(len(rows))] = 1.0
+            self._whiten(slice(robot, robot + 1), unit)
+            white = unit.reshape(-1, len(rows))
             among[np.ix_(of_robot, of_robot)] = white.T @ white
         return among
 
 
-def _scattered(values: list[Reals], columns: list[Ints], unknowns: int) -> csc_array:
-    """Add up dense matrices, each of some unknowns, to a sparse one of all."""
-    if not values:
-        return csc_array((unknowns, unknowns))
+def summed(parts: Iterable[tuple[Ints, Reals]], unknowns: int) -> csc_array:
+    """Add up dense matrices, each of some unknowns, to a sparse one of all.
+
+    Args:
+        parts: Unknowns of each matrix, shape (C,), and the symmetric matrix, shape (C, C).
+        unknowns: Number of all unknowns, F.
+
+    Returns:
+        The sum, shape (F, F).
+    """
+    total: csc_array | None = None
+    for columns, values in _chunks(parts):
+        part = _scattered(columns, values, unknowns)
+        total = part if total is None else csc_array(total + part)
+    return csc_array((unknowns, unknowns)) if total is None else total
+
+
+def _chunks(parts: Iterable[tuple[Ints, Reals]]) -> Iterator[tuple[list[Ints], list[Reals]]]:
+    """Gather matrices, each with its unknowns, as many as may be summed at once."""
+    columns: list[Ints] = []
+    values: list[Reals] = []
+    size = 0
+    for column, value in parts:
+        columns.append(column)
+        values.append(value)
+        size += value.size
+        if size > _MOST_VALUES:
+            yield columns, values
+            columns = []
+            values = []
+            size = 0
+    if columns:
+        yield columns, values
+
+
+def _scattered(columns: list[Ints], values: list[Reals], unknowns: int) -> csc_array:
+    """Add up some of such matrices."""
     column = np.concatenate(columns)
     size = [len(part) for part in columns]
     start = np.cumsum([0, *np.repeat(size, size)])

@@ -69,8 +69,13 @@ class InlierFit(NamedTuple):
         return InlierFit(self.inlier, cost, *cost.refine(self.state))
 
     def simulated(self, number: int) -> "InlierFit":
-        """Fit measurements drawn as if the minimum were true; numbers as for `WholeCost`."""
+        """Fit measurements drawn as if the minimum were true; numbers as for `WholeCost`.
+
+        Drawn errors move the minimum by as little as noise does: factors of this one serve the
+        steps to it.
+        """
         cost = self.cost.simulated(self.state, number)
+        cost.factors = self.linear.undamped
         return InlierFit(self.inlier, cost, *cost.refine(self.state))
 
 
@@ -221,7 +226,8 @@ class _Test:
         """Test the minimum that a method knows."""
         fit = evidence.inlier_fit
         if fit is not None and fit.inlier.any():
-            return cls.of_fit(evidence, fit, evidence.chi_square)
+            readings = _Readings.of(evidence.rows.select(fit.inlier), fit.linear)
+            return cls.of_readings(evidence, readings, evidence.chi_square)
         chance = _sum_chance(evidence.chi_square, evidence.freedom)
         if not evidence.is_counted:
             # What the search of so many robots leaves is in the chi-square, too.
@@ -230,15 +236,14 @@ class _Test:
         return cls(chi_square=evidence.chi_square, freedom=evidence.freedom, sum_chance=chance)
 
     @classmethod
-    def of_fit(cls, evidence: Evidence, fit: InlierFit, chi_square: float) -> "_Test":
+    def of_readings(cls, evidence: Evidence, readings: "_Readings", chi_square: float) -> "_Test":
         """Test a minimum of the cost of measurements without outliers.
 
         Args:
             evidence: What a method knows of the estimate.
-            fit: The minimum.
+            readings: These measurements at the minimum.
             chi_square: Chi-square there [1].
         """
-        readings = _Readings.of(evidence.rows.select(fit.inlier), fit.linear)
         chance, group, tests = _worst_group(readings, evidence.log)
         chi_square -= readings.scatter
         freedom = evidence.freedom - readings.repeats
@@ -300,13 +305,14 @@ def _calibrated(evidence: Evidence, first: InlierFit) -> _Test:
     true, and tested in the same way: as wrong as these look, right ones may look, too.
     """
     fit = first.at_rest()
-    test = _Test.of_fit(evidence, fit, fit.linear.chi_square)
+    readings = _Readings.of(evidence.rows.select(fit.inlier), fit.linear)
+    test = _Test.of_readings(evidence, readings, fit.linear.chi_square)
     if not test.is_suspicious:
         return test
     least = 1.0
     for number in range(_SIMULATIONS):
-        drawn = fit.simulated(number)
-        again = _Test.of_fit(evidence, drawn, drawn.linear.chi_square)
+        drawn = fit.simulated(number).linear
+        again = _Test.of_readings(evidence, readings.at(drawn), drawn.chi_square)
         least = min(least, again.rarity)
         if least <= test.rarity:
             return replace(test, sum_chance=1.0, group_chance=1.0)
@@ -340,33 +346,33 @@ class _Readings(NamedTuple):
     @classmethod
     def of(cls, rows: Measurements, linear: Linear) -> "_Readings":
         """Split a chi-square: an error that all readings of a quantity share is in no scatter."""
-        _, first, quantity = np.unique(rows.quantity, return_index=True, return_inverse=True)
-        weight = 1.0 / linear.own_variance[: len(rows), None]
-        total = np.zeros((len(first), 1))
-        np.add.at(total, quantity, weight)
-
-        def scatter(residual: Reals) -> Reals:
-            mean = np.zeros((len(first), residual.shape[1]))
-            np.add.at(mean, quantity, weight / total[quantity] * residual)
-            return np.asarray(weight * (residual - mean[quantity]) ** 2)
-
         expected = np.zeros(len(rows))
         of_draws = []
         for open_residual, square, chi_square in linear.residuals_of_draws():
-            expected += (square - scatter(open_residual)).sum(axis=1)
+            expected += (square - _scatter(rows, linear, open_residual)).sum(axis=1)
             of_draws.append(chi_square)
-        expected /= DRAWS
-        scatter_of_rows = scatter(linear.residual[: len(rows), None])[:, 0]
-        repeats = len(rows) - len(first)
-        return cls(
-            rows,
-            linear,
-            linear.square - scatter_of_rows,
-            expected,
-            float(scatter_of_rows.sum()),
-            repeats,
-            round(float(np.concatenate(of_draws).mean())) - repeats,
-        )
+        repeats = len(rows) - len(np.unique(rows.quantity))
+        freedom = round(float(np.concatenate(of_draws).mean())) - repeats
+        every = cls(rows, linear, linear.square, expected / DRAWS, 0.0, repeats, freedom)
+        return every.at(linear)
+
+    def at(self, linear: Linear) -> "_Readings":
+        """Split the chi-square of a minimum nearby, whose expectation is the same."""
+        scatter = _scatter(self.rows, linear, linear.residual[: len(self.rows), None])[:, 0]
+        square = linear.square - scatter
+        return self._replace(linear=linear, square=square, scatter=float(scatter.sum()))
+
+
+def _scatter(rows: Measurements, linear: Linear, residual: Reals) -> Reals:
+    """Square how far residuals (E, k) are from the means of their quantities [variances]."""
+    _, quantity = np.unique(rows.quantity, return_inverse=True)
+    weight = 1.0 / linear.own_variance[: len(rows), None]
+    size = quantity.max(initial=-1) + 1
+    total = np.zeros((size, 1))
+    np.add.at(total, quantity, weight)
+    mean = np.zeros((size, residual.shape[1]))
+    np.add.at(mean, quantity, weight / total[quantity] * residual)
+    return np.asarray(weight * (residual - mean[quantity]) ** 2)
 
 
 def _worst_group(read: _Readings, log: SensingLog) -> tuple[float, str, int]:
