@@ -13,7 +13,7 @@ from tiswarm.localization.distributed.waiting import Answers, Return, Tasks, Tim
 from tiswarm.localization.distributed.wire import Asked, JointShift, write_shift
 from tiswarm.sensing import observe
 
-PAGE = Path(__file__).parents[3] / "docs" / "guides" / "distributed.md"
+PAGE = Path(__file__).parents[3] / "docs" / "notes" / "messages.md"
 CONTENTS = [
     messages.Join([2, 3], 1, b"line"),
     messages.Join([2, 3], None, b""),
