@@ -137,7 +137,7 @@ class Log(SensingLog):
 
 
 _USUAL_NAME = "sensing"
-"""Name of logs that runs and imports write, which their folder tells apart."""
+"""Name of logs that runs and imports write, so that their folder matters."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
