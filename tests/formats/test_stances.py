@@ -223,6 +223,33 @@ def test_clocks_of_each_robot_lose_no_contact_without_a_word(towers, tmp_path):
     assert lost > 0.2 * len(right.log.stances.contacts)
 
 
+def test_a_clock_that_others_contradict_is_named(towers, tmp_path):
+    """Flips hold on to a robot before it arrives by its clock, which is ahead by no less."""
+    rows = rows_of(towers[0])
+    ahead = 300
+    robot = 3
+    shifted = [[*row[:-1], row[-1] + ahead * (row[0] == robot)] for row in rows]
+
+    (warning,) = bring_in(tmp_path, shifted).warnings
+
+    pattern = rf"time shift of robot {robot} against ([\d, ]+).*: at least (\S+), by (\d+) flips"
+    others, least, flips = re.search(pattern, warning).groups()
+    assert "," in others
+    assert 0.0 < float(least) <= ahead
+    assert int(flips) > 1
+
+
+def test_a_shift_within_the_waiting_time_changes_nothing(short, tmp_path):
+    """Final poses do not say when they were reached: a shift that keeps the order shows nowhere."""
+    rows = rows_of(short)
+    shifted = [[*row[:-1], row[-1] + 0.5 * (row[0] == 2)] for row in rows]
+
+    right, found = bring_in(tmp_path, rows), bring_in(tmp_path, shifted)
+
+    assert found.warnings == []
+    assert_same_stances(found.log, right.log)
+
+
 def test_robots_in_motion_are_no_contacts(short, tmp_path):
     """What comes to a place later is not there yet: a contact with it is none."""
     rows = rows_of(short)

@@ -137,7 +137,7 @@ class Log(SensingLog):
 
 
 _USUAL_NAME = "sensing"
-"""Name of logs that runs and imports write; only their folders differ."""
+"""Name of logs that runs and imports write, so that their folder matters."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -22,6 +22,7 @@ from tiswarm.base.errors import InputError, require_name
 from tiswarm.base.registry import BUILT_IN, get, registered
 from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
+from tiswarm.formats.clocks import Shift, shifted_clocks
 from tiswarm.formats.columns import EULER, refuse_other_files, turns_by
 from tiswarm.formats.geometry import DockGeometry, fit_ground, fit_scale, standing_docks
 from tiswarm.formats.motion import (
@@ -248,8 +249,10 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     )
     stances = None
     early = 0
+    shifts: Sequence[Shift] = ()
     if rests is not None:
         stances, early = stances_of(rests, poses, order, assumed, moving)
+        shifts = shifted_clocks(rests, poses, moving)
     log = _log(poses, contacts, anchors, order, stances, assumed)
     with at_line(path, 1):
         check_header(log)
@@ -266,10 +269,7 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     warnings = warnings or _in_one_place(poses, assumed) or off_the_ground(poses, assumed)
     warnings = warnings or doubted_ground(poses, rests, assumed)
     warnings += _unrested(poses, rests)
-    if early:
-        problem = f"{counted(early, 'contact')} of stances left out: by the time, the other robot "
-        problem += "had not arrived; if robots have clocks of their own, set them to one"
-        warnings.append(f"{problem}, or give a column join")
+    warnings += _contradicted(poses, shifts, early)
     return Imported(log, poses.position[order], notes, warnings)
 
 
@@ -533,6 +533,31 @@ def _unrested(poses: Poses, rests: Rests | None) -> Iterator[str]:
     if rests is not None and len(rests.in_motion):
         robots = _named(poses, rests.in_motion)
         yield f"the tracks of {robots} end in motion, not at final poses; record until they rest"
+
+
+_MOST_SHIFTS = 3
+"""Robots whose clocks a warning names."""
+
+
+def _contradicted(poses: Poses, shifts: Sequence[Shift], early: int) -> Iterator[str]:
+    """Warn of clocks that contradict one another, and of the contacts that they cost."""
+    problems = []
+    if early:
+        contacts = f"{counted(early, 'contact')} of stances left out"
+        problems.append(f"{contacts}: by the time, the other robot had not arrived")
+    if shifts:
+        named = [
+            f"time shift of robot {poses.robot_id[shift.robot]} against "
+            f"{first_names(poses.robot_id[shift.others].tolist())}: at least {shift.least:+.3g}, "
+            f"by {counted(shift.flips, 'flip')}"
+            for shift in shifts
+        ]
+        problems.append(
+            f"flips hold on to robots that arrive later: {'; '.join(named[:_MOST_SHIFTS])}"
+        )
+    if problems:
+        remedy = "if robots have clocks of their own, set them to one, or give a column join"
+        yield "; ".join([*problems, remedy])
 
 
 def _in_one_place(poses: Poses, assumed: Assumptions) -> list[str]:

@@ -136,7 +136,7 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
 
 
 def _remedy_of(causes: Sequence[CommonCause]) -> str:
-    """Say what to do where one of these parameters is wrong."""
+    """Say what to do where one of some parameters is wrong."""
     if len(causes) == 1:
         return _REMEDIES[causes[0].parameter]
     listed = [f"{cause.parameter}: {_REMEDIES[cause.parameter]}" for cause in causes]

@@ -139,7 +139,7 @@ def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -
 
 
 def _causes(estimate: Estimate) -> Iterator[PageTable]:
-    """Tabulate parameters, one of them probably wrong."""
+    """Tabulate the parameters that may be wrong."""
     causes = estimate.common_causes
     if not causes:
         return
