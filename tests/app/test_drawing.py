@@ -94,7 +94,7 @@ def test_the_same_command_restores_all_drawings(small_run, result, monkeypatch):
 
     assert_same_results(result.folder, small_run)
     assert "renders/error.png" in (result.folder / "report.html").read_text()
-    assert len(read_manifest(result.folder).renders) == 5
+    assert len(read_manifest(result.folder).renders) == 6
     monkeypatch.delattr(drawing, "draw")
     draw_all(result, Progress())
 

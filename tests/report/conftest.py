@@ -82,17 +82,15 @@ def write_summary(folder, header, rows):
     write_table(folder / "summary.csv", ",".join(columns), table)
 
 
-def require_alike(draw, run):
+def require_alike(drawing):
     """Require that a narrow figure shows what the wide one shows, in the width of a column.
 
     Axes have the same limits and series, and no text has signs of formulas.
     """
-    from matplotlib import style
     from matplotlib.text import Text
 
-    with style.context(["default", figure_style.STYLE]):
-        wide, narrow = draw(run), draw(run, figure_style.COLUMN_WIDTH)
-        figure_style.lay_out(narrow)
+    wide, narrow = drawing.draw(), drawing.draw(figure_style.COLUMN_WIDTH)
+    figure_style.lay_out(narrow)
 
     panels, columns = ([a for a in f.axes if a.axison and a.lines] for f in (wide, narrow))
     assert narrow.get_size_inches()[0] <= figure_style.COLUMN_WIDTH

@@ -43,19 +43,32 @@ def run(tmp_path):
 
 def test_rows_are_the_truth_and_each_condition(run):
     """Means are over the structures of a row; those that conditions share count once."""
-    figure = painters(run)["building"](run)
+    figure = painters(run)["building"].draw()
 
     drawn = {axes.get_xlabel(): axes for axes in figure.axes}
-    assert [*drawn] == ["Tower height [R]", "Bridges closed [1]", "Flips as planned [1]"]
+    assert [*drawn] == ["Tower height [R]", "Bridges closed [share]", "Flips as planned [share]"]
     height = drawn["Tower height [R]"]
     assert [label.get_text() for label in height.get_yticklabels()] == [
         "the truth", "online", "Algorithm 1",
     ]  # fmt: skip
     [bars] = height.containers
     assert bars[0].get_xdata().tolist() == [30.5, 29.5, 20.5]
-    [bars] = drawn["Bridges closed [1]"].containers
+    [bars] = drawn["Bridges closed [share]"].containers
     assert bars[0].get_xdata().tolist() == [0.5, 0.5, 0.5]
     assert "2 structures" in figure.legends[0].get_title().get_text()
+
+
+def test_bars_of_shares_end_at_one(tmp_path):
+    """The interval of 63 bridges of 64 was said to extend beyond all of them."""
+    rows = pd.DataFrame({"seed": range(64), "crossed": [0] + 63 * [1]})
+    rows = rows.assign(case="a", series="a", condition="a", point="", kind="bridge", status="done")
+    rows = rows.assign(reason="", right_edge_R=20.0, flips_as_planned=1.0, height_R=1, reach_R=1)
+
+    figure = painters(RunData(tmp_path, rows))["building"].draw(panels=["crossed"])
+
+    (axes,) = figure.axes
+    ((segment,),) = [bar.get_segments() for bar in axes.containers[0][2]]
+    assert 0.9 < segment[0, 0] < 63 / 64 < segment[1, 0] < 1.0
 
 
 def test_errors_of_beliefs_have_a_row_each(run):
@@ -64,7 +77,7 @@ def test_errors_of_beliefs_have_a_row_each(run):
     errors = errors[errors["condition"] == "online"].assign(flips_as_planned=0.9)
     errors["point"] = errors["series"] = ["shift 1 R", "shift 1 R", "shift 3 R", "shift 3 R"]
 
-    figure = painters(RunData(run.folder, errors))["building"](RunData(run.folder, errors))
+    figure = painters(RunData(run.folder, errors))["building"].draw()
 
     names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert names == ["shift 1 R", "shift 3 R"]
@@ -79,4 +92,4 @@ def test_runs_by_the_truth_have_no_such_figure(run):
 
 def test_it_is_the_same_in_a_narrow_page(run):
     """Another width changes neither limits nor series."""
-    require_alike(painters(run)["building"], run)
+    require_alike(painters(run)["building"])

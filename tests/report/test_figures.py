@@ -10,19 +10,20 @@ from tests.recorder import Recorder
 from tests.report.conftest import is_blank, require_alike, write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.report import curve_figures, error_figures, figure_style, table_figures
+from tiswarm.records.measures import FEWEST
+from tiswarm.report import curve_figures, error_figures, figure_style, figures, table_figures
 from tiswarm.report.curve_figures import (
     PROFILED,
     SCALING_PANELS,
     compares_rounds,
-    draw_rounds,
-    draw_scaling,
+    rounds_drawing,
+    scaling_drawing,
 )
-from tiswarm.report.error_figures import draw_convergence, draw_errors
-from tiswarm.report.figure_style import Panels, png
+from tiswarm.report.error_figures import convergence_drawing, errors_drawing
+from tiswarm.report.figure_style import Drawing, png
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.run_data import load_run
-from tiswarm.report.table_figures import draw_accuracy
+from tiswarm.report.table_figures import accuracy_drawing
 
 COLUMNS = "case,status,condition,series,point,kind"
 
@@ -30,33 +31,129 @@ FIGURES = ["convergence", "error-against-height"]
 
 
 def test_every_figure_is_drawn(run_folder):
-    """Each figure is a PNG file that shows something, and an SVG; a wide one, a narrow one too."""
+    """Each figure is a PNG file that shows something, and an SVG."""
     written = draw_figures(load_run(run_folder), Progress())
 
     pictures = [path for path in written if path.suffix == ".png"]
     assert {path.stem for path in pictures} == set(FIGURES)
     drawings = {path.stem for path in written if path.suffix == ".svg"}
-    assert drawings == {*FIGURES, "error-against-height-narrow"}
+    assert drawings == {*FIGURES}
     for path in pictures:
         with Image.open(path) as image:
             assert not is_blank(image)
 
 
+def _three_panels():
+    """Return a figure of three panels with two series, which states what it draws."""
+    drawn = []
+
+    def paint(axes, panel, series):
+        drawn.append((panel, [*series]))
+        for place, name in enumerate(series):
+            axes.plot([1.0, 2.0], [3.0, 4.0 + place], label=name)
+
+    def complete(panels):
+        panels.legend("mean", panels.entries(), structures=2)
+        return []
+
+    series = ["a condition with a name as long as a sentence", "another condition"]
+    return drawn, Drawing(
+        panels=["one", "two", "three"], series=series, paint=paint, complete=complete, share="y"
+    )
+
+
 def test_a_narrow_figure_has_a_panel_below_the_other():
-    """A phone shows it at its size: five points of a letter remain five."""
-    panels = Panels(2.0, 3, 3, share="y", max_width=figure_style.COLUMN_WIDTH)
-    panels.first.plot([1.0, 2.0], [3.0, 4.0], label="a condition with a name as long as a sentence")
-    panels.first.plot([1.0, 2.0], [4.0, 5.0], label="another condition")
-    panels.legend("mean", structures=2)
-    figure = panels.finish()
+    """A phone shows it at its size: seven points of a letter remain seven."""
+    _, drawing = _three_panels()
+
+    figure = drawing.draw(figure_style.COLUMN_WIDTH)
     figure_style.svg(figure)
 
     assert figure.get_size_inches()[0] == figure_style.COLUMN_WIDTH
-    places = [panel.get_position() for panel in panels.axes]
+    places = [panel.get_position() for panel in figure.axes]
     assert all(low.y1 < high.y0 for high, low in pairwise(places))
-    assert all(panel.yaxis.get_tick_params()["labelleft"] for panel in panels.axes)
+    assert all(panel.yaxis.get_tick_params()["labelleft"] for panel in figure.axes)
     assert len(figure.legends) == 1
     assert figure.get_size_inches()[1] > 3 * 2.0  # the legend has two lines
+
+
+def test_a_reader_chooses_panels_series_and_width():
+    """A paper needs one panel of nine, in the width of its column."""
+    drawn, drawing = _three_panels()
+
+    figure = drawing.draw(2.5, ["two"], ["another condition"])
+
+    assert drawn == [("two", ["another condition"])]
+    assert (len(figure.axes), figure.get_size_inches()[0]) == (1, 2.5)
+    for wrong, problem in (
+        ({"panels": ["tow"]}, "panels: there is no 'tow'; choose one of one, two, three"),
+        ({"series": ["b"]}, "series: there is no 'b'"),
+        ({"width": 0.0}, "width: 0.0 is no width in inches"),
+        ({"width": float("nan")}, "width: nan is no width"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            drawing.draw(**wrong)
+
+
+def test_letters_have_seven_points_and_lines_one(run_folder):
+    """In a column of a paper, letters of 4.5 pt could not be read."""
+    from matplotlib.text import Text
+
+    for name, drawing in figures.drawings_of(load_run(run_folder)).items():
+        figure = drawing.draw(figure_style.COLUMN_WIDTH)
+        sizes = {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()}
+        assert sizes == {figure_style.TEXT_SIZE}, name
+        widths = {line.get_linewidth() for axes in figure.axes for line in axes.lines}
+        assert widths <= {figure_style.LINE_WIDTH}, name
+
+
+def test_a_panel_is_drawn_on_given_axes(tmp_path):
+    """A reader composes a figure of panels of several runs."""
+    from matplotlib.figure import Figure
+
+    _write_scaling(tmp_path, structures=6)
+    axes = Figure().subplots()
+
+    scaling_drawing(load_run(tmp_path)).paint_panel(axes, "rmse_R", ["joint"])
+
+    (line,) = axes.lines
+    assert (line.get_label(), axes.get_ylabel()) == ("joint", "RMSE [R]")
+    assert line.get_color() == figure_style.PALETTE[1]  # that of the whole figure
+    np.testing.assert_allclose(line.get_xydata(), [[10, 0.1], [20, 0.2], [40, 0.4]])
+
+
+def _write_scaling(folder, *, structures):
+    """Write the table of a study of three sizes."""
+    half = 0.02 if structures >= FEWEST else ""
+    rows = [
+        [name, "rmse_R", robots, factor * robots, 0.05, 9.0, half, structures, 1.0, 0.2, 1.0]
+        for name, factor in (("paper", 0.1), ("joint", 0.01))
+        for robots in (10, 20, 40)
+    ]
+    header = "series,measure,robots,mean,least,most,ci95,structures,exponent,exponent_ci95,slope"
+    write_table(folder / "scaling.csv", header, rows)
+    write_summary(folder, "case,status", [["0-paper", "done"]])
+
+
+@pytest.mark.parametrize(
+    ("structures", "words", "low"),
+    [
+        (6, "mean and 95 % interval, 6 structures", 0.08),
+        (3, "mean, least and greatest, 3 structures", 0.05),
+    ],
+)
+def test_bands_say_what_they_are(tmp_path, structures, words, low):
+    """A reader of a figure alone knows what a band is, and of how many structures."""
+    _write_scaling(tmp_path, structures=structures)
+
+    figure = scaling_drawing(load_run(tmp_path)).draw()
+
+    (axes,) = figure.axes
+    assert figure.legends[0].get_title().get_text() == words
+    (corners,) = [path.vertices for path in axes.collections[1].get_paths()]
+    assert corners[:, 1].min() == pytest.approx(low)
+    assert [text.get_text() for text in axes.texts] == ["p = 1.00 ± 0.20"]  # of both
+    assert axes.get_yscale() == axes.get_xscale() == "log"
 
 
 def test_names_of_users_are_text(run_folder):
@@ -135,7 +232,7 @@ def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
     rows = [["0-baseline", "done"], ["1-baseline", "done"]]
     write_summary(tmp_path, "case,status", rows)
 
-    figure = draw_convergence(load_run(tmp_path))
+    figure = convergence_drawing(load_run(tmp_path)).draw()
 
     extended = np.array([*short, short[-1], short[-1]])
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), (long + extended) / 2.0)
@@ -149,7 +246,7 @@ def test_a_method_of_many_more_iterations_is_drawn_to_its_end(tmp_path):
     rows = [[f"0-{name}", "done", name, name] for name in last]
     write_summary(tmp_path, "case,status,condition,series", rows)
 
-    figure = draw_convergence(load_run(tmp_path))
+    figure = convergence_drawing(load_run(tmp_path)).draw()
 
     (axes,) = figure.axes
     assert axes.get_xscale() == "log"
@@ -164,7 +261,7 @@ def test_methods_share_no_axis_of_iterations(tmp_path):
     rows = [[f"0-{name}", "done", name, name, method] for name, method in methods.items()]
     write_summary(tmp_path, "case,status,condition,series,method", rows)
 
-    figure = draw_convergence(load_run(tmp_path))
+    figure = convergence_drawing(load_run(tmp_path)).draw()
 
     drawn = {axes.get_title(): [line.get_label() for line in axes.lines] for axes in figure.axes}
     assert drawn == {"ours": ["ours"], "virtual-force": ["paper", "no-z"]}
@@ -179,7 +276,7 @@ def test_only_best_and_worst_have_bands(tmp_path):
     rows = [[f"{seed}-{name}", "done", name, name] for name in names for seed in (0, 1)]
     write_summary(tmp_path, "case,status,condition,series", rows)
 
-    figure = draw_convergence(load_run(tmp_path))
+    figure = convergence_drawing(load_run(tmp_path)).draw()
 
     (axes,) = figure.axes
     assert len(axes.lines) == figure_style.MOST_SERIES
@@ -207,7 +304,7 @@ def test_no_axes_have_more_series_than_a_reader_can_follow(
     write_table(tmp_path / "table.csv", header, table)
     write_summary(tmp_path, "case,status", [["0-c0", "done"]])
 
-    rmse, _ = draw_accuracy(load_run(tmp_path)).axes
+    rmse, _ = accuracy_drawing(load_run(tmp_path)).draw().axes
 
     assert len(rmse.get_yticklabels()) == rows
     assert len(rmse.containers) == series <= figure_style.MOST_SERIES
@@ -220,7 +317,7 @@ def test_errors_of_an_accurate_method_are_seen_beside_others(run_folder, monkeyp
     found = iter(tables.values())
     monkeypatch.setattr(error_figures, "_errors_at", lambda _cases, _column: next(found))
 
-    axes = draw_errors(load_run(run_folder)).axes
+    axes = errors_drawing(load_run(run_folder)).draw().axes
 
     heights = [panel.collections[0].get_offsets()[:, 1] for panel in axes[:2]]
     assert axes[0].get_yscale() == "log"
@@ -230,9 +327,12 @@ def test_errors_of_an_accurate_method_are_seen_beside_others(run_folder, monkeyp
 
 def test_panels_above_an_empty_place_have_numbers(run_folder):
     """Panels share axes, and numbers are written below the last panel of each column."""
-    panels = Panels(3.0, 5, 3, share="x")
+    figure = Drawing(
+        panels=[*"abcde"], paint=lambda *_: None, complete=lambda _: [], share="x"
+    ).draw()
 
-    assert [panel.xaxis.get_major_ticks()[0].label1.get_visible() for panel in panels.axes] == [
+    panels = [axes for axes in figure.axes if axes.axison]
+    assert [panel.xaxis.get_major_ticks()[0].label1.get_visible() for panel in panels] == [
         False, False, True, True, True,
     ]  # fmt: skip
 
@@ -290,7 +390,7 @@ def test_many_points_and_conditions_have_room(tmp_path):
         write_case(tmp_path / "cases" / name, seed=0)
     write_summary(tmp_path, COLUMNS, rows)
 
-    figure = draw_convergence(load_run(tmp_path))
+    figure = convergence_drawing(load_run(tmp_path)).draw()
 
     assert png(figure)  # without a warning that axes have no room
     assert [axes.get_title() for axes in figure.axes] == [
@@ -312,7 +412,7 @@ def test_of_many_series_the_first_conditions_of_all_points_are_drawn(tmp_path):
     rows = [[name, "done", name[2:], name[-2:], name[2:10]] for name in names]
     write_summary(tmp_path, "case,status,series,condition,point", rows)
 
-    figure = draw_errors(load_run(tmp_path))
+    figure = errors_drawing(load_run(tmp_path)).draw()
 
     titles = [axes.get_title() for axes in figure.axes[:4]]
     assert titles == ["method=a,c0", "method=b,c0", "method=a,c1", "method=b,c1"]
@@ -332,7 +432,7 @@ def test_published_numbers_stand_beside_ours(tmp_path):
     write_table(tmp_path / "table.csv", header, rows)
     write_summary(tmp_path, "case,status", [["0-baseline", "done"]])
 
-    figure = draw_accuracy(load_run(tmp_path))
+    figure = accuracy_drawing(load_run(tmp_path)).draw()
 
     rmse, disparity = figure.axes
     open_markers = [line for line in rmse.lines if line.get_markerfacecolor() == "white"]
@@ -366,7 +466,7 @@ def test_rounds_of_back_propagation_are_drawn_against_their_cost(tmp_path):
     write_summary(tmp_path, "case,status", [["0-never", "done"]])
     run = load_run(tmp_path)
 
-    figure = draw_rounds(run)
+    figure = rounds_drawing(run).draw()
 
     assert compares_rounds(run)
     assert [axes.get_title() for axes in figure.axes] == ["tower", "cantilever"]
@@ -406,7 +506,7 @@ def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
     )
 
     painters = curve_figures.painters(load_run(run_folder))
-    drawn = next(iter(painters.values()))(load_run(run_folder))
+    drawn = next(iter(painters.values())).draw()
 
     assert set(painters) == names
     np.testing.assert_allclose(
@@ -415,7 +515,7 @@ def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
 
 
 def test_profile_points_of_few_robots_are_open_and_apart(run_folder):
-    """A point of one robot does not pull the line down; each point states its robots."""
+    """A point of one robot does not pull the line down."""
     rows = [
         ["baseline", by, low, low, robots, 0.5, rmse, "", ""]
         for by in PROFILED
@@ -424,13 +524,13 @@ def test_profile_points_of_few_robots_are_open_and_apart(run_folder):
     header = "condition,by,low,high,count,mean_error_R,rmse_R,p10_R,p90_R"
     write_table(run_folder / "profiles.csv", header, rows)
 
-    figure = curve_figures.painters(load_run(run_folder))["profiles"](load_run(run_folder))
+    figure = curve_figures.painters(load_run(run_folder))["profiles"].draw()
 
     joined, few = figure.axes[0].lines
     np.testing.assert_allclose(joined.get_xydata(), [[1.0, 2.0], [2.0, 1.5]])
     np.testing.assert_allclose(few.get_xydata(), [[8.0, 0.0]])
     assert few.get_markerfacecolor() == "white"
-    assert [text.get_text() for text in figure.axes[0].texts] == ["30", "6", "1"]
+    assert "open: fewer than 5 robots" in figure.texts[-1].get_text()
 
 
 def test_profiles_show_how_errors_of_like_robots_differ(run_folder):
@@ -442,7 +542,7 @@ def test_profiles_show_how_errors_of_like_robots_differ(run_folder):
     ]
     write_table(run_folder / "profiles.csv", "condition,by,low,high,count,rmse_R,p10_R,p90_R", rows)
 
-    figure = curve_figures.painters(load_run(run_folder))["profiles"](load_run(run_folder))
+    figure = curve_figures.painters(load_run(run_folder))["profiles"].draw()
 
     (band,) = figure.axes[0].collections
     (corners,) = [path.vertices for path in band.get_paths()]
@@ -473,7 +573,7 @@ def test_profiles_of_more_series_than_colors_are_small_multiples(
     write_table(run_folder / "profiles.csv", header, rows)
 
     painters = curve_figures.painters(load_run(run_folder))
-    figure = next(iter(painters.values()))(load_run(run_folder))
+    figure = next(iter(painters.values())).draw()
 
     shown = [axes for axes in figure.axes if axes.axison]
     assert len(shown) == panels
@@ -502,8 +602,8 @@ def test_grades_of_a_sensor_are_a_curve(run_folder):
         + "".join(f"  range-{g}: {{sensing.range_reach: 8, sensing.range: {g}}}\n" for g in grades)
     )
 
-    draw = curve_figures.painters(load_run(run_folder))["grades"]
-    figure = draw(load_run(run_folder))
+    drawing = curve_figures.painters(load_run(run_folder))["grades"]
+    figure = drawing.draw()
 
     first, second = (axes for axes in figure.axes if axes.axison)
     assert [first.get_title(), second.get_title()] == ["range", "tilt"]
@@ -512,7 +612,7 @@ def test_grades_of_a_sensor_are_a_curve(run_folder):
     assert len(curves) == 2  # tower and cantilever
     np.testing.assert_allclose(curves[0].get_xydata(), [[0.3, 0.6], [1.0, 2.0], [10.0, 20.0]])
     assert sum(line.get_linestyle() == "--" for line in second.lines) == 2
-    require_alike(draw, load_run(run_folder))
+    require_alike(drawing)
 
 
 def test_conditions_that_differ_in_two_numbers_are_no_grades(run_folder):
@@ -557,7 +657,7 @@ def test_shapes_are_compared_in_accuracy_and_structure(tmp_path):
     write_table(tmp_path / "table.csv", header, rows)
     write_summary(tmp_path, "case,status", [["0-joint", "done"]])
 
-    figure = table_figures.draw_shape(load_run(tmp_path))
+    figure = table_figures.shape_drawing(load_run(tmp_path)).draw()
 
     rmse, modes, contacts, height = figure.axes
     assert [label.get_text() for label in rmse.get_yticklabels()] == ["line", "cube"]
@@ -581,7 +681,7 @@ def test_few_structures_are_drawn_instead_of_an_interval(tmp_path, cases, bars):
     done = [[f"{k}-{name}", "done", name, k + 1] for name in names for k in range(cases)]
     write_summary(tmp_path, "case,status,condition,rmse_R", done)
 
-    figure = draw_accuracy(load_run(tmp_path))
+    figure = accuracy_drawing(load_run(tmp_path)).draw()
 
     rmse = figure.axes[0]
     assert len(rmse.collections) == (1 if bars else 0)
@@ -593,30 +693,28 @@ def test_few_structures_are_drawn_instead_of_an_interval(tmp_path, cases, bars):
 def test_series_that_are_equal_are_one_line(tmp_path):
     """Growth is the same for all conditions; a second line would hide the first."""
     rows = [
-        [series, measure, robots, value * robots, 1.0, 1.0]
+        [series, measure, robots, value * robots, 1.0, 0.1, 1.0]
         for measure in SCALING_PANELS
         for series, factor in (("paper", 1.0), ("joint", 2.0))
         for robots in (10, 100)
         for value in [1.0 if measure == "grow_cpu_s" else factor]
     ]
-    write_table(tmp_path / "scaling.csv", "series,measure,robots,mean,exponent,slope", rows)
+    header = "series,measure,robots,mean,exponent,exponent_ci95,slope"
+    write_table(tmp_path / "scaling.csv", header, rows)
     write_summary(tmp_path, "case,status", [["0-paper", "done"]])
 
-    figure = draw_scaling(load_run(tmp_path))
+    figure = scaling_drawing(load_run(tmp_path)).draw()
 
     lines = dict(zip(SCALING_PANELS, (len(axes.lines) for axes in figure.axes), strict=True))
     assert lines.pop("grow_cpu_s") == 1
     assert set(lines.values()) == {2}
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["paper", "joint", "all series"]
-    assert "powers of N" in figure.texts[-1].get_text()
+    assert legend == ["paper", "joint"]
+    assert figure.texts[-1].get_text() == "p: power of N, 95 % CI; gray: all series"
 
-    write_table(
-        tmp_path / "scaling.csv", "series,measure,robots,mean,exponent,slope",
-        [[*row[:4], "", ""] for row in rows],
-    )  # fmt: skip
+    write_table(tmp_path / "scaling.csv", header, [[*row[:4], "", "", ""] for row in rows])
 
-    assert not draw_scaling(load_run(tmp_path)).texts
+    assert scaling_drawing(load_run(tmp_path)).draw().texts[-1].get_text() == "gray: all series"
 
 
 @pytest.mark.parametrize(("series", "stated"), [(4, 4), (5, 0)])
@@ -624,16 +722,17 @@ def test_powers_are_stated_where_a_reader_finds_whose_they_are(tmp_path, series,
     """Equal series state theirs once; of more than four, `scaling.csv` has them."""
     names = [*(f"method {k}" for k in range(series)), "like method 0"]
     rows = [
-        [name, measure, robots, (1 + place % series) * robots, power, power]
+        [name, measure, robots, (1 + place % series) * robots, power, 0.1, power]
         for measure in SCALING_PANELS
         for place, name in enumerate(names)
         for robots in (10, 100)
         for power in [1.0 + place % series / 10]
     ]
-    write_table(tmp_path / "scaling.csv", "series,measure,robots,mean,exponent,slope", rows)
+    header = "series,measure,robots,mean,exponent,exponent_ci95,slope"
+    write_table(tmp_path / "scaling.csv", header, rows)
     write_summary(tmp_path, "case,status", [["0-paper", "done"]])
 
-    figure = draw_scaling(load_run(tmp_path))
+    figure = scaling_drawing(load_run(tmp_path)).draw()
 
     assert {len(axes.texts) for axes in figure.axes} == {stated}
     assert "in scaling.csv" in figure.texts[-1].get_text()

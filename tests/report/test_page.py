@@ -255,7 +255,7 @@ def test_cases_that_did_not_converge_are_named():
     (warning,) = warnings_of(lost.assign(distrust=["chains disagree", None, None]))
 
     assert warning.startswith(
-        "1 of 3 cases did not converge (seed 0 of a): chains disagree. The search settled"
+        "1 of 3 cases did not converge (seed 0 of a): chains disagree. The search found"
     )
     assert "148 sd" not in warning
     assert warnings_of(lost.assign(converged=[True, True, None])) == []

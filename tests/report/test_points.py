@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import require_alike, write_case, write_summary, write_table
-from tiswarm.app.comparison import draw_rows
+from tiswarm.app.comparison import rows_drawing
 from tiswarm.records.frames import read_frame
 from tiswarm.report import error_figures, figures
 from tiswarm.report.curve_figures import PROFILED, SCALING_PANELS
@@ -110,8 +110,8 @@ def test_no_point_lies_outside_its_axes(tmp_path, kind, width):
     _write_run(tmp_path, kind, width, np.random.default_rng(round(10 * width)))
     run = load_run(tmp_path)
 
-    drawn = {name: draw(run) for name, draw in figures.painters_of(run).items()}
-    compared = draw_rows(with_points(read_frame(tmp_path / "comparison.csv", ["run"])))
+    drawn = {name: drawing.draw() for name, drawing in figures.drawings_of(run).items()}
+    compared = rows_drawing(with_points(read_frame(tmp_path / "comparison.csv", ["run"]))).draw()
 
     errors = "error-against-height" if kind == "tower" else "error-along-growth"
     several = ["accuracy", "shape", "scaling", "back-propagation", "profiles", "price-and-error"]
@@ -125,18 +125,18 @@ def test_a_narrow_figure_shows_what_the_wide_one_shows(tmp_path):
     _write_run(tmp_path, "tower", 4.0, np.random.default_rng(0))
     run = load_run(tmp_path)
 
-    painters = figures.painters_of(run)
+    drawings = figures.drawings_of(run)
 
-    assert len(painters) > 1
-    for draw in painters.values():
-        require_alike(draw, run)
+    assert len(drawings) > 1
+    for drawing in drawings.values():
+        require_alike(drawing)
 
 
 def test_a_structure_that_grows_outward_is_drawn_along_it(tmp_path):
     """Robots of a cantilever are at nearly the same height; errors add up along the arm."""
     _write_run(tmp_path, "cantilever", 1.0, np.random.default_rng(0))
 
-    figure = error_figures.draw_errors(load_run(tmp_path))
+    figure = error_figures.errors_drawing(load_run(tmp_path)).draw()
 
     assert figure.get_supxlabel() == "True distance out from the edge [R]"
     x = figure.axes[0].collections[0].get_offsets()[:, 0]

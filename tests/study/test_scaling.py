@@ -13,7 +13,7 @@ from tiswarm import study
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.progress import Progress
 from tiswarm.compute.machine import find_card
-from tiswarm.report.curve_figures import SCALING_PANELS, draw_scaling
+from tiswarm.report.curve_figures import SCALING_PANELS, scaling_drawing
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.forecast import fewer
@@ -129,7 +129,7 @@ def test_threads_take_the_place_of_robots(tmp_path):
     assert {"localize_wall_s", "joins_per_wall_s", "total_cpu_s"} <= set(table["measure"])
     one, two = (found / "cases" / f"0-threads={n},a" / "estimate.csv" for n in (1, 2))
     assert one.read_bytes() == two.read_bytes()
-    assert draw_scaling(load_run(found)).axes[0].get_xlabel() == "CPU threads"
+    assert scaling_drawing(load_run(found)).draw().axes[0].get_xlabel() == "CPU threads"
 
 
 @pytest.mark.trial
@@ -199,7 +199,7 @@ def test_the_figure_shows_every_series(scaled):
     names = table["series"].unique().tolist()
     means = table.set_index(["measure", "series"])["mean"].sort_index(kind="stable")
 
-    figure = draw_scaling(load_run(scaled))
+    figure = scaling_drawing(load_run(scaled)).draw()
 
     assert names == ["paper", "together", "joint", "joint-with-walks"]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 
 from tiswarm.app.results import Figure as Picture
@@ -19,7 +18,6 @@ from tiswarm.records.outputs import NEW, Outputs
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import figure_style, table_figures
 from tiswarm.report.cases_page import cases_page
-from tiswarm.report.figure_style import Panels, marker_style
 from tiswarm.report.run_data import (
     Labels,
     joined_words,
@@ -33,7 +31,7 @@ from tiswarm.study import tables
 from tiswarm.study.store import CaseRecord, RunFolder
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 _ERRORS = {RMSE.mean: "RMSE [R]", RMSE.ci95: "± 95 % CI [R]", DISPARITY.mean: "disparity"}
 """Columns of errors that the printed table has, and their headings; `frame` has all."""
@@ -116,8 +114,6 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
             exists and is to stay.
         EnvironmentTroubleError: `out` cannot be made.
     """
-    from matplotlib import style
-
     if len({run.resolve() for run in runs}) < max(2, len(runs)):
         raise InputError("give two or more different run folders", key="RUN")
     names = [run.resolve().name for run in runs]
@@ -149,8 +145,7 @@ def compare(runs: Sequence[Path], out: Path, outputs: Outputs = NEW) -> Comparis
     pairs = pd.DataFrame(rows, columns=None if rows else _COMPARED)
     write_frame(pairs, out / "paired.csv", opened=outputs.opened)
     comparison = Comparison(out, _stacked(labeled))
-    with style.context(["default", figure_style.STYLE]):
-        outputs.write(out / FILES[2], figure_style.png(draw_rows(comparison.shown)))
+    outputs.write(out / FILES[2], figure_style.png(rows_drawing(comparison.shown).draw()))
     write_frame(cases, out / "cases.csv", opened=outputs.opened)
     page = cases_page(f"Comparison of {len(runs)} runs", cases, _CASE_WORDS, file="cases.csv")
     outputs.write(comparison.page, page.encode())
@@ -223,24 +218,30 @@ def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
     return {name: tables.accuracy_by_key(records) for name, records in series.items()}
 
 
-def draw_rows(table: pd.DataFrame) -> "Figure":
-    """Draw the mean of each of the first rows with its confidence interval, one color a run."""
+def rows_drawing(table: pd.DataFrame) -> figure_style.Drawing:
+    """Compose panels of the means of the first rows with their intervals, one color a run."""
     seen = table.head(table_figures.MOST_ROWS)
     labels = joined_words(seen, ["point", "condition"])
-    height = 0.9 + 0.17 * len(seen)
-    panels = Panels(height, len(MAIN), len(MAIN), share="y")
-    for axes, measure in panels.paired_with(MAIN):
-        for index, run in enumerate(seen["run"].unique()):
-            rows = (seen["run"] == run).to_numpy()
-            axes.errorbar(
-                seen.loc[rows, measure.mean], np.flatnonzero(rows),
-                xerr=seen.loc[rows, measure.ci95].fillna(0.0), fmt="o", markersize=3.5,
-                color=marker_style(index)["color"], label=run, linewidth=1.0,
-            )  # fmt: skip
-    table_figures.finish_rows(panels, labels, MAIN)
-    panels.legend(figure_style.mean_words(table["cases"]), loc="outside upper right")
-    omitted = len(table) - len(seen)
-    return panels.finish(f"{omitted} more rows are in comparison.csv" if omitted else "")
+    seen = seen.drop(columns=[m.published for m in MAIN], errors="ignore")
+    seen = seen.assign(row=[*map(str, range(len(seen)))], of=seen["run"])  # labels may repeat
+    measures = {measure.column: measure for measure in MAIN}
+
+    def paint(axes: "Axes", column: str, runs: Sequence[str]) -> None:
+        table_figures.draw_means(axes, seen, measures[column], seen["row"].tolist(), runs)
+        table_figures.finish_row_axis(axes, measures[column], labels)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        figure_style.label_rows(panels.first, labels)
+        words = figure_style.mean_words(table["cases"])
+        panels.legend(words, panels.entries(), loc="outside upper right")
+        omitted = len(table) - len(seen)
+        return [f"{omitted} more rows are in comparison.csv" if omitted else ""]
+
+    return figure_style.Drawing(
+        panels=list(measures), series=list(dict.fromkeys(seen["run"])), paint=paint,
+        complete=complete, columns=len(MAIN), row_height=0.5 + 0.17 * len(seen), head_height=0.4,
+        share="y",
+    )  # fmt: skip
 
 
 def _short_table(table: pd.DataFrame) -> pd.DataFrame:

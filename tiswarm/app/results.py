@@ -19,6 +19,7 @@ from tiswarm.records.messages import counted
 from tiswarm.records.outputs import Outputs
 
 if TYPE_CHECKING:
+    import matplotlib.axes
     import matplotlib.figure
     import pandas as pd
 
@@ -180,15 +181,64 @@ class Run:
         """Figures and renders by name; none after a run without pictures."""
         return Figures.of([*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")])
 
-    def figure(self, name: str) -> "matplotlib.figure.Figure":
+    def figure(
+        self,
+        name: str,
+        *,
+        panels: Sequence[str] = (),
+        series: Sequence[str] = (),
+        width: float | None = None,
+        out: File | None = None,
+        overwrite: bool = False,
+    ) -> "matplotlib.figure.Figure":
         """Draw a figure again, as matplotlib has it: change its axes, and save it.
 
-        Raises:
-            InputError: the run has no figure of that name; names those that it has.
-        """
-        from tiswarm.report.figures import draw_figure  # noqa: PLC0415 - slow to import
+        Letters have 7 pt in any width.
 
-        return draw_figure(self._data(), name)
+        Args:
+            name: Name of the figure, such as "scaling".
+            panels: Names of its panels, such as "rmse_R"; all if empty.
+            series: Names of its series, as the legend has them; all if empty.
+            width: Width [inch]: 3.5 for a column of a paper; that of a page if None.
+            out: File to write, .png or .pdf; none if None.
+            overwrite: Whether to replace the file if it exists.
+
+        Raises:
+            InputError: the run has no such figure, panel or series, which names those that it has,
+                or the file has another format or exists and is to stay.
+        """
+        from tiswarm.report.figure_style import write  # noqa: PLC0415 - slow to import
+        from tiswarm.report.figures import find_drawing  # noqa: PLC0415 - slow to import
+
+        path = None if out is None else as_path(out, "out")
+        outputs = Outputs(inputs=[self.folder / "cases"], overwrite=overwrite)
+        outputs.check({"out": path})
+        figure = find_drawing(self._data(), name).draw(width, panels, series)
+        if path is not None:
+            write(path, lambda: figure, outputs)
+        return figure
+
+    def draw_panel(
+        self, axes: "matplotlib.axes.Axes", name: str, panel: str, *, series: Sequence[str] = ()
+    ) -> None:
+        """Draw one panel of a figure on axes of yours.
+
+        Args:
+            axes: Axes of matplotlib.
+            name: Name of the figure, such as "scaling".
+            panel: Name of the panel, such as "rmse_R".
+            series: Names of the series; all if empty.
+
+        Raises:
+            InputError: the run has no such figure, panel or series, or the figure has no panels.
+        """
+        from tiswarm.report.figure_style import Drawing  # noqa: PLC0415 - slow to import
+        from tiswarm.report.figures import find_drawing  # noqa: PLC0415 - slow to import
+
+        drawing = find_drawing(self._data(), name)
+        if not isinstance(drawing, Drawing):
+            raise InputError(f"the figure {name} of a plug-in has no panels", argument="name")
+        drawing.paint_panel(axes, panel, series)
 
     def view(self, *, quiet: bool = False) -> PageFile:
         """Return the run's page, `report.html`; write it if there is none."""

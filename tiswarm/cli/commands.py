@@ -518,6 +518,38 @@ def table(
     typer.echo(tiswarm.open_run(run).paper_text(form), nl=False)
 
 
+@app.command(
+    epilog="Example: tiswarm figure reports/scaling-1a2b3c4d scaling --panel rmse_R --width 3.5"
+)
+def figure(
+    run: options.RunFolderPath,
+    name: Annotated[str, Argument(help="Figure, such as scaling or accuracy.")],
+    out: Annotated[Path | None, Option(help="File; NAME.png here if left out.")] = None,
+    panel: Annotated[list[str], Option(help="Panel, such as rmse_R; all if left out.")] = [],  # noqa: B006 - typer never changes it
+    series: Annotated[list[str], Option(help="Series, as the legend names it.")] = [],  # noqa: B006
+    width: Annotated[float | None, Option(help="Width [inch], such as 3.5 for a column.")] = None,
+    plugins: options.Plugins = [],  # noqa: B006
+    *,
+    pdf: Annotated[bool, Option("--pdf", help="Write vectors, NAME.pdf.")] = False,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Draw a figure of a run for a paper.
+
+    It has the panels and series that you name, or all. Letters have 7 pt in any width.
+    """
+    import tiswarm
+    from tiswarm.base.plugins import load_plugins
+
+    load_plugins(plugins)
+    file = out or Path(f"{name}.pdf" if pdf else f"{name}.png")
+    tiswarm.open_run(run).figure(
+        name, panels=panel, series=series, width=width, out=file, overwrite=overwrite
+    )
+    if not quiet:
+        typer.echo(file)
+
+
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")
 def compare(
     runs: Annotated[list[Path], Argument(metavar="RUN RUN ...", help="Run folders.")],

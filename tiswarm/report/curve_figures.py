@@ -1,11 +1,11 @@
 """Draws the figures of rounds, grades, profiles and scaling, and of what robots build.
 
-Most have a curve for each condition or point; those of navigation have rows.
+Most have a curve for each condition or point; those of navigation have rows. A function
+`draw_...(axes, data, panel, series)` draws one panel; `figure_style.Drawing` arranges panels.
 """
 
 import re
 from collections.abc import Mapping, Sequence
-from functools import partial
 from os.path import commonprefix
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,16 +16,19 @@ from tiswarm.records.measures import (
     BELIEF_SENT,
     BUILT_FOR,
     CROSSED,
+    FEWEST,
     FLIPS_AS_PLANNED,
     HEIGHT,
     MAIN,
     REACH,
     RMSE,
     STEPS,
+    Measure,
 )
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import LABEL
 from tiswarm.report import figure_style
+from tiswarm.report.page_tables import power_words
 from tiswarm.report.run_data import (
     RunData,
     joined_words,
@@ -36,7 +39,6 @@ from tiswarm.report.run_data import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _FEWEST_ROBOTS = 5  # robots below which a point of a profile is open
 _MOST_POINTS = 4  # most points of a sweep that have a figure or panel each
@@ -122,30 +124,29 @@ CAPTIONS = {
         "RMSE of robots that are alike: by join index (order of joining), true "
         "height, hops (contacts on the shortest way to an anchor) and number of "
         "contacts. Bands of the best and the worst series cover the errors of 80 % of "
-        "these robots. Numbers above count the robots of a point; hollow dots stand "
-        "for few. Relative RMSE is the error of the vector between two robots. Of "
-        "many series, each has a small panel with RMSE by hops alone.",
+        "these robots; hollow dots stand for few robots. Relative RMSE is the error of the "
+        "vector between two robots. Of many series, each has a small panel with RMSE by "
+        "hops alone.",
     ),
     "scaling": figure_style.Caption(
         "Accuracy, size, time to build and cost against the number of robots N (or of "
-        "threads, processes or climbing robots), on logarithmic axes, unless they "
-        "begin at 0. Numbers above state the power of N that fits all sizes, and the "
-        "last two. Bands of the best and the worst series cover all structures. A "
-        "round of growth takes as long as its longest walk.",
+        "threads, processes or climbing robots), on logarithmic axes. p is the power of N "
+        "that fits all sizes, with its 95 % confidence interval. A round of growth takes as "
+        "long as its longest walk.",
     ),
 }
 """What the figures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, figure_style.Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figures that a run has, by file name."""
-    sizes: dict[str, figure_style.Painter] = {"scaling": draw_scaling} if run.sweeps_robots else {}
-    rounds: dict[str, figure_style.Painter] = (
-        {"back-propagation": draw_rounds} if compares_rounds(run) else {}
-    )
+    drawings: dict[str, figure_style.Drawable] = {}
+    if run.sweeps_robots:
+        drawings["scaling"] = scaling_drawing(run)
+    if compares_rounds(run):
+        drawings["back-propagation"] = rounds_drawing(run)
     return {
-        **sizes,
-        **rounds,
+        **drawings,
         **_grade_painters(run),
         **_profile_painters(run),
         **_building_painters(run),
@@ -160,42 +161,68 @@ def compares_rounds(run: RunData) -> bool:
     return len(set(table.groupby("condition")["round_every"].first().dropna())) > 1
 
 
-def draw_rounds(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw RMSE against steps per robot, for rounds of back-propagation at several intervals.
+def rounds_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of RMSE against steps per robot, for rounds at several intervals.
 
-    A line joins rounds that move equally many robots by equally many steps. A condition without
-    rounds is a horizontal line. Each point of a sweep has a panel.
+    Each point of a sweep has a panel, and rounds that move equally many robots are a series.
     """
     numbers = ["cases", RMSE.mean, RMSE.ci95, STEPS.mean]
     numbers += ["round_every", "round_recent", "round_sweeps"]
-    table = run.table("table.csv", ["condition"], numbers, after="cases")
-    points = [*with_points(table).groupby("point", sort=False)]
-    shown = points[:_MOST_POINTS]
+    table = with_points(run.table("table.csv", ["condition"], numbers, after="cases"))
+    points = list(dict.fromkeys(table["point"]))
     one_length = len(set(table["round_sweeps"].dropna())) == 1
-    height = 0.6 + 3.2 * -(-len(shown) // 2)
-    panels = figure_style.Panels(height, len(shown), 2, share="x", max_width=max_width)
-    for axes, (point, point_rows) in panels.paired_with(shown):
-        has_rounds = point_rows["round_every"].notna()
-        levels = point_rows.loc[~has_rounds, ["condition", RMSE.mean, RMSE.ci95]]
-        for index, level in enumerate(levels.itertuples(index=False)):
-            _draw_level(axes, *level, at_right=index % 2 == 0)
-        rounds = point_rows[has_rounds].fillna({"round_recent": np.inf})
-        families = rounds.groupby(["round_sweeps", "round_recent"], sort=False)
-        for index, ((sweeps, recent), family) in enumerate(families):
-            name = f"last {recent:g}" if np.isfinite(recent) else "all"
-            name += "" if one_length else f", {sweeps:g} steps"
-            _draw_family(axes, family, {"label": name, **figure_style.marker_style(index)})
-        figure_style.set_title(axes, point)
-        axes.set_xlabel(STEPS.axis)
-        axes.set_ylim(bottom=0.0)
     steps = table.loc[table["round_every"].notna(), STEPS.mean]
-    panels.label_left(RMSE.axis)
-    figure_style.set_log(panels.first, "x", 2.0 * steps.max() / steps.min())
-    panels.first.set_xlim(0.7 * steps.min(), 1.4 * steps.max())
-    words = f"robots moved in a round; {figure_style.mean_words(table['cases'])}"
-    panels.legend(words, structures=int(table["cases"].max()))
-    more = figure_style.omission_note(len(points) - len(shown), "sweep point", "in table.csv")
-    return panels.finish("numbers: joins between two rounds", more, run.note)
+    table["family"] = [
+        _family_name(sweeps, recent, one_length=one_length)
+        for sweeps, recent in zip(table["round_sweeps"], table["round_recent"], strict=True)
+    ]
+    families = list(dict.fromkeys(table["family"].loc[table["round_every"].notna()]))
+
+    def paint(axes: "Axes", point: str, series: Sequence[str]) -> None:
+        draw_rounds(axes, table, point, series)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        panels.label_left(RMSE.axis)
+        figure_style.set_log(panels.first, "x", 2.0 * steps.max() / steps.min())
+        panels.first.set_xlim(0.7 * steps.min(), 1.4 * steps.max())
+        words = f"robots moved in a round; {figure_style.mean_words(table['cases'])}"
+        panels.legend(words, structures=int(table["cases"].max()))
+        more = figure_style.omission_note(
+            max(len(points) - _MOST_POINTS, 0), "sweep point", "in table.csv"
+        )
+        return ["numbers: joins between two rounds", more, run.note]
+
+    return figure_style.Drawing(
+        panels=points[:_MOST_POINTS], series=families, paint=paint, complete=complete,
+        columns=2, row_height=3.0, head_height=0.6, share="x",
+    )  # fmt: skip
+
+
+def _family_name(sweeps: float, recent: float, *, one_length: bool) -> str:
+    """Name rounds by the robots that they move, and by their steps where these differ."""
+    name = f"last {recent:g}" if np.isfinite(recent) else "all"
+    return name if one_length else f"{name}, {sweeps:g} steps"
+
+
+def draw_rounds(axes: "Axes", table: pd.DataFrame, point: str, families: Sequence[str]) -> None:
+    """Draw RMSE against steps per robot at a point of the sweep.
+
+    A line joins rounds that move equally many robots by equally many steps. A condition without
+    rounds is a horizontal line.
+    """
+    rows = table[table["point"] == point]
+    has_rounds = rows["round_every"].notna()
+    levels = rows.loc[~has_rounds, ["condition", RMSE.mean, RMSE.ci95]]
+    for index, level in enumerate(levels.itertuples(index=False)):
+        _draw_level(axes, *level, at_right=index % 2 == 0)
+    looks = list(dict.fromkeys(table.loc[table["round_every"].notna(), "family"]))
+    for name in families:
+        family = rows[has_rounds & (rows["family"] == name)]
+        look = {"label": name, **figure_style.marker_style(looks.index(name))}
+        _draw_family(axes, family, look)
+    figure_style.set_title(axes, point)
+    axes.set_xlabel(STEPS.axis)
+    axes.set_ylim(bottom=0.0)
 
 
 def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) -> None:
@@ -209,15 +236,12 @@ def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) ->
             (x, y),
             (2.0, 2.0),
             textcoords="offset points",
-            fontsize=5.5,
             color=look["color"],
         )
     axes.errorbar(
         steps,
         rmse,
         yerr=line[RMSE.ci95].fillna(0.0),
-        markersize=3.0,
-        linewidth=1.0,
         elinewidth=0.4,
         **look,
     )
@@ -232,7 +256,6 @@ def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: 
         f"{name}, {three_digits(mean)} R",
         (float(at_right), mean),
         (0.0, 1.5),
-        fontsize=6.0,
         xycoords=("axes fraction", "data"),
         textcoords="offset points",
         color="0.35",
@@ -241,7 +264,7 @@ def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: 
     )
 
 
-def _profile_painters(run: RunData) -> dict[str, figure_style.Painter]:
+def _profile_painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the profile figures of a run by file name: one for each of a few sweep points.
 
     All series share a figure if there are many points, or no sweep.
@@ -253,52 +276,71 @@ def _profile_painters(run: RunData) -> dict[str, figure_style.Painter]:
     table = with_points(table, before="by")
     points = dict(list(table.groupby("point", sort=False)))
     if not 1 < len(points) <= _MOST_POINTS:
-        return {"profiles": partial(_draw_profiles, table=table)}
-    painters: dict[str, figure_style.Painter] = {}
+        return {"profiles": _profiles_drawing(run, table)}
+    drawings: dict[str, figure_style.Drawable] = {}
     for point, point_rows in points.items():
         slug = re.sub(r"[^A-Za-z0-9.]+", "-", str(point)).strip("-")
-        painters[f"profiles-{slug}"] = partial(_draw_profiles, table=point_rows.assign(point=""))
-    return painters
+        drawings[f"profiles-{slug}"] = _profiles_drawing(run, point_rows.assign(point=""))
+    return drawings
 
 
-def _draw_profiles(run: RunData, max_width: float = np.inf, *, table: pd.DataFrame) -> "Figure":
-    """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops.
+def _profiles_drawing(run: RunData, table: pd.DataFrame) -> figure_style.Drawing:
+    """Compose the figure of RMSE against join, height, hops and contacts, and relative RMSE."""
+    many = table["count"] >= _FEWEST_ROBOTS
+    table = table.assign(
+        at=(table["low"] + table["high"]) / 2.0,
+        many=many | (not many.any()),
+        series=joined_words(table, _SERIES),
+    )
+    names = list(dict.fromkeys(table["series"]))
+    if len(names) > len(figure_style.PALETTE):
+        return _small_profiles_drawing(run, table)
+
+    def paint(axes: "Axes", variable: str, series: Sequence[str]) -> None:
+        draw_profile(axes, table, variable, series)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        if len(names) > 1:
+            panels.legend()
+        opened = "" if table["many"].all() else f"open: fewer than {_FEWEST_ROBOTS} robots"
+        return [opened, run.note]
+
+    return figure_style.Drawing(
+        panels=list(PROFILED), series=names, paint=paint, complete=complete, row_height=1.7
+    )
+
+
+def draw_profile(axes: "Axes", table: pd.DataFrame, variable: str, series: Sequence[str]) -> None:
+    """Draw RMSE against a variable of robots, or relative RMSE against the hops between two.
 
     Bands of the best and the worst series cover the errors of most robots of a range, 10 % to 90 %.
-    Small numbers count the robots, or pairs, of each point in the first series. Points of few are
-    open, and not connected.
+    Points of few robots are open, and not connected.
+
+    Args:
+        axes: Panel.
+        table: `profiles.csv` with columns `at`, the middle of a range, `many` and `series`.
+        variable: Name in PROFILED.
+        series: Names of the series to draw.
     """
-    many = table["count"] >= _FEWEST_ROBOTS
-    table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
-    if len(table[_SERIES].drop_duplicates()) > len(figure_style.PALETTE):
-        return _draw_small_profiles(run, table, max_width)
-    panels = figure_style.Panels(3.6, len(PROFILED), 3, max_width=max_width)
-    means = table.groupby(_SERIES)[RMSE.column].mean()
-    bands: set[Any] = {means.idxmin(), means.idxmax()}
-    for axes, (name, label) in panels.paired_with(PROFILED.items()):
-        variable_rows = table[table["by"] == name]
-        for index, (series, rows) in enumerate(variable_rows.groupby(_SERIES, sort=False)):
-            look = figure_style.line_style(index)
-            _draw_series(axes, rows, ", ".join(filter(None, map(str, series))), look)
-            if series in bands:
-                _draw_band(axes, rows[rows["many"]], look["color"])
-            if index == 0:
-                _count(axes, rows["at"], rows["count"])
-        axes.set(xlabel=label, ylabel=RMSE.axis)
-        rmse = variable_rows[RMSE.column].to_numpy(float)
-        figure_style.fit_axis(axes, "y", rmse[variable_rows["many"]], others=rmse)
-    figure_style.set_log(axes, "x")
-    axes.set_ylabel("Relative RMSE [R]")
-    ticks = sorted(set(variable_rows["low"]))
-    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axes.minorticks_off()
-    unused = panels.figure.axes[-1]
-    if unused in panels.axes:
-        panels.legend(entries=figure_style.entries_of(axes))
-    else:
-        unused.legend(*axes.get_legend_handles_labels(), loc="center left")
-    opened = "" if table["many"].all() else f"open: fewer than {_FEWEST_ROBOTS}"
-    return panels.finish("above: robots or pairs of a point", opened, run.note)
+    names = list(dict.fromkeys(table["series"]))
+    means = table[table["series"].isin(series)].groupby("series")[RMSE.column].mean()
+    bands = {means.idxmin(), means.idxmax()} if len(means) else set()
+    rows = table[(table["by"] == variable) & table["series"].isin(series)]
+    for name in series:
+        line = rows[rows["series"] == name]
+        look = figure_style.line_style(names.index(name))
+        _draw_series(axes, line, name, look)
+        if name in bands:
+            _draw_band(axes, line[line["many"]], look["color"])
+    axes.set(xlabel=PROFILED[variable], ylabel=RMSE.axis)
+    rmse = rows[RMSE.column].to_numpy(float)
+    figure_style.fit_axis(axes, "y", rmse[rows["many"]], others=rmse)
+    if variable == "hops_apart":
+        figure_style.set_log(axes, "x")
+        axes.set_ylabel("Relative RMSE [R]")
+        ticks = sorted(set(rows["low"]))
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
 
 
 def _draw_series(axes: "Axes", rows: pd.DataFrame, label: str, look: Mapping[str, Any]) -> None:
@@ -318,101 +360,174 @@ def _draw_band(axes: "Axes", rows: pd.DataFrame, color: str) -> None:
         axes.fill_between(rows["at"], low, high, color=color, alpha=0.15, linewidth=0.0)
 
 
-def _draw_small_profiles(run: RunData, table: pd.DataFrame, max_width: float) -> "Figure":
-    """Draw RMSE against hops for more series than colors: a panel for each.
+def _small_profiles_drawing(run: RunData, table: pd.DataFrame) -> figure_style.Drawing:
+    """Compose the figure of RMSE against hops for more series than colors: a panel for each.
 
     Series of a sweep point share its panel, if there are few. In gray behind each panel are the
     series of the first, to compare with.
     """
-    hop_rows = table[table["by"] == _SMALL]
-    if len({*hop_rows["point"]}) == 1 or hop_rows["condition"].nunique() > len(
-        figure_style.PALETTE
-    ):
-        names = joined_words(hop_rows, _SERIES)
-        hop_rows = hop_rows.assign(point=names, condition="RMSE")
-    hop_rows = hop_rows[hop_rows["many"] | ~hop_rows.groupby("point")["many"].transform("any")]
-    panels_of = dict(list(hop_rows.groupby("point", sort=False)))
-    shown = dict(list(panels_of.items())[:_MOST_SMALL])
-    height = 0.6 + 1.15 * -(-len(shown) // _SMALL_COLUMNS)
-    panels = figure_style.Panels(
-        height, len(shown), _SMALL_COLUMNS, share="xy", max_width=max_width
-    )
-    first = next(iter(shown.values()))
-    for axes, (point, rows) in panels.paired_with(shown.items()):
-        for _, line in first.groupby("condition", sort=False):
-            axes.plot(line["at"], line[RMSE.column], color="0.8", linewidth=1.0)
-        for index, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
-            look: dict[str, Any] = {"color": figure_style.PALETTE[index], "markersize": 2.0}
-            axes.plot(line["at"], line[RMSE.column], "o-", linewidth=1.0, label=condition, **look)
-        figure_style.set_title(axes, str(point), 6.5)
-    figure_style.fit_axis(panels.first, "y", hop_rows[RMSE.column].to_numpy(float))
-    panels.label_once(PROFILED[_SMALL], RMSE.axis)
-    if len(figure_style.entries_of(panels.first)) > 1:
-        panels.legend()
-    more = figure_style.omission_note(len(panels_of) - len(shown), "sweep point", "in profiles.csv")
-    return panels.finish("gray: first panel", more, run.note)
+    rows = table[table["by"] == _SMALL]
+    one_point = len({*rows["point"]}) == 1
+    if one_point or rows["condition"].nunique() > len(figure_style.PALETTE):
+        rows = rows.assign(point=rows["series"], condition="RMSE")
+    rows = rows[rows["many"] | ~rows.groupby("point")["many"].transform("any")]
+    points = list(dict.fromkeys(rows["point"]))
+    names = list(dict.fromkeys(rows["condition"]))
 
+    def paint(axes: "Axes", point: str, series: Sequence[str]) -> None:
+        for _, line in rows[rows["point"] == points[0]].groupby("condition", sort=False):
+            axes.plot(line["at"], line[RMSE.column], color="0.8")
+        for name in series:
+            line = rows[(rows["point"] == point) & (rows["condition"] == name)]
+            color = figure_style.PALETTE[names.index(name)]
+            axes.plot(line["at"], line[RMSE.column], "o-", label=name, color=color, markersize=2.0)
+        figure_style.set_title(axes, point)
 
-def _count(axes: "Axes", positions: "pd.Series[float]", counts: "pd.Series[float]") -> None:
-    """Write the number of robots or pairs of each point above a panel."""
-    for x, count in zip(positions, counts, strict=True):
-        text = f"{count:g}" if count < 1e4 else f"{count / 1e3:.0f}k"  # noqa: PLR2004 - k
-        axes.annotate(
-            text,
-            (x, 1.0),
-            (0.0, 2.0),
-            xycoords=("data", "axes fraction"),
-            textcoords="offset points",
-            fontsize=4.5,
-            color="0.35",
-            ha="center",
-        )
+    def complete(panels: figure_style.Panels) -> list[str]:
+        figure_style.fit_axis(panels.first, "y", rows[RMSE.column].to_numpy(float))
+        panels.label_once(PROFILED[_SMALL], RMSE.axis)
+        if len(names) > 1:
+            panels.legend()
+        omitted = max(len(points) - _MOST_SMALL, 0)
+        more = figure_style.omission_note(omitted, "sweep point", "in profiles.csv")
+        return ["gray: first panel", more, run.note]
+
+    return figure_style.Drawing(
+        panels=points[:_MOST_SMALL], series=names, paint=paint, complete=complete,
+        columns=_SMALL_COLUMNS, row_height=1.25, head_height=0.6, share="xy",
+    )  # fmt: skip
 
 
 _MOST_POWERS = 4  # that a panel states
+_TICK_ROOM = 0.16  # least distance of two sizes that both have a number [share of the axis]
 
 
-def draw_scaling(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw means over structures against the number of robots N on logarithmic axes.
+def scaling_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of means over structures against the number of robots N.
 
-    Panels state the power of N fitted to all sizes, and to the two largest, if there are few. Bands
-    of the best and the worst series cover all structures. Where all series are equal, one gray line
-    stands for all. Threads, workers or movers take the place of N in a study of these.
+    Threads, workers or movers take the place of N in a study of these.
     """
     table = run.table("scaling.csv", ["series", "measure"], ["mean"], after="measure")
     column = str(table.columns[2])
-    label, symbol, panels_of = _AXES[column]
-    numbers = sorted(set(table[column]))
-    ticks = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in numbers]  # noqa: PLR2004 - k
     series = list(dict.fromkeys(table["series"]))
     names = series[: figure_style.MOST_SERIES]
     table = table[table["series"].isin(names) & (table["mean"] > 0.0)]
-    shown = _built_for(
-        run, {m: text for m, text in panels_of.items() if m in set(table["measure"])}
+    of_axis = _AXES[column][2]
+    labels = _built_for(run, {m: text for m, text in of_axis.items() if m in {*table["measure"]}})
+
+    def paint(axes: "Axes", measure: str, shown: Sequence[str]) -> None:
+        draw_scaling(axes, table, measure, shown)
+        axes.set_ylabel(labels[measure])
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        shown = table[table["measure"].isin(panels.names)]
+        entries = panels.entries()
+        panels.legend(_band_words(shown), {n: entries[n] for n in names if n in entries})
+        symbol = _AXES[column][1]
+        powers = "" if not shown["exponent"].notna().any() else f"p: power of {symbol}, 95 % CI"
+        if powers and len(panels.series) > _MOST_POWERS:
+            powers = f"powers of {symbol} in scaling.csv"
+        gray = any(_is_one_for_all(shown, measure, panels.series) for measure in panels.names)
+        more = figure_style.omission_note(len(series) - len(names), "series", "in scaling.csv")
+        return [powers, "gray: all series" if gray else "", more, run.note]
+
+    return figure_style.Drawing(
+        panels=list(labels), series=names, paint=paint, complete=complete, row_height=2.2
     )
-    panels = figure_style.Panels(2.2 * -(-len(shown) // 3), len(shown), 3, max_width=max_width)
-    legend: dict[str, Any] = {}
-    for axes, (measure, text) in panels.paired_with(shown.items()):
-        rows = table[table["measure"] == measure]
-        _draw_powers(axes, rows, names, legend, (column, symbol))
-        figure_style.set_log(axes, "x")
-        axes.set(xlabel=label, ylabel=text)
-        axes.set_xticks(numbers, ticks)
+
+
+def _band_words(table: pd.DataFrame) -> str:
+    """Say what lines and bands of a figure are, and of how many structures."""
+    if "structures" not in table:
+        return "mean"
+    least, most = int(table["structures"].min()), int(table["structures"].max())
+    count = counted(most, "structure") if least == most else f"{least} to {most} structures"
+    if least >= FEWEST:
+        return f"mean and 95 % interval, {count}"
+    return f"mean, least and greatest, {count}" if most > 1 else ""
+
+
+def draw_scaling(
+    axes: "Axes", table: pd.DataFrame, measure: str, series: Sequence[str] = ()
+) -> None:
+    """Draw a measure against the number of robots on logarithmic axes, with powers of N.
+
+    Where all series are equal, one gray line stands for all.
+
+    Args:
+        axes: Panel.
+        table: `scaling.csv`; its third column is the number of robots, or what takes its place.
+        measure: Measure to draw.
+        series: Names of the series to draw; all if empty.
+    """
+    column = str(table.columns[2])
+    label, _, _ = _AXES[column]
+    names = list(dict.fromkeys(table["series"]))
+    shown = series or names
+    is_one = _is_one_for_all(table, measure, shown)
+    powers: dict[str, str] = {}
+    values = []
+    for name in shown[:1] if is_one else shown:
+        rows = table[(table["measure"] == measure) & (table["series"] == name)]
+        if rows.empty:  # a method that states no steps, for example
+            continue
+        look = {**figure_style.marker_style(names.index(name)), "label": name}
+        if is_one:
+            look |= {"color": "0.4", "label": "_all"}
+        axes.plot(rows[column], rows["mean"], **look)
+        low, high = _band(rows)
+        axes.fill_between(rows[column], low, high, color=look["color"], alpha=0.15, linewidth=0.0)
+        powers[_power(rows)] = look["color"]  # equal series are drawn over each other
+        values.append(rows["mean"].to_numpy(float))
+    powers.pop("", None)
+    drawn = np.concatenate([np.empty(0), *values])
+    figure_style.set_log(axes, "y", 2.0 * drawn.max() / drawn.min() if len(drawn) else 1.0)
+    axes.set_xlabel(label)
+    _number_sizes(axes, sorted({*table[column].astype(float)}))
+    for index, (text, color) in enumerate(powers.items() if len(powers) <= _MOST_POWERS else ()):
+        axes.annotate(
+            text,
+            (0.0, 1.0),
+            (2.0, 2.0 + 1.2 * figure_style.TEXT_SIZE * index),
+            color=color,
+            xycoords="axes fraction",
+            textcoords="offset points",
+        )
+
+
+def _band(rows: pd.DataFrame) -> tuple["pd.Series[float]", "pd.Series[float]"]:
+    """Return the ends of the band of a series: its intervals, or of few structures the range."""
+    mean = rows["mean"]
+    if "ci95" in rows and rows["ci95"].notna().all():
+        low = (mean - rows["ci95"]).clip(lower=rows["least"])  # a logarithmic axis has no zero
+        return low, mean + rows["ci95"]
+    return rows.get("least", mean), rows.get("most", mean)
+
+
+def _is_one_for_all(table: pd.DataFrame, measure: str, series: Sequence[str]) -> bool:
+    """Whether several series have the same values, as those of the growth that they share."""
+    rows = table[table["measure"] == measure]
+    values = {tuple(rows.loc[rows["series"] == name, "mean"]) for name in series}
+    return len(values) == 1 < len(series)
+
+
+def _power(rows: pd.DataFrame) -> str:
+    """Write the power of a number that fits a series; empty without an interval."""
+    exponent = float(rows["exponent"].iloc[0])
+    half = float(rows["exponent_ci95"].iloc[0]) if "exponent_ci95" in rows else np.nan
+    text = power_words(exponent, half).replace("-", "\N{MINUS SIGN}")
+    return f"p = {text}" if text else ""
+
+
+def _number_sizes(axes: "Axes", numbers: Sequence[float]) -> None:
+    """Number the horizontal, logarithmic axis by the sizes themselves where there is room."""
+    span = numbers[-1] / numbers[0]
+    figure_style.set_log(axes, "x", span)
+    gaps = np.diff(np.log(numbers)) / np.log(span) if span > 1.0 else np.ones(1)
+    if gaps.min(initial=1.0) >= _TICK_ROOM:
+        texts = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in numbers]  # noqa: PLR2004 - k
+        axes.set_xticks(numbers, texts)
         axes.minorticks_off()
-        if measure.endswith("_MB"):
-            axes.set_ylim(0.0, 1.1 * rows["mean"].max())
-        else:
-            span = float(rows["mean"].max() / rows["mean"].min()) if len(rows) else 1.0
-            figure_style.set_log(axes, "y", 2.0 * span)
-    entries = {name: legend[name] for name in (*names, "all series") if name in legend}
-    panels.legend(entries=entries, loc="outside upper right")
-    powers = f"powers of {symbol} are fitted to all points, then to the two largest"
-    if len(names) > _MOST_POWERS:
-        powers += f"; where more than {_MOST_POWERS}, in scaling.csv"
-    if not table["exponent"].notna().any():
-        powers = ""
-    more = figure_style.omission_note(len(series) - len(names), "sweep point", "in scaling.csv")
-    return panels.finish(powers, more, run.note)
 
 
 def _built_for(run: RunData, panels: Mapping[str, str]) -> dict[str, str]:
@@ -421,69 +536,6 @@ def _built_for(run: RunData, panels: Mapping[str, str]) -> dict[str, str]:
     aim = BUILT_FOR.get(str(structure.get("kind")), HEIGHT)
     aims = {HEIGHT.column: (aim.column, aim.axis)}
     return dict(aims.get(measure, (measure, text)) for measure, text in panels.items())
-
-
-def _draw_powers(
-    axes: "Axes",
-    rows: pd.DataFrame,
-    names: list[str],
-    legend: dict[str, Any],
-    against: tuple[str, str],
-) -> None:
-    """Draw the series of a measure with their powers, and add their lines to a legend."""
-    column, symbol = against
-    rows_by_series = {name: rows[rows["series"] == name] for name in names}
-    means = {tuple(series_rows["mean"]) for series_rows in rows_by_series.values()}
-    one_for_all = len(means) == 1 < len(rows_by_series)
-    drawn = {"all series": rows_by_series[names[0]]} if one_for_all else rows_by_series
-    ranked = sorted(
-        (n for n, p in drawn.items() if len(p)), key=lambda n: drawn[n]["mean"].iloc[-1]
-    )
-    powers: dict[str, Any] = {}
-    for index, (name, series_rows) in enumerate(drawn.items()):
-        if series_rows.empty:  # a method that states no steps, for example
-            continue
-        look = {
-            **figure_style.marker_style(index),
-            "linewidth": figure_style.line_style(index)["linewidth"],
-        }
-        if one_for_all:
-            look["color"] = "0.4"
-        (legend[name],) = axes.plot(
-            series_rows[column], series_rows["mean"], markersize=3.0, **look
-        )
-        if name in {*ranked[:1], *ranked[-1:]} and "least" in series_rows:
-            axes.fill_between(
-                series_rows[column],
-                series_rows["least"],
-                series_rows["most"],
-                color=look["color"],
-                alpha=0.15,
-                lw=0.0,
-            )
-        powers[_powers(series_rows, symbol)] = look[
-            "color"
-        ]  # equal series are drawn over each other
-    powers.pop("", None)
-    for index, (text, color) in enumerate(powers.items() if len(powers) <= _MOST_POWERS else ()):
-        axes.annotate(
-            text,
-            (0.0, 1.0),
-            (3.0, 3.0 + 8.0 * index),
-            color=color,
-            xycoords="axes fraction",
-            textcoords="offset points",
-            fontsize=6.0,
-        )
-
-
-def _powers(series_rows: "pd.DataFrame", symbol: str) -> str:
-    """Write the powers of a number that fit a series."""
-    if series_rows.empty or pd.isna(series_rows["exponent"].iloc[0]):
-        return ""
-    exponent = series_rows["exponent"].iloc[0]
-    last_slope = series_rows["slope"].iloc[-1]
-    return f"{symbol}^{exponent:.2f}, last {symbol}^{last_slope:.2f}"
 
 
 _FEWEST_GRADES = 3
@@ -496,7 +548,7 @@ _UNITS = {
 """Units by the ends of keys."""
 
 
-def _grade_painters(run: RunData) -> dict[str, figure_style.Painter]:
+def _grade_painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figure of graded conditions by file name, if a run has some.
 
     Rounds of back-propagation have a figure of their own.
@@ -505,56 +557,66 @@ def _grade_painters(run: RunData) -> dict[str, figure_style.Painter]:
         return {}
     table = run.table("table.csv", ["condition"], [], after="cases")
     has_rounds = table.get("round_every", pd.Series(dtype=float)).notna().any()
-    return {} if has_rounds or not _families(run, table) else {"grades": draw_grades}
+    return {} if has_rounds or not _families(run, table) else {"grades": grades_drawing(run)}
 
 
-def draw_grades(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw RMSE against the number in which conditions differ that else agree.
+def grades_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of RMSE against the number in which conditions differ that else agree.
 
-    They share a panel, in which each point of the sweep has a line. A dashed line in its color is
-    the first condition that belongs to no panel.
+    They share a panel, in which each point of the sweep has a line.
     """
     table = run.table("table.csv", ["condition"], ["cases", RMSE.mean, RMSE.ci95], after="cases")
     table = table[table[RMSE.mean].notna()]
-    families = _families(run, table)
+    families = {family.title: family for family in _families(run, table)}
     table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
-    shown = points[: figure_style.MOST_SERIES]
-    graded = {name for family in families for name in family.names.values()}
+    graded = {name for family in families.values() for name in family.names.values()}
     plain = next((name for name in table["condition"] if name not in graded), "")
-    columns = figure_style.columns_of(len(families))
-    height = 0.6 + 2.1 * -(-len(families) // columns)
-    panels = figure_style.Panels(height, len(families), columns, share="y", max_width=max_width)
-    for axes, family in panels.paired_with(families):
-        low = min(family.names)
-        high = max(family.names)
-        if low > 0.0:
-            figure_style.set_log(axes, "x")
-            margin = (high / low) ** 0.05
-            axes.set_xlim(low / margin, high * margin)  # dashed lines would widen it to 1
-        for index, point in enumerate(shown):
-            rows = table[table["point"] == point].set_index("condition")
-            look = {
-                "label": point or "mean",
-                **figure_style.marker_style(index),
-            }
-            _draw_line(axes, rows, family.names, look)
-            if plain in rows.index:
-                axes.axhline(float(rows.loc[plain, RMSE.mean]), **_dashed(look))
-        figure_style.set_title(axes, family.title)
-        axes.set_xlabel(_meaning(family.keys))
-        axes.set_xticks([*family.names], [f"{grade:g}" for grade in family.names])
-        axes.minorticks_off()
-    means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
-    figure_style.fit_axis(panels.first, "y", means, nonpositive="clip")
-    panels.label_once(y=RMSE.axis)
-    level = f"; dashed: {plain}" if plain else ""
-    number = counted(int(table["cases"].max()), "structure")
-    panels.legend(f"{figure_style.mean_words(table['cases'])}, {number}{level}")
-    return panels.finish(
-        figure_style.omission_note(len(points) - len(shown), "sweep point", "in table.csv"),
-        run.note,
-    )
+
+    def paint(axes: "Axes", title: str, series: Sequence[str]) -> None:
+        draw_grades(axes, table, families[title], series, plain)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
+        figure_style.fit_axis(panels.first, "y", means, nonpositive="clip")
+        panels.label_once(y=RMSE.axis)
+        level = f"; dashed: {plain}" if plain else ""
+        number = counted(int(table["cases"].max()), "structure")
+        panels.legend(f"{figure_style.mean_words(table['cases'])}, {number}{level}")
+        omitted = max(len(points) - figure_style.MOST_SERIES, 0)
+        return [figure_style.omission_note(omitted, "sweep point", "in table.csv"), run.note]
+
+    return figure_style.Drawing(
+        panels=list(families), series=points[: figure_style.MOST_SERIES], paint=paint,
+        complete=complete, columns=figure_style.columns_of(len(families)), row_height=2.1,
+        head_height=0.6, share="y",
+    )  # fmt: skip
+
+
+def draw_grades(
+    axes: "Axes", table: pd.DataFrame, family: "_Family", points: Sequence[str], plain: str
+) -> None:
+    """Draw RMSE against the number of a family of conditions, a line for each point.
+
+    A dashed line in its color is the condition `plain`, which belongs to no family.
+    """
+    low = min(family.names)
+    high = max(family.names)
+    if low > 0.0:
+        figure_style.set_log(axes, "x")
+        margin = (high / low) ** 0.05
+        axes.set_xlim(low / margin, high * margin)  # dashed lines would widen it to 1
+    looks = list(dict.fromkeys(table["point"]))
+    for point in points:
+        rows = table[table["point"] == point].set_index("condition")
+        look = {"label": point or "mean", **figure_style.marker_style(looks.index(point))}
+        _draw_line(axes, rows, family.names, look)
+        if plain in rows.index:
+            axes.axhline(rows[RMSE.mean][plain], **_dashed(look))
+    figure_style.set_title(axes, family.title)
+    axes.set_xlabel(_meaning(family.keys))
+    axes.set_xticks([*family.names], [f"{grade:g}" for grade in family.names])
+    axes.minorticks_off()
 
 
 class _Family(NamedTuple):
@@ -605,7 +667,7 @@ def _draw_line(
     """Draw the means of graded conditions with their intervals."""
     graded = rows.reindex([*grades.values()])
     half = graded[RMSE.ci95].fillna(0.0)
-    axes.errorbar([*grades], graded[RMSE.mean], yerr=half, markersize=3.0, elinewidth=0.6, **look)
+    axes.errorbar([*grades], graded[RMSE.mean], yerr=half, elinewidth=0.6, **look)
 
 
 def _dashed(look: dict[str, Any]) -> dict[str, Any]:
@@ -616,23 +678,25 @@ _BY = "structure.navigate_by"
 _PANELS = {
     HEIGHT: ("tower", "Tower height [R]"),
     REACH: ("cantilever", "Cantilever reach [R]"),
-    CROSSED: ("bridge", "Bridges closed [1]"),
-    FLIPS_AS_PLANNED: ("", "Flips as planned [1]"),
+    CROSSED: ("bridge", CROSSED.axis),
+    FLIPS_AS_PLANNED: ("", FLIPS_AS_PLANNED.axis),
     BELIEF_SENT: ("", "Sent by a robot [kB]"),
 }
 """By measure: the kind of structure that a panel shows, all if empty; its axis."""
 
 
-def _building_painters(run: RunData) -> dict[str, figure_style.Painter]:
+def _building_painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figure by file name, if some robots of a run navigate by estimates."""
     planned = run.summary.get(FLIPS_AS_PLANNED.column)
-    return {"building": draw_building} if planned is not None and planned.notna().any() else {}
+    if planned is None or not planned.notna().any():
+        return {}
+    return {"building": building_drawing(run)}
 
 
-def draw_building(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw what robots build, and what they send for it, with a row for what they navigate by.
+def building_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of what robots build, and what they send for it.
 
-    A marker is the mean of a kind of structure with its 95 % confidence interval.
+    A row is what they navigate by.
     """
     done = run.summary[run.summary["status"] == "done"]
     rows = done.assign(structure=_structures(done), by=_navigation(done))
@@ -640,26 +704,33 @@ def draw_building(run: RunData, max_width: float = np.inf) -> "Figure":
     rows = rows.drop_duplicates(["by", "structure", "seed"])  # conditions may share structures
     names = list(dict.fromkeys(rows["by"]))
     kinds = list(dict.fromkeys(rows["structure"]))
-    shown = {
-        measure.column: panel
-        for measure, panel in _PANELS.items()
-        if _of_kind(rows, panel[0])[measure.column].any()
+    measures = {
+        measure.column: measure
+        for measure, (kind, _) in _PANELS.items()
+        if _of_kind(rows, kind)[measure.column].any()
     }
-    columns = min(len(shown), 3)
-    height = (0.9 + len(names) * (0.16 + 0.07 * len(kinds))) * -(-len(shown) // columns)
-    panels = figure_style.Panels(height, len(shown), columns, share="y", max_width=max_width)
-    for axes, (column, (kind, label)) in panels.paired_with(shown.items()):
-        _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
+    sizes = rows.groupby(["by", "structure"]).size()
+    looks = {kind: figure_style.dot_style(index) for index, kind in enumerate(kinds)}
+
+    def paint(axes: "Axes", column: str, series: Sequence[str]) -> None:
+        kind, label = _PANELS[measures[column]]
+        shown = _of_kind(rows, kind)
+        draw_building(axes, shown, measures[column], names, looks, series)
         axes.set_xlabel(label)
         top = axes.get_xlim()[1]
         axes.set_xlim(-0.03 * top, 1.03 * top)  # markers at the ends are whole
-    figure_style.label_rows(panels.first, names)
-    panels.first.invert_yaxis()
-    structures = int(rows.groupby(["by", "structure"]).size().max())
-    entries = panels.entries()
-    words = figure_style.mean_words(rows.groupby(["by", "structure"]).size())
-    panels.legend(words, entries, structures=structures, loc="outside upper right")
-    return panels.finish(run.note)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        figure_style.label_rows(panels.first, names)
+        panels.first.invert_yaxis()
+        panels.legend(figure_style.mean_words(sizes), panels.entries(), structures=int(sizes.max()))
+        return [run.note]
+
+    return figure_style.Drawing(
+        panels=list(measures), series=kinds, paint=paint, complete=complete,
+        columns=min(len(measures), 3), row_height=0.6 + len(names) * (0.16 + 0.09 * len(kinds)),
+        head_height=0.4, share="y",
+    )  # fmt: skip
 
 
 def _navigation(done: pd.DataFrame) -> "pd.Series[str]":
@@ -684,20 +755,37 @@ def _of_kind(rows: pd.DataFrame, kind: str) -> pd.DataFrame:
     return rows[rows["kind"] == kind] if kind else rows
 
 
-def _draw_panel(
-    axes: "Axes", rows: pd.DataFrame, column: str, names: list[str], kinds: list[str]
+def draw_building(
+    axes: "Axes",
+    rows: pd.DataFrame,
+    measure: Measure,
+    names: Sequence[str],
+    looks: Mapping[str, Mapping[str, Any]],
+    kinds: Sequence[str],
 ) -> None:
-    """Draw the mean of a column for each name, a marker for each kind of structure."""
-    shown_kinds = [kind for kind in kinds if kind in {*rows["structure"]}]
-    for lane, kind in enumerate(shown_kinds):
-        kind_rows = rows[rows["structure"] == kind]
-        kind_index = kinds.index(kind)
-        statistics = (
-            kind_rows.groupby("by")[column].agg(["mean", figure_style.half_width]).reindex(names)
-        )
-        y = np.arange(len(names)) + 0.16 * (lane - 0.5 * (len(shown_kinds) - 1))
-        if statistics["mean"].notna().any():
-            half = statistics["half_width"]
-            axes.errorbar(
-                statistics["mean"], y, xerr=half, label=kind, **figure_style.dot_style(kind_index)
-            )
+    """Draw the mean of a measure of structures with its 95 % confidence interval.
+
+    Args:
+        axes: Panel.
+        rows: Cases with the columns `by`, what robots navigate by, and `structure`, its kind.
+        measure: Measure; shares have Wilson's interval.
+        names: What robots navigate by, a row each.
+        looks: Look of the markers of each kind.
+        kinds: Kinds of structures to draw.
+    """
+    shown = [kind for kind in kinds if kind in {*rows["structure"]}]
+    for lane, kind in enumerate(shown):
+        values = rows[rows["structure"] == kind].groupby("by")[measure.column]
+        means = values.mean().reindex(list(names))
+        if not means.notna().any():
+            continue
+        bars = np.array([_bar(values, name, measure) for name in names]).T
+        y = np.arange(len(names)) + 0.16 * (lane - 0.5 * (len(shown) - 1))
+        axes.errorbar(means, y, xerr=bars, label=kind, **looks[kind])
+
+
+def _bar(values: Any, name: str, measure: Measure) -> tuple[float, float]:  # noqa: ANN401
+    """Return how far the interval of a group of values extends below and above its mean."""
+    if name not in values.groups:
+        return 0.0, 0.0
+    return figure_style.bar_of(values.get_group(name), is_share=measure.is_share)

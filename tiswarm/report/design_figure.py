@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from tiswarm.records.measures import MEASURES
-from tiswarm.report.figure_style import Panels, dot_style, line_style
+from tiswarm.report.figure_style import PAGE_WIDTH, Drawing, Panels, dot_style, line_style
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _HEIGHT = 3.0
@@ -23,8 +24,26 @@ def draw_front(table: pd.DataFrame, objectives: Sequence[str]) -> "Figure":
         objectives: Names of two results or more; the first is `price` if there are prices.
     """
     across, up = objectives[:2]
-    panels = Panels(_HEIGHT, 1, 1)
-    axes = panels.first
+    run = table[table["fresh_structures"] > 0]
+
+    def paint(axes: "Axes", panel: str, series: Sequence[str]) -> None:  # noqa: ARG001 - one panel
+        _draw_candidates(axes, table, across, up)
+        axes.set_xlabel(_label(across))
+        axes.set_ylabel(_label(up))
+
+    def complete(panels: Panels) -> list[str]:
+        panels.legend(structures=int(run["fresh_structures"].max()))
+        return []
+
+    drawing = Drawing(
+        panels=["front"], paint=paint, complete=complete, row_height=_HEIGHT, head_height=0.0,
+        alone=PAGE_WIDTH,
+    )  # fmt: skip
+    return drawing.draw()
+
+
+def _draw_candidates(axes: "Axes", table: pd.DataFrame, across: str, up: str) -> None:
+    """Draw candidates, the front as predicted, and what fresh structures gave."""
     # A search gives up candidates on few structures: their results are less certain than others.
     is_complete = table["structures"] == table["structures"].max()
     for chosen, label, alpha in (
@@ -41,10 +60,6 @@ def draw_front(table: pd.DataFrame, objectives: Sequence[str]) -> "Figure":
     run = table[table["fresh_structures"] > 0]
     x, y = (_column(run, name, "found") for name in (across, up))
     axes.plot(x, y, label="found on fresh structures", **dot_style(1))
-    axes.set_xlabel(_label(across))
-    axes.set_ylabel(_label(up))
-    panels.legend(structures=int(run["fresh_structures"].max()))
-    return panels.finish()
 
 
 def _column(table: pd.DataFrame, name: str, kind: str) -> "pd.Series[float]":

@@ -1,6 +1,7 @@
 """Draws the errors of robots: by iteration, and along the structure."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,9 +13,7 @@ from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, Series, StoredCase
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 _MAX_PANELS = 9
@@ -59,54 +58,65 @@ CAPTIONS = {
 """What the figures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, figure_style.Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figures of errors that a run has, by file name."""
     if not run.localized:
         return {}
-    if _first_by_kind(run.localized):
-        return {"convergence": draw_convergence, "error-along-growth": _draw_error_along_growth}
+    convergence = {"convergence": convergence_drawing(run)}
+    kinds = _first_by_kind(run.localized)
+    if kinds:
+        return {**convergence, "error-along-growth": _kinds_drawing(run, kinds)}
     upward = all(_growth_axis(cases) == _HEIGHT for cases in run.localized.values())
     name = "error-against-height" if upward else "error-along-growth"
-    return {"convergence": draw_convergence, name: draw_errors}
+    return {**convergence, name: errors_drawing(run)}
 
 
-def draw_convergence(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw RMSE against iteration, mean over seeds; best and worst with a standard deviation.
+def convergence_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of RMSE against iteration.
 
     Each point of a sweep has a panel for each method, since iterations of methods cost different
     times, with a line for each condition.
     """
     points = _by_point(run.localized)
-    shown = dict(list(points.items())[:_MAX_PANELS])
+    panels_of = {_title(key, traces): traces for key, traces in points.items()}
+    shown = dict(list(panels_of.items())[:_MAX_PANELS])
+    names = _legible(points)
     seeds = max(map(len, run.localized.values()))
-    columns = figure_style.columns_of(len(shown))
-    rows = -(-len(shown) // columns)
-    width = figure_style.COLUMN_WIDTH if columns == 1 else figure_style.PAGE_WIDTH
-    panels = figure_style.Panels(
-        0.8 + 1.9 * rows, len(shown), columns, width=width, share="y", max_width=max_width
-    )
-    legend: dict[str, Artist] = {}
-    names = _legible(shown)
-    top = 0.0
-    hidden = 0
-    for axes, ((point, method), of_point) in panels.paired_with(shown.items()):
-        drawn = _most_telling(of_point, names)
-        hidden += len(of_point) - len(drawn)
-        top = max(top, _plot_convergence(axes, drawn, names))
-        name = next(iter(of_point)) if method and len(of_point) == 1 else method
-        figure_style.set_title(axes, ", ".join(filter(None, [point, name])))
-        legend |= {str(line.get_label()): line for line in axes.lines}
-    lines = [np.asarray(line.get_ydata(), float) for axes in panels.axes for line in axes.lines]
-    ends = np.array([line[-1] for line in lines])
-    panels.first.set_ylim(top=1.05 * top or 1.0)
-    figure_style.fit_axis(panels.first, "y", ends, others=np.concatenate([np.empty(0), *lines]))
-    panels.label_once(y=RMSE.axis)
-    panels.legend("mean; best and worst ± 1 sd" if seeds > 1 else "", legend, structures=seeds)
-    return panels.finish(
-        figure_style.omission_note(len(points) - len(shown), "panel", "not drawn"),
-        figure_style.omission_note(hidden, "line", "not drawn"),
-        run.note,
-    )
+    hidden = sum(len(traces) - len(_most_telling(traces, names)) for traces in shown.values())
+
+    def paint(axes: "Axes", title: str, series: Sequence[str]) -> None:
+        traces = _most_telling(shown[title], names)
+        if len(series) < len(names):
+            traces = {name: trace for name, trace in traces.items() if name in series}
+        draw_convergence(axes, traces, names)
+        figure_style.set_title(axes, title)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        lines = [np.asarray(line.get_ydata(), float) for axes in panels.axes for line in axes.lines]
+        values = np.concatenate([np.empty(0), *lines])
+        panels.first.set_ylim(top=1.05 * values.max(initial=0.0) or 1.0)
+        ends = np.array([line[-1] for line in lines])
+        figure_style.fit_axis(panels.first, "y", ends, others=values)
+        panels.label_once(y=RMSE.axis)
+        words = "mean; best and worst ± 1 sd" if seeds > 1 else ""
+        panels.legend(words, panels.entries(), structures=seeds)
+        return [
+            figure_style.omission_note(len(panels_of) - len(shown), "panel", "not drawn"),
+            figure_style.omission_note(hidden, "line", "not drawn"),
+            run.note,
+        ]
+
+    return figure_style.Drawing(
+        panels=list(shown), series=names, paint=paint, complete=complete,
+        columns=figure_style.columns_of(len(shown)), row_height=1.9, head_height=0.8, share="y",
+    )  # fmt: skip
+
+
+def _title(key: tuple[str, str], traces: Mapping[str, object]) -> str:
+    """Name a panel by its point of the sweep and method, or by its only condition."""
+    point, method = key
+    name = next(iter(traces)) if method and len(traces) == 1 else method
+    return ", ".join(filter(None, [point, name]))
 
 
 _Trace = tuple[Reals, Reals]
@@ -168,13 +178,12 @@ def _by_point(series: Series) -> _Panels:
     return moving or points or {("", ""): {}}
 
 
-def _plot_convergence(axes: "Axes", traces: dict[str, _Trace], names: list[str]) -> float:
-    """Draw the mean of each trace, colored by its place in `names`; returns the top [R].
+def draw_convergence(axes: "Axes", traces: "Mapping[str, _Trace]", names: list[str]) -> None:
+    """Draw the mean of each trace, colored by its place in `names`.
 
     Of those named, the best and the worst have bands. Others are thin and gray, and have one entry
     in a legend.
     """
-    top = 0.0
     named = [name for name in traces if name in names]
     order = sorted(named, key=lambda name: float(traces[name][1][:, -1].mean()))
     banded = {*order[:1], *order[-1:]}
@@ -183,21 +192,16 @@ def _plot_convergence(axes: "Axes", traces: dict[str, _Trace], names: list[str])
         look = figure_style.line_style(names.index(name)) if is_named else dict(_OTHERS)
         mean = rmse.mean(axis=0)
         axes.plot(iteration, mean, label=name if is_named else "others", **look)
-        upper = mean
-        if name in banded:
-            sd = rmse.std(axis=0)
-            upper = mean + sd
-            if sd.any():
-                axes.fill_between(
-                    iteration, mean - sd, upper, color=look["color"], alpha=0.2, linewidth=0.0
-                )
-        top = max(top, float(upper.max()))
+        sd = rmse.std(axis=0)
+        if name in banded and sd.any():
+            axes.fill_between(
+                iteration, mean - sd, mean + sd, color=look["color"], alpha=0.15, linewidth=0.0
+            )
     axes.set_xlabel("Iteration")
     axes.margins(x=0.0)
     ends = [float(np.max(line.get_xdata())) for line in axes.lines]
     if max(ends, default=0.0) > _MANY_TIMES * min(ends, default=0.0) > 0.0:
         figure_style.set_log(axes, "x")
-    return top
 
 
 def _traces(cases: list[StoredCase]) -> tuple[Reals, Reals]:
@@ -209,60 +213,70 @@ def _traces(cases: list[StoredCase]) -> tuple[Reals, Reals]:
     return iteration, np.array([np.interp(iteration, *table.T) for table in tables])
 
 
-def draw_errors(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw each robot's error against its place along the structure, colored by its join index.
+def errors_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of each robot's error against its place along the structure.
 
     Each series has a panel. Of many series, the first conditions of all sweep points are drawn.
     """
-    shown = list(run.localized.items())
-    if len(shown) > _MAX_PANELS:
-        conditions = list(dict.fromkeys(cases[0].condition for _, cases in shown))
-        shown.sort(key=lambda item: conditions.index(item[1][0].condition))
-    shown = shown[:_MAX_PANELS]
-    pairs = len({cases[0].point for cases in run.localized.values()}) == 2 or len(shown) == 4  # noqa: PLR2004
-    columns = 2 if pairs else min(3, len(shown))
-    shown = shown[: _MAX_PANELS // columns * columns]
-    rows = -(-len(shown) // columns)
-    width = figure_style.COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
-    lines = max(name.count(", ") for name, _ in shown)
-    height = 0.5 + (2.0 + _TITLE_LINE * lines) * rows
-    growth_axes = [_growth_axis(cases) for _, cases in shown]
-    is_one_axis = len(set(growth_axes)) == 1
-    share = "xy" if is_one_axis else "y"
-    panels = figure_style.Panels(
-        height, len(shown), columns, width=width, share=share, max_width=max_width
-    )
-    tables = [
-        _errors_at(cases, axis[0]) for (_, cases), axis in zip(shown, growth_axes, strict=True)
-    ]
-    _scatter(panels, tables)
-    notes = [run.note]
-    for axes, ((name, _), table) in panels.paired_with(zip(shown, tables, strict=True)):
-        if len(table) > _MAX_POINTS:
-            notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
-        figure_style.set_title(axes, name.replace(", ", ",\n"), 7.0)
-    panels.label_once(growth_axes[0][1] if is_one_axis else "", "Error [R]")
-    for axes, (_, label) in panels.paired_with(growth_axes):
-        axes.set_xlabel("" if is_one_axis else label)
-    if len(shown) < len(run.localized):
-        notes.append(f"{len(run.localized) - len(shown)} more series not shown")
-    return panels.finish(*notes)
+    listed = list(run.localized.items())
+    if len(listed) > _MAX_PANELS:
+        conditions = list(dict.fromkeys(cases[0].condition for _, cases in listed))
+        listed.sort(key=lambda item: conditions.index(item[1][0].condition))
+    listed = listed[:_MAX_PANELS]
+    pairs = len({cases[0].point for cases in run.localized.values()}) == 2 or len(listed) == 4  # noqa: PLR2004
+    columns = 2 if pairs else min(3, len(listed))
+    shown = dict(listed[: _MAX_PANELS // columns * columns])
+    lines = max(name.count(", ") for name in shown)
+    omitted = len(run.localized) - len(shown)
+    titles = {name: name.replace(", ", ",\n") for name in shown}
+    return _scatter_drawing(
+        run, shown, titles, columns=columns, row_height=1.8 + _TITLE_LINE * lines,
+        note=f"{omitted} more series not shown" if omitted else "",
+    )  # fmt: skip
 
 
-def _draw_error_along_growth(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw each robot's error against its place along the structure, colored by its join index.
+def _kinds_drawing(run: RunData, kinds: Series) -> figure_style.Drawing:
+    """Compose the figure of the first condition of each kind of structure."""
+    titles = {
+        kind: f"{kind}, {cases[0].condition}, {counted(len(cases), 'structure')}"
+        for kind, cases in kinds.items()
+    }
+    return _scatter_drawing(run, kinds, titles, columns=len(kinds), row_height=2.3, note="")
 
-    Each kind of structure has a panel with the first condition.
-    """
-    kinds = _first_by_kind(run.localized)
-    panels = figure_style.Panels(2.6, len(kinds), len(kinds), share="y", max_width=max_width)
-    _scatter(panels, [_errors_at(cases, _growth_axis(cases)[0]) for cases in kinds.values()])
-    for axes, (kind, cases) in panels.paired_with(kinds.items()):
-        axes.set_xlabel(_growth_axis(cases)[1])
-        many = counted(len(cases), "structure")
-        figure_style.set_title(axes, f"{kind}, {cases[0].condition}, {many}")
-    panels.label_left("Error [R]")
-    return panels.finish(run.note)
+
+def _scatter_drawing(
+    run: RunData,
+    cases_of: Series,
+    titles: Mapping[str, str],
+    *,
+    columns: int,
+    row_height: float,
+    note: str,
+) -> figure_style.Drawing:
+    """Compose panels of errors, of the cases of each name."""
+    growth_axes = {name: _growth_axis(cases) for name, cases in cases_of.items()}
+    is_one_axis = len({*growth_axes.values()}) == 1
+    tables = {name: _errors_at(cases, growth_axes[name][0]) for name, cases in cases_of.items()}
+    scale = _scale(list(tables.values()))
+
+    def paint(axes: "Axes", name: str, series: Sequence[str]) -> None:  # noqa: ARG001 - one in each
+        draw_errors(axes, tables[name], scale)
+        axes.set_xlabel("" if is_one_axis else growth_axes[name][1])
+        figure_style.set_title(axes, titles[name])
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        if is_one_axis:
+            panels.label_once(next(iter(growth_axes.values()))[1])
+        panels.label_left("Error [R]")
+        _add_color_bar(panels, scale)
+        many = [name for name in panels.names if len(tables[name]) > _MAX_POINTS]
+        drawn = [f"{name}: {_MAX_POINTS} of {len(tables[name])} robots drawn" for name in many]
+        return [run.note, *drawn, note]
+
+    return figure_style.Drawing(
+        panels=list(cases_of), paint=paint, complete=complete, columns=columns,
+        row_height=row_height, head_height=0.5, share="xy" if is_one_axis else "y",
+    )  # fmt: skip
 
 
 def _first_by_kind(series: Series) -> Series:
@@ -289,44 +303,73 @@ def _errors_at(cases: list[StoredCase], column: str) -> Reals:
     return finite
 
 
-def _scatter(panels: figure_style.Panels, tables: list[Reals]) -> None:
-    """Draw a table of `_errors_at` in each panel, colored by join index.
+class _Scale(NamedTuple):
+    """What panels of errors have in common."""
+
+    last: float  # greatest join index
+    typical: Reals  # errors whose differences have to be seen [R]
+    top: float  # greatest error [R]
+    is_dense: bool  # whether there are too many dots for an SVG
+
+
+def _scale(tables: list[Reals]) -> _Scale:
+    """Choose the axes of panels from tables of `_errors_at`."""
+    errors = [table[:, 1] for table in tables if len(table)]
+    drawn = sum(min(len(table), _MAX_POINTS) for table in tables)
+    return _Scale(
+        last=max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables)),
+        typical=np.concatenate([[0.0], *(np.quantile(error, _LOW_AND_MIDDLE) for error in errors)]),
+        top=max((float(error.max()) for error in errors), default=0.0),
+        is_dense=drawn > _MOST_VECTORS,
+    )
+
+
+def _join_colors() -> Any:  # noqa: ANN401 - a map of matplotlib
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
+
+
+def draw_errors(axes: "Axes", table: Reals, scale: _Scale) -> None:
+    """Draw the error of each robot, colored by its join index.
 
     Where methods differ much, the axis of errors is logarithmic; less is drawn at its lower edge.
+
+    Args:
+        axes: Panel.
+        table: Place along the structure [R], error [R] and join index, shape (robots, 3).
+        scale: What the panels of the figure have in common.
     """
-    from matplotlib.colors import LinearSegmentedColormap
+    figure_style.fit_axis(axes, "y", scale.typical)
+    low = axes.get_ylim()[0]
+    axes.set_ylim(low, (1.3 if low > 0.0 else 1.05) * scale.top or 1.0)
+    x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
+    axes.scatter(
+        x,
+        np.maximum(y, low),
+        c=join,
+        s=float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0)),
+        cmap=_join_colors(),
+        vmin=0.0,
+        vmax=scale.last,
+        linewidths=0.0,
+        clip_on=False,
+        rasterized=scale.is_dense,
+    )
+
+
+def _add_color_bar(panels: figure_style.Panels, scale: _Scale) -> None:
+    """Add the bar of join indices: above narrow figures, else at the right."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator
 
-    last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
-    colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
-    errors = [table[:, 1] for table in tables if len(table)]
-    typical = np.concatenate([[0.0], *(np.quantile(error, _LOW_AND_MIDDLE) for error in errors)])
-    figure_style.fit_axis(panels.first, "y", typical)
-    low = panels.first.get_ylim()[0]
-    many = sum(min(len(table), _MAX_POINTS) for table in tables) > _MOST_VECTORS
-    top = 0.0
-    for axes, table in panels.paired_with(tables):
-        x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
-        area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
-        dots = axes.scatter(
-            x,
-            np.maximum(y, low),
-            c=join,
-            s=area,
-            cmap=colors,
-            vmin=0.0,
-            vmax=last,
-            linewidths=0.0,
-            clip_on=False,
-            rasterized=many,
-        )
-        top = max(top, float(y.max(initial=0.0)))
-    panels.first.set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)
     figure = panels.figure
     count = len(panels.axes)
     look: dict[str, Any] = {"aspect": 25 * -(-count // 3)}
-    if figure_style.is_narrow(figure) and count > 1:
+    if figure_style.is_narrow(figure):
         look = {"aspect": 40, "location": "top"}
-    bar: Any = figure.colorbar(dots, ax=figure.axes, label="Join index", pad=0.02, **look)
+    colors = ScalarMappable(Normalize(0.0, scale.last), _join_colors())
+    bar: Any = figure.colorbar(colors, ax=figure.axes, label="Join index", pad=0.02, **look)
     bar.locator = MaxNLocator("auto", integer=True)
     bar.ax.spines["outline"].set_visible(False)

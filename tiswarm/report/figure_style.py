@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
@@ -10,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
-from tiswarm.base.errors import InputError
+from tiswarm.base.errors import InputError, require_name
+from tiswarm.evaluation.metrics import mean_std_ci95, share_ci95
 from tiswarm.records.measures import FEWEST
 from tiswarm.records.messages import counted
 from tiswarm.records.outputs import NEW, Outputs
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.backend_bases import FigureCanvasBase
     from matplotlib.figure import Figure
-
-    from tiswarm.report.run_data import RunData
 
 
 _Item = TypeVar("_Item")
@@ -45,13 +45,6 @@ class Caption(NamedTuple):
         """Join the sentences; those of few structures without that on intervals."""
         intervals = "" if few else self.intervals
         return " ".join(filter(None, [self.text, intervals, self.reading]))
-
-
-class Painter(Protocol):
-    """What draws a figure of a run."""
-
-    def __call__(self, run: "RunData", max_width: float = ...) -> "Figure":
-        """Draw the figure, no wider than `max_width` [inch]."""
 
 
 TRUE_BLUE = "#0072B2"
@@ -109,12 +102,17 @@ PAGE_WIDTH = 7.0
 VIEWS = {"from the side": (0, 2), "from above": (0, 1)}
 """Axes of each view of positions, across and upward."""
 
-NARROW = "-narrow"
-"""End of the name of an SVG that is drawn as wide as a column."""
+TEXT_SIZE = 7.0
+"""Size of all letters [pt]."""
+
+LINE_WIDTH = 1.0
+"""Width of lines of data [pt]."""
 
 MOST_SERIES = 8
 """Lines or kinds of markers in a panel at most."""
 
+_DASHES: Sequence[Any] = ("-", (0, (5, 1)), (0, (3, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+_WIDTHS = (1.0, 40.0)  # widths of a figure [inch]
 _PLACES = 6  # digits to which axes have the same place in every process [share of the figure]
 _LONG_LABEL = 20  # letters of a row's label beyond which a narrow figure wraps it
 _LEGEND_LINE = 0.14  # height of a line of text in a legend [inch]
@@ -122,13 +120,9 @@ _LEGEND_MARK = 0.5  # width of a marker in a legend [inch]
 _LEGEND_LETTER = 0.055  # width of a letter in a legend [inch]
 _NOTE_LINE = 0.115  # height of a line of a note [inch]
 _LETTER = 0.58  # width of a letter, as a share of its size
-_TITLE_SIZE = 7.0  # letters of a legend's title [pt]
-_NOTE_SIZE = 6.5  # letters of a note [pt]
 _MANY_PANELS = 4  # panels with common axes beyond which two fit into a row of a column
 _EXACT = (1e-3, 1e4)  # numbers of an axis that have no power of ten
 _MOST_LINEAR = 12.0  # greatest ratio of values that a linear axis shows well
-_NORMAL_95 = 1.96  # half width of an interval [standard errors]
-_LABEL_SIZE = 8.0  # letters of a label beside all panels [pt]
 _FEW_STEPS = 6.0  # ratio below which 1, 2 and 5 are too few labels
 _MOST_LABELS = 60.0  # greatest ratio with three labels a decade
 
@@ -136,15 +130,21 @@ STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.6,
     "axes.spines.right": False,
     "axes.spines.top": False,
-    "font.size": 8.0,
-    "legend.fontsize": 7.0,
+    "axes.labelsize": TEXT_SIZE,
+    "axes.titlesize": TEXT_SIZE,
+    "font.size": TEXT_SIZE,
+    "legend.fontsize": TEXT_SIZE,
     "legend.frameon": False,
-    "lines.linewidth": 1.2,
+    "legend.title_fontsize": TEXT_SIZE,
+    "lines.linewidth": LINE_WIDTH,
+    "lines.markersize": 3.0,
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
     "svg.hashsalt": "tiswarm",
     "text.parse_math": False,  # names of users may have any letter
+    "xtick.labelsize": TEXT_SIZE,
     "xtick.major.width": 0.6,
+    "ytick.labelsize": TEXT_SIZE,
     "ytick.major.width": 0.6,
 }
 
@@ -168,34 +168,127 @@ def new_figure(width: float, height: float) -> "Figure":
     return Figure(figsize=(width, height), dpi=300, layout="constrained")
 
 
+class Drawable(Protocol):
+    """What draws a figure of a run."""
+
+    def draw(
+        self, width: float | None = None, panels: Sequence[str] = (), series: Sequence[str] = ()
+    ) -> "Figure":
+        """Draw the figure at a width [inch], with some of its panels and series."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """A figure: panels, and the one painter that draws each of them on given axes.
+
+    Pages, papers and users choose width, panels and series; the look of a series stays the same.
+    """
+
+    panels: Sequence[str]
+    """Names of the panels in their order."""
+
+    paint: Callable[["Axes", str, Sequence[str]], None]
+    """Draws the panel of a name with the series of some names on axes."""
+
+    complete: "Callable[[Panels], Iterable[str]]"
+    """Adds the legend and what panels have in common; returns notes below the figure."""
+
+    series: Sequence[str] = ()
+    """Names of the series, which panels draw in the order of their looks."""
+
+    settle: "Callable[[Panels], None] | None" = None
+    """Adds what keeps apart on paper, such as names beside markers, once panels have their size."""
+
+    columns: int = 3
+    """Most panels in a row of a page."""
+
+    row_height: float = 2.0
+    """Height of a row of panels [inch]."""
+
+    head_height: float = 0.3
+    """Height of legend and notes [inch]."""
+
+    share: str = ""
+    """Axes that panels have in common, such as "xy"."""
+
+    alone: float = COLUMN_WIDTH
+    """Width of a panel alone [inch]."""
+
+    def draw(
+        self, width: float | None = None, panels: Sequence[str] = (), series: Sequence[str] = ()
+    ) -> "Figure":
+        """Draw the figure.
+
+        Args:
+            width: Width [inch]; that of a page, or of one panel alone, if None.
+            panels: Names of panels; all if empty.
+            series: Names of series; all if empty.
+
+        Raises:
+            InputError: the width is none, or there is no panel or series of a name.
+        """
+        from matplotlib import style
+
+        shown = _chosen(self.panels, panels, "panels")
+        if width is not None and not _WIDTHS[0] <= width <= _WIDTHS[1]:
+            problem = f"{width} is no width in inches; give one from {_WIDTHS[0]} to {_WIDTHS[1]}"
+            raise InputError(problem, argument="width")
+        with style.context(["default", STYLE]):
+            grid = Panels(self, shown, _chosen(self.series, series, "series"), width)
+            for axes, name in grid.paired_with(shown):
+                self.paint(axes, name, grid.series)
+            figure = grid.finish(*self.complete(grid))
+            if self.settle is not None:
+                lay_out(figure)
+                self.settle(grid)
+            return figure
+
+    def paint_panel(self, axes: "Axes", panel: str, series: Sequence[str] = ()) -> None:
+        """Draw one panel on axes of matplotlib.
+
+        Raises:
+            InputError: there is no panel or series of a name.
+        """
+        (name,) = _chosen(self.panels, [panel], "panel")
+        self.paint(axes, name, _chosen(self.series, series, "series"))
+
+
+def _chosen(names: Sequence[str], chosen: Sequence[str], argument: str) -> list[str]:
+    """Return some names in their order; all if none is chosen."""
+    for name in chosen:
+        require_name(name, names, argument)
+    return [name for name in names if name in chosen or not chosen]
+
+
 class Panels:
-    """The panels of a figure, with their axis labels, one legend and one note."""
+    """The panels of a figure as it is drawn, with their axis labels, one legend and one note."""
 
     def __init__(
-        self,
-        height: float,
-        count: int,
-        columns: int,
-        *,
-        width: float = PAGE_WIDTH,
-        share: str = "",
-        max_width: float = np.inf,
+        self, drawing: Drawing, names: Sequence[str], series: Sequence[str], width: float | None
     ) -> None:
-        """Make a figure of a size [inch] with `count` panels, `columns` in a row.
+        """Make a figure with panels of some names.
 
-        Panels have the axes named in `share`, such as "xy", in common. Where that is wider
-        than `max_width` [inch], panels keep their size as far as they can, and get more rows.
+        Panels keep their size as far as they can in a narrow figure, which has more rows.
+
+        Args:
+            drawing: The figure.
+            names: Names of the panels.
+            series: Names of the series that they show.
+            width: Width of the figure [inch]; None for its own.
         """
+        self.names = names
+        self.series = series
+        count = len(names)
+        if width is None:
+            width = drawing.alone if count == 1 else PAGE_WIDTH
+        columns = min(count, drawing.columns)
+        if width < PAGE_WIDTH and count > 1:
+            fitting = 2 if drawing.share and count > _MANY_PANELS else 1
+            columns = min(count, max(fitting, int(drawing.columns * width / PAGE_WIDTH)))
         rows = -(-count // columns)
-        if max_width < width:
-            fitting = 2 if share and count > _MANY_PANELS else 1
-            columns = max(fitting, int(columns * max_width / width))
-            height *= -(-count // columns) / rows
-            rows = -(-count // columns)
-            width = max_width
-        self.figure = new_figure(width, height)
+        self.figure = new_figure(width, drawing.head_height + rows * drawing.row_height)
         grid = self.figure.subplots(
-            rows, columns, sharex="x" in share, sharey="y" in share, squeeze=False
+            rows, columns, sharex="x" in drawing.share, sharey="y" in drawing.share, squeeze=False
         ).ravel()
         for unused in grid[count:]:
             unused.set_axis_off()
@@ -223,7 +316,7 @@ class Panels:
         """Label axes beside all panels, where these share them."""
         for label, write in ((x, self.figure.supxlabel), (y, self.figure.supylabel)):
             if label:
-                write(label, fontsize=_LABEL_SIZE)
+                write(label, fontsize=TEXT_SIZE)
 
     def entries(self) -> "dict[str, Artist]":
         """Gather what a legend of all panels lists, by label in the order of drawing."""
@@ -250,7 +343,7 @@ class Panels:
         columns = legend_columns([*entries], width)
         if structures:
             title = f"{title}, {counted(structures, 'structure')}".removeprefix(", ")
-        title = _filled(title, width, _TITLE_SIZE)
+        title = _filled(title, width, TEXT_SIZE)
         lines = -(-len(entries) // columns) + title.count("\n")
         self.figure.set_size_inches(width, height + _LEGEND_LINE * max(0, lines - 1))
         self.figure.legend(
@@ -259,7 +352,6 @@ class Panels:
             loc=loc,
             ncols=columns,
             title=title or None,
-            title_fontsize=_TITLE_SIZE,
         )
 
     def finish(self, *notes: str) -> "Figure":
@@ -267,13 +359,11 @@ class Panels:
         note = "; ".join(filter(None, notes))
         if note:
             width, height = map(float, self.figure.get_size_inches())
-            note = _filled(note, width, _NOTE_SIZE)
+            note = _filled(note, width, TEXT_SIZE)
             room = _NOTE_LINE * (1 + note.count("\n")) / height
             engine: Any = self.figure.get_layout_engine()
             engine.set(rect=(0.0, room, 1.0, 1.0 - room))
-            self.figure.text(
-                0.995, 0.0, note, fontsize=_NOTE_SIZE, color="0.35", ha="right", va="bottom"
-            )
+            self.figure.text(0.995, 0.0, note, color="0.35", ha="right", va="bottom")
         return self.figure
 
 
@@ -295,13 +385,13 @@ def label_rows(axes: "Axes", names: Sequence[str]) -> None:
     axes.set_yticks(np.arange(len(names)), names)
 
 
-def set_title(axes: "Axes", title: str, size: float = 8.0) -> None:
-    """Write the title of a panel in as many lines as it needs; `size` is that of letters [pt]."""
+def set_title(axes: "Axes", title: str) -> None:
+    """Write the title of a panel in as many lines as it needs."""
     spec = axes.get_subplotspec()
     columns = 1 if spec is None else spec.get_gridspec().ncols
     figure: Any = axes.figure
     width = float(figure.get_size_inches()[0]) / columns
-    axes.set_title(_filled(title, width, size), fontsize=size)
+    axes.set_title(_filled(title, width, TEXT_SIZE))
 
 
 def _filled(text: str, width: float, size: float) -> str:
@@ -311,13 +401,12 @@ def _filled(text: str, width: float, size: float) -> str:
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Choose color, dashes and width of the line at a place among others.
+    """Choose color and dashes of the line at a place among others.
 
-    Lines become thinner, so that one remains visible beneath the next.
+    Later lines have longer gaps, so that one remains visible beneath the next.
     """
-    dashes = ("-", "--", ":")[index // len(PALETTE) % 3]
-    width = max(0.8, 2.2 - 0.25 * index)
-    return {"color": PALETTE[index % len(PALETTE)], "linestyle": dashes, "linewidth": width}
+    turn, color = divmod(index, len(PALETTE))
+    return {"color": PALETTE[color], "linestyle": _DASHES[(color + turn) % len(_DASHES)]}
 
 
 def marker_style(index: int) -> dict[str, Any]:
@@ -335,14 +424,23 @@ def dot_style(index: int, size: float = 3.5) -> dict[str, Any]:
 
 
 def half_width(values: "pd.Series[float]") -> float:
-    """Return half of the normal 95 % confidence interval of a mean; 0 of few values."""
-    count = values.count()
-    return float(_NORMAL_95 * values.std() / np.sqrt(count)) if count >= FEWEST else 0.0
+    """Return half of the 95 % confidence interval of a mean; 0 of few values."""
+    return float(np.nan_to_num(mean_std_ci95(np.asarray(values, np.float64))["ci95"]))
+
+
+def bar_of(values: "pd.Series[float]", *, is_share: bool = False) -> tuple[float, float]:
+    """Return how far the 95 % interval of a mean extends below and above it; 0 of few values."""
+    if not is_share:
+        half = half_width(values)
+        return half, half
+    mean = values.mean()
+    low, high = share_ci95(np.asarray(values, np.float64)).values()
+    return (mean - low, high - mean) if values.count() >= FEWEST else (0.0, 0.0)
 
 
 def mean_words(cases: "pd.Series[int]") -> str:
     """Name what markers and bars show of so many structures: few have no interval."""
-    return "mean and 95 % CI" if cases.max() >= FEWEST else "mean"
+    return "mean and 95 % interval" if cases.max() >= FEWEST else "mean"
 
 
 def fit_axis(
@@ -467,18 +565,23 @@ def svg(figure: "Figure") -> bytes:
     return _encoded(figure, FigureCanvasSVG, "svg", unset)
 
 
+ENCODERS = {".png": png, ".pdf": pdf}
+"""What encodes a figure, by the end of the file's name."""
+
+
 def write(path: Path, draw: Callable[[], "Figure"], outputs: Outputs = NEW) -> None:
-    """Draw a figure in our style, and write it, as vectors if the name ends in .pdf.
+    """Draw a figure in our style, and write it in the format that its name ends in.
 
     Raises:
-        InputError: the name ends in neither .png nor .pdf, or the file exists and is to stay.
+        InputError: the name ends in no format, or the file exists and is to stay.
     """
     from matplotlib import style
 
-    if path.suffix not in {".png", ".pdf"}:
-        raise InputError(f"{path.name!r} should end in .png or .pdf; rename it", argument="out")
+    if path.suffix not in ENCODERS:
+        listed = " or ".join(ENCODERS)
+        raise InputError(f"{path.name!r} should end in {listed}; rename it", argument="out")
     with style.context(["default", STYLE]):
-        data = (pdf if path.suffix == ".pdf" else png)(draw())
+        data = ENCODERS[path.suffix](draw())
     outputs.write(path, data)
 
 
@@ -486,10 +589,13 @@ def _encoded(
     figure: "Figure", canvas: "type[FigureCanvasBase]", form: str, metadata: dict[str, None]
 ) -> bytes:
     """Encode a figure that is laid out once; `savefig` would draw it once more before."""
+    from matplotlib import style
+
     lay_out(figure)
     stream = io.BytesIO()
     canvas_before = figure.canvas
-    getattr(canvas(figure), f"print_{form}")(stream, metadata=metadata)
+    with style.context(["default", STYLE]):  # also names clip paths, and writes letters as text
+        getattr(canvas(figure), f"print_{form}")(stream, metadata=metadata)
     figure.set_canvas(canvas_before)
     return stream.getvalue()
 

@@ -1,7 +1,6 @@
 """Draws the figures of a run; their kinds have modules of their own, with captions of pictures."""
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -32,17 +31,35 @@ class PluginFigure(NamedTuple):
         """What the figure shows, by its name."""
         return {self.name: figure_style.Caption(self.caption)}
 
-    def painters(self, run: RunData) -> dict[str, figure_style.Painter]:  # noqa: ARG002 - any run has it
+    def painters(self, run: RunData) -> dict[str, figure_style.Drawable]:
         """Return what draws the figure, by its name."""
-        return {self.name: self._paint}
+        return {self.name: _PluginDrawing(self, run)}
 
-    def _paint(self, run: RunData, max_width: float = math.inf) -> "Figure":
-        """Draw the figure, no wider than `max_width` [inch]."""
-        figure: Figure = call_plugin("figure", self.name, lambda: self.draw(run))
-        figure.set_figwidth(min(max_width, figure.get_figwidth()))
-        if figure.get_layout_engine() is None:
-            figure.set_layout_engine("constrained")
-        return figure
+
+class _PluginDrawing(NamedTuple):
+    """The figure of a plug-in for a run; it has no panels to choose from."""
+
+    figure: PluginFigure
+    run: RunData
+
+    def draw(
+        self, width: float | None = None, panels: Sequence[str] = (), series: Sequence[str] = ()
+    ) -> "Figure":
+        """Draw the figure, no wider than `width` [inch].
+
+        Raises:
+            InputError: a panel or series is chosen.
+        """
+        for argument, chosen in (("panels", panels), ("series", series)):
+            if chosen:
+                problem = f"the figure {self.figure.name} of a plug-in has none to choose from"
+                raise InputError(problem, argument=argument)
+        drawn: Figure = call_plugin("figure", self.figure.name, lambda: self.figure.draw(self.run))
+        if width is not None:
+            drawn.set_figwidth(min(width, drawn.get_figwidth()))
+        if drawn.get_layout_engine() is None:
+            drawn.set_layout_engine("constrained")
+        return drawn
 
 
 def figure(name: str, caption: str) -> Callable[[_Draw], _Draw]:
@@ -69,62 +86,51 @@ def figure(name: str, caption: str) -> Callable[[_Draw], _Draw]:
 def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> list[Path]:
     """Draw every figure of a run into `figures/`, as PNG, as SVG and, if wanted, as PDF too.
 
-    A second SVG of a wide figure is drawn as wide as a column, for narrow screens.
     Cases that failed are left out, and a note on each figure states their number. An existing PDF
     is redrawn.
 
     Returns:
         The files written; empty where no case is done.
     """
-    from matplotlib import style
-
     written = []
-    painters = painters_of(run) if run.series else {}
-    if not painters:
+    drawings = drawings_of(run)
+    if not drawings:
         progress.info("no figures: no case is done")
-    with style.context(["default", figure_style.STYLE]):
-        for name, draw in painters.items():
-            figure = draw(run)
-            for suffix, encode in (
-                ("png", figure_style.png),
-                ("pdf", figure_style.pdf),
-                ("svg", figure_style.svg),
-            ):
-                path = run.subfolder("figures") / f"{name}.{suffix}"
-                if suffix != "pdf" or vector or path.exists():
-                    write_bytes(path, encode(figure))
-                    progress.info(f"figures/{path.name}")
-                    written.append(path)
-            if not figure_style.is_narrow(figure):
-                path = run.subfolder("figures") / f"{name}{figure_style.NARROW}.svg"
-                write_bytes(path, figure_style.svg(draw(run, figure_style.COLUMN_WIDTH)))
+    for name, drawing in drawings.items():
+        figure = drawing.draw()
+        for suffix, encode in (
+            ("png", figure_style.png),
+            ("pdf", figure_style.pdf),
+            ("svg", figure_style.svg),
+        ):
+            path = run.subfolder("figures") / f"{name}.{suffix}"
+            if suffix != "pdf" or vector or path.exists():
+                write_bytes(path, encode(figure))
+                progress.info(f"figures/{path.name}")
                 written.append(path)
     return written
 
 
-def draw_figure(run: RunData, name: str) -> "Figure":
-    """Draw one figure of a run, to be changed and saved by the caller.
+def find_drawing(run: RunData, name: str) -> figure_style.Drawable:
+    """Return what draws a figure of a run.
 
     Raises:
         InputError: the run has no figure of that name; lists those that it has.
     """
-    from matplotlib import style
-
-    painters = painters_of(run) if run.series else {}
-    if name not in painters:
-        choice = f"; choose one of {', '.join(painters)}" if painters else ""
-        problem = f"there is no figure {name!r}{choice}{did_you_mean(name, [*painters])}"
+    drawings = drawings_of(run)
+    if name not in drawings:
+        choice = f"; choose one of {', '.join(drawings)}" if drawings else ""
+        problem = f"there is no figure {name!r}{choice}{did_you_mean(name, [*drawings])}"
         raise InputError(problem, argument="name")
-    with style.context(["default", figure_style.STYLE]):
-        return painters[name](run)
+    return drawings[name]
 
 
-def painters_of(run: RunData) -> dict[str, figure_style.Painter]:
-    """List the figures that a run has, by file name."""
-    painters: dict[str, figure_style.Painter] = {}
-    for module in _modules():
-        painters |= module.painters(run)
-    return painters
+def drawings_of(run: RunData) -> dict[str, figure_style.Drawable]:
+    """List the figures that a run has, by file name; none if no case is done."""
+    drawings: dict[str, figure_style.Drawable] = {}
+    for module in _modules() if run.series else ():
+        drawings |= module.painters(run)
+    return drawings
 
 
 def _modules() -> Iterator[Any]:

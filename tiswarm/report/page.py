@@ -26,8 +26,8 @@ from tiswarm.records.measures import FEWEST, RMSE
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report import page_tables
-from tiswarm.report.figure_style import NARROW, SCALES, TRUE_BLUE
-from tiswarm.report.figures import caption_of
+from tiswarm.report.figure_style import COLUMN_WIDTH, SCALES, TRUE_BLUE, svg
+from tiswarm.report.figures import caption_of, drawings_of
 from tiswarm.report.run_data import RunData, read_pairs, stated_scenario
 from tiswarm.report.swarm_view import View, build_view, read_loads
 
@@ -39,7 +39,7 @@ LARGEST = 7_900_000
 
 _FIRST = (
     *("color", "price", "grades", "scaling", "building", "traffic", "shape", "accuracy"),
-    *("convergence", "structure", "sizes", "truth-and-estimate", "error", "sd", "contact"),
+    *("convergence", "best", "sizes", "structure", "truth-and-estimate", "error", "sd", "contact"),
 )
 """Beginnings of the names of the first pictures; others follow by name."""
 
@@ -100,19 +100,31 @@ class Shown(NamedTuple):
 
 
 def show_pictures(
-    folder: Path, room: int = LARGEST, *, case: str = "", few: bool = False
+    folder: Path,
+    room: int = LARGEST,
+    *,
+    case: str = "",
+    few: bool = False,
+    run: RunData | None = None,
 ) -> list[Shown]:
     """Embed the pictures of a folder that fit into the room [bytes]; link the others.
 
     `case` is what pictures show whose names do not say it. Figures of few structures have no bars.
+    Figures of a run are drawn again in the width of a column, for narrow screens.
     """
     pictures = []
     paths = sorted([path for path in folder.glob("*") if path.suffix in _SUFFIXES], key=_order)
     with warnings.catch_warnings(), ThreadPoolExecutor() as pool:
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         shown = list(pool.map(_shown, paths))
+    drawings = {}
+    if run is not None and any(picture.drawing for picture in shown):
+        drawings = drawings_of(run)
     for path, embedded in zip(paths, shown, strict=True):
         picture = embedded
+        if picture.drawing and path.stem in drawings:
+            column = svg(drawings[path.stem].draw(COLUMN_WIDTH))
+            picture = picture._replace(narrow=_drawn(path, column)[0])
         file = f"{folder.name}/{path.name}"
         caption = caption_of(path.stem, case, few=few)
         room -= picture.size
@@ -147,9 +159,7 @@ def _shown(path: Path) -> Shown:
     vector = path.with_suffix(".svg")
     if path.parent.name == "figures" and os.path.lexists(vector):
         drawing, width = _drawn(vector, _read(vector))
-        column = path.with_name(f"{path.stem}{NARROW}.svg")
-        narrow = _drawn(column, _read(column))[0] if column.exists() else ""
-        return Shown("", "", "", 0, 0, wide=round(width), drawing=drawing, narrow=narrow)
+        return Shown("", "", "", 0, 0, wide=round(width), drawing=drawing)
     kind, data, (width, height) = _encoded(path)
     source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
     wide = round(width * _RENDER_SHARE) if path.suffix == ".png" else _MOVIE_WIDTH
@@ -265,8 +275,12 @@ class Page:
 
     @property
     def first_figures(self) -> list[Shown]:
-        """Figures that readers see without a click: all, or those of conditions and points."""
-        return [figure for figure in self.figures if figure not in self.more_figures]
+        """Figures that readers see without a click, but for the one beside the first table.
+
+        They are all, or those of conditions and points.
+        """
+        others = [*self.more_figures, self.accuracy]
+        return [figure for figure in self.figures if figure not in others]
 
     @property
     def more_figures(self) -> list[Shown]:
@@ -323,7 +337,7 @@ def write_page(run: RunData, progress: Progress) -> Path:
     page = _gather(run)
     room = LARGEST - len(page.html().encode())
     few = max(map(len, run.series.values()), default=0) < FEWEST
-    page = replace(page, figures=show_pictures(run.folder / "figures", room, few=few))
+    page = replace(page, figures=show_pictures(run.folder / "figures", room, few=few, run=run))
     room -= sum(picture.size for picture in page.figures)
     chosen = run.choose(None) if run.series else None
     case = chosen.title if chosen else ""

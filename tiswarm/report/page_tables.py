@@ -850,9 +850,7 @@ def _untrusted(done: pd.DataFrame) -> Iterator[str]:
     cases = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
     trapped = cases[CONVERGED.column].eq(False)  # noqa: FBT003 - other methods leave it empty
     if trapped.any():
-        text = (
-            f"{_share(cases, trapped, 'did not converge')}. The search settled on no one best fit."
-        )
+        text = f"{_share(cases, trapped, 'did not converge')}. The search found no single best fit."
         yield f"{text} All tables include their errors. Try more steps or chains."
     at_odds = cases[CONSISTENT.column].eq(False) & ~trapped  # noqa: FBT003
     if at_odds.any():
@@ -867,11 +865,11 @@ def _untrusted(done: pd.DataFrame) -> Iterator[str]:
 
 
 def _share(cases: pd.DataFrame, is_affected: pd.Series, what: str) -> str:
-    """Count and name cases, and state the reasons.
+    """Count and name cases, and state the reasons of those that are no whole condition or series.
 
-    A condition or series is named once if all of its cases are among them.
+    A condition or series is named once if all of its cases are among them. Where there are no
+    other cases, the reasons are theirs.
     """
-    reasons = cases["distrust"][is_affected].dropna().unique()
     names = []
     is_open = is_affected.copy()  # cases that no name includes yet
     for column in ("condition", "series"):
@@ -882,6 +880,8 @@ def _share(cases: pd.DataFrame, is_affected: pd.Series, what: str) -> str:
         is_open &= ~is_whole | (group == "")
     single = cases.loc[is_open, ["case", "series"]].itertuples(index=False)
     names += [f"seed {case.partition('-')[0]} of {name}" for case, name in single]
+    explained = is_open if is_open.any() else is_affected
+    reasons = cases["distrust"][explained].dropna().unique()
     count = f"{is_affected.sum()} of {counted(len(cases), 'case')}"
     text = f"{count} {what} ({_first_of(names, '; ')})"
     return f"{text}: {_first_of(_merged(reasons), '; ')}" if len(reasons) else text

@@ -1,5 +1,6 @@
 """Draws figures of runs of the engine: throughput by the number of robots, and motion by step."""
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,7 +9,7 @@ from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, joined_words
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 _ROBOTS = "robot_count"
 _RATE = "robot_steps_per_cpu_s"
@@ -41,35 +42,55 @@ CAPTIONS = {
 """What these figures and 3D pictures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, figure_style.Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figures that a run of the engine has, by file name."""
     if not run.is_of_engine or not (run.folder / "throughput.csv").is_file():
         return {}
-    return {"throughput": draw_throughput, "motion": draw_motion}
+    return {"throughput": throughput_drawing(run), "motion": motion_drawing(run)}
 
 
-def draw_throughput(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw robot steps a second of processor time against robots, a line for each series."""
+def throughput_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of robot steps a second of processor time against robots."""
     gaps = [_ROBOTS, _RATE, _LEAST, _MOST]
     table = run.table("throughput.csv", ["condition"], gaps, after="cases")
     table = table[table[_RATE] > 0.0]
     keys = [key for key in ("condition", *_swept(table)) if table[key].nunique() > 1]
-    series = table.assign(of=joined_words(table, keys))
-    names = list(dict.fromkeys(series["of"]))
-    panels = figure_style.Panels(3.0, 1, 1, max_width=max_width)
-    for index, name in enumerate(names[: figure_style.MOST_SERIES]):
-        rows = series[series["of"] == name].sort_values(_ROBOTS)
+    table = table.assign(of=joined_words(table, keys))
+    names = list(dict.fromkeys(table["of"]))
+
+    def paint(axes: "Axes", panel: str, series: Sequence[str]) -> None:  # noqa: ARG001 - one panel
+        draw_throughput(axes, table, series)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        if len(names) > 1:
+            panels.legend(loc="outside upper right")
+        omitted = max(len(names) - figure_style.MOST_SERIES, 0)
+        return [figure_style.omission_note(omitted, "line", "in throughput.csv"), run.note]
+
+    return figure_style.Drawing(
+        panels=[_RATE], series=names[: figure_style.MOST_SERIES], paint=paint, complete=complete,
+        row_height=2.4, alone=figure_style.PAGE_WIDTH,
+    )  # fmt: skip
+
+
+def draw_throughput(axes: "Axes", table: Any, series: Sequence[str]) -> None:  # noqa: ANN401
+    """Draw robot steps a second of processor time against robots, a line for each series.
+
+    Args:
+        axes: Panel.
+        table: `throughput.csv`, a data frame, with the column `of`, the series of a row.
+        series: Names of the series to draw.
+    """
+    looks = list(dict.fromkeys(table["of"]))
+    for name in series:
+        rows = table[table["of"] == name].sort_values(_ROBOTS)
         bars = [rows[_RATE] - rows[_LEAST], rows[_MOST] - rows[_RATE]]
-        look: dict[str, Any] = figure_style.marker_style(index)
-        panels.first.errorbar(rows[_ROBOTS], rows[_RATE], yerr=bars, label=name, **look)
-    figure_style.set_log(panels.first, "x")
+        look: dict[str, Any] = figure_style.marker_style(looks.index(name))
+        axes.errorbar(rows[_ROBOTS], rows[_RATE], yerr=bars, label=name, **look)
+    figure_style.set_log(axes, "x")
     span = float(table[_MOST].max() / table[_LEAST].min()) if len(table) else 1.0
-    figure_style.set_log(panels.first, "y", span)
-    panels.first.set(xlabel="Robots", ylabel="Robot steps per CPU second [1/s]")
-    if len(names) > 1:
-        panels.legend(loc="outside upper right")
-    omitted = max(len(names) - figure_style.MOST_SERIES, 0)
-    return panels.finish(figure_style.omission_note(omitted, "line", "in throughput.csv"), run.note)
+    figure_style.set_log(axes, "y", span)
+    axes.set(xlabel="Robots", ylabel="Robot steps per CPU second [1/s]")
 
 
 def _swept(table: Any) -> list[str]:  # noqa: ANN401 - a data frame
@@ -78,27 +99,38 @@ def _swept(table: Any) -> list[str]:  # noqa: ANN401 - a data frame
     return [key for key in first if key not in {"condition", "robots"}]
 
 
-def draw_motion(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw the longest step against the number of steps, a panel for each point of the sweep."""
+def motion_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of the longest step, a panel for each point of the sweep."""
     points: dict[str, dict[str, list[Any]]] = {}
     for cases in run.series.values():
         of_point = points.setdefault(cases[0].point, {})
         of_point.setdefault(cases[0].condition, []).extend(cases)
     shown = dict(list(points.items())[:_MOST_PANELS])
-    columns = figure_style.columns_of(len(shown))
-    height = 0.8 + 1.9 * -(-len(shown) // columns)
-    panels = figure_style.Panels(height, len(shown), columns, share="y", max_width=max_width)
     conditions = list(dict.fromkeys(name for of_point in shown.values() for name in of_point))
-    for axes, (point, of_point) in panels.paired_with(shown.items()):
-        for name, cases in of_point.items():
-            tables = [case.columns("moves.csv", ["step", "largest_move_R"]) for case in cases]
-            mean = np.mean([table[:, 1] for table in tables], axis=0)
-            look = figure_style.line_style(conditions.index(name))
-            axes.plot(tables[0][:, 0], np.maximum(mean, 1e-12), label=name, **look)
+
+    def paint(axes: "Axes", point: str, series: Sequence[str]) -> None:
+        for name in series:
+            if name in shown[point]:
+                look = figure_style.line_style(conditions.index(name))
+                draw_motion(axes, shown[point][name], {"label": name, **look})
         figure_style.set_title(axes, point)
-    figure_style.set_log(panels.first, "y")
-    panels.label_once("Step", "Longest step [R]")
-    if len(conditions) > 1:
-        panels.legend()
-    omitted = len(points) - len(shown)
-    return panels.finish(figure_style.omission_note(omitted, "panel", "not drawn"), run.note)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        figure_style.set_log(panels.first, "y")
+        panels.label_once("Step", "Longest step [R]")
+        if len(conditions) > 1:
+            panels.legend()
+        omitted = len(points) - len(shown)
+        return [figure_style.omission_note(omitted, "panel", "not drawn"), run.note]
+
+    return figure_style.Drawing(
+        panels=list(shown), series=conditions, paint=paint, complete=complete,
+        columns=figure_style.columns_of(len(shown)), row_height=1.9, head_height=0.8, share="y",
+    )  # fmt: skip
+
+
+def draw_motion(axes: "Axes", cases: Sequence[Any], look: Mapping[str, Any]) -> None:
+    """Draw the longest step of a robot against the number of steps, in the mean over cases."""
+    tables = [case.columns("moves.csv", ["step", "largest_move_R"]) for case in cases]
+    mean = np.mean([table[:, 1] for table in tables], axis=0)
+    axes.plot(tables[0][:, 0], np.maximum(mean, 1e-12), **look)

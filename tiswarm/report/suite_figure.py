@@ -1,5 +1,6 @@
 """Draws the figure of sensor suites: price against error."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,15 +13,14 @@ from tiswarm.report.run_data import RunData, with_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _PRICE = "usd_100"
 _ERROR = RMSE.mean
 _HALF = RMSE.ci95
 _CHEAPEST = 200.0  # price up to which the axis is linear: some sensors cost nothing [USD]
 _MOST_PANELS = 4
-_LINE = 0.025  # height of a letter of a label [share of the panel]
-_LETTER = 0.0145  # width of a letter of a label [share of the panel]
+_LINE = 0.031  # height of a letter of a label [share of the panel]
+_LETTER = 0.0185  # width of a letter of a label [share of the panel]
 _MARKER = 0.014  # half the width of a marker [share of the panel]
 
 
@@ -37,13 +37,13 @@ CAPTIONS = {
 """What the figures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, figure_style.Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figure of suites by file name, if a run has some."""
-    return {"price-and-error": draw_suites} if (run.folder / "suites.csv").is_file() else {}
+    return {"price-and-error": suites_drawing(run)} if (run.folder / "suites.csv").is_file() else {}
 
 
-def draw_suites(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw RMSE of all robots against the price of 100 robots, a marker for each suite and way.
+def suites_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of RMSE of all robots against the price of 100 robots.
 
     Each point of a sweep has a panel.
     """
@@ -52,35 +52,42 @@ def draw_suites(run: RunData, max_width: float = np.inf) -> "Figure":
     table = table[table["cases"] > 0]
     table[_HALF] = table[_HALF].fillna(0.0)
     pointed = with_points(table)
-    points = [*pointed.groupby("point", sort=False)]
+    points = list(dict.fromkeys(pointed["point"]))
     shown = points[:_MOST_PANELS]
     ways = list(dict.fromkeys(table["way"]))
-    columns = min(2, len(shown))
-    height = 0.6 + 4.4 * -(-len(shown) // columns)
-    panels = figure_style.Panels(height, len(shown), columns, share="xy", max_width=max_width)
-    figure_style.fit_axis(panels.first, "y", table[_ERROR].to_numpy(float))
-    panels.first.set_xscale("symlog", linthresh=_CHEAPEST, linscale=0.4)
-    figure_style.label_plainly(panels.first.xaxis)
-    panels.first.set_xlim(-0.3 * _CHEAPEST, 4.0 * table[_PRICE].max())
-    panels.first.set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
-    for axes, (point, rows) in panels.paired_with(shown):
-        _draw_panel(axes, rows, ways)
+
+    def paint(axes: "Axes", point: str, series: Sequence[str]) -> None:
+        figure_style.fit_axis(axes, "y", table[_ERROR].to_numpy(float))
+        axes.set_xscale("symlog", linthresh=_CHEAPEST, linscale=0.4)
+        figure_style.label_plainly(axes.xaxis)
+        axes.set_xlim(-0.3 * _CHEAPEST, 4.0 * table[_PRICE].max())
+        axes.set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
+        rows = pointed[(pointed["point"] == point) & pointed["way"].isin(series)]
+        draw_suites(axes, rows, ways)
         figure_style.set_title(axes, point)
         axes.set_xlabel("Price of 100 robots [USD]")
-    panels.label_left("RMSE of all robots [R]")
-    panels.legend(figure_style.mean_words(table["cases"]), structures=int(table["cases"].max()))
-    return panels.finish(
-        figure_style.omission_note(len(points) - len(shown), "sweep point", "in suites.csv"),
-        run.note,
-    )
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        panels.label_left("RMSE of all robots [R]")
+        words = figure_style.mean_words(table["cases"])
+        panels.legend(words, panels.entries(), structures=int(table["cases"].max()))
+        omitted = len(points) - len(shown)
+        return [figure_style.omission_note(omitted, "sweep point", "in suites.csv"), run.note]
+
+    return figure_style.Drawing(
+        panels=shown, series=ways, paint=paint, complete=complete, columns=min(2, len(shown)),
+        row_height=4.4, head_height=0.6, share="xy", alone=figure_style.PAGE_WIDTH,
+    )  # fmt: skip
 
 
-def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
+def draw_suites(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
     """Draw a marker for each suite and way, and the name of the suite beside it."""
     price = rows[_PRICE].to_numpy(float)
     error = rows[_ERROR].to_numpy(float)
     for index, way in enumerate(ways):
         is_way = (rows["way"] == way).to_numpy()
+        if not is_way.any():
+            continue
         axes.errorbar(
             price[is_way],
             error[is_way],
@@ -101,7 +108,6 @@ def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
             (anchor[0] + _MARKER, y),
             xycoords="axes fraction",
             textcoords="axes fraction",
-            fontsize=5.5,
             va="center",
             color=color,
             arrowprops={"arrowstyle": "-", "linewidth": 0.3, "color": color, "shrinkA": 0.0},

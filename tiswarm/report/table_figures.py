@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.aliases import Reals
 from tiswarm.records.measures import (
     BROKEN,
     BUILT_FOR,
@@ -26,7 +27,7 @@ from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, joined_words, with_points
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 
 _PUBLISHED = "published (robot radii)"
@@ -66,16 +67,16 @@ CAPTIONS = {
 """What the figures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, figure_style.Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figures that a run has, by file name."""
     if not (run.folder / "table.csv").is_file():
         return {}
     if run.is_of_engine:
         return {}
     if run.has_structures_alone:
-        return {"structures": draw_structures} if _of_structures(run) else {}
-    shape = {"shape": draw_shape} if run.sweeps_robot else {}
-    return {"accuracy": draw_accuracy, **shape}
+        return {"structures": structures_drawing(run)} if _of_structures(run) else {}
+    shape = {"shape": shape_drawing(run)} if run.sweeps_robot else {}
+    return {"accuracy": accuracy_drawing(run), **shape}
 
 
 def _of_structures(run: RunData) -> list[Measure]:
@@ -91,27 +92,27 @@ def _of_structures(run: RunData) -> list[Measure]:
     return [*aims, *others][:_MOST_PANELS] if len(done) else []
 
 
-def draw_structures(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw what structures were built for, who stands and what broke, as `draw_accuracy` does."""
-    return _draw_means(run, _of_structures(run), max_width)
+def structures_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of what structures were built for, who stands and what broke."""
+    return _means_drawing(run, _of_structures(run))
 
 
-def draw_accuracy(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw accuracy as `_draw_means` does; open markers are the paper's numbers."""
-    return _draw_means(run, MAIN, max_width)
+def accuracy_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of accuracy; open markers are the paper's numbers."""
+    return _means_drawing(run, MAIN)
 
 
-def _draw_means(run: RunData, measures: Sequence[Measure], max_width: float) -> "Figure":
-    """Draw means over structures with 95 % confidence intervals; of few structures, each one.
+def _means_drawing(run: RunData, measures: Sequence[Measure]) -> figure_style.Drawing:
+    """Compose panels of means over structures with their intervals; of few structures, each one.
 
     Without a sweep, conditions have a row each. With one, rows are points, and conditions differ in
     color and marker; of many conditions, they have the rows. Open markers are published numbers,
     whose unit of length is not defined.
     """
     published = [measure.published for measure in measures if measure.published]
-    drawn = [column for measure in measures for column in (measure.mean, measure.ci95)]
-    table = run.table("table.csv", ["condition"], ["cases", *published, *drawn], after="cases")
-    table = with_points(table)
+    intervals = [name for m in measures for name in (m.bounds if m.is_share else (m.ci95,))]
+    numbers = ["cases", *published, *(measure.mean for measure in measures), *intervals]
+    table = with_points(run.table("table.csv", ["condition"], numbers, after="cases"))
     keys = _rows_and_series(table)
     row_names, series_names = (joined_words(table, columns) for columns in keys)
     table = table.assign(row=row_names, of=series_names)
@@ -119,43 +120,94 @@ def _draw_means(run: RunData, measures: Sequence[Measure], max_width: float) -> 
     names = list(dict.fromkeys(row_names))
     shown = names[: max(1, MOST_ROWS // len(series))]
     few = table["cases"].max() < FEWEST
+    by_column = {measure.column: measure for measure in measures}
+
+    def paint(axes: "Axes", column: str, chosen: Sequence[str]) -> None:
+        draw_means(axes, table, by_column[column], shown, chosen)
+        if few:
+            _draw_structures(axes, run, column, keys, shown, series)
+        finish_row_axis(axes, by_column[column], shown)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        figure_style.label_rows(panels.first, shown)
+        entries = panels.entries()
+        if table[published].notna().any(axis=None):
+            (entries[_PUBLISHED],) = panels.first.plot([], [], "o", color="0.35", mfc="white")
+        number = counted(int(table["cases"].max()), "structure")
+        title = f"mean, and each of {number} (small)"
+        if not few:
+            title = f"mean and 95 % interval, {number}"
+        panels.legend(title, entries, loc="outside upper right")
+        return [
+            figure_style.omission_note(len(names) - len(shown), "row", "in table.csv"),
+            run.note,
+        ]
+
     room = _ROOM if len(shown) * len(series) < _MANY else 0.7 * _ROOM
-    height = 0.9 + room * len(shown) * (1 + len(series))
-    count = len(measures)
-    panels = figure_style.Panels(height, count, count, share="y", max_width=max_width)
-    for axes, measure in panels.paired_with(measures):
-        for index, name in enumerate(series):
-            rows = table[table["of"] == name].set_index("row").reindex(shown)
-            y = np.arange(len(shown)) + (index - 0.5 * (len(series) - 1)) / (1 + len(series))
-            look = figure_style.dot_style(index)
-            error = None if few else rows[measure.ci95].fillna(0.0)
-            axes.errorbar(rows[measure.mean], y, xerr=error, label=name or "mean", **look)
-            if measure.published:
-                axes.plot(rows[measure.published], y, markerfacecolor="white", **look)
-            if few:
-                values = _structure_values(run, measure.column, keys, name)
-                values = values[values.index.isin(shown)]
-                value_y = y[[shown.index(row) for row in values.index]]
-                axes.plot(values, value_y, **{**look, "markersize": 1.8, "alpha": 0.6})
-    finish_rows(panels, shown, measures)
-    if table[published].notna().any(axis=None):
-        panels.first.plot(
-            [],
-            [],
-            "o",
-            color="0.35",
-            markerfacecolor="white",
-            markersize=3.5,
-            label=_PUBLISHED,
+    return figure_style.Drawing(
+        panels=list(by_column), series=series, paint=paint, complete=complete,
+        columns=len(by_column), row_height=0.5 + room * len(shown) * (1 + len(series)),
+        head_height=0.4, share="y",
+    )  # fmt: skip
+
+
+def draw_means(
+    axes: "Axes", table: pd.DataFrame, measure: Measure, rows: Sequence[str], series: Sequence[str]
+) -> None:
+    """Draw the mean of a measure with its 95 % confidence interval, and the paper's number.
+
+    Args:
+        axes: Panel.
+        table: `table.csv` with the columns `row` and `of`, the row and series of a mean.
+        measure: Measure.
+        rows: Names of the rows, from the top.
+        series: Names of the series to draw.
+    """
+    looks = list(dict.fromkeys(table["of"]))
+    for name in series:
+        shown = table[table["of"] == name].set_index("row").reindex(list(rows))
+        index = looks.index(name)
+        y = _heights(len(rows), index, len(looks))
+        look = figure_style.dot_style(index)
+        axes.errorbar(
+            shown[measure.mean], y, xerr=_bars(shown, measure), label=name or "mean", **look
         )
-    entries = figure_style.entries_of(panels.first)
-    if _PUBLISHED in entries:  # matplotlib lists lines before error bars
-        entries[_PUBLISHED] = entries.pop(_PUBLISHED)
-    number = counted(int(table["cases"].max()), "structure")
-    title = f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}"
-    panels.legend(title, entries, loc="outside upper right")
-    more = figure_style.omission_note(len(names) - len(shown), "row", "in table.csv")
-    return panels.finish(more, run.note)
+        if measure.published in shown:
+            axes.plot(shown[measure.published], y, markerfacecolor="white", **look)
+
+
+def _heights(rows: int, index: int, series: int) -> Reals:
+    """Place the markers of a series in all rows, shape (rows,)."""
+    return np.arange(rows, dtype=np.float64) + (index - 0.5 * (series - 1)) / (1 + series)
+
+
+def _bars(rows: pd.DataFrame, measure: Measure) -> Reals | None:
+    """Return how far intervals extend below and above means, shape (2, n); None of few cases."""
+    if rows["cases"].max() < FEWEST:
+        return None
+    mean = rows[measure.mean]
+    if measure.is_share:
+        low, high = measure.bounds
+        bars = np.array([mean - rows[low], rows[high] - mean])
+    else:
+        bars = np.array([rows[measure.ci95], rows[measure.ci95]])
+    return np.nan_to_num(bars.astype(float))
+
+
+def _draw_structures(
+    axes: "Axes",
+    run: RunData,
+    column: str,
+    keys: Sequence[Sequence[str]],
+    rows: Sequence[str],
+    series: Sequence[str],
+) -> None:
+    """Draw a small dot for each of few structures."""
+    for index, name in enumerate(series):
+        values = _structure_values(run, column, keys, name)
+        values = values[values.index.isin(rows)]
+        y = _heights(len(rows), index, len(series))[[rows.index(row) for row in values.index]]
+        axes.plot(values, y, **figure_style.dot_style(index, 1.8), alpha=0.6)
 
 
 def _rows_and_series(table: pd.DataFrame) -> tuple[list[str], list[str]]:
@@ -182,59 +234,54 @@ def _structure_values(
     return values
 
 
-def draw_shape(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw accuracy and structure by the robots' shape: a row for each point of the sweep.
+def shape_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of accuracy and structure by the robots' shape, a row for each point.
 
     Conditions differ in color and marker; where all are equal, gray stands for all.
     """
     numbers = [column for measure in _OF_SHAPES for column in (measure.mean, measure.ci95)]
     table = run.table("table.csv", ["condition"], ["cases", *numbers], after="cases")
-    table = with_points(table)
-    points = list(dict.fromkeys(table["point"]))
+    table = with_points(table).rename(columns={"point": "row"}).assign(of=table["condition"])
+    points = list(dict.fromkeys(table["row"]))
     shown = points[:MOST_ROWS]
-    series = dict(list(table.groupby("condition", sort=False))[: figure_style.MOST_SERIES])
-    panels = figure_style.Panels(
-        0.9 + 0.17 * len(shown), len(_OF_SHAPES), 4, share="y", max_width=max_width
-    )
-    for axes, measure in panels.paired_with(_OF_SHAPES):
-        is_shared = table.groupby("point")[measure.mean].nunique().max() <= 1
-        for index, (condition, rows) in enumerate(series.items()):
-            look = {**figure_style.dot_style(index, 3.0), "linewidth": 0.8}
-            if is_shared:
-                look |= {"color": "0.4", "marker": "o"}
-            shown_rows = rows.set_index("point").reindex(shown)
-            axes.errorbar(
-                shown_rows[measure.mean],
-                np.arange(len(shown)),
-                label=condition,
-                xerr=shown_rows[measure.ci95].fillna(0.0),
-                **look,
-            )
-    finish_rows(panels, shown, _OF_SHAPES)
-    for axes, measure in [*panels.paired_with(_OF_SHAPES)][1:]:
-        end = (table[measure.mean] + table[measure.ci95].fillna(0.0)).max()
-        top = float(np.nan_to_num(end)) or 1.0
-        axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
-    for axes in panels.axes:
-        axes.tick_params(axis="x", labelsize=6.0)
-    words = figure_style.mean_words(table["cases"])
-    panels.legend(words, structures=int(table["cases"].max()), loc="outside upper right")
-    return panels.finish(
-        figure_style.omission_note(len(points) - len(shown), "sweep point", "in table.csv"),
-        run.note,
-    )
+    series = list(dict.fromkeys(table["of"]))[: figure_style.MOST_SERIES]
+    by_column = {measure.column: measure for measure in _OF_SHAPES}
+
+    def paint(axes: "Axes", column: str, chosen: Sequence[str]) -> None:
+        measure = by_column[column]
+        draw_means(axes, table, measure, shown, chosen)
+        if table.groupby("row")[measure.mean].nunique().max() <= 1:
+            for bars in axes.collections:
+                bars.set_color("0.4")
+            for line in axes.lines:
+                line.set(color="0.4", marker="o")
+        finish_row_axis(axes, measure, shown)
+        if measure is not RMSE:
+            end = (table[measure.mean] + table[measure.ci95].fillna(0.0)).max()
+            top = float(np.nan_to_num(end)) or 1.0
+            axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no mode
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        figure_style.label_rows(panels.first, shown)
+        words = figure_style.mean_words(table["cases"])
+        structures = int(table["cases"].max())
+        panels.legend(words, structures=structures, loc="outside upper right")
+        omitted = len(points) - len(shown)
+        return [figure_style.omission_note(omitted, "sweep point", "in table.csv"), run.note]
+
+    return figure_style.Drawing(
+        panels=list(by_column), series=series, paint=paint, complete=complete, columns=4,
+        row_height=0.5 + 0.17 * len(shown), head_height=0.4, share="y",
+    )  # fmt: skip
 
 
-def finish_rows(
-    panels: figure_style.Panels, names: Sequence[str], measures: Sequence[Measure]
-) -> None:
-    """Label rows, from the top, and axes."""
-    for axes, measure in panels.paired_with(measures):
-        axes.set_xlabel(measure.axis)
-        means = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
-        axes.locator_params(axis="x", nbins=6)
-        figure_style.fit_axis(axes, "x", means, nonpositive="clip")
-        axes.grid(axis="y", color="0.92", linewidth=0.5)
-        axes.set_axisbelow(True)
-    figure_style.label_rows(panels.first, names)
-    panels.first.set_ylim(len(names) - 0.5, -0.5)
+def finish_row_axis(axes: "Axes", measure: Measure, names: Sequence[str]) -> None:
+    """Label the horizontal axis of a panel with rows, the first at the top."""
+    axes.set_xlabel(measure.axis)
+    means = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
+    axes.locator_params(axis="x", nbins=5)
+    figure_style.fit_axis(axes, "x", means, nonpositive="clip")
+    axes.grid(axis="y", color="0.92", linewidth=0.5)
+    axes.set_axisbelow(True)
+    axes.set_yticks(np.arange(len(names)), [*names])
+    axes.set_ylim(len(names) - 0.5, -0.5)

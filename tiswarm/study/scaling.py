@@ -145,7 +145,9 @@ def _with_powers(values: pd.DataFrame, column: str) -> pd.DataFrame:
         column: Column of the number.
     """
     means = values.groupby(["series", "measure", column], sort=False)["mean"]
-    points = means.agg(mean="mean", least="min", most="max", structures="count").reset_index()
+    points = means.agg(
+        mean="mean", least="min", most="max", ci95=_half_width, structures="count"
+    ).reset_index()
     points = points.sort_values(column, kind="stable")
     at = points[column].to_numpy(float)
     mean = points["mean"].to_numpy(float)
@@ -158,3 +160,8 @@ def _with_powers(values: pd.DataFrame, column: str) -> pd.DataFrame:
             finite[column].to_numpy(float), finite["mean"].to_numpy(float)
         )
     return points.assign(exponent=exponent, exponent_ci95=half, slope=slope)
+
+
+def _half_width(values: "pd.Series[float]") -> float:
+    """Return the half width of the 95 % confidence interval of a mean; NaN of few values."""
+    return metrics.mean_std_ci95(np.asarray(values, np.float64))["ci95"]

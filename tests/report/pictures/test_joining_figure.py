@@ -42,7 +42,7 @@ def run(tmp_path):
 
 def test_lines_are_errors_at_joining_and_later(run):
     """Only a method that places robots as they join has a second, dashed line."""
-    figure = painters(run)["joining"](run)
+    figure = painters(run)["joining"].draw()
 
     [axes] = figure.axes
     drawn = {line.get_label(): line.get_ydata().tolist() for line in axes.lines}
@@ -64,4 +64,4 @@ def test_runs_without_joins_or_sizes_have_no_such_figure(run):
 
 def test_it_is_the_same_in_a_narrow_page(run):
     """Another width changes neither limits nor series."""
-    require_alike(painters(run)["joining"], run)
+    require_alike(painters(run)["joining"])

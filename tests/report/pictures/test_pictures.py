@@ -13,6 +13,7 @@ from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.report.pictures import raycast
 from tiswarm.report.pictures.pictures import (
+    build_extremes,
     build_pictures,
     build_sizes,
     draw_side_by_side,
@@ -236,6 +237,30 @@ def test_every_size_of_a_study_is_in_one_picture(tmp_path):
     picture = draw_side_by_side(sizes, "taichi")
     assert not is_blank(picture)
     assert picture.width > picture.height
+
+
+def test_the_best_condition_stands_beside_the_weakest(tmp_path):
+    """All pictures of a study showed the worst of its twelve cases, and no reader knew."""
+    header = "case,status,condition,series,point,rmse_R"
+    rows = [
+        ["0-a", "done", "a", "a", "", 3.0],
+        ["0-b", "done", "b", "b", "", 1.0],
+        ["0-c", "done", "c", "c", "", 2.0],
+        ["1-d", "done", "d", "d", "", 0.1],  # another structure
+        ["0-e", "failed", "e", "e", "", ""],
+    ]
+    for place, (name, *_) in enumerate(rows):
+        write_case(tmp_path / "cases" / name, seed=place)
+    write_summary(tmp_path, header, rows)
+    run = load_run(tmp_path)
+
+    tiles, greatest = build_extremes(run, run.choose("0-c"))
+
+    assert [tile.label.split("\n")[0] for tile in tiles] == ["b", "a"]
+    errors = [read_case_view(run.choose(name)).error.max() for name in ("0-a", "0-b")]
+    assert greatest == max(errors)
+    assert not is_blank(draw_side_by_side(tiles, "taichi"))
+    assert build_extremes(run, run.choose("1-d")) == ([], 0.0)
 
 
 def test_scenes_that_share_their_rays_look_as_if_drawn_alone(scene):

@@ -1,7 +1,6 @@
 """The figure of traffic has a marker for robots that send, and a line for all others."""
 
 import itertools
-import math
 
 import numpy as np
 import pandas as pd
@@ -37,7 +36,7 @@ def run(tmp_path):
 
 def test_means_are_drawn_on_logarithmic_axes(run):
     """Who has all logs in one place sends nothing, and is a line."""
-    [axes] = painters(run)["traffic"](run).axes
+    [axes] = painters(run)["traffic"].draw().axes
 
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     [bars] = axes.containers
@@ -53,7 +52,7 @@ def test_points_of_a_sweep_are_kept_apart(run):
     rows = run.summary
     points = [rows.assign(point=f"gap {k} R", rmse_R=k * rows["rmse_R"]) for k in range(1, 11)]
 
-    figure = painters(run)["traffic"](RunData(run.folder, pd.concat(points))).axes[0].figure
+    figure = painters(RunData(run.folder, pd.concat(points)))["traffic"].draw()
 
     assert [axes.get_title() for axes in figure.axes] == [f"gap {k} R" for k in range(1, 10)]
     errors = [axes.containers[0][0].get_ydata()[0] for axes in figure.axes]
@@ -88,7 +87,7 @@ def test_runs_in_which_nobody_sends_have_no_such_figure(run):
 
 def test_it_is_the_same_in_a_narrow_page(run):
     """Another width changes neither limits nor series."""
-    require_alike(painters(run)["traffic"], run)
+    require_alike(painters(run)["traffic"])
 
 
 def _many(run, count):
@@ -104,7 +103,7 @@ def _many(run, count):
 
 def test_at_most_eight_conditions_have_names(run):
     """Those that no other beats, the default and the first ones; the rest is gray, and counted."""
-    [axes] = painters(run)["traffic"](_many(run, 12)).axes
+    [axes] = painters(_many(run, 12))["traffic"].draw().axes
 
     names = sorted(text.get_text() for text in axes.texts)
     assert names == ["c0", "c1", "c2", "c3", "c4", "joint", "less", "touch"]
@@ -124,18 +123,18 @@ def test_the_default_has_a_name_though_others_beat_it(run):
         for k in range(9)
     ]
 
-    [axes] = painters(run)["traffic"](RunData(run.folder, pd.concat([run.summary, *better]))).axes
+    [axes] = painters(RunData(run.folder, pd.concat([run.summary, *better])))["traffic"].draw().axes
 
     assert "touch" in [text.get_text() for text in axes.texts]
 
 
-@pytest.mark.parametrize("most", [math.inf, 3.5])
+@pytest.mark.parametrize("most", [None, 3.5])
 def test_numbers_of_an_axis_keep_apart(run, most):
     """Five decades of bytes have numbers at most as dense as there is room for."""
     more = run.summary.assign(condition="much", series="much", sent_B=9e5, rmse_R=0.3)
     less = run.summary.assign(condition="less", series="less", sent_B=9.0, rmse_R=0.9)
     data = RunData(run.folder, pd.concat([run.summary, more, less]))
-    figure = painters(run)["traffic"](data, most).axes[0].figure
+    figure = painters(data)["traffic"].draw(most)
     figure.canvas.draw()
 
     for axes in figure.axes:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
 from tiswarm.base.aliases import Bools, Ints, Reals
@@ -23,6 +24,7 @@ from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Advance, Progress, ignore
 from tiswarm.measurements.observability import hops_from_anchors
 from tiswarm.records.io import write_bytes
+from tiswarm.records.measures import RMSE
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.surface import GroundSurface
 from tiswarm.records.terrain import Terrain
@@ -317,13 +319,16 @@ def render_run(
     """
     chosen = run.choose(case)
     pictures, used, reason = render_view(read_case_view(chosen), progress, renderer)
-    sizes, greatest = build_sizes(run, chosen) if case is None else ([], 0.0)
-    if sizes:
-        legend = Scale(JOIN_COLORS, "join index  first", "last")
-        if chosen.has_estimate:
-            high = f"{three_digits(greatest)}    {chosen.condition}"
-            legend = Scale(ERROR_COLORS, "error [R]  0", high)
-        pictures["sizes"] = _encoded(draw_side_by_side(sizes, used), legend)
+    if case is None:
+        together = {"sizes": build_sizes(run, chosen), BESIDE: build_extremes(run, chosen)}
+        for name, (tiles, greatest) in together.items():
+            if tiles:
+                legend = Scale(JOIN_COLORS, "join index  first", "last")
+                if chosen.has_estimate:
+                    words = f"    {chosen.condition}" if name == "sizes" else ""
+                    high = f"{three_digits(greatest)}{words}"
+                    legend = Scale(ERROR_COLORS, "error [R]  0", high)
+                pictures[name] = _encoded(draw_side_by_side(tiles, used), legend)
     suffix = "" if case is None else f"-{case}"
     drawn = []
     for name, data in pictures.items():
@@ -339,7 +344,11 @@ _WIDTH = 1870  # of the picture at most, approximately [pixels]
 _HEIGHT = 1000  # of the picture at most, approximately [pixels]
 _AROUND = 10.0  # room around a structure, where its ground fades [R]
 _LEAST_WIDTH = 187  # for a label [pixels]
-_LABEL_HEIGHT = 65  # room of a label [pixels]
+_LABEL_LINE = 27  # height of a line of a label [pixels]
+_LABEL_ROOM = 11  # room around a label [pixels]
+
+BESIDE = "best-and-weakest"
+"""Name of the picture of the conditions that err least and most."""
 
 
 class Tile(NamedTuple):
@@ -362,28 +371,62 @@ def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
             cases.setdefault(case.robots, case)
     sizes = sorted(cases)[-_MOST_SIZES:] if len(cases) > 1 else []
     views = [read_case_view(cases[robots]) for robots in sizes]
+    labels = [counted(len(view.pose), "robot") for view in views]
+    return _tiles(views, labels, by_error=like.has_estimate)
+
+
+def build_extremes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
+    """Build tiles of one structure with the errors of its best and its weakest condition.
+
+    There are none where only one condition has estimates of the structure.
+
+    Returns:
+        The two tiles, and the greatest error of both [R].
+    """
+    rmse = run.summary.set_index("case").get(RMSE.column, pd.Series(dtype=float))
+    seed = like.name.partition("-")[0]
+    cases = [
+        case
+        for case in run.cases
+        if case.done
+        and case.has_estimate
+        and (case.point, case.name.partition("-")[0]) == (like.point, seed)
+        and np.isfinite(rmse.get(case.name, np.nan))
+    ]
+    if len(cases) < 2:  # noqa: PLR2004 - a best one and another
+        return [], 0.0
+    cases.sort(key=lambda case: float(rmse[case.name]))
+    extremes = [cases[0], cases[-1]]
+    labels = ["\n".join(filter(None, case.condition.rpartition(", ")[::2])) for case in extremes]
+    return _tiles([read_case_view(case) for case in extremes], labels, by_error=True)
+
+
+def _tiles(
+    views: Sequence[SwarmView], labels: Sequence[str], *, by_error: bool
+) -> tuple[list[Tile], float]:
+    """Build a tile for each view, colored by error on one scale or by join; the greatest error."""
     greatest = max((float(np.nanmax(view.error, initial=1e-9)) for view in views), default=0.0)
     tiles = []
-    for view in views:
+    for view, label in zip(views, labels, strict=True):
         color = view.color_by_join
-        if like.has_estimate:
+        if by_error:
             color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
         scene = build_scene(view.robots(view.pose, color, TRUE_SIZE), view.terrain)
         level = np.nanmean(view.pose[:, :3], axis=0)
         level[2] = np.nanmin(view.pose[:, 2])
         if isinstance(view.terrain, Terrain):
             level[2] = view.terrain.ground_z
-        tiles.append(Tile(scene, level, _label(view)))
+        tiles.append(Tile(scene, level, _with_rmse(label, view)))
     return tiles, greatest
 
 
-def _label(view: SwarmView) -> str:
-    """State size and, of an estimate, RMSE."""
+def _with_rmse(label: str, view: SwarmView) -> str:
+    """Add the RMSE of an estimate to a label."""
     if not view.has_estimate:
-        return counted(len(view.pose), "robot")
+        return label
     error = view.error[np.isfinite(view.error)]
     rmse = f"RMSE {three_digits(math.sqrt(np.mean(error**2)))} R" if len(error) else "no estimate"
-    return f"{counted(len(view.pose), 'robot')}\n{rmse}"
+    return f"{label}\n{rmse}"
 
 
 def draw_side_by_side(tiles: list[Tile], renderer: str) -> Image.Image:
@@ -426,7 +469,13 @@ def _lay_out(
     """Put pictures side by side, with these rows at one height; their room overlaps [pixels]."""
     above = max(rows)
     below = max(len(picture) - row for picture, row in zip(pictures, rows, strict=True))
-    steps = [max(picture.shape[1] - room, _LEAST_WIDTH) for picture in pictures]
+    font = ImageFont.load_default(_LETTERS)
+    label_height = _LABEL_ROOM + _LABEL_LINE * max(label.count("\n") + 1 for label in labels)
+    widths = [max(map(font.getlength, label.split("\n"))) for label in labels]
+    steps = [
+        max(picture.shape[1] - room, _LEAST_WIDTH, round(width) + _LABEL_ROOM)
+        for picture, width in zip(pictures, widths, strict=True)
+    ]
     middles = [sum(steps[:k]) + (step + room) // 2 for k, step in enumerate(steps)]
     size = (sum(steps) + room, round(above + below))
     whole = Image.new("RGBA", size, NOTHING)
@@ -435,11 +484,10 @@ def _lay_out(
         tile.paste(Image.fromarray(picture), (middle - picture.shape[1] // 2, round(above - row)))
         whole.alpha_composite(tile)
     content = whole.getchannel("A").getbbox() or (0, 0, *size)
-    whole = whole.crop((0, content[1], size[0], content[3] + _LABEL_HEIGHT))
+    whole = whole.crop((0, content[1], size[0], content[3] + label_height))
     pen = ImageDraw.Draw(whole)
-    font = ImageFont.load_default(_LETTERS)
     for middle, label in zip(middles, labels, strict=True):
-        position = (middle, whole.height - _LABEL_HEIGHT // 2)
+        position = (middle, whole.height - label_height // 2)
         pen.multiline_text(position, label, INK, font, anchor="mm", align="center")
     return whole
 

@@ -1,6 +1,6 @@
 """Draws figures of robots: what they send, errors as they join, and a scored estimate."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,9 +29,9 @@ _DIRECTIONS = 12
 """Directions from its marker in which a name is tried."""
 _RINGS = 8
 """Distances from its marker at which a name is tried in each direction."""
-_LABEL = 6.0
+_LABEL = figure_style.TEXT_SIZE
 """Height of a name [pt]."""
-_LETTER = 3.4
+_LETTER = 4.0
 """Width of a letter of a name [pt]."""
 _TICK_ROOM = 24.0
 """Room of a number along the horizontal axis [pt]."""
@@ -68,6 +68,10 @@ CAPTIONS = {
     "error": figure_style.Caption(
         "True structure, each robot colored by the error of its estimated position.",
     ),
+    "best-and-weakest": figure_style.Caption(
+        "One true structure, each robot colored by the error of its estimated position, by the "
+        "condition that errs least there and by the one that errs most.",
+    ),
     "growth": figure_style.Caption(
         "Growth of the structure, colored by join index, the order in which robots joined.",
     ),
@@ -95,63 +99,89 @@ CAPTIONS = {
 """What these figures and 3D pictures show, by file name."""
 
 
-def painters(run: RunData) -> dict[str, figure_style.Painter]:
+def painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figures that a run has, by file name."""
     return {**_joining_painters(run), **_traffic_painters(run)}
 
 
-def _traffic_painters(run: RunData) -> dict[str, figure_style.Painter]:
+def _traffic_painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figure by file name, if robots of some case sent each other anything."""
     sent = run.summary.get(_SENT)
-    return {"traffic": draw_traffic} if sent is not None and sent.notna().any() else {}
+    return {"traffic": traffic_drawing(run)} if sent is not None and sent.notna().any() else {}
 
 
-def draw_traffic(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw RMSE against the bytes that a robot sends, a panel for each point of the sweep.
+def traffic_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of RMSE against the bytes that a robot sends.
 
-    Names have those conditions that no other beats in both, joined by a line, and as many others as
-    there is room for, in the order of the scenario; the rest is gray.
+    Each point of the sweep has a panel. Names have those conditions that no other beats in both,
+    joined by a line, and as many others as there is room for, in the order of the scenario; the
+    rest is gray.
     """
     done = run.summary[run.summary["status"] == "done"]
-    titles = done["point"].where(done["point"].fillna("") != "", done["kind"])
-    points = [*done.groupby(titles, sort=False)]
-    groups = points[:_MOST_PANELS]
-    fronts = [_front(cases) for _, cases in groups]
-    names = _named(done, fronts)
-    columns = figure_style.columns_of(len(groups))
-    rows = -(-len(groups) // columns)
-    height = 1.0 + (6.0 / columns if columns > 1 else 3.0) * rows
-    panels = figure_style.Panels(height, len(groups), columns, share="xy", max_width=max_width)
-    for axes, ((title, cases), front) in panels.paired_with(zip(groups, fronts, strict=True)):
-        axes.plot(*np.array(list(front.values())).reshape(-1, 2).T, color="0.8", linewidth=0.8)
-        means = cases.groupby("condition")[[_SENT, _ERROR]].mean()
-        rest = means.loc[[name for name in means.index if name not in names]]
-        if len(rest):
-            look: dict[str, Any] = {
-                "linestyle": "",
-                "marker": "o",
-                "markersize": 2.5,
-                "color": "0.7",
-            }
-            label = counted(len({*done["condition"]} - {*names}), "other condition")
-            axes.plot(rest[_SENT], rest[_ERROR], label=label, **look)
-        for index, name in enumerate(names):
-            _draw_condition(axes, cases[cases["condition"] == name], name, index)
-        figure_style.set_title(axes, str(title))
+    titles = done["point"].where(done["point"].fillna("") != "", done["kind"]).astype(str)
+    points = list(dict.fromkeys(titles))
+    shown = points[:_MOST_PANELS]
+    cases_of = {title: done[titles == title] for title in shown}
+    fronts = {title: _front(cases) for title, cases in cases_of.items()}
+    names = _named(done, list(fronts.values()))
+    others = {*done["condition"]} - {*names}
+
+    def paint(axes: "Axes", title: str, series: Sequence[str]) -> None:
+        chosen = {name: names.index(name) for name in series}
+        draw_traffic(axes, cases_of[title], fronts[title], chosen)
+        if others and len(series) == len(names):
+            _draw_others(axes, cases_of[title], others)
+        figure_style.set_title(axes, title)
         axes.set_xlabel(SENT.axis)
-    panels.label_left(RMSE.axis)
-    _set_scale(panels.first)
-    unnamed = {label: artist for label, artist in panels.entries().items() if label not in names}
-    if unnamed:
-        panels.legend(entries=unnamed)
-    more = figure_style.omission_note(len(points) - len(groups), "panel", "not drawn")
-    figure = panels.finish(more, run.note)
-    # Names keep apart on paper, so panels need their final size.
-    figure_style.lay_out(figure)
-    for axes in panels.axes:
-        _space_ticks(axes)
-        _name_markers(axes, names)
-    return figure
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        panels.label_left(RMSE.axis)
+        _set_scale(panels.first)
+        unnamed = {text: artist for text, artist in panels.entries().items() if text not in names}
+        if unnamed:
+            panels.legend(entries=unnamed)
+        return [
+            figure_style.omission_note(len(points) - len(shown), "panel", "not drawn"),
+            run.note,
+        ]
+
+    def settle(panels: figure_style.Panels) -> None:
+        for axes in panels.axes:
+            _space_ticks(axes)
+            _name_markers(axes, names)
+
+    columns = figure_style.columns_of(len(shown))
+    return figure_style.Drawing(
+        panels=shown, series=names, paint=paint, complete=complete, settle=settle,
+        columns=columns, row_height=6.0 / columns if columns > 1 else 3.0, head_height=0.7,
+        share="xy", alone=figure_style.PAGE_WIDTH,
+    )  # fmt: skip
+
+
+def draw_traffic(
+    axes: "Axes",
+    cases: pd.DataFrame,
+    front: Mapping[str, tuple[float, float]],
+    series: Mapping[str, int],
+) -> None:
+    """Draw RMSE against the bytes that a robot sends, a marker for each condition.
+
+    Args:
+        axes: Panel.
+        cases: Cases of one point of the sweep.
+        front: Bytes and RMSE of the conditions that no other beats in both.
+        series: Places of the conditions to draw, which set their looks, by name.
+    """
+    axes.plot(*np.array(list(front.values())).reshape(-1, 2).T, color="0.8", linewidth=0.8)
+    for name, index in series.items():
+        _draw_condition(axes, cases[cases["condition"] == name], name, index)
+
+
+def _draw_others(axes: "Axes", cases: pd.DataFrame, names: Collection[str]) -> None:
+    """Draw conditions without names in gray."""
+    means = cases[cases["condition"].isin(names)].groupby("condition")[[_SENT, _ERROR]].mean()
+    look: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 2.5, "color": "0.7"}
+    axes.plot(means[_SENT], means[_ERROR], label=counted(len(names), "other condition"), **look)
 
 
 def _named(done: pd.DataFrame, fronts: Sequence[Mapping[str, object]]) -> list[str]:
@@ -320,17 +350,16 @@ _SHARE = 4
 """The robots that joined last are one in so many of the smallest structure."""
 
 
-def _joining_painters(run: RunData) -> dict[str, figure_style.Painter]:
+def _joining_painters(run: RunData) -> dict[str, figure_style.Drawable]:
     """List the figure by file name, if a run has structures of several sizes, and such errors."""
     sizes = {case.robots for cases in run.localized.values() for case in cases}
-    return {"joining": draw_joining} if len(sizes) > 1 and _at_join(run) else {}
+    return {"joining": joining_drawing(run)} if len(sizes) > 1 and _at_join(run) else {}
 
 
-def draw_joining(run: RunData, max_width: float = np.inf) -> "Figure":
-    """Draw the RMSE of the last robots against the number of robots by then.
+def joining_drawing(run: RunData) -> figure_style.Drawing:
+    """Compose the figure of the RMSE of the last robots against the number of robots by then.
 
-    Each kind of structure has a panel, with a line for each condition. Of a method that places
-    robots as they join, it is the error then; a dashed line is that once all robots have joined.
+    Each kind of structure has a panel, with a line for each condition.
     """
     done = [case for cases in run.localized.values() for case in cases]
     kinds = list(dict.fromkeys(case.kind for case in done))
@@ -338,34 +367,58 @@ def draw_joining(run: RunData, max_width: float = np.inf) -> "Figure":
     sizes = sorted({case.robots for case in done})
     online = _at_join(run)
     last = max(sizes[0] // _SHARE, 1)
-    panels = figure_style.Panels(3.2, len(kinds), len(kinds), share="y", max_width=max_width)
-    drawn = []
-    for axes, kind in panels.paired_with(kinds):
-        for index, name in enumerate(names):
+
+    def paint(axes: "Axes", kind: str, series: Sequence[str]) -> None:
+        for name in series:
             cases = [case for case in done if (case.kind, case.condition) == (kind, name)]
             joins = any(case.name in online for case in cases)
-            column = _COLUMN if joins else "error_R"
-            line = [_rms(cases, size, size, column, last) for size in sizes]
-            label = f"{name}, as they join" if joins else name
-            axes.plot(
-                sizes,
-                line,
-                marker="o",
-                markersize=3.0,
-                label=label,
-                **figure_style.line_style(index),
-            )
-            drawn += line
-            if joins:
-                later = [_rms(cases, sizes[-1], size, "error_R", last) for size in sizes]
-                look = figure_style.line_style(index) | {"linestyle": "--"}
-                axes.plot(sizes, later, marker="o", markersize=3.0, label=f"{name}, later", **look)
-                drawn += later
+            draw_joining(axes, cases, sizes, last, name, names.index(name), joins=joins)
         axes.set(xlabel="Robots by then", title=kind, xticks=sizes)
-    panels.label_left(f"RMSE of the last {last} robots [R]")
-    figure_style.fit_axis(panels.first, "y", np.array(drawn))
-    panels.legend()
-    return panels.finish(run.note)
+
+    def complete(panels: figure_style.Panels) -> list[str]:
+        panels.label_left(f"RMSE of the last {last} robots [R]")
+        drawn = [line.get_ydata() for axes in panels.axes for line in axes.lines]
+        figure_style.fit_axis(panels.first, "y", np.concatenate([np.empty(0), *drawn]))
+        panels.legend()
+        return [run.note]
+
+    return figure_style.Drawing(
+        panels=kinds, series=names, paint=paint, complete=complete, columns=len(kinds),
+        row_height=2.6, head_height=0.6, share="y",
+    )  # fmt: skip
+
+
+def draw_joining(
+    axes: "Axes",
+    cases: list[StoredCase],
+    sizes: Sequence[int],
+    last: int,
+    name: str,
+    index: int,
+    *,
+    joins: bool,
+) -> None:
+    """Draw the RMSE of the last robots against the number of robots by then.
+
+    Of a method that places robots as they join, it is the error then; a dashed line is that once
+    all robots have joined.
+
+    Args:
+        axes: Panel.
+        cases: Cases of a kind of structure and a condition.
+        sizes: Numbers of robots.
+        last: How many robots are the last ones.
+        name: Name of the condition.
+        index: Its place among all, which sets its look.
+        joins: Whether its method places robots as they join.
+    """
+    look = {**figure_style.marker_style(index), "markersize": 3.0}
+    column = _COLUMN if joins else "error_R"
+    line = [_rms(cases, size, size, column, last) for size in sizes]
+    axes.plot(sizes, line, label=f"{name}, as they join" if joins else name, **look)
+    if joins:
+        later = [_rms(cases, sizes[-1], size, "error_R", last) for size in sizes]
+        axes.plot(sizes, later, label=f"{name}, later", linestyle="--", **look)
 
 
 def _at_join(run: RunData) -> set[str]:
