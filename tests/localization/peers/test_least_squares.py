@@ -11,6 +11,7 @@ from tests.localization.test_problem import true_yaw
 from tests.structures import NOISY, silent
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
+from tiswarm.localization.peers import least_squares as least_squares_method
 from tiswarm.localization.peers.settings import HopByHopParams, LeastSquaresParams
 from tiswarm.localization.settings import Cues, CuesOfNamedDocks, JointParams
 from tiswarm.sensing import SensingParams, observe
@@ -135,14 +136,25 @@ def test_a_wrong_range_is_named_and_left_out():
     assert found.convergence.trusted
 
 
-def test_squares_count_without_robust():
+def test_squares_count_without_robust(monkeypatch):
     """Then no measurement gives way at first, and the estimate is not to be trusted."""
     log, _ = noisy_ranges(0)
     log.ranges[-1, 2] += 20.0
 
-    found = localize(log, replace(APART, robust=False))
+    params = replace(APART, robust=False)
+    found = localize(log, params)
 
     assert not found.convergence.trusted
+    # A search from few starts may miss the least minimum, so that sd is wider than that of its own.
+    monkeypatch.setattr(least_squares_method, "_CAUTION", 1.0)
+    alone = localize(log, params)
+    small = alone.sd < 1.0
+    assert small.any()
+    np.testing.assert_allclose(found.sd[small], 3.0 * alone.sd[small])
+    assert found.convergence.sd_factor == 3.0 * alone.convergence.sd_factor
+    trusted = localize(noisy_ranges(0)[0], APART)
+    assert trusted.convergence.trusted
+    assert trusted.convergence.sd_factor == 1.0
 
 
 def test_touches_count(towers):
