@@ -7,15 +7,17 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from tests.structures import NOISY
+from tests.structures import NOISY, grown
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost.cost import WholeCost
 from tiswarm.localization.cost.linear import DRAWS, Linear
 from tiswarm.localization.cost.walk_noise import WalkCovariance, WalkNoise, WalkRows, summed
 from tiswarm.localization.settings import JointParams
 from tiswarm.measurements.odometry import Odometry
-from tiswarm.records.sensing_log import Stances
+from tiswarm.records.sensing_log import SensingNoise, Stances
 from tiswarm.sensing import observe
+from tiswarm.world.mechanics import MechanicsParams
+from tiswarm.world.params import ClimbParams, TowerParams
 
 
 def walked(history, flips, draw):
@@ -194,3 +196,41 @@ def test_few_draws_at_a_time_are_those_of_all_at_once(tall_towers, monkeypatch):
     for part, whole in zip(parts, at_once, strict=True):
         np.testing.assert_allclose(part, whole, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(linear.variance(), variance, rtol=1e-9)
+
+
+def test_stances_of_an_unknown_way_do_not_count(tall_towers):
+    """Seen over 600 flips with noise, a contact may be in any direction."""
+    log = walked(tall_towers[0], [0] * 29 + [600], np.random.default_rng(8))
+
+    rows = pose_problem(log, JointParams()).rows
+
+    way = rows.odometry.final[rows.robot] - rows.stance
+    walk_sd = np.sqrt(rows.odometry.walked.sum(axis=1))
+    assert walk_sd.max() > 1.2
+    assert walk_sd[rows.stance].max() <= 1.0
+    assert {*range(150)} <= {*way.tolist()}
+    noiseless = replace(log, noise=SensingNoise(tilt_deg=0.0, yaw_deg=0.0))
+    rows = pose_problem(noiseless, JointParams()).rows
+    assert (rows.odometry.final[rows.robot] - rows.stance).max() == 600
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_walks_of_hundreds_of_flips_meet_their_noise(seed):
+    """Rows of all stances led 1 R away, to a minimum that no noise explains."""
+    settings = TowerParams(
+        goal_height=500.0,
+        force_threshold=400.0,
+        climb=ClimbParams(patience=1000),
+        mechanics=MechanicsParams(model="rigid"),
+    )
+    history = grown(settings, robots=12, seed=seed)
+    log = observe(history, NOISY)
+    assert np.diff(log.stances.start).max() > 600
+    rows = pose_problem(log, JointParams()).rows
+    cost = WholeCost(log, rows).held(np.full(12, 2.0))
+
+    state, linear = cost.refine(cost.at(history.position, np.zeros(12)))
+
+    freedom = linear.freedom()
+    assert abs(linear.chi_square - freedom) < 5.0 * np.sqrt(2.0 * freedom)
+    assert np.linalg.norm(state.position - history.position, axis=1).max() < 0.5

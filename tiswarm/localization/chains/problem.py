@@ -43,6 +43,11 @@ _PERPENDICULAR = 1e-6
 _FLAT = 1e-12
 """Part of the greatest precision below which nothing is measured along a direction."""
 
+_LONGEST_WALK_SD = 1.0
+"""Standard deviation of the way from a stance to the final center, beyond which its rows do not
+count [R]: half the distance of docks in contact. Their direction is not known, and so no linear
+problem is near enough to lead to it."""
+
 DISREGARDED_SD = 1.0
 """Standard deviation of an orientation that does not count, about each axis [rad]: a drift of 3 deg
 a stance over a walk of twenty stances."""
@@ -442,6 +447,7 @@ def chosen_rows(
     cues = [cue for cue in params.used_cues if cue != "fixes"]
     measured = Measured(log, odometry, precision)
     rows = measured.rows(cues)
+    rows = rows.select(has_sure_way(rows))
     if len(disregarded):
         rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
     variance = rows.variance()
@@ -461,6 +467,12 @@ def chosen_rows(
     every_place = [rows.places, fixed.places]
     tables = [rows.distances], every_place, [rows.offsets]
     return Measurements.gather(odometry, *tables, shared_sd=rows.shared_sd), inconsistent
+
+
+def has_sure_way(rows: Measurements) -> Bools:
+    """Find rows of stances from which the way to the final center is known well enough, (E,)."""
+    walk_sd = np.sqrt(rows.odometry.walked.sum(axis=1))
+    return np.asarray(walk_sd[rows.stance] <= _LONGEST_WALK_SD)
 
 
 def _most_precise(rows: Measurements, variance: Reals) -> Bools:

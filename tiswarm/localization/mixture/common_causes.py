@@ -15,7 +15,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute.chi_square import binomial_chance, chi_square_chance
-from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.chains.problem import has_sure_way, pose_problem
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.cost.cost import State, WholeCost, shortened
 from tiswarm.localization.cost.linear import Linear
@@ -203,7 +203,7 @@ def _posed(posed: Posed, log: SensingLog) -> Posed:
     problem = pose_problem(log, params)
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     rows = measure(log, params.used_cues, odometry=problem.rows.odometry, precision=precision)
-    return Posed(log, params, replace(problem, rows=rows))
+    return Posed(log, params, replace(problem, rows=rows.select(has_sure_way(rows))))
 
 
 def _robust(posed: Posed, start: tuple[Reals, Reals]) -> WholeCost:
