@@ -376,15 +376,16 @@ def test_p_needs_five_structures():
 
 def test_errors_are_of_located_robots():
     """Positions that no measurement ties to the anchor are guesses, and their errors no errors."""
-    table = pd.DataFrame({"condition": [*"ab"], "cases": 1, "rmse_R_mean": [18.3, 17.0]})
+    table = pd.DataFrame({"condition": [*"ab"], "cases": 2, "rmse_R_mean": [18.3, 17.0]})
     table = table.assign(rmse_located_R_mean=[1.5, 17.0], procrustes_disparity_mean=5.9)
+    table = table.assign(located_ci95_low=[0.09, 0.34], located_ci95_high=[0.91, 1.0])
 
     all_located = headline_table(table.assign(located_mean=1.0))
     some = headline_table(table.assign(located_mean=[0.5, 1.0]))
 
     assert [*all_located.frame] == ["condition", "RMSE [R]", "disparity", "located [%]"]
     assert [*some.frame] == ["condition", "RMSE of located [R]", "located [%]"]
-    assert some.frame.to_numpy().tolist() == [["a", "1.50", "50"], ["b", "17", "100"]]
+    assert some.frame.to_numpy().tolist() == [["a", "1.50", "50 (9 to 91)"], ["b", "17", "100"]]
     assert "positions of others are guesses" in some.note
 
 

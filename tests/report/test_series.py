@@ -30,6 +30,12 @@ ALL = ("contacts", "ground", "height", "non_overlap", "odometry", "walk_contacts
             ],
         ),
         (
+            [ALL, ALL[:1], ALL[1:2]],
+            ["a, all measurements", "b, final contacts", "c, ground contacts"],
+        ),
+        ([ALL, ["ranges"]], ["a, without ranges", "b, ranges"]),
+        ([[*ALL, "ranges"], ["ranges"]], ["a, all measurements", "b, fewest measurements"]),
+        (
             [["contacts", "walk_contacts"], [], ["contacts"]],
             ["a, walk contacts", "b", "c, final contacts"],
         ),

@@ -37,7 +37,7 @@ def scaled(tmp_path_factory):
             f"sweep={rows}",
             "seeds=2",
             "conditions.joint.localization.steps=20",
-            "conditions.joint-with-walks.localization.steps=20",
+            "conditions.joint-final.localization.steps=20",
         ],
     )
     out = tmp_path_factory.mktemp("scaled")
@@ -201,13 +201,13 @@ def test_the_figure_shows_every_series(scaled):
 
     figure = scaling_drawing(load_run(scaled)).draw()
 
-    assert names == ["paper", "together", "joint", "joint-with-walks"]
+    assert names == ["paper", "together", "joint", "joint-final"]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend[:4] == [
         "Algorithm 1, final contacts",
         "Algorithm 1 (all at once), final contacts",
-        "joint, final contacts",
         "joint, walk contacts",
+        "joint, final contacts",
     ]
     for axes, measure in zip(figure.axes, SCALING_PANELS, strict=True):
         wanted = [means[measure, n].to_numpy() for n in names if (measure, n) in means.index]

@@ -228,7 +228,8 @@ def _errors(rows: pd.DataFrame) -> dict[str, pd.Series]:
     """Format the share of robots located, their RMSE, and disparity where all are located."""
     share = {}
     if LOCATED.mean in rows and rows[LOCATED.mean].notna().any():
-        share = {_LOCATED: _mean(rows, LOCATED, factor=100.0)}
+        least = rows.get(LOCATED.least, rows[LOCATED.mean]).astype(float)
+        share = {_LOCATED: _mean(rows, LOCATED, factor=100.0).mask(least >= 1.0, "100")}
     if _has_guesses(rows):
         return {_OF_LOCATED: _mean(rows, RMSE_LOCATED), **share}
     return {**_means(rows, "accuracy"), **share}

@@ -60,15 +60,18 @@ def _distinction(cues: Collection[str], varied: Collection[str]) -> str:
     """Say which of the measurements that vary a condition uses, or which it lacks."""
     present = [cue for cue in varied if cue in cues]
     absent = [cue for cue in varied if cue not in cues]
-    if not present and WALKED in absent and _FINAL in cues:
-        absent.remove(WALKED)
-        final = "final contacts"
-        return f"{final}, without {_listed(absent)}" if absent else final
-    if len(varied) <= _MOST_LISTED and present:
-        return _listed(present)
-    if not absent:
+    if not present:
+        words = ["final contacts"] if WALKED in absent and _FINAL in cues else []
+        lacking = [cue for cue in absent if not words or cue != WALKED]
+        if len(lacking) > _MOST_LISTED:
+            words.append("fewest measurements")
+        elif lacking:
+            words.append(f"without {_listed(lacking)}")
+        return ", ".join(words)
+    if not absent and len(varied) > _MOST_LISTED:
         return "all measurements"
-    return _listed(present) if 0 < len(present) < len(absent) else f"without {_listed(absent)}"
+    is_short = len(varied) <= _MOST_LISTED or len(present) < len(absent)
+    return _listed(present) if is_short else f"without {_listed(absent)}"
 
 
 def measured_words(names: str) -> str:
