@@ -32,7 +32,6 @@ import pandas as pd
 from tiswarm.base.aliases import Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
-from tiswarm.evaluation.metrics import mean_std_ci95
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.cost import ROBUST_SD
 from tiswarm.localization.distributed.channel import ACKNOWLEDGMENT, Channel
@@ -43,6 +42,7 @@ from tiswarm.localization.mixture.ends import Posed
 from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.settings import JointParams
 from tiswarm.records.estimate import MOST_WITHIN
+from tiswarm.records.intervals import mean_std_ci95
 from tiswarm.records.sensing_file import SensingLogBuilder, lines_of, log_entries
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import tiswarm
-from tiswarm.evaluation.metrics import mean_std_ci95
+from tiswarm.records.intervals import mean_std_ci95
 from tiswarm.world.history import FELL
 from tiswarm.world.params import ClimbParams
 

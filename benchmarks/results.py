@@ -27,7 +27,7 @@ from benchmarks import paper_facts
 from benchmarks.marks import write_texts
 from benchmarks.statements import texts_of
 from tiswarm.base.errors import InputError
-from tiswarm.evaluation.metrics import mean_std_ci95
+from tiswarm.records.intervals import mean_std_ci95
 
 REPOSITORY = Path(__file__).parents[1]
 RESULTS = REPOSITORY / "docs" / "results.csv"

@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.aliases import Bools, Reals
-from tiswarm.evaluation.metrics import mean_std_ci95, rigidly_aligned, rmse, robot_errors
+from tiswarm.evaluation.metrics import rigidly_aligned, rmse, robot_errors
 from tiswarm.records.estimate import MOST_WITHIN, Estimate
+from tiswarm.records.intervals import mean_std_ci95
 
 ALIKE = 0.01
 """Errors that small count as equal, in dock radii: of a log without noise the limit is 0."""

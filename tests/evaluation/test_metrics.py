@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.strategies import rotations, vectors
 from tiswarm.evaluation import metrics
+from tiswarm.records.intervals import mean_std_ci95, share_ci95
 from tiswarm.records.measures import FEWEST
 
 SHAPE = np.random.default_rng(1).normal(size=(40, 3)) * [1.0, 2.0, 6.0]
@@ -98,7 +99,7 @@ def test_intervals_hold_the_mean_as_often_as_they_say():
     """Of 2,000 samples of five normal numbers, 95 % within four standard errors."""
     samples = np.random.default_rng(0).normal(size=(2000, 5))
 
-    held = np.mean([abs(s["mean"]) <= s["ci95"] for s in map(metrics.mean_std_ci95, samples)])
+    held = np.mean([abs(s["mean"]) <= s["ci95"] for s in map(mean_std_ci95, samples)])
 
     assert held == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
 
@@ -107,25 +108,25 @@ def test_an_interval_of_a_share_ends_at_one():
     """Of zeros and ones it is Wilson's: 1.96 standard errors of its ends, not of the mean."""
     values = np.array([1.0] * 63 + [0.0])
 
-    low, high = metrics.share_ci95(values).values()
+    low, high = share_ci95(values).values()
 
     assert 0.0 < low < 63 / 64 < high < 1.0
     for end in (low, high):  # the ends solve the equation that Wilson's interval states
         assert abs(63 / 64 - end) == pytest.approx(1.959964 * np.sqrt(end * (1 - end) / 64))
-    assert metrics.share_ci95(np.ones(64))["ci95_high"] == 1.0
-    assert metrics.share_ci95(np.zeros(3))["ci95_low"] == 0.0
-    assert np.isnan(metrics.share_ci95(np.array([np.nan]))["ci95_low"])
+    assert share_ci95(np.ones(64))["ci95_high"] == 1.0
+    assert share_ci95(np.zeros(3))["ci95_low"] == 0.0
+    assert np.isnan(share_ci95(np.array([np.nan]))["ci95_low"])
 
 
 def test_an_interval_of_shares_is_as_wide_as_they_vary():
     """Shares of robots vary less than zeros and ones; their interval is near Student's."""
     shares = np.random.default_rng(1).uniform(0.4, 0.6, size=200)
 
-    low, high = metrics.share_ci95(shares).values()
+    low, high = share_ci95(shares).values()
 
-    student = metrics.mean_std_ci95(shares)
+    student = mean_std_ci95(shares)
     assert high - low == pytest.approx(2.0 * student["ci95"], rel=0.02)
-    few = metrics.share_ci95(np.array([0.5, 0.6]))
+    few = share_ci95(np.array([0.5, 0.6]))
     assert few["ci95_high"] - few["ci95_low"] > 0.8  # variances of two values say little
 
 
@@ -169,10 +170,10 @@ def test_structures_that_agree_leave_the_others_to_be_compared():
 
 def test_too_few_structures_have_no_interval():
     """Statistics of none or one structure, and of two that agree, are NaN where undefined."""
-    assert np.isnan(metrics.mean_std_ci95(np.array([]))["mean"])
-    assert np.isnan(metrics.mean_std_ci95(np.array([2.0]))["ci95"])
+    assert np.isnan(mean_std_ci95(np.array([]))["mean"])
+    assert np.isnan(mean_std_ci95(np.array([2.0]))["ci95"])
     few, enough = np.arange(FEWEST - 1.0), np.arange(FEWEST + 0.0)
-    assert np.isnan(metrics.mean_std_ci95(few)["ci95"])
-    assert metrics.mean_std_ci95(enough)["ci95"] > 0.0
+    assert np.isnan(mean_std_ci95(few)["ci95"])
+    assert mean_std_ci95(enough)["ci95"] > 0.0
     assert np.isnan(metrics.paired_difference(few, few + 1.0)["wilcoxon_p"])
     assert np.isnan(metrics.paired_difference(np.ones(2), np.ones(2))["wilcoxon_p"])

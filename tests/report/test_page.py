@@ -14,7 +14,7 @@ from tests.browser import probe
 from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.evaluation.metrics import share_ci95
+from tiswarm.records.intervals import share_ci95
 from tiswarm.records.messages import MISSING
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import page as page_module

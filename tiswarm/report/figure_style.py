@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError, require_name
-from tiswarm.evaluation.metrics import mean_std_ci95, share_ci95
+from tiswarm.records.intervals import mean_std_ci95, share_ci95
 from tiswarm.records.measures import FEWEST
 from tiswarm.records.messages import counted
 from tiswarm.records.outputs import NEW, Outputs

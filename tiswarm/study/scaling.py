@@ -11,6 +11,7 @@ import pandas as pd
 from tiswarm.evaluation import metrics
 from tiswarm.records import measures
 from tiswarm.records.frames import read_frame
+from tiswarm.records.intervals import mean_std_ci95
 from tiswarm.scenario.expansion import Case, Group
 from tiswarm.study.provenance import Cost
 from tiswarm.study.store import CaseRecord
@@ -164,4 +165,4 @@ def _with_powers(values: pd.DataFrame, column: str) -> pd.DataFrame:
 
 def _half_width(values: "pd.Series[float]") -> float:
     """Return the half width of the 95 % confidence interval of a mean; NaN of few values."""
-    return metrics.mean_std_ci95(np.asarray(values, np.float64))["ci95"]
+    return mean_std_ci95(np.asarray(values, np.float64))["ci95"]

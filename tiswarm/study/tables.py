@@ -34,6 +34,7 @@ from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records import measures
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import read_frame, write_frame
+from tiswarm.records.intervals import mean_std_ci95, share_ci95
 from tiswarm.records.io import run_file
 from tiswarm.records.measures import Measure
 from tiswarm.records.messages import counted
@@ -358,10 +359,10 @@ def _with_statistics(records: Sequence[CaseRecord], averaged: Sequence[Measure])
 
 def _statistics(measure: Measure, values: Reals) -> dict[str, float]:
     """Return the mean of a measure over structures with its uncertainty and range."""
-    statistics = metrics.mean_std_ci95(values) | metrics.least_and_most(values)
+    statistics = mean_std_ci95(values) | metrics.least_and_most(values)
     if measure.is_share:
         del statistics["ci95"]
-        statistics |= metrics.share_ci95(values)
+        statistics |= share_ci95(values)
     return statistics
 
 
