@@ -471,8 +471,12 @@ def chosen_rows(
 
 def has_sure_way(rows: Measurements) -> Bools:
     """Find rows of stances from which the way to the final center is known well enough, (E,)."""
-    walk_sd = np.sqrt(rows.odometry.walked.sum(axis=1))
-    return np.asarray(walk_sd[rows.stance] <= _LONGEST_WALK_SD)
+    return walk_sd(rows) <= _LONGEST_WALK_SD
+
+
+def walk_sd(rows: Measurements) -> Reals:
+    """Compute the sd of the way from the stance of each row to the final center [R], (E,)."""
+    return np.asarray(np.sqrt(rows.odometry.walked.sum(axis=1))[rows.stance])
 
 
 def _most_precise(rows: Measurements, variance: Reals) -> Bools:

@@ -113,6 +113,9 @@ class Cost(ABC, Generic[L]):
     least_reduction: float = -np.inf
     """Reduction of the cost that the linear problem must predict for a step to be tried [1]."""
 
+    factors: Factors | None = None
+    """Factors of information that are near enough at all states; those of each if None."""
+
     @abstractmethod
     def linearized(self, state: State) -> L:
         """Linearize the cost at a state, which is where priors of positions are."""
@@ -158,6 +161,9 @@ class Cost(ABC, Generic[L]):
             # rounding, or of these terms, near the minimum; a step that rises more led uphill, and
             # the linear problem is trusted in a smaller region.
             if trial_linear.cost > linear.cost + SETTLED:
+                if self.factors is not None:
+                    self.factors = None  # they are too far away
+                    continue
                 longest = np.linalg.norm(trial_state.position - state.position, axis=1).max()
                 radius = _SMALLER * min(radius, float(longest))
                 if radius < _LEAST_RADIUS:
@@ -307,8 +313,6 @@ class WholeCost(Cost[Linear]):
         self.reach = float(np.median(rows.distances.length)) if len(rows.distances.length) else 1.0
         self._listed: Reals = np.full_like(self.walks.arm[self.walks.final], np.inf)
         self._docks: Ints = np.empty((0, 4), np.int64)
-        self.factors: Factors | None = None
-        """Factors of information that are near enough at all states; those of each if None."""
         self.resensed: Reals | float = 0.0
         """What is added to each residual, so that rows measure something else [R], shape (E,)."""
         size = (rows.robots, 3)

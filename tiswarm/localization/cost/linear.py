@@ -25,7 +25,7 @@ _BLOCK = 1024
 _MOST_DRAWN = 2_000_000
 """Errors that are drawn at once, 16 MB; several arrays are that large."""
 
-_DENSE = 0.5
+_DENSE = 0.4
 """Pairs of unknowns that rows relate, those of two rows twice, relative to all pairs [1], from
 which on information is dense: elimination would fill most of a sparse matrix."""
 

@@ -153,6 +153,9 @@ class RefineSettings:
     rounds: int = 4
     """Linear problems solved at most [1], each at where the last one led."""
 
+    warm_rounds: int = 2
+    """Linear problems solved before, where ways of stances are longer than `linear_sd` [1]."""
+
     prior_sd: float = 1.2
     """Width of the prior that bounds steps and variances of positions [chain sd]; multiplied by
     sqrt(N), since all robots may share an error and move together."""

@@ -21,9 +21,9 @@ import numpy as np
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.annealer import Annealed
-from tiswarm.localization.chains.problem import Problem
+from tiswarm.localization.chains.problem import Problem, walk_sd
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
-from tiswarm.localization.cost.cost import SETTLED, grouped, moments
+from tiswarm.localization.cost.cost import SETTLED, WholeCost, grouped, moments
 from tiswarm.localization.cost.linear import DRAWS, FEW_DRAWS
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, descended, ends_of, ranked
@@ -472,17 +472,27 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
     used = inlier.copy()
     used[problem.rows.touch] &= _agreed(problem.rows, annealed, members)
     rows = problem.rows.select(used).associated(position, yaw)
-    cost = ends.fit.cost(
-        rows,
-        links=problem.connections,
-        # A bias that is not solved for is in all stances of a robot.
-        are_independent=problem.rows.odometry.bias > 0.0 or not ends.fit.is_refined,
-        further_variance=(MIXTURE.tepid * annealed.sigma) ** 2,
-    )
+
+    def missed_by(sd: float) -> WholeCost:
+        return ends.fit.cost(
+            rows,
+            links=problem.connections,
+            # A bias that is not solved for is in all stances of a robot.
+            are_independent=problem.rows.odometry.bias > 0.0 or not ends.fit.is_refined,
+            further_variance=sd**2,
+        )
+
     # Chains do not know the errors that chained orientations share.
     loose = np.hypot(sd, extent(position)) if problem.is_chained else sd
     prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * loose, REFINEMENT.least_prior)
-    state, linear = cost.held(prior).refine(cost.at(position, yaw), REFINEMENT.rounds)
+    cost = missed_by(MIXTURE.tepid * annealed.sigma)
+    state = cost.at(position, yaw)
+    # Contacts seen over a long way are not linear in its turns, which begin at zero: these come
+    # near first, where contacts may be missed by as much as is linear.
+    if ends.fit.is_refined and walk_sd(rows).max(initial=0.0) > REFINEMENT.linear_sd:
+        warm = missed_by(REFINEMENT.linear_sd).held(prior)
+        state, _ = warm.refine(state, REFINEMENT.warm_rounds)
+    state, linear = cost.held(prior).refine(state, REFINEMENT.rounds)
     free = None
     mean = state.position
     swept = np.zeros(sd.shape)
