@@ -383,7 +383,8 @@ def test_errors_are_of_located_robots():
     all_located = headline_table(table.assign(located_mean=1.0))
     some = headline_table(table.assign(located_mean=[0.5, 1.0]))
 
-    assert [*all_located.frame] == ["condition", "RMSE [R]", "disparity", "located [%]"]
+    assert [*all_located.frame] == ["condition", "RMSE [R]", "disparity"]
+    assert "All robots are located" in all_located.note
     assert [*some.frame] == ["condition", "RMSE of located [R]", "located [%]"]
     assert some.frame.to_numpy().tolist() == [["a", "1.50", "50 (9 to 91)"], ["b", "17", "100"]]
     assert "positions of others are guesses" in some.note

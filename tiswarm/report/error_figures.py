@@ -184,6 +184,8 @@ def draw_convergence(axes: "Axes", traces: "Mapping[str, _Trace]", names: list[s
     Of those named, the best and the worst have bands. Others are thin and gray, and have one entry
     in a legend.
     """
+    from matplotlib.ticker import MaxNLocator
+
     named = [name for name in traces if name in names]
     order = sorted(named, key=lambda name: float(traces[name][1][:, -1].mean()))
     banded = {*order[:1], *order[-1:]}
@@ -202,6 +204,8 @@ def draw_convergence(axes: "Axes", traces: "Mapping[str, _Trace]", names: list[s
     ends = [float(np.max(line.get_xdata())) for line in axes.lines]
     if max(ends, default=0.0) > _MANY_TIMES * min(ends, default=0.0) > 0.0:
         figure_style.set_log(axes, "x")
+    else:  # the number at the end would touch the 0 of the next panel
+        axes.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
 
 
 def _traces(cases: list[StoredCase]) -> tuple[Reals, Reals]:

@@ -219,20 +219,20 @@ def headline_table(
         notes.append(f"All series use {shared}.")
     notes.append("R: a dock's radius.")
     notes += [note for label, note in _NOTES.items() if label in columns]
+    if rows.get(LOCATED.mean, pd.Series(dtype=float)).eq(1.0).all() and LOCATED.mean in rows:
+        notes.append("All robots are located: measurements tie them to the anchor.")
     if {_LOCATED, "reached"} & {*columns}:
         notes.append(_WILSON)
     return _labeled(_names(rows), columns, "Accuracy", " ".join(notes))
 
 
 def _errors(rows: pd.DataFrame) -> dict[str, pd.Series]:
-    """Format the share of robots located, their RMSE, and disparity where all are located."""
-    share = {}
-    if LOCATED.mean in rows and rows[LOCATED.mean].notna().any():
-        least = rows.get(LOCATED.least, rows[LOCATED.mean]).astype(float)
-        share = {_LOCATED: _mean(rows, LOCATED, factor=100.0).mask(least >= 1.0, "100")}
-    if _has_guesses(rows):
-        return {_OF_LOCATED: _mean(rows, RMSE_LOCATED), **share}
-    return {**_means(rows, "accuracy"), **share}
+    """Format RMSE and disparity; where not all robots are located, the RMSE and share of these."""
+    if not _has_guesses(rows):
+        return _means(rows, "accuracy")
+    least = rows.get(LOCATED.least, rows[LOCATED.mean]).astype(float)
+    share = _mean(rows, LOCATED, factor=100.0).mask(least >= 1.0, "100")
+    return {_OF_LOCATED: _mean(rows, RMSE_LOCATED), _LOCATED: share}
 
 
 _WILSON = "Shares have Wilson's 95 % CI in parentheses."
