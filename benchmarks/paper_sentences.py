@@ -89,7 +89,7 @@ def _grows(kind: str, condition: str, before: str, measure: str = "rmse_R") -> J
             facts.growth(kind, condition, before, measure),
             facts.p(kind, condition, measure),
         )
-        return Finding(f"{100 * growth:+.0f} % (p {small_p(p)})", growth > 0.0 and p < CHANCE)
+        return Finding(f"{_percents([growth])} (p {small_p(p)})", growth > 0.0 and p < CHANCE)
 
     return judge
 
@@ -164,7 +164,8 @@ def _weaker_in_cantilevers(facts: Facts) -> Finding:
 
 
 def _percents(growth: Sequence[float]) -> str:
-    return ", ".join(f"{100 * value:+.0f}" for value in growth) + " %"
+    rounded = [round(100.0 * value) for value in growth]  # -0.4 is no -0
+    return ", ".join(f"{change:+d}" if change else "0" for change in rounded) + " %"
 
 
 def _both_need_z(facts: Facts) -> Finding:

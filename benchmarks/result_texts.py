@@ -30,19 +30,29 @@ class Results:
 
     def __init__(self, table: pd.DataFrame) -> None:
         """Index the rows of `read_results`."""
-        self._rows: dict[tuple[str, ...], list[Result]] = {}
+        self._rows: dict[tuple[str, ...], dict[str, Result]] = {}
         for row in table.itertuples():
             key = (row.scenario, row.condition, row.point, row.measure, row.kind)
             result = Result(row.value, (row.high - row.low) / 2.0, row.structures)
-            self._rows.setdefault(key, []).append(result)
+            self._rows.setdefault(key, {})[getattr(row, "seeds", "")] = result
 
-    def of(self, scenario: str, condition: str, point: str, measure: str, kind: str) -> Result:
-        """Return the one result of these columns.
+    def of(
+        self,
+        scenario: str,
+        condition: str,
+        point: str,
+        measure: str,
+        kind: str,
+        *,
+        seeds: str = "",
+    ) -> Result:
+        """Return the one result of these columns, of any seeds if none are named.
 
         Raises:
             InputError: the file has no such result, or several of different structures.
         """
-        results = self._rows.get((scenario, condition, point, measure, kind), [])
+        rows = self._rows.get((scenario, condition, point, measure, kind), {})
+        results = [result for of, result in rows.items() if seeds in ("", of)]
         if len(results) != 1:
             problem = (
                 f"{len(results)} results of {scenario}, {condition}, {point}, {measure}, {kind}"
