@@ -154,7 +154,11 @@ class RefineSettings:
     """Linear problems solved at most [1], each at where the last one led."""
 
     warm_rounds: int = 2
-    """Linear problems solved before, where ways of stances are longer than `linear_sd` [1]."""
+    """Linear problems solved before, where ways of stances are long [1]."""
+
+    long_walk_sd: float = 0.6
+    """Sd of the way from a stance to the final center from which on it is long [R], some 50 flips
+    at 1 deg of tilt and 2 deg of yaw."""
 
     prior_sd: float = 1.2
     """Width of the prior that bounds steps and variances of positions [chain sd]; multiplied by

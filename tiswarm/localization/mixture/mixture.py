@@ -486,13 +486,16 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
     loose = np.hypot(sd, extent(position)) if problem.is_chained else sd
     prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * loose, REFINEMENT.least_prior)
     cost = missed_by(MIXTURE.tepid * annealed.sigma)
-    state = cost.at(position, yaw)
-    # Contacts seen over a long way are not linear in its turns, which begin at zero: these come
-    # near first, where contacts may be missed by as much as is linear.
-    if ends.fit.is_refined and walk_sd(rows).max(initial=0.0) > REFINEMENT.linear_sd:
+    start = cost.at(position, yaw)
+    state, linear = cost.held(prior).refine(start, REFINEMENT.rounds)
+    # Contacts seen over a long way are not linear in its turns, which begin at zero. So another
+    # search comes near first, where contacts may be missed by as much as is linear.
+    if ends.fit.is_refined and walk_sd(rows).max(initial=0.0) > REFINEMENT.long_walk_sd:
         warm = missed_by(REFINEMENT.linear_sd).held(prior)
-        state, _ = warm.refine(state, REFINEMENT.warm_rounds)
-    state, linear = cost.held(prior).refine(state, REFINEMENT.rounds)
+        nearer, _ = warm.refine(start, REFINEMENT.warm_rounds)
+        warm_state, warm_linear = cost.held(prior).refine(nearer, REFINEMENT.rounds)
+        if warm_linear.cost < linear.cost:
+            state, linear = warm_state, warm_linear
     free = None
     mean = state.position
     swept = np.zeros(sd.shape)
