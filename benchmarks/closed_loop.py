@@ -24,9 +24,9 @@ from tiswarm.base.version import __version__
 from tiswarm.compute import backend, numerics
 from tiswarm.compute.machine import machine
 from tiswarm.evaluation.tables import totals
+from tiswarm.records.run_folder import cell_of
 from tiswarm.scenario.expansion import Variant, load_scenario, variants
 from tiswarm.study.navigation import navigate
-from tiswarm.study.store import cell_of
 from tiswarm.world.growth import grow
 
 SCENARIO = Path("scenarios/closed-loop.yaml")
@@ -95,7 +95,10 @@ def run(folder: Path, wanted: Sequence[Variant], seeds: Sequence[int] | None, wo
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "summary.csv"
     table = pd.read_csv(file) if file.exists() else pd.DataFrame()
-    finished = [(row.condition, row.point, row.seed) for row in table.itertuples()]
+    finished = [
+        (str(row["condition"]), str(row["point"]), int(row["seed"]))
+        for row in table.to_dict("records")
+    ]
     backend.choose(threads=1)
     backend.processor()
     manifest = {

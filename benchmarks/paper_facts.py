@@ -7,7 +7,7 @@ means of measures, and `benchmarks/paper_sentences.py` sets them beside the sent
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -94,7 +94,8 @@ def near_docks(place: Reals, wxyz: Reals, robot: RobotGeometry) -> float:
 
 def thirds(height: Reals) -> Ints:
     """Return in which third of the greatest height each robot is, 0 to 2; shape (N,) as heights."""
-    return np.clip(np.floor(3.0 * height / height.max()).astype(np.int64), 0, 2)
+    third: Ints = np.clip(np.floor(3.0 * height / height.max()).astype(np.int64), 0, 2)
+    return third
 
 
 def narrows(height: Reals) -> bool:
@@ -208,7 +209,7 @@ def of_groups(run: Path, cases: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["condition", "point", "measure", "value", "unit"])
 
 
-def _quartile(group: pd.DataFrame, share: float, side: str) -> float:
+def _quartile(group: pd.DataFrame, share: float, side: Literal["lower", "higher"]) -> float:
     """Return a quartile of the first robot on the anchor; infinite if too few ever touch it."""
     first = group["first_on_anchor"].fillna(np.inf).to_numpy(float)
     return float(np.quantile(first, share, method=side))
