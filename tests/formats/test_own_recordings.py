@@ -224,6 +224,18 @@ def test_a_mistake_is_named_with_its_line(name, log, tmp_path):
         bring_in(path, **stated)
 
 
+@pytest.mark.parametrize("option", [{"heights": True}, {"up": "y"}, {"gap": 0.1}], ids=str)
+def test_options_of_poses_are_refused(option, log, tmp_path):
+    """They would have no effect, since the recording has no poses."""
+    path = recorded(log, tmp_path)
+    [name] = option
+
+    with pytest.raises(InputError, match=r"needs poses.*leave it out") as error:
+        bring_in(path, **option)
+
+    assert error.value.argument == name
+
+
 def test_docks_that_count_from_an_unknown_number_are_refused(log, tmp_path):
     """Docks 1 and 2 of three may be those of either count; --first-dock states it."""
     path = recorded(log, tmp_path)

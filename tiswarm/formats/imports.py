@@ -154,8 +154,21 @@ def _import_ranges(path: Path, assumed: Assumptions, radius: float | None) -> Im
     return Imported(log, np.full((log.robot_count, 3), np.nan), notes, warnings)
 
 
+_OF_RECORDINGS = frozenset(
+    {
+        *("orientations", "ground", "columns", "anchors", "dock_offset_body", "dock_radius"),
+        *("first_dock", "ground_z", "length_unit", "tilt_deg", "yaw_deg"),
+    }
+)
+"""Assumptions that matter where robots recorded contacts and orientations themselves."""
+
+
 def _import_recording(path: Path, assumed: Assumptions) -> Imported:
     """Turn what robots recorded themselves into a log; their places are unknown."""
+    for stated in fields(assumed):
+        if stated.name not in _OF_RECORDINGS and getattr(assumed, stated.name) != stated.default:
+            problem = "needs poses, which a recording with --orientations lacks; leave it out"
+            raise InputError(problem, argument=stated.name)
     log, notes = read_recording(path, assumed)
     log = replace(log, noise=_noise(assumed))
     with at_line(path, 1):
