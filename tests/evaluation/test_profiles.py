@@ -123,7 +123,7 @@ def test_tiny_structures_are_scored(towers, robots):
     unknown = {name for name, value in scores.items() if np.isnan(value)}
     alone = {
         "contacts_per_robot", "rmse_per_contact_R", "procrustes_disparity", "within_dock",
-        "contacts_within_dock",
+        "contacts_within_dock", "located", "rmse_located_R",
     }  # fmt: skip
     assert unknown == (alone if robots == 1 else set())
     assert scores["rmse_rigid_aligned_R"] == pytest.approx(0.0, abs=1e-9)

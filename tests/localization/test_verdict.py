@@ -304,7 +304,7 @@ def test_readings_that_scatter_more_than_stated_are_said_to():
     assert len(pair) == 39
     assert (found.consistent, found.converged) == (False, True)
     assert found.reason == "readings of one quantity scatter more than their stated noise"
-    assert found.sd_factor == 1.0
+    assert found.sd_factor == 3.0  # that of all estimates of least-squares that are not trusted
 
 
 def test_a_wrong_kind_is_named_though_all_others_hide_it():

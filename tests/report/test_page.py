@@ -514,7 +514,7 @@ def test_published_numbers_have_a_table_of_their_own():
             "condition": "a",
             "published RMSE [robot radii]": "1.64",
             "RMSE [R]": "2.00 ± 0.10",
-            "to the published, radius = rho": "0.81",
+            "to the published, radius = rho": "0.810",
             "radius = R": "1.22",
         }
     ]

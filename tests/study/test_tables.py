@@ -160,6 +160,9 @@ def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
     for run in ("a", "b"):
         (tmp_path / run).mkdir()
         (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,,2,2,\n")
+        columns = "case,seed,series,condition,point,kind,status,reason,rmse_R"
+        case = f"0-a,0,{name},{name},,tower,done,,2"
+        (tmp_path / run / "summary.csv").write_text(f"{columns}\n{case}\n")
 
     rows = read_frame(tmp_path / "a" / "table.csv", ["condition"], ["cases"], numbers_after="cases")
     lines = console_text(headline_table(rows)).splitlines()

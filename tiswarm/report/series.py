@@ -78,7 +78,7 @@ def measured_words(names: str) -> str:
     """Write cues, as tables list them, in words.
 
     >>> measured_words("contacts, height, walk_contacts")
-    'final contacts, heights and walk contacts'
+    'final contacts, walk contacts and heights'
     """
     return _listed(split_cues(names))
 

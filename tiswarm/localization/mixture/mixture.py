@@ -23,8 +23,8 @@ from tiswarm.compute.chi_square import chi_square_sd
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem, walk_sd
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
-from tiswarm.localization.cost.cost import SETTLED, WholeCost, grouped, moments
-from tiswarm.localization.cost.linear import DRAWS, FEW_DRAWS
+from tiswarm.localization.cost.cost import SETTLED, State, WholeCost, grouped, moments
+from tiswarm.localization.cost.linear import DRAWS, FEW_DRAWS, Linear
 from tiswarm.localization.mixture import CONVERGENCE, MIXTURE, REFINEMENT, SD_CALIBRATION
 from tiswarm.localization.mixture.ends import Ends, Fit, aligned, descended, ends_of, ranked
 from tiswarm.localization.mixture.frames import PartImages
@@ -472,30 +472,10 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
     used = inlier.copy()
     used[problem.rows.touch] &= _agreed(problem.rows, annealed, members)
     rows = problem.rows.select(used).associated(position, yaw)
-
-    def missed_by(sd: float) -> WholeCost:
-        return ends.fit.cost(
-            rows,
-            links=problem.connections,
-            # A bias that is not solved for is in all stances of a robot.
-            are_independent=problem.rows.odometry.bias > 0.0 or not ends.fit.is_refined,
-            further_variance=sd**2,
-        )
-
     # Chains do not know the errors that chained orientations share.
     loose = np.hypot(sd, extent(position)) if problem.is_chained else sd
     prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * loose, REFINEMENT.least_prior)
-    cost = missed_by(MIXTURE.tepid * annealed.sigma)
-    start = cost.at(position, yaw)
-    state, linear = cost.held(prior).refine(start, REFINEMENT.rounds)
-    # Contacts seen over a long way are not linear in its turns, which begin at zero. So another
-    # search comes near first, where contacts may be missed by as much as is linear.
-    if ends.fit.is_refined and walk_sd(rows).max(initial=0.0) > REFINEMENT.long_walk_sd:
-        warm = missed_by(REFINEMENT.linear_sd).held(prior)
-        nearer, _ = warm.refine(start, REFINEMENT.warm_rounds)
-        warm_state, warm_linear = cost.held(prior).refine(nearer, REFINEMENT.rounds)
-        if warm_linear.cost < linear.cost:
-            state, linear = warm_state, warm_linear
+    cost, state, linear = _refined(ends, rows, (position, yaw), prior)
     free = None
     mean = state.position
     swept = np.zeros(sd.shape)
@@ -525,6 +505,45 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         chains=int(members.sum()),
         inlier_fit=InlierFit(used, cost, state, linear) if ends.fit.is_refined else None,
     )
+
+
+def _refined(
+    ends: Ends, rows: Measurements, start: tuple[Reals, Reals], prior: Reals
+) -> tuple[WholeCost, State, Linear]:
+    """Go to the minimum of the cost from positions [R] and yaws [rad], by Gauss-Newton steps.
+
+    Args:
+        ends: Minima that chains lead to.
+        rows: Measurements that count.
+        start: Positions and yaws, shapes (N, 3) and (N,).
+        prior: Width of the prior of each position [R], shape (N,).
+
+    Returns:
+        The cost, the minimum and the linear problem there.
+    """
+    problem = ends.fit.problem
+
+    def missed_by(sd: float) -> WholeCost:
+        return ends.fit.cost(
+            rows,
+            links=problem.connections,
+            # A bias that is not solved for is in all stances of a robot.
+            are_independent=problem.rows.odometry.bias > 0.0 or not ends.fit.is_refined,
+            further_variance=sd**2,
+        )
+
+    cost = missed_by(MIXTURE.tepid * ends.fit.annealed.sigma)
+    first = cost.at(*start)
+    state, linear = cost.held(prior).refine(first, REFINEMENT.rounds)
+    # Contacts seen over a long way are not linear in its turns, which begin at zero. So another
+    # search comes near first, where contacts may be missed by as much as is linear.
+    if ends.fit.is_refined and walk_sd(rows).max(initial=0.0) > REFINEMENT.long_walk_sd:
+        warm = missed_by(REFINEMENT.linear_sd).held(prior)
+        nearer, _ = warm.refine(first, REFINEMENT.warm_rounds)
+        warm_state, warm_linear = cost.held(prior).refine(nearer, REFINEMENT.rounds)
+        if warm_linear.cost < linear.cost:
+            state, linear = warm_state, warm_linear
+    return cost, state, linear
 
 
 def _agreed(rows: Measurements, annealed: Annealed, members: Bools) -> Bools:
