@@ -75,6 +75,14 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
         "sensor-sweep": ["robots=8", *briefly],
         "failures": ["robots=8", *briefly],
         "table-1": ["robots=8", *briefly],
+        "large-structures": [
+            "sweep={structure: [{kind: tower}, {kind: cantilever}, {kind: bridge}]}",
+            "robots=8",
+        ],
+        "patience": [
+            "sweep={structure: [{kind: bridge}, {kind: tower}], structure.climb.patience: [3, 16]}",
+            "robots=8",
+        ],
         "yaw": ["robots=8", "sweep={sensing.yaw_bias_deg: [0, 5]}"],
     }.get(scenario.stem, ["robots=8"])
     small = load_scenario(scenario, [*sizes, "seeds=1"])
