@@ -151,3 +151,16 @@ def test_robots_that_no_range_ties_have_a_start_too():
         assert np.isfinite(image).all()
         size = np.linalg.norm(image[:6] - image[0], axis=1).max()
         assert np.linalg.norm(image[6:] - image[0], axis=1).min() > 0.3 * size
+
+
+def test_ranges_below_what_they_share_are_ways_of_no_length(recwarn):
+    """A range less the shift of all ranges may be negative; no way is shorter than none."""
+    log, _ = foreign.without_beacons(9, 1, sd=0.0)
+    ranges = log.ranges.copy()
+    ranges[:3, 2] *= -1.0
+
+    images = starts_of(replace(log, ranges=ranges))
+
+    assert len(images) == 2
+    assert np.isfinite(images).all()
+    assert [str(warning.message) for warning in recwarn] == []

@@ -221,7 +221,7 @@ def reach(pair: Ints, longest: Reals, part: NDArray[np.int32], start: Ints | Non
     order = np.argsort(longest, kind="stable")
     low, high = np.sort(pair[order], axis=1).T
     ends, shortest = np.unique(low * len(part) + high, return_index=True)
-    edges = (longest[order][shortest], np.divmod(ends, len(part)))
+    edges = (np.maximum(longest[order][shortest], 0.0), np.divmod(ends, len(part)))
     graph = coo_array(edges, shape=(len(part), len(part)))
     if start is None:
         start = np.unique(part, return_index=True)[1]

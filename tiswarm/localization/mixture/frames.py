@@ -56,7 +56,7 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
         np.where(
             rows.is_contact[problem.link],
             np.hypot(np.linalg.norm(problem.shift, axis=1), SPACING),
-            problem.length,
+            np.maximum(problem.length, 0.0),  # a range less what all ranges share may be negative
         ),
     )
     # Sparse matrices add up entries at the same place: keep the shortest of each pair.
