@@ -19,7 +19,7 @@ from tiswarm.formats.motion import Rests
 from tiswarm.formats.poses import Assumptions, Poses
 
 
-class Shift(NamedTuple):
+class ClockShift(NamedTuple):
     """A robot whose clock contradicts those of others."""
 
     robot: int
@@ -36,7 +36,7 @@ class _Late(NamedTuple):
     late: Reals  # time from the beginning of the flip to the arrival, (n,)
 
 
-def shifted_clocks(rests: Rests, poses: Poses, assumed: Assumptions) -> list[Shift]:
+def shifted_clocks(rests: Rests, poses: Poses, assumed: Assumptions) -> list[ClockShift]:
     """Name the robots whose clocks are ahead or behind, by what their flips and others' say.
 
     Where a join order is given, times of different robots are not compared, so there are none.
@@ -59,7 +59,7 @@ def shifted_clocks(rests: Rests, poses: Poses, assumed: Assumptions) -> list[Shi
         states = (late.holder if is_ahead else late.mover) == robot
         least = float(late.late[states].max())
         others = np.unique((late.mover if is_ahead else late.holder)[states])
-        shifts.append(Shift(robot, others, least if is_ahead else -least, int(states.sum())))
+        shifts.append(ClockShift(robot, others, least if is_ahead else -least, int(states.sum())))
         late = _Late(*(column[~states] for column in late))
     return shifts
 

@@ -22,7 +22,7 @@ from tiswarm.base.errors import InputError, require_name
 from tiswarm.base.registry import BUILT_IN, get, registered
 from tiswarm.base.robot import FIREANT_RHO, TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
-from tiswarm.formats.clocks import Shift, shifted_clocks
+from tiswarm.formats.clocks import ClockShift, shifted_clocks
 from tiswarm.formats.columns import EULER, refuse_other_files, turns_by
 from tiswarm.formats.geometry import DockGeometry, fit_ground, fit_scale, standing_docks
 from tiswarm.formats.motion import (
@@ -262,7 +262,7 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     )
     stances = None
     early = 0
-    shifts: Sequence[Shift] = ()
+    shifts: Sequence[ClockShift] = ()
     if rests is not None:
         stances, early = stances_of(rests, poses, order, assumed, moving)
         shifts = shifted_clocks(rests, poses, moving)
@@ -552,7 +552,7 @@ _MOST_SHIFTS = 3
 """Robots whose clocks a warning names."""
 
 
-def _contradicted(poses: Poses, shifts: Sequence[Shift], early: int) -> Iterator[str]:
+def _contradicted(poses: Poses, shifts: Sequence[ClockShift], early: int) -> Iterator[str]:
     """Warn of clocks that contradict one another, and of the contacts that they cost."""
     problems = []
     if early:
