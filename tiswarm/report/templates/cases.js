@@ -269,8 +269,6 @@ document.querySelector("tbody").addEventListener("click", ({ target }) => {
   draw();
 });
 
-// Text that spreadsheets would compute gets an apostrophe, as `csv_text` writes it.
-const notComputed = (text) => (/^[=+\-@\t\r]/.test(text) && Number.isNaN(Number(text)) ? `'${text}` : text);
 element("csv").addEventListener("click", ({ target }) => {
   const quoted = (text) => `"${notComputed(text).replaceAll('"', '""')}"`;
   const shown = shownColumns();

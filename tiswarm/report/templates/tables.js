@@ -9,9 +9,6 @@ function keyOf({ className, textContent: text }) {
 // The rows of a part of a table, without the point of the sweep that heads them.
 const rowsOf = ({ rows }) => [...rows].filter(({ className }) => className !== "point");
 
-// Text that spreadsheets would compute gets an apostrophe, as `csv_text` writes it.
-const notComputed = (text) => (/^[=+\-@\t\r]/.test(text) && Number.isNaN(Number(text)) ? `'${text}` : text);
-
 // The text of a cell in a CSV; numbers with their spread stay as they are.
 const writtenOf = ({ className, tagName, textContent: text }) => (className === "text" || tagName === "TH" ? notComputed(text) : text);
 
