@@ -197,6 +197,7 @@ ABOVE_CROWD = Measure(
     "1",
     _STRUCTURE,
     "share of the robots more than 20 R above flat ground; empty elsewhere",
+    is_share=True,
 )
 CROSSED = Measure(
     "crossed",
