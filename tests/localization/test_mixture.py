@@ -1,5 +1,6 @@
 """Solutions, their weights, and two verdicts: from the ends of chains to one estimate."""
 
+import tracemalloc
 from dataclasses import replace
 from itertools import permutations
 
@@ -580,3 +581,31 @@ def test_hinges_make_no_robot_less_sure_that_nothing_ties():
     assert known.untied[1:].all()
     square = (SD_CALIBRATION.chains * own + guess) * log.dock_radius**2
     np.testing.assert_allclose(mixture.sd[1:] ** 2, square[1:], rtol=1e-9)
+
+
+def test_a_long_trace_takes_little_more_memory_than_its_configurations(tall_towers):
+    """Residuals of all of them at once set the peak of swarms of 10,000 robots."""
+    log = observe(tall_towers[0], NOISY)
+    known = pose_problem(log, AS_ENDED)
+    place = tall_towers[0].position[None]
+    peaks = []
+    for length in (4, 404):
+        chains = replace(
+            chains_at(place),
+            iteration=np.arange(length),
+            trace=place.repeat(length, axis=0),
+            yaw_trace=np.zeros((length, log.robot_count)),
+        )
+        fit = Fit(log, AS_ENDED, known, chains, np.zeros(1, np.bool_))
+        tracemalloc.start()
+        estimate = mixed(fit)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+
+        at_end = known.residual(estimate.trace[-1:] / log.dock_radius, np.zeros((1, 30)))
+        assert len(estimate.residual) == length
+        assert estimate.residual[-1] == pytest.approx(
+            log.dock_radius * np.sqrt((at_end**2).mean()), rel=1e-9
+        )
+
+    assert peaks[1] - peaks[0] < 6 * 400 * place.nbytes

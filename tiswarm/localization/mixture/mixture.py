@@ -81,7 +81,8 @@ class Minimum(NamedTuple):
     """Part of the chi-square that each measurement carries [1], shape (E,)."""
 
     log_volume: float
-    """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost."""
+    """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost; 0 of
+    an estimate that is not refined, which has one minimum."""
 
     chains: int
     """Chains that lead to it."""
@@ -285,12 +286,16 @@ def _traced(fit: Fit, position: Reals, yaw: Reals) -> Mapping[str, Any]:
     width = np.sqrt(problem.variance + annealed.sigma**2)
     trace = place_disconnected(annealed.trace[:-1], problem)[0]
     trace = np.concatenate([trace, position[None]])
-    gap = problem.residual(trace, np.concatenate([annealed.yaw_trace[:-1], yaw[None]]))
+    yaws = np.concatenate([annealed.yaw_trace[:-1], yaw[None]])
+    # One configuration after the other: residuals of all at once take much memory.
+    gaps = (problem.residual(*state) for state in zip(trace[:, None], yaws[:, None], strict=True))
+    residual = np.concatenate([rms(gap) for gap in gaps])
+    last = problem.residual(position[None], yaw[None])
     return {
         "iteration": annealed.iteration,
         "trace": trace * unit,
-        "residual": rms(gap) * unit,
-        "residual_sd": float(rms(gap[-1:] / width)[0]),
+        "residual": residual * unit,
+        "residual_sd": float(rms(last / width)[0]),
     }
 
 
@@ -482,6 +487,8 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
     if ends.turns:
         free = ends.turns.motions(mean)
         (mean, swept) = ends.turns.swept(mean)
+    # The factors with which motions are counted, and those of draws, are not held at once.
+    freedom = linear.freedom()
     draws = DRAWS if ends.fit.is_refined else FEW_DRAWS
     linear_sd = REFINEMENT.sd_scale * np.sqrt(linear.variance(free, draws))
     is_biased = 0.0 < problem.yaw_precision < REFINEMENT.most_yaw_bias**-2
@@ -499,9 +506,9 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         aside=((state.position - mean) ** 2).sum(axis=1),
         cost=linear.cost,
         chi_square=linear.chi_square,
-        freedom=linear.freedom(),
+        freedom=freedom,
         square=square,
-        log_volume=linear.log_volume,
+        log_volume=linear.log_volume if ends.fit.is_refined else 0.0,
         chains=int(members.sum()),
         inlier_fit=InlierFit(used, cost, state, linear) if ends.fit.is_refined else None,
     )
