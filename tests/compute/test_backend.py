@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+import traceback
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +43,16 @@ def test_an_array_frees_nothing_after_its_program_has_ended(monkeypatch):
     arrays.pop()
 
     assert freed == [(8,)]
+
+
+def test_an_array_keeps_no_traceback_of_where_it_was_reserved(monkeypatch):
+    """To format one takes longer than to reserve the array; nothing shows it."""
+    allocator = Allocator(backend.start(threads=1), on_host=False)
+    monkeypatch.setattr(traceback, "extract_stack", lambda: pytest.fail("looked at the stack"))
+
+    array = allocator.reals(3)
+
+    assert array.shape == (3,)
 
 
 def test_a_start_that_failed_is_not_taken_for_running():

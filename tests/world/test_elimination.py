@@ -29,7 +29,7 @@ FORCES = ("sensed", "contact_stress", "ground_stress", "ground_force")
 def _solve_one(
     pairs: Ints2, coupling: Blocks, own: Blocks, has_room_out: Ints1,
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
-    panel_out: Blocks, motion_out: Sixes,
+    panel_out: Sixes, motion_out: Sixes,
 ):  # fmt: skip
     work = ti.static(EliminationArrays(
         node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
@@ -69,7 +69,7 @@ def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
         half=np.empty((1, 2 * blocks, HalfEdge.TOTAL), np.int32),
         block_count=np.zeros(1, np.int32),
         block=np.empty((1, blocks, SIDE, SIDE)),
-        panel=np.empty((1, nodes, SIDE, SIDE)),
+        panel=np.empty((1, SIDE * nodes, SIDE)),
         motion=load[None].copy(),
     )
     has_room = np.zeros(1, np.int32)

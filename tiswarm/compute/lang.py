@@ -112,11 +112,20 @@ def load_library() -> tuple[str, Any]:
 LIBRARY, ti = load_library()
 
 
+_places: dict[tuple[str, int, str], str] = {}
+"""Names of places in kernels, by file, line and source: each has many nodes, in many calls."""
+
+
 def _place(context: Any, node: Any) -> str:  # noqa: ANN401 - of the library
     """Name the place of a statement; carets below all of it are a quarter of a kernel's load."""
     line = node.lineno + context.lineno_offset
-    source = context.src[node.lineno - 1].strip()
-    return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n{source}\n^\n'
+    key = context.file, line, context.src[node.lineno - 1]
+    place = _places.get(key)
+    if place is None:
+        name = context.func.func.__name__
+        place = f'File "{context.file}", line {line}, in {name}:\n{key[2].strip()}\n^\n'
+        _places[key] = place
+    return place
 
 
 def _is_in_class(level_of_class_stackframe: int) -> bool:
@@ -131,7 +140,11 @@ with suppress(AttributeError, ImportError):  # of another version of the library
     _kernels._inside_class = _is_in_class  # noqa: SLF001
     # What is called in a kernel is read again for each call.
     _kernels.getsourcelines = cache(_kernels.getsourcelines)
+    _kernels.getsourcefile = cache(_kernels.getsourcefile)
     _kernels.textwrap = SimpleNamespace(fill=cache(fill), dedent=cache(dedent))
+    # Each array would keep a formatted traceback of where it was reserved.
+    _arrays: Any = import_module(f"{LIBRARY}.lang._ndarray")
+    _arrays.get_traceback = str
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as kernel_struct

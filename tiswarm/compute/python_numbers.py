@@ -103,7 +103,8 @@ def install() -> None:
     _replace(transformer, "build_Assert", _refused_assert)
     _replace(_library("impl"), "subscript", _subscript)
     _replace(transformer, "build_Subscript", _read_entry)
-    _replace(_library("impl"), "ti_bool", _truth_of)
+    prefix = "ti" if hasattr(_library("impl"), "ti_bool") else "qd"  # in later forks
+    _replace(_library("impl"), f"{prefix}_bool", _truth_of)
     _replace(_library("impl"), "expr_init", _variable)
     for name, hook in _OPERATORS.items():
         before = getattr(_library("ops"), name)

@@ -100,8 +100,9 @@ class EliminationArrays(NamedTuple):
     block: Blocks
     """K_aa, then C; K_ab, a < b, then Z, shape (S, L, 6, 6)."""
 
-    panel: Blocks
-    """Scratch: Z of each node of a group for each neighbor, side by side, shape (S, M, 6, 6)."""
+    panel: Sixes
+    """Scratch: rows of Z of each node of a group, those for one neighbor in succession,
+    shape (S, 6 M, 6)."""
 
     motion: Sixes
     """f of each node; then u, shape (S, M, 6)."""
@@ -220,12 +221,18 @@ def _join_neighbors(work: Ref, s, k):
 
 
 @ti.func
-def _subtract(rest: Ref, z_a, z_b):
-    """Subtract Z_a' Z_b from a block, always in the same order."""
-    for i in ti.static(range(6)):
-        for c in ti.static(range(6)):
+def _subtract(rest: Ref, panel: Ref, s, first_a, first_b, rows):
+    """Subtract Z_a' Z_b from a block, always in the same order.
+
+    Z_a and Z_b have so many rows in the panel, from the places `first_a` and `first_b` on. A loop
+    over them starts sooner than lines for each row, and takes no longer.
+    """
+    for row in range(rows):
+        z_a = panel[s, first_a + row]
+        z_b = panel[s, first_b + row]
+        for i in ti.static(range(6)):
             for j in ti.static(range(6)):
-                rest[i, j] -= z_a[c, i] * z_b[c, j]
+                rest[i, j] -= z_a[i] * z_b[j]
 
 
 @ti.func
@@ -237,11 +244,10 @@ def _eliminate(work: Ref, s, k, before, width):
     block = ti.static(work.block)
     panel = ti.static(work.panel)
     motion = ti.static(work.motion)
-    pivot_place = width * work.node[s, k, Node.PLACE]
+    pivot_row = 6 * width * work.node[s, k, Node.PLACE]
     factor = block[s, k]
     y = motion[s, k]
-    for g in range(before):
-        _subtract(factor, panel[s, pivot_place + g], panel[s, pivot_place + g])
+    _subtract(factor, panel, s, pivot_row, pivot_row, 6 * before)
     # C C' = K_kk: C_ij = (K_ij - sum_c C_ic C_jc) / C_jj, or the square root of that for i = j
     for i in ti.static(range(6)):
         for j in ti.static(range(i + 1)):
@@ -261,13 +267,12 @@ def _eliminate(work: Ref, s, k, before, width):
     while half >= 0:
         a = work.half[s, half, HalfEdge.TARGET]
         edge = half // 2
-        place = width * work.node[s, a, Node.PLACE]
+        row = 6 * width * work.node[s, a, Node.PLACE]
         z = block[s, edge]
         pull = motion[s, a]
         if a < k:  # the block is that of the lower number, K_ak = K_ka'
             z = z.transpose()
-        for g in range(before):
-            _subtract(z, panel[s, pivot_place + g], panel[s, place + g])
+        _subtract(z, panel, s, pivot_row, row, 6 * before)
         # Z_a = C^-1 K_ka, row by row, and f_a -= Z_a' y
         for i in ti.static(range(6)):
             for j in ti.static(range(6)):
@@ -276,7 +281,8 @@ def _eliminate(work: Ref, s, k, before, width):
                 z[i, j] /= factor[i, i]
                 pull[j] -= z[i, j] * y[i]
         block[s, edge] = z
-        panel[s, place + before] = z
+        for i in ti.static(range(6)):
+            panel[s, row + 6 * before + i] = ti.Vector([z[i, j] for j in range(6)])
         motion[s, a] = pull
         half = work.half[s, half, HalfEdge.NEXT]
 
@@ -287,7 +293,7 @@ def _eliminate_group(work: Ref, s, k, step, near):
 
     All have the same neighbors left, so that what they take from a block is subtracted at once.
     """
-    width = ti.min(GROUP, work.panel.shape[1] // ti.max(near, 1))
+    width = ti.min(GROUP, work.panel.shape[1] // (6 * ti.max(near, 1)))
     count = 0
     neighbors = 0
     while k >= 0:
@@ -309,16 +315,15 @@ def _eliminate_group(work: Ref, s, k, step, near):
     for n in range(neighbors):
         a = work.order[s, n, NodeList.NEAR]
         _mark_neighbors(work, s, a)
-        place_a = width * work.node[s, a, Node.PLACE]
+        row_a = 6 * width * work.node[s, a, Node.PLACE]
         # K_ab -= sum over the group of Z_a' Z_b
         for m in range(neighbors):
             b = work.order[s, m, NodeList.NEAR]
             if a <= b:
                 target = a if a == b else work.node[s, b, Node.MARK] // 2
-                place_b = width * work.node[s, b, Node.PLACE]
+                row_b = 6 * width * work.node[s, b, Node.PLACE]
                 rest = work.block[s, target]
-                for g in range(count):
-                    _subtract(rest, work.panel[s, place_a + g], work.panel[s, place_b + g])
+                _subtract(rest, work.panel, s, row_a, row_b, 6 * count)
                 work.block[s, target] = rest
         work.node[s, a, Node.DEGREE] -= count - 1
         _enter(work, s, a)
@@ -490,14 +495,16 @@ def _assemble(frame: Ref, work: Ref, s):
     for beam in range(frame.beam_count[s]):
         a = frame.ends[s, beam, BeamEnds.NODE_A]
         b = frame.ends[s, beam, BeamEnds.NODE_B]
-        work.block[s, a] += frame.stiffness[s, 4 * beam]
+        edge = -1
         if b >= 0:
             edge = edge_between(work, s, a, b)
-            work.block[s, b] += frame.stiffness[s, 4 * beam + 3]
-            if edge >= 0:
-                # The block has the rows of the lower node.
-                work.block[s, edge] += frame.stiffness[s, 4 * beam + (1 if a < b else 2)]
-        else:
+        # The block of an edge has the rows of the lower node.
+        block = ti.Vector([a, b, edge])
+        part = ti.Vector([0, 3, 1 if a < b else 2])
+        for n in range(3):
+            if block[n] >= 0:
+                work.block[s, block[n]] += frame.stiffness[s, 4 * beam + part[n]]
+        if b < 0:
             slip = vector_in(frame.slip, s, frame.ends[s, beam, BeamEnds.DOCK_A])
             for i in ti.static(range(6)):
                 for c in ti.static(range(3)):
@@ -512,6 +519,26 @@ def _split(vector, axis):
 
 
 @ti.func
+def _end_load(frame: Ref, motion: Ref, s, beam, end):
+    """Find force and moment on an end of a beam: K times how both ends, or the ground, move."""
+    load = ti.Vector.zero(F64, 6)
+    for moving in range(2):
+        node = frame.ends[s, beam, BeamEnds.NODE_A + moving]
+        part = 4 * beam + 2 * end + moving
+        moved = ti.Vector.zero(F64, 6)
+        if node >= 0:
+            moved = motion[s, node]
+        else:
+            slip = vector_in(frame.slip, s, frame.ends[s, beam, BeamEnds.DOCK_A])
+            for c in ti.static(range(3)):
+                moved[c] = slip[c]
+        for i in ti.static(range(6)):
+            for j in ti.static(range(6)):
+                load[i] += moved[j] * frame.stiffness[s, part][i, j]
+    return load
+
+
+@ti.func
 def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radius):
     """Find the forces that a contact puts on its docks, and its largest stress.
 
@@ -519,34 +546,21 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
     and bending and tau from shear and torsion. The section is halfway between two docks, and at
     the ground.
     """
-    a = frame.ends[s, beam, BeamEnds.NODE_A]
-    b = frame.ends[s, beam, BeamEnds.NODE_B]
-    both = ti.Vector.zero(F64, 12)
-    for end in ti.static(range(2)):
-        if end == 0 or b >= 0:
-            moved = motion[s, b if end else a]
-            place = 4 * beam + end
-            for i in ti.static(range(12)):
-                for j in ti.static(range(6)):
-                    both[i] += moved[j] * frame.stiffness[s, place + 2 * (i // 6)][i % 6, j]
-    if b < 0:
-        slip = vector_in(frame.slip, s, frame.ends[s, beam, BeamEnds.DOCK_A])
-        for i in ti.static(range(12)):
-            for c in ti.static(range(3)):
-                both[i] += slip[c] * frame.stiffness[s, 4 * beam + 1 + 2 * (i // 6)][i % 6, c]
     span = vector_in(frame.span, s, beam)
-    for end in ti.static(range(2)):
+    is_foot = frame.ends[s, beam, BeamEnds.NODE_B] < 0
+    for end in range(2):
         dock = frame.ends[s, beam, BeamEnds.DOCK_A + end]
         if dock >= 0:
-            force = ti.Vector([both[6 * end + c] for c in range(3)])
-            moment = ti.Vector([both[6 * end + 3 + c] for c in range(3)])
+            load = _end_load(frame, motion, s, beam, end)
+            force = ti.Vector([load[c] for c in range(3)])
+            moment = ti.Vector([load[3 + c] for c in range(3)])
             if is_rigid:
                 moment -= vector_in(frame.arm, s, dock).cross(force)
             for c in ti.static(range(3)):
                 loads.acting[s, dock][c] -= force[c]
                 loads.acting[s, dock][3 + c] -= moment[c]
-            if ti.static(end == 0):
-                section = span if b < 0 else 0.5 * span
+            if end == 0:
+                section = span if is_foot else 0.5 * span
                 axis = span.normalized()
                 pull, shear = _split(force, axis)
                 torque, bend = _split(moment - section.cross(force), axis)
@@ -584,7 +598,7 @@ def find_loads(
     arm: Reals3, weight: Sixes, slip: Reals3,
     # EliminationArrays
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
-    panel_out: Blocks, motion_out: Sixes,
+    panel_out: Sixes, motion_out: Sixes,
     # LoadArrays
     acting_out: Sixes, support_out: Reals3, stress_out: Reals2, section_out: Reals3,
     sensed_out: Reals2,
@@ -630,7 +644,7 @@ def find_foot_stiffness(
     arm: Reals3, weight: Sixes, slip: Reals3,
     # EliminationArrays, as `find_loads` left them
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
-    panel_out: Blocks, motion_out: Sixes,
+    panel_out: Sixes, motion_out: Sixes,
     # output
     response_out: Reals3,
 ):  # fmt: skip

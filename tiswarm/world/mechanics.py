@@ -282,7 +282,7 @@ class Frames:
             half=np.empty((structures, 10 * nodes, frame_kernels.HalfEdge.TOTAL), np.int32),
             block_count=np.zeros(structures, np.int32),
             block=np.empty((structures, 5 * nodes, _SIDE, _SIDE)),
-            panel=np.empty((structures, nodes, _SIDE, _SIDE)),
+            panel=np.empty((structures, _SIDE * nodes, _SIDE)),
             motion=np.empty((structures, nodes, _SIDE)),
         )
         self.load_arrays = frame_kernels.LoadArrays(
