@@ -165,7 +165,9 @@ def _relax(sides: tuple[int, int, int]) -> Work:
             **GAINS | {"max_step": 0.5},
         )  # fmt: skip
         assert done.list_builds > 1
-        return done.position
+        further = done.resume(steps=3)
+        further.swarm.step(3, ramp=0.5, **GAINS | {"max_step": 0.5})
+        return [done.position, further.position, further.swarm.position]
 
     return move
 

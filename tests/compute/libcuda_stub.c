@@ -1,6 +1,7 @@
 /* A CUDA driver without a card: it keeps memory on the host, writes down the code of every module,
- * logs every launch and drops it. Tests build it with `cc -shared` and read the folder that the
- * variable CUDA_STUB names: `<n>.ptx` by module, and `launches` with kernel, blocks and threads.
+ * logs every launch and drops it, and logs copies. Tests build it with `cc -shared` and read the
+ * folder that the variable CUDA_STUB names: `<n>.ptx` by module, `launches` with kernel, blocks and
+ * threads, and `copies` with the bytes of each copy from or to the host.
  */
 #include <stddef.h>
 #include <stdio.h>
@@ -56,17 +57,25 @@ Status cuGetErrorName(Status status, const char **text) { (void)status; *text = 
 Status cuGetErrorString(Status status, const char **text) { (void)status; *text = "error of the stub"; return OK; }
 
 /* Memory; 8 GB are free. */
+static Status copy(void *to, const void *from, size_t bytes) {
+    FILE *file = open_file("copies", "a");
+    if (!file) return INVALID_VALUE;
+    fprintf(file, "%zu\n", bytes);
+    fclose(file);
+    memmove(to, from, bytes);
+    return OK;
+}
 Status cuMemGetInfo_v2(size_t *unused, size_t *total) { *unused = 8000000000u; *total = 80000000000u; return OK; }
 Status cuMemAlloc_v2(void **at, size_t bytes) { *at = calloc(bytes + 1, 1); return OK; }
 Status cuMemAllocAsync(void **at, size_t bytes, void *stream) { (void)stream; return cuMemAlloc_v2(at, bytes); }
 Status cuMemAllocManaged(void **at, size_t bytes, unsigned flags) { (void)flags; return cuMemAlloc_v2(at, bytes); }
 Status cuMemFree_v2(void *at) { free(at); return OK; }
 Status cuMemFreeAsync(void *at, void *stream) { (void)stream; return cuMemFree_v2(at); }
-Status cuMemcpyHtoD_v2(void *to, const void *from, size_t bytes) { memmove(to, from, bytes); return OK; }
-Status cuMemcpyDtoH_v2(void *to, const void *from, size_t bytes) { memmove(to, from, bytes); return OK; }
+Status cuMemcpyHtoD_v2(void *to, const void *from, size_t bytes) { return copy(to, from, bytes); }
+Status cuMemcpyDtoH_v2(void *to, const void *from, size_t bytes) { return copy(to, from, bytes); }
 Status cuMemcpyDtoD_v2(void *to, const void *from, size_t bytes) { memmove(to, from, bytes); return OK; }
-Status cuMemcpyHtoDAsync_v2(void *to, const void *from, size_t bytes, void *stream) { (void)stream; memmove(to, from, bytes); return OK; }
-Status cuMemcpyDtoHAsync_v2(void *to, const void *from, size_t bytes, void *stream) { (void)stream; memmove(to, from, bytes); return OK; }
+Status cuMemcpyHtoDAsync_v2(void *to, const void *from, size_t bytes, void *stream) { (void)stream; return copy(to, from, bytes); }
+Status cuMemcpyDtoHAsync_v2(void *to, const void *from, size_t bytes, void *stream) { (void)stream; return copy(to, from, bytes); }
 Status cuMemsetD8_v2(void *at, unsigned char value, size_t bytes) { memset(at, value, bytes); return OK; }
 Status cuMemsetD32_v2(unsigned *at, unsigned value, size_t words) { while (words--) *at++ = value; return OK; }
 Status cuPointerGetAttribute(void *value, int attribute, void *at) { (void)value; (void)attribute; (void)at; return INVALID_VALUE; }

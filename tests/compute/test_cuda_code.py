@@ -3,6 +3,7 @@
 Limits are what the kernels needed as this was written. A change that needs more says why here.
 """
 
+import os
 import re
 import shutil
 import subprocess
@@ -17,7 +18,9 @@ import tiswarm
 from tests.devices import require, run_child
 from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tiswarm.base.errors import EnvironmentTroubleError
-from tiswarm.compute import backend
+from tiswarm.compute import backend, dlpack
+from tiswarm.engine import kernels
+from tiswarm.engine.kernels import Control
 from tiswarm.localization.chains.annealer import annealer_of
 from tiswarm.localization.chains.kernels import note_places
 from tiswarm.localization.chains.problem import pose_problem
@@ -41,9 +44,9 @@ KERNELS = {  # registers rounded up to eights, in which a card grants them
     "place_docks": Limits(2, 32, 32, 0),
     "sort_docks": Limits(11, 40, 32, 2),
     "fill_rows": Limits(2, 72, 72, 1),
-    "start_interval": Limits(3, 16, 16, 0),
-    "step_robots": Limits(33, 80, 56, 16),  # 16 steps; numbers of a step come from a table
-    "step_robots, guided": Limits(33, 80, 56, 16),
+    "start_interval": Limits(2, 24, 24, 0),
+    "step_robots": Limits(17, 80, 56, 16),  # 16 steps; numbers of a step come from a table
+    "step_robots, guided": Limits(17, 80, 56, 16),
     "note_places": Limits(2, 16, 16, 0),
     "take_steps_on_card": Limits(17, 176, 96, 0),  # two steps
 }
@@ -139,6 +142,59 @@ def test_every_kernel_of_a_card_assembles_and_needs_no_more_than_before(stub, to
         launches = (tmp_path / precision / "launches").read_text().splitlines()
         loops = [line.split() for line in launches if "_range_for" in line]
         assert {int(blocks) for _, blocks, _ in loops} == {BLOCKS}
+
+
+def stay_on_card(folder: str) -> None:
+    """Let robots go on twice on a card of which we know how far it came, and hand them out."""
+    step_robots = kernels.step_robots
+
+    def advance(*arguments):
+        step_robots(*arguments)
+        steps, first_t, numbers, control = arguments[1], arguments[8], arguments[9], arguments[-2]
+        control[Control.TAKEN] = min(first_t + steps, numbers.shape[0])
+
+    kernels.step_robots = advance
+    backend.probe_arithmetic = _answer
+    result = tiswarm.relax(
+        *swarm(STAYING), robot=ROBOT, ramp=0.5, steps=STEPS, arch="cuda", precision="f64", **GAINS
+    )
+    for phase in ("resume", "step", "read"):
+        os.environ["CUDA_STUB"] = str(Path(folder) / phase)
+        Path(folder, phase).mkdir()
+        if phase == "resume":
+            result = result.resume()
+        elif phase == "step":
+            result.swarm.step(STEPS, ramp=0.5, **GAINS)
+        else:
+            assert result.__dlpack_device__() == (dlpack.CUDA, 0)
+            assert "dltensor" in repr(result.__dlpack__())
+            os.environ["CUDA_STUB"] = folder
+            assert result.position.shape == (STAYING, 3)
+
+
+STAYING = 3_000
+STEPS = 16
+_STAY = """
+import os, sys
+from tests.compute.test_cuda_code import stay_on_card
+os.environ["CUDA_STUB"] = sys.argv[1]
+stay_on_card(sys.argv[1])
+"""
+
+
+@pytest.mark.trial
+def test_robots_on_a_card_go_on_there(stub, tmp_path):
+    """No copy is as long as a number a robot, and an interval is 16 launches and 20 for its rows.
+
+    A call adds what copies centers, docks, numbers and moves of its steps.
+    """
+    run_child(_STAY, str(tmp_path), LD_LIBRARY_PATH=str(stub), TISWARM_BACKEND="taichi")
+
+    for phase, launches in (("resume", 46), ("step", 46), ("read", 4)):
+        copies = (tmp_path / phase / "copies").read_text().split()
+        assert max(map(int, copies)) < 4 * STAYING, phase
+        launched = (tmp_path / phase / "launches").read_text().splitlines()
+        assert len(launched) <= launches, Counter(line.split()[0] for line in launched)
 
 
 def _name(code: str) -> str:

@@ -19,6 +19,7 @@ Reals = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 AnyInts = NDArray[np.integer]
+AnyReals = NDArray[np.floating]
 
 Array = TypeAliasType("Array", ArrayLike)
 """Array, or what makes one."""

@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, Protocol, get_args
 
 import numpy as np
 import psutil
@@ -35,7 +35,8 @@ from threadpoolctl import threadpool_limits
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, did_you_mean
 from tiswarm.base.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
 from tiswarm.base.process import naming_shortage, require_address_space
-from tiswarm.compute import kernel_cache, machine, python_numbers
+from tiswarm.compute import dlpack, kernel_cache, machine, python_numbers
+from tiswarm.compute.dlpack import ExportedArray
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, DeviceArray, ti, variables_hidden
 from tiswarm.compute.math_kernels import probe_arithmetic
 
@@ -103,7 +104,7 @@ def _start_program(cache: Path, **options: Any) -> None:  # noqa: ANN401 - the l
         pass  # finds damage before the library reads it
     _cache = cache
     _runtime = None
-    atexit.register(end)
+    atexit.register(end, rescues=False)
     with (
         contextlib.redirect_stdout(io.StringIO()),
         _float_state_kept(),
@@ -114,12 +115,35 @@ def _start_program(cache: Path, **options: Any) -> None:  # noqa: ANN401 - the l
     _runtime = weakref.ref(ti.lang.impl.get_runtime(), lambda _: kernel_cache.seal(cache))
 
 
-def end() -> None:
+class Rescued(Protocol):
+    """What reads its arrays from the device before our program ends and frees them."""
+
+    def read(self) -> None:
+        """Copy to the host what is on the device alone."""
+
+
+_rescued: "weakref.WeakSet[Rescued]" = weakref.WeakSet()
+
+
+def rescue(held: Rescued) -> None:
+    """Let what holds arrays read them before our program ends."""
+    _rescued.add(held)
+
+
+def end(*, rescues: bool = True) -> None:
     """End our program, even if it only started in part; nothing of others is ended.
 
     The library writes its new kernels now, not later without a seal.
+
+    Args:
+        rescues: Whether what `rescue` registered is read before.
     """
     global _runtime, _cache  # noqa: PLW0603
+    has_arrays = _started and _cache and _is_ours()
+    if rescues and has_arrays and _program_of(ti.lang.impl.get_runtime()) is not None:
+        for held in tuple(_rescued):
+            held.read()
+    _rescued.clear()
     if _cache and _is_ours():
         _runtime = None  # else it would seal within the seal
         with kernel_cache.sealed(_cache):
@@ -394,8 +418,8 @@ def _run(choice: _Choice) -> Backend:
     # Each library takes its buffer by this; where memory ran out it would wait for it for ever.
     for solve in (np.linalg.solve, scipy.linalg.blas.dtrsv):  # type: ignore[attr-defined]
         solve(np.eye(2), np.ones(2))
-    _started = None  # a start that fails may leave nothing running
     end()
+    _started = None  # a start that fails may leave nothing running
     library = f"{LIBRARY} {'.'.join(map(str, ti.__version__))}"
     cache = kernel_cache.find_folder(library.replace(" ", "-"))
     try:
@@ -494,6 +518,13 @@ class Allocator:
         """Reserve an array of integers."""
         return np.empty(shape, np.int32) if self.on_host else Array(ti.i32, shape)
 
+    def dtype_of(self, array: DeviceArray) -> np.dtype[Any]:
+        """Return the type that an array of reals or integers has on the host."""
+        if self.on_host:
+            of_host: np.dtype[Any] = array.dtype
+            return of_host
+        return np.dtype(np.int32 if array.dtype == ti.i32 else self.running.dtype)
+
     def longs(self, *shape: int) -> DeviceArray:
         """Reserve an array of integers of 64 bits."""
         return np.empty(shape, np.int64) if self.on_host else Array(ti.i64, shape)
@@ -512,6 +543,23 @@ class Allocator:
         else:
             real = array.dtype != ti.i32
             array.from_numpy(np.array(values, self.running.dtype if real else np.int32, order="C"))
+
+    def copy(self, source: DeviceArray, target: DeviceArray) -> None:
+        """Copy an array of ours into another of the same shape."""
+        if self.on_host:
+            target[...] = source
+        else:
+            target.copy_from(source)
+
+    def export(self, array: DeviceArray) -> ExportedArray:
+        """Return an array of real numbers on a card of CUDA, or on the processor, for DLPack.
+
+        It ends with the device, as all arrays do.
+        """
+        ti.sync()  # who takes it may read at once
+        address = _program_of(ti.lang.impl.get_runtime()).get_ndarray_data_ptr_as_int(array.arr)
+        device = dlpack.CUDA if self.running.on_card else dlpack.CPU
+        return ExportedArray(address, tuple(array.shape), self.dtype_of(array), device, array)
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
         """Copy an array back to the host."""

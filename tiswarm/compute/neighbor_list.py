@@ -162,7 +162,14 @@ class NeighborList:
         return np.r_[0, start], by_row if len(by_row) else np.zeros(1, np.int64)
 
     def build(self, dock: DeviceArray, base: int) -> None:
-        """Write all rows anew, as long as they need to be.
+        """Write all rows anew, as long as they need to be; arguments as for `write`."""
+        self.write(dock, base)
+        while self.lack_room():
+            self.write(dock, base)
+        self.builds += 1
+
+    def write(self, dock: DeviceArray, base: int) -> None:
+        """Write all rows anew, as far as there is room, without waiting for the device.
 
         Args:
             dock: Places of docks and, last, their structure: rows of four.
@@ -172,19 +179,26 @@ class NeighborList:
             self.docks, self.cutoff, self.stride_y, self.stride_z, base, dock, *self.totals,
             *self.cells,
         )  # fmt: skip
-        while True:
-            room = self.run * self.capacity
-            run_stride = room + 1 if self.run > 1 else 1
-            kernels.fill_rows(
-                self.on_card, self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
-                self.entry_stride, self.run, run_stride, room, base, dock, self.longest,
-                *self.cells, *self.connections, *self.rows,
-            )  # fmt: skip
-            used = int(self.longest[0])
-            if used <= room:
-                break
-            self.make_room(used / self.run)
-        self.builds += 1
+        room = self.room
+        run_stride = room + 1 if self.run > 1 else 1
+        kernels.fill_rows(
+            self.on_card, self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
+            self.entry_stride, self.run, run_stride, room, base, dock, self.longest,
+            *self.cells, *self.connections, *self.rows,
+        )  # fmt: skip
+
+    @property
+    def room(self) -> int:
+        """Entries that fit for the rows that a core writes in succession."""
+        return self.run * self.capacity
+
+    def lack_room(self) -> bool:
+        """Whether rows did not fit as they were written; if so, make room for them."""
+        used = int(self.longest[0])
+        if used <= self.room:
+            return False
+        self.make_room(used / self.run)
+        return True
 
     def fullest(self) -> float:
         """Count the entries a robot that rows need, in the structure that needs most."""

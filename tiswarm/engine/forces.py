@@ -10,8 +10,8 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, cached_property, partial
 from numbers import Integral, Real
 from pathlib import Path
 from types import FunctionType
@@ -27,6 +27,7 @@ from tiswarm.base.aliases import (
     Parameters,
     PerRobot,
     PerStep,
+    Reals,
     UserFunction,
 )
 from tiswarm.base.errors import InputError, did_you_mean, warn
@@ -52,7 +53,7 @@ from tiswarm.engine.kernels import (
     Numbers,
     is_vector,
 )
-from tiswarm.engine.relax import PreparedSwarm, RelaxResult
+from tiswarm.engine.relax import PreparedSwarm, RelaxResult, StepOptions
 
 FORCE = ("offset", "distance", "connected", "spacing")
 """What a force may ask for; the guide to the engine explains it."""
@@ -146,49 +147,71 @@ def relax(
         EnvironmentTroubleError: the machine lacks the device or the memory.
     """
     arguments = dict(locals())
-    swarm = MovingSwarm(
-        position, orientation_wxyz, contacts, force=force, integrator=integrator, cutoff=cutoff,
-        mobility=mobility, robot=robot, height=height, structure=structure, precision=precision,
-        arch=arch, threads=threads,
+    to_move = _STEPPED & arguments.keys()
+    swarm = MovingSwarm(**{name: arguments[name] for name in arguments.keys() - to_move})
+    result = swarm.relax(**{name: arguments[name] for name in to_move})
+    makes_noise = not {"noise", "last_noise"}.isdisjoint(_arguments(integrator))
+    repeats = makes_noise and _repeats(position, seed, first_step)
+    return Relaxed(
+        **_fields(result), arguments=arguments, swarm=swarm,
+        noise=(-1 if repeats else seed) if makes_noise else None,
     )  # fmt: skip
-    result = swarm.relax(
-        steps=steps, attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, ramp=ramp,
-        height_gain=height_gain, max_step=max_step, parameters=parameters, seed=seed,
-        first_step=first_step, last_step=last_step,
-    )  # fmt: skip
-    if not {"noise", "last_noise"}.isdisjoint(_arguments(integrator)):
-        _follow_noise(position, result, seed, first_step)
-    return Relaxed(**vars(result), arguments=arguments)
 
 
+def _fields(result: RelaxResult) -> dict[str, Any]:
+    """Return the fields of a result by name, without what was read of it."""
+    return {of_result.name: getattr(result, of_result.name) for of_result in fields(RelaxResult)}
+
+
+_STEPPED = StepOptions.names() | {"steps", "first_step", "last_step"}
+"""Arguments of `relax` that are those of steps; all others are those of a swarm."""
 _ends: dict[int, int] = {}
 """Seeds of noise by the identity of positions where steps ended, while those are kept; -1 where a
 warning has been given."""
 
 
-def _follow_noise(position: ArrayLike, result: RelaxResult, seed: int, first_step: int) -> None:
-    """Warn, once for a chain of calls, of steps that repeat the noise of those before."""
+def _repeats(position: ArrayLike, seed: int, first_step: int) -> bool:
+    """Whether steps repeat the noise of those before; warn once in a chain of calls."""
     seed_before = _ends.get(id(position))
-    repeats = first_step == 0 and seed_before in (seed, -1)
-    if repeats and seed_before == seed:
+    if first_step != 0 or seed_before not in (seed, -1):
+        return False
+    if seed_before == seed:
         warn(
             "these steps begin where others of the same seed ended, and repeat their noise; go on "
             "by `resume` of the result, or give first_step"
         )
-    end = id(result.position)
-    _ends[end] = -1 if repeats else seed
-    weakref.finalize(result.position, _ends.pop, end, None)
+    return True
 
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxed(RelaxResult):
-    """What `tiswarm.relax` returns: robots that can go on."""
+    """What `tiswarm.relax` returns: robots that stay on the device and can go on.
+
+    DLPack hands their positions to other libraries: `numpy.from_dlpack(result)`.
+    """
 
     arguments: Mapping[str, Any] = field(repr=False)
     """Arguments of the call by name."""
 
+    swarm: "MovingSwarm | None" = field(default=None, repr=False)
+    """The robots on the device, to take further steps there; None in a copy of a result."""
+
+    noise: int | None = field(default=None, repr=False)
+    """Seed of noise that a call from these positions would repeat, -1 after a warning; or None."""
+
+    @cached_property
+    def position(self) -> Reals:
+        """Centers, in the caller's order, shape (N, 3)."""
+        position = self.state.position.copy()
+        if self.noise is not None:
+            _ends[id(position)] = self.noise
+            weakref.finalize(position, _ends.pop, id(position), None)
+        return position
+
     def resume(self, *, steps: int | None = None, **changes: Any) -> "Relaxed":  # noqa: ANN401
         """Take further steps from where the robots are: noise, steps and their numbers go on.
+
+        Robots that are still on the device stay there, unless other robots are asked for.
 
         Args:
             steps: Number of steps; as many as before if None.
@@ -197,11 +220,31 @@ class Relaxed(RelaxResult):
         Raises:
             InputError: as of `tiswarm.relax`.
         """
-        goes_on = {
-            "position": self.position, "first_step": self.taken, "last_step": self.last_step,
-            "steps": self.arguments["steps"] if steps is None else steps,
-        }  # fmt: skip
-        return relax(**{**self.arguments, **goes_on, **changes})
+        steps = self.arguments["steps"] if steps is None else steps
+        arguments = {**self.arguments, **changes, "steps": steps}
+        swarm = self.swarm
+        if swarm is None or not swarm.is_there or not changes.keys() <= StepOptions.names():
+            goes_on = {
+                "position": self.position, "first_step": self.taken, "last_step": self.last_step,
+            }  # fmt: skip
+            return relax(**{**arguments, **goes_on, **changes})
+        of_steps = StepOptions.names() & arguments.keys()
+        options = {name: arguments[name] for name in of_steps}
+        result = swarm.relax(steps=steps, state=self.state, **options)
+        noise = None if self.noise is None else arguments["seed"]
+        return Relaxed(**_fields(result), arguments=arguments, swarm=swarm, noise=noise)
+
+    def __dlpack__(self, **options: Any) -> object:  # noqa: ANN401 - those of the protocol
+        """Return positions as a DLPack capsule; they stay where they are as long as it is used."""
+        return self.state.export().__dlpack__(**options)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        """Return the type and number of the device, as DLPack counts them."""
+        return self.state.export().__dlpack_device__()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copy the robots to another process or object without their device."""
+        return {**vars(self), "swarm": None}
 
 
 class MovingSwarm(PreparedSwarm):
@@ -241,71 +284,41 @@ class MovingSwarm(PreparedSwarm):
             mobility=mobility, **options,
         )  # fmt: skip
 
-    @backend.exclusive()
-    def relax(
-        self,
-        *,
-        steps: int,
-        parameters: Mapping[str, ArrayLike] | None = None,
-        ramp: ArrayLike | None = None,
-        seed: int = 0,
-        **options: Any,  # noqa: ANN401 - those of `PreparedSwarm.relax`
-    ) -> RelaxResult:
-        """Take steps from where the robots were at first, or, to `resume`, where they are."""
-        numbers = self._checked(steps, parameters, seed, ramp=ramp, **options)
-        self._refuse_wrong_start(steps, options)
-        with self._functions_named():
-            result = super().relax(steps=steps, parameters=numbers, ramp=ramp, seed=seed, **options)
-        return replace(result, force_error=np.nan) if self.dynamics.is_cut else result
+    @contextmanager
+    def _taking(
+        self, steps: int, options: StepOptions, start: Mapping[str, Any]
+    ) -> Iterator[Reals]:
+        """Check the functions and numbers of steps, and name the function that fails."""
+        numbers = self._checked(steps, options)
+        self._refuse_wrong_start(steps, start)
+        with self._functions_named(), super()._taking(steps, numbers, start) as table:
+            yield table
 
-    @backend.exclusive()
-    def step(
-        self,
-        steps: int = 1,
-        *,
-        parameters: Mapping[str, ArrayLike] | None = None,
-        ramp: ArrayLike | None = None,
-        seed: int = 0,
-        **options: Any,  # noqa: ANN401 - those of `PreparedSwarm.step`
-    ) -> None:
-        """Take steps from where the robots are, and leave them on the device."""
-        numbers = self._checked(steps, parameters, seed, ramp=ramp, **options)
-        self._refuse_wrong_start(steps, {"resume": True})
-        with self._functions_named():
-            super().step(steps, parameters=numbers, ramp=ramp, seed=seed, **options)
-
-    def _checked(
-        self,
-        steps: int,
-        parameters: Mapping[str, ArrayLike] | None,
-        seed: int,
-        *,
-        ramp: ArrayLike | None,
-        **options: Any,  # noqa: ANN401 - those of `PreparedSwarm.relax`
-    ) -> dict[str, ArrayLike]:
-        """Check what steps need, and return the numbers of the functions."""
+    def _checked(self, steps: int, options: StepOptions) -> StepOptions:
+        """Check what steps need, and add the numbers of the functions that have defaults."""
         if not isinstance(steps, Integral) or steps < 0:
             problem = f"{steps!r} is no number of steps; give a whole number, 0 or more"
             raise InputError(problem, argument="steps")
+        seed = options.seed
         if not (isinstance(seed, Integral) and 0 <= seed <= _LARGEST_SEED):
             raise InputError(
                 f"{seed!r} is not 0 to {_LARGEST_SEED}, whole; correct it", argument="seed"
             )
         self._follow_functions()
-        numbers = self.law.numbers(dict(parameters or {}), steps)
-        gains = {name: options.get(f"{name}_gain") for name in FREE.names}
+        numbers = self.law.numbers(dict(options.parameters or {}), steps)
+        gains = {name: getattr(options, f"{name}_gain") for name in FREE.names}
         for name, gain in gains.items():
             if gain is not None and self.dynamics.has_force and not self.law.askers.get(name):
                 problem = f"your force does not ask for {name}; leave the gain out"
                 raise InputError(problem, argument=f"{name}_gain")
         for name, asker in self.law.askers.items():
-            lacks = ramp is None or gains.get(name, 0.0) is None
+            lacks = options.ramp is None or gains.get(name, 0.0) is None
             if name in _WEIGHTED and name not in numbers and lacks:
                 remedy = f"{name}_gain and ramp" if name in gains else "ramp"
                 if asker is None:
                     remedy += ", or a force of yours"
                 raise _error(f"needs {name}; give {remedy}", asker)
-        return numbers
+        return replace(options, parameters=numbers)
 
     @contextmanager
     def _functions_named(self) -> Iterator[None]:
@@ -317,18 +330,11 @@ class MovingSwarm(PreparedSwarm):
         finally:  # a robot that NaN would move stays, so that steps may end well
             self._refuse_nan()
 
-    def _refuse_wrong_start(self, steps: int, options: Mapping[str, Any]) -> None:
-        """Refuse steps that would not go on from those that their number says were taken.
-
-        Args:
-            steps: Number of steps.
-            options: Arguments of `relax`.
-        """
-        names = ("resume", "first_step", "last_step")
-        chosen = {name: options[name] for name in names if name in options}
-        first = chosen.get("first_step", 0)
-        last = chosen.get("last_step")
-        if chosen.get("resume") and (first or last is not None):
+    def _refuse_wrong_start(self, steps: int, start: Mapping[str, Any]) -> None:
+        """Refuse steps that would not go on from those that their number says were taken."""
+        first = start.get("first_step", 0)
+        last = start.get("last_step")
+        if start.get("state") is not None and (first or last is not None):
             problem = "steps of a swarm that resumes are numbered on; leave it out"
             raise InputError(problem, argument="first_step" if first else "last_step")
         if not isinstance(first, Integral) or not 0 <= int(first) <= _MOST_STEPS:
@@ -338,7 +344,7 @@ class MovingSwarm(PreparedSwarm):
         if first and asks and last is None:
             problem = "the integrator asks for the step before; give last_step of the result, too"
             raise InputError(problem, argument="first_step")
-        taken = self.taken if chosen.get("resume") else self.start(**chosen).taken
+        taken = self.start(**start).taken
         if taken + steps > _MOST_STEPS:
             problem = f"steps are numbered up to {_MOST_STEPS}; take fewer, or begin at 0"
             raise InputError(problem, argument="steps")

@@ -20,6 +20,7 @@ from tiswarm.compute.lang import (
     Ints2,
     Reals1,
     Reals2,
+    Reals3,
     Ref,
     Static,
     holds_integers,
@@ -53,16 +54,16 @@ _LONGEST_F32 = 1e18
 
 
 class Control(Columns):
-    """Columns of what a call of several steps leaves to the next one."""
+    """Columns of what a kernel leaves to the next one."""
 
     TAKEN = 1
     """Steps taken."""
-    STALE = 1
-    """Whether rows are stale or no step is left."""
-    STRAYED = 1
-    """Whether a robot strayed too far since rows were made."""
-    LONGEST = 1
-    """On cards, the bits of the longest squared step as an f32."""
+    STALE_FROM = 1
+    """First step for which rows are stale, NEVER if they are fresh: no robot moves from it on."""
+
+
+NEVER = 2**31 - 1
+"""Number of a step that is never taken."""
 
 
 class Numbers(Columns):
@@ -106,7 +107,7 @@ class SwarmState(NamedTuple):
     """Last step of each robot [R], shape (N, 3), or (1, 1) if unused."""
 
     number: Ints1
-    """Seed, number of the first step, and the caller's numbers of robots, shape (2 + N,), or (1,)
+    """Seed, number of the first step, and the caller's numbers of robots, shape (2 + N,), or (2,)
     if unused."""
 
 
@@ -376,7 +377,8 @@ def step_robots(
     One call takes several steps, since a call takes as long as a thousand robots do.
 
     On cards a reduction of real numbers would be a loop of compare-and-swap in every warp. There
-    one robot at most writes a flag, and few the bits of a step, which order as integers do.
+    robots that strayed write which step is stale, all the same, and few the bits of a step, which
+    order as integers do. So a step is one launch.
 
     Args:
         on_card: Whether a graphics card computes.
@@ -388,7 +390,8 @@ def step_robots(
         first_t: Which step comes first.
         numbers: Columns of `Numbers` and those of the dynamics in each step, shape (T, columns).
         control_out: Columns of `Control`; read, too.
-        largest_move_out: Longest step of a robot in step t [R], shape (T,) or longer.
+        largest_move_out: Longest step of a robot in step t [R], shape (T,); on cards the bits of
+            its square as an f32, 0 before.
     """
     rows = ti.static(Rows(entry, row_first, row_count))
     robots = ti.static(SwarmState(
@@ -402,11 +405,10 @@ def step_robots(
     )  # fmt: skip
     half = dock_out.shape[0] // 2
     for k in ti.static(range(steps)):
-        t = first_t + k
         moved = 0.0
         strayed = 0.0
         for robot in range(position_out.shape[0]):
-            if control_out[Control.STALE] == 0:
+            if first_t + k < ti.min(control_out[Control.STALE_FROM], numbers.shape[0]):
                 base = (first_t + k) % 2 * half
                 if ti.static(not on_card):
                     ti.atomic_max(
@@ -418,24 +420,22 @@ def step_robots(
                 )  # fmt: skip
                 if ti.static(on_card):
                     if way > stray_limit * stray_limit:
-                        control_out[Control.STRAYED] = 1
+                        control_out[Control.STALE_FROM] = first_t + k + 1
                     bits = ti.bit_cast(ti.cast(moved_by, ti.f32), ti.i32)
-                    if bits > control_out[Control.LONGEST]:
-                        ti.atomic_max(control_out[Control.LONGEST], bits)
+                    if bits > largest_move_out[first_t + k]:
+                        ti.atomic_max(largest_move_out[first_t + k], bits)
+                    if robot == 0:
+                        control_out[Control.TAKEN] = first_t + k + 1
                 else:
                     ti.atomic_max(moved, moved_by)
                     ti.atomic_max(strayed, way)
-        if control_out[Control.STALE] == 0:
-            control_out[Control.TAKEN] = t + 1
-            gone = strayed > stray_limit * stray_limit or t + 1 == numbers.shape[0]
-            if ti.static(on_card):
-                gone = gone or control_out[Control.STRAYED] == 1
-                moved = ti.bit_cast(control_out[Control.LONGEST], ti.f32)
-                control_out[Control.LONGEST] = 0
-            elif strayed > stray_limit * stray_limit:
-                control_out[Control.STRAYED] = 1
-            control_out[Control.STALE] = ti.cast(gone, ti.i32)
-            largest_move_out[t] = ti.sqrt(moved)
+        if ti.static(not on_card):
+            t = first_t + k
+            if t < ti.min(control_out[Control.STALE_FROM], numbers.shape[0]):
+                control_out[Control.TAKEN] = t + 1
+                if strayed > stray_limit * stray_limit:
+                    control_out[Control.STALE_FROM] = t + 1
+                largest_move_out[t] = ti.sqrt(moved)
 
 
 @ti.kernel
@@ -476,21 +476,80 @@ def place_docks(unit: Float, structure: Ints1, position: Reals2, arm: Reals2, do
 
 
 @ti.kernel
-def start_interval(position: Reals2, reference_out: Reals2, control_out: Ints1):
-    """Note where robots are as their rows are made; arguments as for `step_robots`."""
-    for robot, c in ti.ndrange(position.shape[0], 3):
-        reference_out[robot, c] = position[robot, c]
-    control_out[Control.STALE] = 0
-    control_out[Control.STRAYED] = 0
+def start_interval(
+    t: I32, room: I32, longest: Ints1, position: Reals2, reference_out: Reals2, control_out: Ints1
+):
+    """Note where robots are as rows are made before step t; none moves if these lack room.
+
+    Args:
+        t: Step that comes next.
+        room: Entries that fit for a run's rows.
+        longest: Most entries of a run, shape (1,).
+        position: Centers, as `SwarmState` describes them, as the arrays below.
+        reference_out: Centers as the rows are made.
+        control_out: Columns of `Control`.
+    """
+    for robot in range(position.shape[0]):
+        for c in ti.static(range(3)):
+            reference_out[robot, c] = position[robot, c]
+        if robot == 0:
+            control_out[Control.STALE_FROM] = ti.select(longest[0] <= room, NEVER, t)
 
 
 @ti.kernel
-def keep_state(position: Reals2, last_step: Reals2, position_out: Reals2, last_step_out: Reals2):
-    """Copy where robots are, and their last steps; arguments as for `step_robots`."""
-    for robot, c in ti.ndrange(position.shape[0], 3):
-        position_out[robot, c] = position[robot, c]
-    for robot, c in ti.ndrange(last_step.shape[0], last_step.shape[1]):
-        last_step_out[robot, c] = last_step[robot, c]
+def to_device(order: Ints1, by_caller: Reals2, numbers_out: Reals2):
+    """Copy numbers of robots in the caller's order to the device's, all of shape (N, columns).
+
+    Args:
+        order: The caller's number of each robot, shape (N,).
+        by_caller: Numbers in the caller's order.
+        numbers_out: Numbers in the device's order.
+    """
+    for robot in range(order.shape[0]):
+        for c in range(numbers_out.shape[1]):
+            numbers_out[robot, c] = by_caller[order[robot], c]
+
+
+@ti.kernel
+def to_caller(
+    order: Ints1, numbers: Reals2, unit: Float, x: Float, y: Float, z: Float, by_caller_out: Reals2
+):
+    """Copy numbers of robots in the device's order to the caller's, all of shape (N, 3).
+
+    Whole numbers of a unit become lengths where the array that is written has real numbers; x, y, z
+    is the place of a center with the numbers 0. Other arguments as for `to_device`.
+    """
+    origin = ti.Vector([x, y, z])
+    for robot in range(order.shape[0]):
+        for c in ti.static(range(3)):
+            number = numbers[robot, c]
+            if ti.static(holds_integers(numbers) and not holds_integers(by_caller_out)):
+                by_caller_out[order[robot], c] = origin[c] + ti.cast(number, float) * unit
+            else:
+                by_caller_out[order[robot], c] = number
+
+
+@ti.kernel
+def find_bounds(position: Reals2, bounds_out: Reals3):
+    """Find the least and the greatest numbers of centers in each of some parts of the swarm.
+
+    Args:
+        position: Centers, as `SwarmState` describes them; at least as many as parts.
+        bounds_out: Least, then greatest, along each axis, shape (parts, 2, 3).
+    """
+    parts = bounds_out.shape[0]
+    for part in range(parts):
+        low = vector_at(position, part)
+        high = low
+        robot = part
+        while robot < position.shape[0]:
+            at = vector_at(position, robot)
+            low = ti.min(low, at)
+            high = ti.max(high, at)
+            robot += parts
+        for c in ti.static(range(3)):
+            bounds_out[part, 0, c] = low[c]
+            bounds_out[part, 1, c] = high[c]
 
 
 @ti.kernel

@@ -9,8 +9,11 @@ Equations as in `tiswarm.engine.kernels`. Other `Dynamics` replace all but Eq. (
 Lengths in the unit of the robot's spacing D.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,30 +35,107 @@ _LARGEST_GAIN = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
+class StepOptions:
+    """What a call of several steps may be given: all arguments but their number and their start."""
+
+    attraction_gain: float | None = None
+    """A of Eq. (1) [1]."""
+
+    repulsion_gain: float | None = None
+    """B of Eqs. (1) and (2) [length^-3]."""
+
+    ramp: ArrayLike | None = None
+    """alpha, the share of attraction, 0 to 1: one number, or one a step."""
+
+    height_gain: float = 0.0
+    """k_z of Eq. (3) [1]."""
+
+    max_step: float | None = None
+    """Longest step of a robot; None for no limit."""
+
+    parting_gain: float = 0.0
+    """Stiffness of the spring that parts connected docks of a guided swarm, times the ramp [1]."""
+
+    momentum: float = 0.0
+    """Share of its last step that a robot of a guided swarm takes again [1]."""
+
+    parameters: Mapping[str, ArrayLike] | None = None
+    """Further numbers that dynamics ask for, each one, or one a step."""
+
+    seed: int = 0
+    """Seed of the noise that an integrator asks for."""
+
+    @classmethod
+    def names(cls) -> frozenset[str]:
+        """Return the names of all options."""
+        return frozenset(option.name for option in fields(cls))
+
+
+@dataclass(frozen=True, kw_only=True)
 class RelaxResult:
-    """Where the robots came to rest, or are on the way."""
+    """Where the robots came to rest, or are on the way.
 
-    position: Reals
-    """Centers, in the caller's order, shape (N, 3)."""
+    They stay on the device: `position`, `last_step` and `force_error` are copied or computed once
+    they are read. What moves the same robots later does not change them.
+    """
 
-    last_step: Reals
-    """Last step of each robot if its integrator asks for it, else zero, shape (N, 3)."""
+    state: RelaxState = field(repr=False)
+    """The robots after the last step."""
+
+    begin: RelaxState = field(repr=False)
+    """The robots before the first step."""
 
     largest_move: Reals
     """Longest step of any robot, by step, shape (steps,)."""
 
-    taken: int
-    """Steps taken, those of calls before included: the number of the next one."""
-
     list_builds: int
     """How often rows of neighbors were made, in the structure that needed it most."""
 
-    precision: Precision
-    """Floating-point type that the device computed in."""
+    running: Backend = field(repr=False)
+    """What computed."""
 
-    force_error: float
-    """Largest error of a force by rounding [1]: relative to the largest force, or to that of two
-    docks D / 2 from touching, connected or not, where that is larger."""
+    spacing: float = field(repr=False)
+    """D."""
+
+    bounds_error: bool = field(default=True, repr=False)
+    """Whether the error of forces has a bound, as those of the engine have."""
+
+    @cached_property
+    def position(self) -> Reals:
+        """Centers, in the caller's order, shape (N, 3)."""
+        return self.state.position.copy()
+
+    @cached_property
+    def last_step(self) -> Reals:
+        """Last step of each robot if its integrator asks for it, else zero, shape (N, 3)."""
+        return self.state.last_step.copy()
+
+    @property
+    def taken(self) -> int:
+        """Steps taken, those of calls before included: the number of the next one."""
+        return self.state.taken
+
+    @property
+    def precision(self) -> Precision:
+        """Floating-point type that the device computed in."""
+        return self.running.precision
+
+    @cached_property
+    def force_error(self) -> float:
+        """Largest error of a force by rounding [1], NaN for forces of users.
+
+        It is relative to the largest force, or to that of two docks D / 2 from touching, connected
+        or not, where that is larger.
+        """
+        if not self.bounds_error:
+            return np.nan
+        unit = self.state.places.unit
+        if unit is not None:
+            # Center and dock are rounded: as coarse as real numbers in f32 so far from the origin.
+            farthest = float(2.0 * unit / np.finfo(np.float32).eps)
+        else:
+            farthest = _farthest(self.begin, self.state, self.largest_move)
+        return self.running.force_error(2.0 * farthest / self.spacing)
 
 
 class PreparedSwarm:
@@ -85,26 +165,17 @@ class PreparedSwarm:
     first: RelaxState
     """The robots at rest, where they are at first."""
 
-    taken: int
-    """Steps taken, those before a first one that has a number included."""
-
-    before: RelaxState
-    """The robots before the last steps that were read."""
+    state: RelaxState
+    """The robots after the last call."""
 
     begin: RelaxState
     """The robots where these steps began."""
 
+    before: RelaxState
+    """The robots before the last call."""
+
     moves: Reals
     """Longest steps of the last call, even if it diverged."""
-
-    _state: RelaxState | None
-    """The robots, None where they are on the device alone."""
-
-    _is_on_device: bool
-    """Whether the device has the robots as they are."""
-
-    _farthest: float
-    """No coordinate of a robot on the device is larger than this."""
 
     @backend.exclusive()
     def __init__(
@@ -140,12 +211,9 @@ class PreparedSwarm:
         if running is None:
             running = backend.start(arch, threads=threads, precision=precision)
         self.running = running
-        self.first = RelaxState(
-            places=self._choose_places(),
-            position=swarm.position,
-            last_step=np.zeros(swarm.position.shape),
-        )
+        self.first = RelaxState(self._choose_places(), 0, position=swarm.position)
         self.stepper = None
+        self.moves = np.zeros(0)
         self.begin = self.before = self.state = self.first
         if len(swarm.position):
             largest = np.bincount(swarm.structure).max()
@@ -172,182 +240,142 @@ class PreparedSwarm:
         return places
 
     @property
-    def state(self) -> RelaxState:
-        """The robots after the last call, copied from the device where they are not yet."""
-        if self._state is None and self.stepper is not None:
-            self._refuse_other_device(self.stepper)
-            self._state = self.stepper.state(self.taken)
-        return self._state or self.first
-
-    @state.setter
-    def state(self, state: RelaxState) -> None:
-        self._state = state
-        self.taken = state.taken
-        self._is_on_device = False
-
-    @property
     def position(self) -> Reals:
         """Centers after the last call, as the caller numbers robots, shape (N, 3)."""
         return self.state.position.copy()
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the swarm can go on: no other device started meanwhile."""
+        return self.stepper is None or self.stepper.is_there
+
+    @property
+    def taken(self) -> int:
+        """Steps taken, those before a first one that has a number included."""
+        return self.state.taken
 
     @backend.exclusive()
     def relax(
         self,
         *,
         steps: int,
-        attraction_gain: float | None = None,
-        repulsion_gain: float | None = None,
-        ramp: ArrayLike | None = None,
-        height_gain: float = 0.0,
-        max_step: float | None = None,
-        parting_gain: float = 0.0,
-        momentum: float = 0.0,
-        parameters: Mapping[str, ArrayLike] | None = None,
-        seed: int = 0,
         resume: bool = False,
+        state: RelaxState | None = None,
         first_step: int = 0,
         last_step: ArrayLike | None = None,
+        **options: Any,  # noqa: ANN401 - those of `StepOptions`
     ) -> RelaxResult:
         """Take steps from where the robots were at first, or, to `resume`, where they are.
 
-        Steps from where the robots were at first have the numbers from `first_step` on, and follow
-        the `last_step` of each robot, shape (N, 3).
-
-        In a guided swarm connected docks nearer than D part by a spring of stiffness `parting_gain`
-        times the ramp [1], and a robot takes the share `momentum` of its last step again [1].
-        `parameters` are further numbers that dynamics ask for, each one, or one a step.
+        They also go on from a `state` that earlier steps left. Steps from where the robots were at
+        first have the numbers from `first_step` on, and follow the `last_step` of each robot,
+        shape (N, 3). All other arguments are `StepOptions`.
         """
-        numbers = self._numbers(
-            steps, ramp=ramp, attraction_gain=attraction_gain, repulsion_gain=repulsion_gain,
-            height_gain=height_gain, max_step=max_step, parting_gain=parting_gain,
-            momentum=momentum, parameters=parameters,
+        start: dict[str, Any] = {
+            "state": self.state if resume else state, "first_step": first_step,
+            "last_step": last_step,
+        }  # fmt: skip
+        with self._taking(steps, StepOptions(**options), start) as numbers:
+            begin = self.start(**start)
+            builds = self._take(begin, numbers, goes_on=False, seed=options.get("seed", 0))
+        return RelaxResult(
+            state=self.state, begin=begin, largest_move=self.moves, list_builds=builds,
+            running=self.running, spacing=self.swarm.spacing, bounds_error=not self.dynamics.is_cut,
         )  # fmt: skip
-        state = self.start(resume=resume, first_step=first_step, last_step=last_step)
-        return self._taken_from(state, numbers, seed)
 
     @backend.exclusive()
-    def step(
-        self,
-        steps: int = 1,
-        *,
-        attraction_gain: float | None = None,
-        repulsion_gain: float | None = None,
-        ramp: ArrayLike | None = None,
-        height_gain: float = 0.0,
-        max_step: float | None = None,
-        parting_gain: float = 0.0,
-        momentum: float = 0.0,
-        parameters: Mapping[str, ArrayLike] | None = None,
-        seed: int = 0,
-    ) -> None:
-        """Take steps from where the robots are, and leave them on the device.
+    def step(self, steps: int = 1, **options: Any) -> None:  # noqa: ANN401 - `StepOptions`
+        """Take steps from where the robots are, by rows of neighbors that serve until stale.
 
-        `position` and `state` copy them from there once they are asked for. Arguments are those of
-        `relax`. Steps are the same to the bit, however they are shared out among calls.
+        Arguments are `StepOptions`. On a whole swarm, steps are the same to the bit, however they
+        are shared out among calls.
         """
-        numbers = self._numbers(
-            steps, ramp=ramp, attraction_gain=attraction_gain, repulsion_gain=repulsion_gain,
-            height_gain=height_gain, max_step=max_step, parting_gain=parting_gain,
-            momentum=momentum, parameters=parameters,
-        )  # fmt: skip
-        if steps == 0:
-            return
-        stepper = self.stepper
-        if stepper is None or stepper.by_structure or not self._is_on_device:
-            self._taken_from(self.state, numbers, seed)
-            return
-        self._refuse_other_device(stepper)
-        moves, _ = stepper.go_on(numbers, self.taken, seed)
-        farthest = self._farthest + float(moves.sum())
-        if stepper.places.were_left(moves) or not stepper.places.is_resolved(farthest):
-            # Beyond its numbers, or diverged: take the steps again from the host, or refuse them.
-            self.state = stepper.state(self.taken, before=True)
-            self._taken_from(self.state, numbers, seed)
-            return
-        self.moves = moves
-        self.taken += steps
-        self._state = None
-        self._farthest = farthest
+        with self._taking(steps, StepOptions(**options), {"state": self.state}) as numbers:
+            if steps:
+                self._take(self.state, numbers, goes_on=True, seed=options.get("seed", 0))
 
-    def _taken_from(self, state: RelaxState, numbers: Reals, seed: int) -> RelaxResult:
-        """Take a step from a state for each row of numbers, and read where the robots are then."""
+    @contextmanager
+    def _taking(
+        self, steps: int, options: StepOptions, _start: Mapping[str, Any]
+    ) -> Iterator[Reals]:
+        """Check and tabulate the numbers of steps, which are then taken.
+
+        Args:
+            steps: Number of steps.
+            options: Numbers of the call.
+            _start: Where steps begin: arguments of `start`.
+        """
+        yield self._numbers(steps, options)
+
+    def _take(self, state: RelaxState, numbers: Reals, *, goes_on: bool, seed: int) -> int:
+        """Take a step from a state for each row of numbers; return how often rows were made."""
         self.before = self.state
         self.begin = state
         steps = len(numbers)
         stepper = self.stepper
         if steps == 0 or stepper is None:
-            self.state = replace(state, taken=state.taken + steps)
-            return self._result(np.zeros(steps), 0, np.abs(state.position).max(initial=0.0))
-        self._refuse_other_device(stepper)
-        self._is_on_device = False
+            self.moves = np.zeros(steps)
+            self.state = state.numbered(state.taken + steps)
+            return 0
+        stepper.refuse_other_device()
         while True:
-            moves, builds = stepper.take_steps(state, numbers, seed)
+            arrays, moves, builds = stepper.take_steps(state, numbers, seed, goes_on=goes_on)
             self.moves = moves
             if not state.places.were_left(moves):
                 break
             # Whole numbers ran out: take the same steps again, in a larger unit.
             state = state.coarser()
-            if not state.places.is_resolved(state.position):
+            if not state.places.is_resolved(state.bound):
                 raise InputError(f"{_DIVERGED}, or use precision f64")
-        end = stepper.state(state.taken + steps)
-        farthest = _farthest(state.position, end.position, moves)
-        if not end.places.is_resolved(farthest):
-            raise InputError(_DIVERGED)
+        bound = state.bound + float(moves.sum())
+        end = RelaxState(state.places, state.taken + steps, arrays=arrays, bound=bound)
+        if not end.places.is_resolved(bound):
+            if not end.places.is_resolved(_farthest(state, end, moves)):
+                raise InputError(_DIVERGED)
+            end.bound = end.farthest
         self.state = end
-        self._is_on_device = True
-        self._farthest = float(np.abs(end.position).max())
-        return self._result(moves, builds, farthest)
-
-    def _refuse_other_device(self, stepper: Stepper) -> None:
-        """Refuse to go on where another device started meanwhile.
-
-        Arrays of a single thread are on the host, and outlast the device.
-        """
-        if backend.current() is not self.running and not stepper.by_structure:
-            raise InputError("another device started, which freed the swarm; prepare it again")
+        return builds
 
     def start(
-        self, *, resume: bool = False, first_step: int = 0, last_step: ArrayLike | None = None
-    ) -> RelaxState:
-        """Return the state that `relax` starts from; arguments are those of `relax`."""
-        if resume:
-            return self.state
-        if last_step is None:
-            return replace(self.first, taken=first_step)
-        step = np.asarray(last_step, np.float64)
-        if step.shape != self.first.position.shape or not np.isfinite(step).all():
-            shape = self.first.position.shape
-            problem = f"shape {step.shape}, or not finite; give steps of robots of shape {shape}"
-            raise InputError(problem, argument="last_step")
-        return replace(self.first, taken=first_step, last_step=step)
-
-    def _numbers(
         self,
-        steps: int,
         *,
-        attraction_gain: float | None,
-        repulsion_gain: float | None,
-        ramp: ArrayLike | None,
-        height_gain: float,
-        max_step: float | None,
-        parting_gain: float,
-        momentum: float,
-        parameters: Mapping[str, ArrayLike] | None,
-    ) -> Reals:
+        state: RelaxState | None = None,
+        first_step: int = 0,
+        last_step: ArrayLike | None = None,
+    ) -> RelaxState:
+        """Return the state that steps start from; arguments are those of `relax`."""
+        if state is not None:
+            return state
+        if last_step is None:  # the robots at first are on the device already, if they took a step
+            return self.first.numbered(first_step) if first_step else self.first
+        step = np.asarray(last_step, np.float64)
+        position = self.first.position
+        if step.shape != position.shape or not np.isfinite(step).all():
+            problem = (
+                f"shape {step.shape}, or not finite; give steps of robots of shape {position.shape}"
+            )
+            raise InputError(problem, argument="last_step")
+        return RelaxState(self.first.places, first_step, position=position, last_step=step)
+
+    def _numbers(self, steps: int, options: StepOptions) -> Reals:
         """Check and tabulate the numbers of each step, shape (steps, columns)."""
-        limit = _NO_LIMIT if max_step is None else max_step
-        gains = attraction_gain or 0.0, repulsion_gain or 0.0, height_gain
+        limit = _NO_LIMIT if options.max_step is None else options.max_step
+        attraction, repulsion = options.attraction_gain, options.repulsion_gain
+        gains = attraction or 0.0, repulsion or 0.0, options.height_gain
         if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains) and limit >= 0.0):
             raise InputError(
                 f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
                 f"not {gains} and {limit:g}"
             )
-        shared = {"height_gain": height_gain, "max_step": limit, "momentum": momentum}
         weighted = self._weighted(
-            ramp, steps,
-            attraction=attraction_gain, repulsion=repulsion_gain, parting=parting_gain,
+            options.ramp, steps,
+            attraction=attraction, repulsion=repulsion, parting=options.parting_gain,
         )  # fmt: skip
-        return self._tabulate({**shared, **weighted, **(parameters or {})}, steps)
+        numbers = {
+            "height_gain": options.height_gain, "max_step": limit, "momentum": options.momentum,
+            **weighted, **(options.parameters or {}),
+        }  # fmt: skip
+        return self._tabulate(numbers, steps)
 
     def _weighted(
         self, ramp: ArrayLike | None, steps: int, **gains: float | None
@@ -381,25 +409,9 @@ class PreparedSwarm:
             numbers[:, column] = columns[name]
         return numbers
 
-    def _result(self, moves: Reals, builds: int, farthest: float) -> RelaxResult:
-        """Describe the state after a call; `farthest` is the largest coordinate on the way."""
-        places = self.state.places
-        if places.unit is not None:
-            # Center and dock are rounded: as coarse as real numbers in f32 so far from the origin.
-            farthest = float(2.0 * places.unit / np.finfo(np.float32).eps)
-        return RelaxResult(
-            position=self.state.position.copy(),
-            last_step=self.state.last_step.copy(),
-            largest_move=moves,
-            taken=self.state.taken,
-            list_builds=builds,
-            precision=self.running.precision,
-            force_error=self.running.force_error(2.0 * farthest / self.swarm.spacing),
-        )
 
-
-def _farthest(start: Reals, end: Reals, moves: Reals) -> float:
-    """Bound the largest coordinate on the way from start to end, by the longest step of each."""
+def _farthest(begin: RelaxState, end: RelaxState, moves: Reals) -> float:
+    """Bound the largest coordinate on the way between states, by the longest step of each."""
     # No robot is farther from either end of the way than the steps between allow.
     way = np.concatenate([[0.0], np.cumsum(moves)])
-    return float(np.minimum(np.abs(start).max() + way, np.abs(end).max() + way[-1] - way).max())
+    return float(np.minimum(begin.farthest + way, end.farthest + way[-1] - way).max())

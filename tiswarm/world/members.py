@@ -48,6 +48,21 @@ LOCAL: Mapping[str, str] = {
 would meet."""
 
 
+JOINED: Mapping[str, str] = {
+    "robot": "Its number, by which `contacts` of others name it: robots that joined before, (P,).",
+    "age": "Rounds since each joined, shape (P,).",
+    "goal": "What each climbed toward [R], shape (P, 3).",
+    "center": "Its center [R], shape (P, 3).",
+    "orientation_wxyz": "Its orientation, body to world, shape (P, 4).",
+    "sd": "Standard deviation of its place [R], 0 where robots know the truth, shape (P,).",
+    "sensed": "Load that it sensed at the last solve [weight of a dock], shape (P,).",
+    "on_ground": "Whether each of its docks stands on the ground, shape (P, n).",
+    "contacts": "Rows (robot of these, its dock, neighbor's number, neighbor's dock), (C, 4).",
+    "heard": "Message of the round before that came by each contact, or NaN, shape (C, B).",
+}
+"""What a robot that has joined knows of itself, with its memory, and what it may say."""
+
+
 class LocalStep(Rewritable):
     """What M climbers of a local rule see, each with K flips about n docks.
 
@@ -138,7 +153,7 @@ class Members(Rewritable):
         self._age: AnyInts = arrays.rounds[numbers] - arrays.joined_in[place]
         self._goal: Reals = arrays.goal[place]
         self._center: Reals = arrays.center[place]
-        self._orientation: Reals = arrays.orientation[place]
+        self._orientation_wxyz: Reals = arrays.orientation[place]
         self._sd: Reals = arrays.sd[place]
         self._sensed: Reals = arrays.sensed[place]
         self._on_ground: Bools = arrays.on_ground[place]
@@ -153,46 +168,6 @@ class Members(Rewritable):
         self._say: Reals = np.full((len(robots), *arrays.said.shape[2:]), np.nan)
 
     @property
-    def robot(self) -> AnyInts:
-        """Its number, by which `contacts` of others name it: robots that joined before, (P,)."""
-        return self._robot
-
-    @property
-    def age(self) -> AnyInts:
-        """Rounds since each joined, shape (P,)."""
-        return self._age
-
-    @property
-    def goal(self) -> Reals:
-        """What each climbed toward [R], shape (P, 3)."""
-        return self._goal
-
-    @property
-    def center(self) -> Reals:
-        """Its center [R], shape (P, 3)."""
-        return self._center
-
-    @property
-    def orientation_wxyz(self) -> Reals:
-        """Its orientation, body to world, shape (P, 4)."""
-        return self._orientation
-
-    @property
-    def sd(self) -> Reals:
-        """Standard deviation of its place [R], 0 where robots know the truth, shape (P,)."""
-        return self._sd
-
-    @property
-    def sensed(self) -> Reals:
-        """Load that it sensed at the last solve [weight of a dock], shape (P,)."""
-        return self._sensed
-
-    @property
-    def on_ground(self) -> Bools:
-        """Whether each of its docks stands on the ground, shape (P, n)."""
-        return self._on_ground
-
-    @property
     def memory(self) -> Reals:
         """Numbers that it keeps, as it took them along; those that it writes stay, shape (P, W)."""
         return self._memory
@@ -200,16 +175,6 @@ class Members(Rewritable):
     @memory.setter
     def memory(self, values: Reals) -> None:
         rewrite(self._memory, values, "members.memory")
-
-    @property
-    def contacts(self) -> AnyInts:
-        """Rows (robot of these, its dock, neighbor's number, neighbor's dock), shape (C, 4)."""
-        return self._contacts
-
-    @property
-    def heard(self) -> Reals:
-        """Message of the round before that came by each contact, or NaN, shape (C, B)."""
-        return self._heard
 
     @property
     def say(self) -> Reals:
@@ -247,6 +212,15 @@ class Members(Rewritable):
         """Draw numbers in [0, 1), shape (P, count), by seed, stream, robot and round alone."""
         draw = (self._round.astype(np.int64) << 16)[:, None] + np.arange(count)
         return uniform(self._seed[:, None], stream, self._robot[:, None], draw)
+
+
+def _of_members(name: str, meaning: str) -> property:
+    """Return a property of `Members`."""
+    return property(lambda members: getattr(members, f"_{name}"), doc=meaning)
+
+
+for _name, _meaning in JOINED.items():
+    setattr(Members, _name, _of_members(_name, _meaning))
 
 
 class MemberArrays:
