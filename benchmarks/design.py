@@ -1,27 +1,37 @@
 """Compares errors that designs predict with those that whole runs find on fresh structures.
 
-    python -m benchmarks.design                       # four kinds, four suites each
-    python -m benchmarks.design --robots 20 --seeds 2
+    python -m benchmarks.design --out calibration.csv      # four kinds, 50 suites of each
+    python -m benchmarks.design --suites 4 --robots 20 --seeds 2
+    python -m benchmarks.design --table calibration.csv --figure docs/images/design.png
 
-Each suite is predicted on structures of the seeds that a design searches on, and run by `joint` on
-as many of fresh seeds. Nothing was fitted on either. Errors are roots of mean squares over
+Suites are drawn from all combinations of `VALUES`. Each is predicted on the structures that a
+design searches on, and run by `joint` on fresh structures of its own: with common ones all suites
+would share their luck. Nothing was fitted on either. Errors are roots of mean squares over
 structures and robots [R].
 """
 
 import argparse
-import tempfile
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 
 import tiswarm
+from tiswarm.app.design import USUAL_SEEDS
 from tiswarm.base.progress import ignore
+from tiswarm.records.intervals import share_ci95
+from tiswarm.report.figure_style import PAGE_WIDTH, Drawing, Panels, dot_style
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.design.candidates import list_candidates
 from tiswarm.study.design.search import FIRST_FRESH_SEED, FIRST_SEED, predict
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from tiswarm.app.swarms import Swarms
 
 KINDS: Mapping[str, Mapping[str, Any]] = {
     "tower": {"kind": "tower"},
@@ -30,66 +40,135 @@ KINDS: Mapping[str, Mapping[str, Any]] = {
     "planar tower": {"kind": "tower", "plane": True},
 }
 
-SUITES: Sequence[Mapping[str, Any]] = (
-    {"tilt_noise_deg": 4.0, "yaw_noise_deg": 10.0},
-    {"tilt_noise_deg": 1.0, "yaw_noise_deg": 2.0},
-    {"tilt_noise_deg": 1.0, "yaw_noise_deg": 2.0, "stances": False, "heights": False},
-    {"tilt_noise_deg": 2.0, "yaw_noise_deg": 5.0, "range_reach": 12.0, "range_noise": 0.3},
-)
+VALUES: Mapping[str, Sequence[Any]] = {
+    "tilt_noise_deg": (0.5, 1.0, 2.0, 4.0),
+    "yaw_noise_deg": (1.0, 2.0, 5.0, 10.0),
+    "stances": (False, True),
+    "heights": (False, True),
+    "range_reach": (None, 6.0, 12.0),
+    "direction_noise_deg": (None, 5.0),
+}
+"""Values of `sensing` that suites combine; ranges have a noise of `_RANGE_NOISE`."""
 
 NEAR = 0.3
 """Relative difference up to which a prediction counts as near."""
 
+_RANGE_NOISE = 0.3
+"""Noise of ranges [R]."""
 
-def compare(kind: Mapping[str, Any], *, robots: int, seeds: int) -> pd.DataFrame:
-    """Predict and run each suite; return a row of `predicted_R` and `found_R` for each."""
-    task = {"name": "calibration", "robots": robots, "structure": dict(kind)}
-    task["localization"] = {"method": "joint"}
-    training = tiswarm.grow(
-        dict(kind), robots, range(FIRST_SEED, FIRST_SEED + seeds), threads=1, quiet=True
-    )
-    conditions = {}
-    predicted = []
-    for number, suite in enumerate(SUITES):
-        values = {f"sensing.{key}": value for key, value in suite.items()}
-        base = load_scenario(task)
-        vary = {key: [value] for key, value in values.items()}
-        predicted += predict(list_candidates(base, vary, None), [*training], ignore).tolist()
-        conditions[f"suite-{number}"] = values
-    study = {
-        **task,
-        "seeds": {"first": FIRST_FRESH_SEED, "count": seeds},
-        "conditions": conditions,
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        run = tiswarm.run(study, out=folder, threads=1, pictures=False, quiet=True)
-        squares = run.summary.assign(square=run.summary["rmse_R"] ** 2)
-    mean = squares.groupby("condition", sort=False)["square"].mean()
-    suites = [", ".join(f"{key} {value}" for key, value in suite.items()) for suite in SUITES]
-    rmse = np.sqrt(mean[[*conditions]].to_numpy())
-    return pd.DataFrame({"suite": suites, "predicted_R": predicted, "found_R": rmse})
+
+def draw_suites(count: int) -> list[dict[str, Any]]:
+    """Draw suites without repetition from all combinations of `VALUES`."""
+    every = [
+        dict(zip(VALUES, values, strict=True)) for values in itertools.product(*VALUES.values())
+    ]
+    chosen = np.random.default_rng(0).choice(len(every), count, replace=False)
+    return [{**every[number], "range_noise": _RANGE_NOISE} for number in chosen.tolist()]
+
+
+def compare(
+    kind: Mapping[str, Any], suites: Sequence[Mapping[str, Any]], *, robots: int, seeds: int
+) -> pd.DataFrame:
+    """Predict suites on the structures of a search, and run each on fresh ones of its own.
+
+    Returns:
+        A row for each suite: its values, `predicted_R`, the same prediction on the fresh structures
+        `predicted_there_R`, and `found_R` on these.
+    """
+    base = load_scenario({
+        "name": "calibration", "robots": robots, "structure": dict(kind),
+        "localization": {"method": "joint"},
+    })  # fmt: skip
+    searched = _grow(kind, robots, FIRST_SEED, USUAL_SEEDS["sensing"])
+    rows = []
+    for number, suite in enumerate(suites):
+        vary = {f"sensing.{key}": [value] for key, value in suite.items()}
+        candidates = list_candidates(base, vary, None)
+        fresh = _grow(kind, robots, FIRST_FRESH_SEED + number * seeds, seeds)
+        estimates = [structure.sense(**suite).localize("joint", threads=1) for structure in fresh]
+        rows.append(
+            {
+                **suite,
+                "predicted_R": predict(candidates, [*searched], ignore)[0],
+                "predicted_there_R": predict(candidates, [*fresh], ignore)[0],
+                "found_R": np.sqrt((fresh.score(estimates)["rmse_R"] ** 2).mean()),
+                "robots": robots,
+                "structures": seeds,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _grow(kind: Mapping[str, Any], robots: int, first: int, count: int) -> "Swarms":
+    return tiswarm.grow(dict(kind), robots, range(first, first + count), threads=1, quiet=True)
+
+
+def draw_calibration(table: pd.DataFrame, path: Path) -> None:
+    """Draw found errors by predicted ones."""
+
+    def paint(axes: "Axes", panel: str, series: Sequence[str]) -> None:  # noqa: ARG001 - one panel
+        ends = np.array([table[["predicted_R", "found_R"]].min().min(), table["found_R"].max()])
+        ends *= (0.8, 1.25)
+        axes.fill_between(ends, ends * (1 - NEAR), ends * (1 + NEAR), color="0.9", lw=0)
+        axes.plot(ends, ends, color="0.5", lw=0.8)
+        for number, (kind, of_kind) in enumerate(table.groupby("kind", sort=False)):
+            axes.plot(of_kind["predicted_R"], of_kind["found_R"], label=kind, **dot_style(number))
+        axes.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
+        axes.set_xlabel("predicted RMSE [R]")
+        axes.set_ylabel("RMSE of joint, fresh structures [R]")
+
+    def complete(panels: Panels) -> list[str]:
+        panels.legend(structures=int(table["structures"].max()))
+        return []
+
+    drawing = Drawing(
+        panels=["calibration"], paint=paint, complete=complete, row_height=3.4, head_height=0.0,
+        alone=PAGE_WIDTH,
+    )  # fmt: skip
+    drawing.draw().savefig(path)
+
+
+def summarize(table: pd.DataFrame) -> pd.DataFrame:
+    """Count near predictions of each kind and of all, with the median ratio found / predicted."""
+    rows = []
+    for kind, of_kind in [*table.groupby("kind", sort=False), ("all", table)]:
+        row: dict[str, Any] = {"kind": kind, "suites": len(of_kind)}
+        for name in ("predicted_R", "predicted_there_R"):
+            ratio = of_kind["found_R"] / of_kind[name]
+            is_near = ((ratio - 1.0).abs() <= NEAR).to_numpy(np.float64)
+            low, high = share_ci95(is_near).values()
+            row[f"near_{name}"] = f"{is_near.sum():.0f} ({low:.0%} to {high:.0%})"
+            row[f"median_{name}"] = ratio.median()
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print a row for each kind and suite, and the share of predictions that are near."""
+    """Print how many predictions are near, and write the table and figure that were asked for."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--suites", type=int, default=50, help="of each kind")
     parser.add_argument("--robots", type=int, default=40)
-    parser.add_argument("--seeds", type=int, default=6, help="structures of either kind")
+    parser.add_argument("--seeds", type=int, default=6, help="fresh structures of each suite")
+    parser.add_argument("--out", type=Path, help="table of all suites (.csv)")
+    parser.add_argument("--table", type=Path, help="a table of before, in place of runs")
+    parser.add_argument("--figure", type=Path, help="picture of the table")
     options = parser.parse_args(arguments)
-    tables = []
-    for name, kind in KINDS.items():
-        table = compare(kind, robots=options.robots, seeds=options.seeds)
-        table.insert(0, "kind", name)
-        table["ratio"] = table["found_R"] / table["predicted_R"]
-        print(table.round(3).to_string(index=False), flush=True)
-        tables.append(table)
-    ratio = pd.concat(tables)["ratio"]
-    near = int(((ratio - 1.0).abs() <= NEAR).sum())
-    share = binomtest(near, len(ratio)).proportion_ci(method="wilson")
-    print(
-        f"{near} of {len(ratio)} predictions within {NEAR:.0%} "
-        f"(95 % interval {share.low:.2f} to {share.high:.2f}), median ratio {ratio.median():.2f}"
-    )
+    if options.table:
+        table = pd.read_csv(options.table)
+    else:
+        suites = draw_suites(options.suites)
+        tables = []
+        for name, kind in KINDS.items():
+            of_kind = compare(kind, suites, robots=options.robots, seeds=options.seeds)
+            of_kind.insert(0, "kind", name)
+            tables.append(of_kind)
+            table = pd.concat(tables, ignore_index=True)
+            if options.out:
+                table.to_csv(options.out, index=False)
+            print(of_kind.round(3).to_string(index=False), flush=True)
+    print(summarize(table).round(2).to_string(index=False))
+    if options.figure:
+        draw_calibration(table, options.figure)
 
 
 if __name__ == "__main__":

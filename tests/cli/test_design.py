@@ -1,5 +1,7 @@
 """`tiswarm design` prints what it found, writes it where it is told, and refuses in a line."""
 
+import json
+
 import pandas as pd
 import pytest
 import yaml
@@ -46,10 +48,17 @@ def test_a_design_has_a_table_a_scenario_and_the_runs(tiswarm, task, tmp_path):
     assert table["price"].tolist() == [1, 5, 10, 14]
     assert table["found_rmse_R"].notna().sum() == table["front"].sum() > 0
     assert (out / "design.png").stat().st_size > 5000
+    page = (out / "design.html").read_text()
+    data = json.loads(page.partition('id="data">')[2].partition("</script>")[0])
+    column = {column["name"]: column["cells"] for column in data["columns"]}
+    assert column["price"] == table["price"].tolist()
+    assert column["verdict"].count("on the front") == table["front"].sum()
+    assert data["first"]["x"] == "price"
+    assert data["first"]["y"] == "predicted_rmse_R"
     assert tiswarm("check", out / "design.yaml").returncode == 0
     refused = tiswarm("design", task, *goal, *VARY, "--out", out)
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert f"{out / 'design.yaml'}: exists already, as do design.csv and" in refused.stderr
+    assert f"{out / 'design.yaml'}: exists already, as do design.csv, design.png and" in refused.stderr
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from tiswarm.records.frames import write_frame
 from tiswarm.records.messages import counted, shown
 from tiswarm.records.outputs import Outputs
 from tiswarm.report.design_figure import draw_front
+from tiswarm.report.design_page import design_page
 from tiswarm.report.figure_style import write
 from tiswarm.scenario.model import Scenario, dump_scenario, to_plain
 from tiswarm.study.design.candidates import (
@@ -41,10 +42,11 @@ from tiswarm.study.design.search import (
 )
 from tiswarm.study.design.verification import choose, verify
 
-FILES = ("design.yaml", "design.csv", "design.png")
-"""Files of a design: its scenario, its table, and with several objectives a figure of the front."""
+FILES = ("design.yaml", "design.csv", "design.png", "design.html")
+"""Files of a design: its scenario, its table, with several objectives a figure of the front, and a
+page of all candidates."""
 
-USUAL_SEEDS = {"sensing": 3, "growth": 8}
+USUAL_SEEDS = {"sensing": 12, "growth": 8}
 """Structures that a candidate is tried on, by what is designed."""
 
 
@@ -66,8 +68,8 @@ class Design:
     """Which structures the search saw, and which ones the best candidates were run on."""
 
     folder: Path | None = None
-    """Folder with `design.yaml`, `design.csv`, with several objectives `design.png`, and the runs
-    on fresh seeds; None without one."""
+    """Folder with `design.yaml`, `design.csv`, the page `design.html`, with several objectives
+    `design.png`, and the runs on fresh seeds; None without one."""
 
     @property
     def front(self) -> pd.DataFrame:
@@ -88,14 +90,14 @@ class Design:
     def __str__(self) -> str:
         """Tabulate the candidates that were run, and say on what."""
         text = _shortened(self.verified).to_string(index=False, na_rep="")
-        lines = [self._summary, text, self.note, self.verdict]
+        lines = [self.summary, text, self.note, self.verdict]
         if self.folder is not None:
             written = [name for name in FILES if (self.folder / name).exists()]
             lines.append(f"{', '.join(written)} in {self.folder}")
         return "\n".join(lines)
 
     @property
-    def _summary(self) -> str:
+    def summary(self) -> str:
         """How many candidates reach the bounds, and what else was asked for."""
         count = counted(len(self.table), "candidate")
         bounds = " and ".join(goal for goal in self.goals if ":" not in goal)
@@ -184,6 +186,16 @@ def design(
         write_frame(result.table, out / FILES[1], opened=outputs.opened)
         if len(objectives) > 1:
             write(out / FILES[2], lambda: draw_front(result.table, objectives), outputs)
+        page = design_page(
+            result.table,
+            [*vary],
+            objectives,
+            title=f"Design of {base.name}",
+            result=result.summary,
+            note=f"{result.note}; {result.verdict}",
+            file=FILES[1],
+        )
+        outputs.write(out / FILES[3], page.encode())
     return result
 
 

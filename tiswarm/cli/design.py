@@ -46,7 +46,7 @@ def design(
     seeds: Annotated[
         int | None,
         Option(
-            help="Structures to search on (default: 3 for sensing, else 8).", show_default=False
+            help="Structures to search on (default: 12 for sensing, else 8).", show_default=False
         ),
     ] = None,
     fresh: Annotated[int, Option(help="Structures to run the best candidates on.")] = 5,

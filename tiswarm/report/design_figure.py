@@ -51,21 +51,25 @@ def _draw_candidates(axes: "Axes", table: pd.DataFrame, across: str, up: str) ->
         (~is_complete, "given up on fewer structures", 0.3),
     ):
         if chosen.any():
-            x, y = (_column(table[chosen], name, "predicted") for name in (across, up))
+            x, y = (_values(table[chosen], name, "predicted") for name in (across, up))
             axes.plot(x, y, label=label, alpha=alpha, **dot_style(6, 2.5))
-    x = _column(table, across, "predicted")
+    x = _values(table, across, "predicted")
     front = table[table["front"]].iloc[x[table["front"]].argsort(kind="stable")]
-    x, y = (_column(front, name, "predicted") for name in (across, up))
+    x, y = (_values(front, name, "predicted") for name in (across, up))
     axes.plot(x, y, label="front, as predicted", **line_style(0))
     run = table[table["fresh_structures"] > 0]
-    x, y = (_column(run, name, "found") for name in (across, up))
+    x, y = (_values(run, name, "found") for name in (across, up))
     axes.plot(x, y, label="found on fresh structures", **dot_style(1))
 
 
-def _column(table: pd.DataFrame, name: str, kind: str) -> "pd.Series[float]":
-    """Return predicted or found values of a result; a price is the same in both."""
+def result_column(table: pd.DataFrame, name: str, kind: str) -> str:
+    """Return the column of predicted or found values of a result; a price is the same in both."""
     column = f"{kind}_{name}"
-    return table[column if column in table else name]
+    return column if column in table else name
+
+
+def _values(table: pd.DataFrame, name: str, kind: str) -> "pd.Series[float]":
+    return table[result_column(table, name, kind)]
 
 
 def _label(name: str) -> str:

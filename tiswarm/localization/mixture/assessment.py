@@ -144,11 +144,9 @@ def assess(
         the minimum. Beyond `LARGE` robots the estimate itself is taken for it. Outliers are None
         unless noise explains that, and all other measurements.
     """
-    chosen = Cues(**{cue: cue in cues for cue in SWITCHES})
     is_large = log.robot_count > LARGE
-    params = ChiSquareParams(cues=chosen, solve_yaw=yaw is not None or not is_large)
-    problem = pose_problem(log, params)
-    posed = Posed(log, params, problem)
+    posed = _posed(log, cues, solve_yaw=yaw is not None or not is_large)
+    problem = posed.problem
     counts = ~is_guess[problem.rows.robot]
     counts[: len(problem.rows.neighbor)] &= ~is_guess[problem.rows.neighbor]
     rows = problem.rows.select(counts)
@@ -200,6 +198,37 @@ def assess(
     places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
     contacts = np.unique(outliers.sensed_contacts, axis=0)
     return Assessment(verdicts, misfit, contacts, places, torn, sd, motions)
+
+
+def expected_square(log: SensingLog, cues: Collection[str], position: Reals) -> float:
+    """Compute the expected mean square error of an estimate near some positions.
+
+    It is that of a search that ends there: of solutions that are mirrored, at the right one.
+
+    Args:
+        log: What was sensed.
+        cues: Cues in use.
+        position: Centers at which measurements are linearized [R], shape (N, 3).
+
+    Returns:
+        Mean over the robots that stay [R^2].
+    """
+    posed = _posed(log, cues, solve_yaw=True)
+    every = np.ones(len(posed.problem.rows), np.bool_)
+    # Where nothing ties a robot to the world, it may be anywhere within the swarm's extent.
+    square = np.where(
+        posed.problem.untied,
+        extent(position) ** 2,
+        open_variance(posed, (position, np.zeros(log.robot_count)), every),
+    )
+    return float(square[~log.is_gone].mean())
+
+
+def _posed(log: SensingLog, cues: Collection[str], *, solve_yaw: bool) -> Posed:
+    """Gather the measurements of some cues."""
+    chosen = Cues(**{cue: cue in cues for cue in SWITCHES})
+    params = ChiSquareParams(cues=chosen, solve_yaw=solve_yaw)
+    return Posed(log, params, pose_problem(log, params))
 
 
 def _left_open(posed: Posed, estimate: tuple[Reals, Reals], near: Reals, inlier: Bools) -> Reals:

@@ -18,7 +18,7 @@ of that variance, or less (the Bhattacharyya bound).
 Lengths in R.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,7 +27,6 @@ from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_arra
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute.normal_equations import inverted
-from tiswarm.measurements.cues import measure
 from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import ASSUMED, Odometry
@@ -47,26 +46,6 @@ def odometry_without_bias(log: SensingLog) -> Odometry:
     if log.yaw_bias > 0.0:
         noise = replace(noise, yaw_bias_deg=0.0)
     return Odometry(log, noise)
-
-
-def expected_square(log: SensingLog, cues: Collection[str], center: Reals) -> float:
-    """Compute the expected mean square error of the robots that stay, from their measurements.
-
-    It is that of an estimate near the centers: of solutions that are mirrored, the right one.
-
-    Args:
-        log: What was sensed, of `MOST_ROBOTS` robots or fewer.
-        cues: Cues in use.
-        center: Centers at which rows are linearized [R], shape (N, 3).
-
-    Returns:
-        Mean square position error [R^2].
-    """
-    if log.robot_count == 1:
-        return 0.0
-    rows = measure(log, cues, odometry=odometry_without_bias(log)).associated(center)
-    square = Posterior(rows.averaged(), center, log.yaw_bias).square
-    return float(square[~log.is_gone].mean())
 
 
 class Images(NamedTuple):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from tiswarm.base.errors import InputError, require_name
-from tiswarm.measurements.advice.expected_error import MOST_ROBOTS
+from tiswarm.localization.settings import LARGE
 from tiswarm.records.messages import counted, shown
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.scenario.model import Scenario, SeedRange, to_plain
@@ -172,8 +172,8 @@ def require_sensing(base: Scenario, goals: Sequence[Goal]) -> None:
     Raises:
         InputError: there are too many robots, no method, or robots that build by estimates.
     """
-    if base.robots > MOST_ROBOTS:
-        problem = f"errors are predicted for up to {counted(MOST_ROBOTS, 'robot')}; give fewer"
+    if base.robots > LARGE:
+        problem = f"errors are predicted for up to {counted(LARGE, 'robot')}; give fewer"
         raise InputError(problem, key="robots")
     if not base.localization.places_robots:
         problem = f"{base.localization.method} has no {goals[0].name}; choose another, as joint"

@@ -1,8 +1,9 @@
 """Search of a design: predicted errors of sensor suites, and structures grown by each setting.
 
-The error of a suite is not measured but predicted: the information matrix of what robots would
-sense, at their true positions, states how precise positions can be. No robot is localized.
-Growth is tried by successive halving: all settings on few seeds, the better half on twice as many.
+The error of a suite is not measured but predicted: the measurements that robots would take,
+linearized at their true positions, state how precise positions can be. No robot is localized.
+Growth is tried by successive halving: all settings on few seeds, the better half, and all that
+nothing surpasses, on twice as many.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +16,7 @@ from tiswarm.base.errors import InputError, require_name
 from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend
 from tiswarm.evaluation.tables import evaluate
-from tiswarm.measurements.advice.expected_error import expected_square
+from tiswarm.localization.mixture.assessment import expected_square
 from tiswarm.records import measures
 from tiswarm.records.measures import RMSE
 from tiswarm.scenario.model import Scenario
@@ -223,7 +224,7 @@ def _halve(
             return means, tried
         price = np.array([candidate.price for candidate in candidates])
         of_remaining = {name: of[remaining] for name, of in {**means, PRICE: price}.items()}
-        remaining = remaining[_better_half(goals, of_remaining)]
+        remaining = remaining[better(goals, of_remaining)]
 
 
 def _require_results(names: Sequence[str], scores: Reals) -> None:
@@ -300,13 +301,21 @@ def _judged(
     )
 
 
-def _better_half(goals: Sequence[Goal], results: Mapping[str, Reals]) -> AnyInts:
-    """Choose candidates that few others surpass, those that reach the goals first; sorted."""
+def better(goals: Sequence[Goal], results: Mapping[str, Reals]) -> AnyInts:
+    """Choose the better half of candidates, and further ones that no other surpasses; sorted.
+
+    Those that reach the goals come first, then those that few surpass. A front of several goals may
+    be longer than half. Of candidates with the same results, one goes on beyond the half.
+    """
     reaches = np.all([goal.is_reached(results[goal.name]) for goal in goals], axis=0)
     cost = _costs(goals, results)
-    order = np.lexsort([*cost.T[::-1], surpassed_by(cost), ~reaches])
-    half: AnyInts = np.sort(order[: (len(order) + 1) // 2])
-    return half
+    surpassed = surpassed_by(cost)
+    order = np.lexsort([*cost.T[::-1], surpassed, ~reaches])
+    half = order[: (len(order) + 1) // 2]
+    front = np.flatnonzero((surpassed == 0) & reaches)
+    _, first = np.unique(cost[front], axis=0, return_index=True)
+    chosen: AnyInts = np.union1d(half, front[first])
+    return chosen
 
 
 def _costs(goals: Sequence[Goal], results: Mapping[str, Reals]) -> Reals:

@@ -1,6 +1,6 @@
-// --- cases of many runs: a chart and a table, with the selection in the address ---
+// --- rows of a table: a chart and the table, with the selection in the address ---
 
-const { columns, palette, scale, first } = JSON.parse(document.getElementById("data").textContent);
+const { columns, palette, scale, noun, first } = JSON.parse(document.getElementById("data").textContent);
 const columnOf = new Map(columns.map((column) => [column.name, column]));
 const count = columns[0].cells.length;
 const element = (id) => document.getElementById(id);
@@ -98,7 +98,7 @@ function mixed(share) {
   return `rgb(${channels.join()})`;
 }
 
-// Colors of cases, and what the legend has: classes in the palette, other numbers along a scale.
+// Colors of rows, and what the legend has: classes in the palette, other numbers along a scale.
 function colorsOf(column, indices) {
   const used = indices.map((index) => column.cells[index]).filter((value) => value !== null);
   const classes = [...new Set(used)].sort((a, b) => (column.words ? a.localeCompare(b, "en", { numeric: true }) : a - b));
@@ -206,7 +206,7 @@ function drawTable(indices) {
     return row;
   });
   document.querySelector("tbody").replaceChildren(...rows);
-  element("cut").textContent = indices.length > MOST_ROWS ? `The table shows the first ${MOST_ROWS} of ${indices.length} cases.` : "";
+  element("cut").textContent = indices.length > MOST_ROWS ? `The table shows the first ${MOST_ROWS} of ${indices.length} ${noun}.` : "";
 }
 
 function draw() {
