@@ -44,7 +44,8 @@ def design_page(
     rows = table.drop(columns=["reaches", "front", "found_reaches"])
     rows.insert(len(keys), _VERDICT, _verdicts(table))
     rows.insert(len(keys) + 1, _ON_FRESH, _verdicts_on_fresh(table))
-    words = [name for name in rows if not pd.api.types.is_numeric_dtype(rows[name])]
+    names = [*map(str, rows)]
+    words = [name for name in names if not pd.api.types.is_numeric_dtype(rows[name])]
     headings = {key: _heading_of_key(key) for key in keys}
     headings[_ON_FRESH] = "on fresh structures"
     headings |= {
@@ -56,7 +57,7 @@ def design_page(
     columns = page_columns(rows, words, headings)
     results = [result_column(table, name, "predicted") for name in objectives]
     across, up = results[:2] if len(results) > 1 else (keys[0], results[0])
-    further = [name for name in rows if name.startswith("found_") and name not in results]
+    further = [name for name in names if name.startswith("found_") and name not in results]
     return table_page(
         title,
         result,

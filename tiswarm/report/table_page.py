@@ -120,6 +120,11 @@ def table_page(
             "palette": PALETTE,
             "scale": ERROR_COLORS,
             "noun": noun,
-            "first": {**first._asdict(), "columns": " ".join(first.columns)},
+            "first": {
+                "x": first.x,
+                "y": first.y,
+                "color": first.color,
+                "columns": " ".join(first.columns),
+            },
         },
     )

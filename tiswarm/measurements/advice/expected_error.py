@@ -27,7 +27,6 @@ from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_arra
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute.normal_equations import inverted
-from tiswarm.measurements.equations import AXES
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import ASSUMED, Odometry
 from tiswarm.records.estimate import Solution
@@ -133,13 +132,6 @@ class Posterior:
 
         self.apart_square = 0.0
         """Square of the difference between both solutions in the rows that were added [sd]."""
-
-    @property
-    def square(self) -> Reals:
-        """Expected square error of the position of each robot [R^2], shape (N,); 0 of robot 0."""
-        diagonal = self.covariance.diagonal()[: self.coordinates]
-        square: Reals = np.insert(diagonal.reshape(-1, AXES).sum(axis=1), 0, 0.0)
-        return square
 
     def with_rows(
         self, jacobian: csc_array, variance: Reals, change: Reals, size: int
