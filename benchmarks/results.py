@@ -6,10 +6,10 @@
     python -m benchmarks.results --write
 
 A row is the mean of a measure over the structures of a condition and point, with its 95 %
-confidence interval. Rows of the same structures, computed on the same kind of processor, are
-replaced; all others stay. `--write` puts the numbers of the file between the marks of pages:
-`benchmarks/statements.py` has the text of each mark. `tests/benchmarks/test_results.py` claims
-that nothing is left to write.
+confidence interval, Student's, or Wilson's of a share. Rows of the same structures, computed on
+the same kind of processor, are replaced; all others stay. `--write` puts the numbers of the file
+between the marks of pages: `benchmarks/statements.py` has the text of each mark.
+`tests/benchmarks/test_results.py` claims that nothing is left to write.
 """
 
 import argparse
@@ -21,13 +21,17 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from benchmarks import paper_facts
 from benchmarks.marks import write_texts
 from benchmarks.statements import texts_of
+from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records.intervals import mean_std_ci95
+from tiswarm.records.intervals import mean_std_ci95, share_ci95
+from tiswarm.records.measures import FEWEST
+from tiswarm.records.measures import MEASURES as ALL_MEASURES
 
 REPOSITORY = Path(__file__).parents[1]
 RESULTS = REPOSITORY / "docs" / "results.csv"
@@ -108,8 +112,7 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
         for name, unit in measures.items():
             if name not in group or group[name].isna().all():
                 continue
-            found = mean_std_ci95(group[name].dropna().to_numpy(float))
-            ends = (found["mean"], found["mean"] - found["ci95"], found["mean"] + found["ci95"])
+            ends = _with_ends(group[name].to_numpy(float), is_share=_is_share(name))
             value, low, high = (float(f"{end:.{_DIGITS}g}") for end in ends)
             rows.append(
                 of
@@ -124,6 +127,23 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
         of_all = of_all[["scenario", "condition", "point", "seeds", "structures", *shared]]
         rows += together.merge(of_all, on=["condition", "point"]).to_dict("records")
     return pd.DataFrame(rows)
+
+
+def _is_share(name: str) -> bool:
+    """Whether a column is a share from 0 to 1 of the robots, or 0 or 1."""
+    return any(measure.is_share for measure in ALL_MEASURES.values() if measure.column == name)
+
+
+def _with_ends(values: Reals, *, is_share: bool) -> tuple[float, float, float]:
+    """Return a mean with the ends of its 95 % confidence interval, Wilson's of a share.
+
+    Ends of means of fewer than `FEWEST` structures, shape (n,), are NaN.
+    """
+    found = mean_std_ci95(values)
+    low, high = found["mean"] - found["ci95"], found["mean"] + found["ci95"]
+    if is_share and np.isfinite(values).sum() >= FEWEST:
+        low, high = share_ci95(values).values()
+    return found["mean"], low, high
 
 
 def _kind(manifest: Mapping[str, Any]) -> str:

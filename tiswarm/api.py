@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from tiswarm.localization.online.tracker import Tracker
     from tiswarm.measurements.advice.further import AdviceTable, Kind
     from tiswarm.scenario.model import Scenario
+    from tiswarm.study.executors import Execution
     from tiswarm.study.forecast import Forecast
 
 
@@ -154,6 +155,7 @@ def run(
     pictures: bool = True,
     pdf: bool = False,
     movie: AnyMovie | None = None,
+    live: bool = False,
     quiet: bool = False,
     **execution: Any,  # noqa: ANN401 - types of their own
 ) -> Run:
@@ -174,6 +176,8 @@ def run(
         pictures: Whether to draw figures, renders and report.html.
         pdf: Whether to draw figures as vector PDF, too.
         movie: File format of an animation of the growth; none if None.
+        live: Whether to show structures while they grow: in a notebook, or on the page
+            `live.html` in the run's folder, whose path is printed. Results are the same.
         quiet: Whether to hide progress.
         execution: Other fields of `tiswarm.study.Execution`, such as `scheduler` and `shard`.
 
@@ -190,12 +194,15 @@ def run(
     where = study.Execution(workers=workers, **_fields(execution))
     settings, progress = _load(scenario, overrides), ConsoleProgress(quiet=quiet)
     where = fewer(settings, where, progress)
-    result = study.run(
-        settings, as_path(out, "out"),
-        progress=progress, arch=arch, threads=threads, execution=where, overwrite=overwrite,
-    )  # fmt: skip
-    if not result.missing:
-        draw_all(result, progress, pictures=pictures, pdf=pdf, movie=movie)
+    if live:
+        progress = _live(settings, where, quiet=quiet)
+    with progress:
+        result = study.run(
+            settings, as_path(out, "out"),
+            progress=progress, arch=arch, threads=threads, execution=where, overwrite=overwrite,
+        )  # fmt: skip
+        if not result.missing:
+            draw_all(result, progress, pictures=pictures, pdf=pdf, movie=movie)
     if result.failed:
         warn(result.what_failed)
     return Run(result.folder, failed=result.what_failed, missing=result.missing)
@@ -214,6 +221,7 @@ def grow(
     sensing: Mapping[str, object] | None = None,
     threads: int | None = None,
     plugins: Sequence[File] = (),
+    live: bool = False,
     quiet: bool = False,
 ) -> "Swarms":
     """Grow structures side by side, as `tiswarm run` grows them.
@@ -238,6 +246,8 @@ def grow(
             `sensing`, such as `{"tilt_noise_deg": 1.0}`.
         threads: CPU threads; all that this process may use if None.
         plugins: Python files that register structures, rules and sensors.
+        live: Whether to show structures while they grow: in a notebook below its cell, elsewhere on
+            a page in a new folder, whose path is printed. What grows is the same.
         quiet: Whether to hide progress.
 
     Returns:
@@ -258,7 +268,7 @@ def grow(
     scenario = swarms.growth_scenario(
         structure, robots, seeds, rule=rule, robot=robot, navigation=navigation
     )
-    return swarms.grow(scenario, place=navigation.place, threads=threads, quiet=quiet)
+    return swarms.grow(scenario, place=navigation.place, threads=threads, quiet=quiet, live=live)
 
 
 def check_local(
@@ -632,6 +642,20 @@ def _fields(execution: Mapping[str, Any]) -> Mapping[str, Any]:
     for name in execution:
         require_name(name, [field.name for field in fields(study.Execution)], "execution")
     return execution
+
+
+def _live(settings: "Scenario", where: "Execution", *, quiet: bool) -> ConsoleProgress:
+    """Return progress that shows structures of a run while they grow.
+
+    Raises:
+        InputError: other processes are to grow them.
+    """
+    from tiswarm.app.growing import LiveProgress  # noqa: PLC0415 - slow to import
+
+    if where.scheduler is not None or where.processes:
+        problem = "structures that other processes grow are not shown; leave out"
+        raise InputError(f"{problem} workers, scheduler and case limit", argument="live")
+    return LiveProgress(quiet=quiet, name=settings.name)
 
 
 def _load(scenario: File | Mapping[str, object], overrides: Overrides | None) -> "Scenario":

@@ -171,3 +171,21 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
     assert ended.value.code == 2
     assert "this is no finished run; give the folder of one" in capsys.readouterr().err
     assert [*tmp_path.iterdir()] == []
+
+
+def test_shares_have_intervals_from_0_to_1(tmp_path):
+    """Student's interval of 9 of 10 went on beyond all of them; Wilson's does not, in the file."""
+    (tmp_path / "study-1").mkdir()
+    crossed = [1.0] * 9 + [0.0]
+    cases = {"seed": range(10), "condition": "a", "point": "", "status": "done", "crossed": crossed}
+    pd.DataFrame(cases).to_csv(tmp_path / "study-1" / "summary.csv", index=False)
+    manifest = {"tiswarm": "1", "machine": {"processor": "any"}}
+    (tmp_path / "study-1" / "manifest.json").write_text(json.dumps(manifest))
+
+    [row] = results.rows_of(tmp_path / "study-1").itertuples()
+
+    assert (row.low, row.high) == (0.5958, 0.9821)  # by Wilson's formula at 9 of 10
+    stored = results.read_results()
+    shares = stored[stored["measure"].isin(["converged", "consistent", "crossed", "beyond_edge"])]
+    assert shares[["low", "high"]].min(axis=None) >= 0.0
+    assert shares[["low", "high"]].max(axis=None) <= 1.0

@@ -6,13 +6,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rich.progress
 from rich.console import Console
 
 from tiswarm.base.errors import InputError, TiswarmError
 from tiswarm.base.progress import Advance, Note, Progress, ignore
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 _LINE_EVERY_S = 30.0
 """Least time between two progress lines where there is no terminal to draw a bar on."""
@@ -39,6 +42,13 @@ class ConsoleProgress(Progress):
         self.console = Console(stderr=True, highlight=False, soft_wrap=True)
         self.cell = _Cell() if self.console.is_jupyter else None
         self.bars: rich.progress.Progress | None = None  # of the tasks that run, on a terminal
+
+    def __enter__(self) -> "Self":
+        """Begin the work that is shown."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End it."""
 
     def info(self, text: str) -> None:
         """Print one line."""

@@ -46,7 +46,7 @@ CueChoice = Sequence[str] | Mapping[str, bool] | None
 Color: TypeAlias = "str | pd.Series[Any] | Sequence[str | pd.Series[Any]]"
 """Values that color robots: columns `FILE:COLUMN` of tables, or series of pandas by robot."""
 
-_FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888; box-sizing: border-box"'
+FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888; box-sizing: border-box"'
 """Look of a page within a notebook."""
 
 
@@ -67,7 +67,7 @@ class PageFile(_Path):
         if self.suffix != ".html" or not self.is_file():  # such as the folder of a page
             return None
         page = html.escape(self.read_text(encoding="utf-8"))
-        return f'<iframe srcdoc="{page}" {_FRAME}></iframe>'
+        return f'<iframe srcdoc="{page}" {FRAME}></iframe>'
 
 
 class Figures(dict[str, Figure]):

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.formats import check_export, export_view
+from tiswarm.app.growing import LiveProgress
 from tiswarm.app.logs import Localized, Log
 from tiswarm.app.navigation import Navigation
 from tiswarm.app.results import Figures, File, PageFile, Section, as_path, as_section, plain
@@ -696,7 +697,12 @@ def _as_rule(given: Any) -> object:  # noqa: ANN401 - as a caller gives it
 
 
 def grow(
-    scenario: Scenario, *, place: Place | None = None, threads: int | None, quiet: bool
+    scenario: Scenario,
+    *,
+    place: Place | None = None,
+    threads: int | None,
+    quiet: bool,
+    live: bool = False,
 ) -> Swarms:
     """Grow the structures of a scenario; `tiswarm.grow` explains it.
 
@@ -705,6 +711,7 @@ def grow(
         place: Places robots that navigate by estimates, in place of the method of the scenario.
         threads: CPU threads; all that this process may use if None.
         quiet: Whether to hide progress.
+        live: Whether to show structures while they grow.
 
     Raises:
         InputError: no robot joined a structure.
@@ -714,13 +721,20 @@ def grow(
     backend.processor()
     name = "compile, grow" if backend.current().is_cold else "grow"
     seeds = scenario.seed_list
-    with ConsoleProgress(quiet=quiet).task(name, len(seeds) * scenario.robots) as advance:
+    progress = (
+        LiveProgress(quiet=quiet, name=structure.kind) if live else ConsoleProgress(quiet=quiet)
+    )
+    total = len(seeds) * scenario.robots
+    names = [f"seed {seed}" for seed in seeds]
+    watched = progress.watch(names, scenario.robots)
+    with progress, progress.task(name, total) as advance, watched as watch:
         histories = growth.grow(
             structure,
             robots=scenario.robots,
             seeds=seeds,
             robot=scenario.robot,
             on_progress=advance,
+            watch=watch,
             **navigate(scenario, place),
         )
     for history in histories:

@@ -1,13 +1,18 @@
 """What long work reports while it runs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
 
 Advance = Callable[[float], None]
 """Receives the steps that were just done."""
 
 Note = Callable[[], str]
 """Returns what to show beside the steps of a task, such as `2 failed`; empty for nothing."""
+
+Watch = Callable[[Sequence[Any]], None]
+"""Receives the structures that grow, after each round."""
 
 
 class Progress:
@@ -35,6 +40,21 @@ class Progress:
         """
         return nullcontext(ignore)
 
+    def watch(
+        self,
+        names: Sequence[str],  # noqa: ARG002 - for those that show structures
+        robots: int,  # noqa: ARG002
+        folder: Path | None = None,  # noqa: ARG002
+    ) -> AbstractContextManager[Watch]:
+        """Watch structures while they grow; the block calls the result after each round.
 
-def ignore(_steps: float) -> None:
+        Args:
+            names: Name of each structure.
+            robots: Robots that each is to have.
+            folder: Folder of the run that they are grown for; None without one.
+        """
+        return nullcontext(ignore)
+
+
+def ignore(_news: object) -> None:
     """Report nothing."""

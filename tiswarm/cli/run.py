@@ -37,6 +37,9 @@ def run(
     overwrite: Annotated[
         bool, Option("--overwrite", help="Take a folder that no run made, and replace files there.")
     ] = False,
+    live: Annotated[
+        bool, Option("--live", help="Write live.html, which shows robots while they join.")
+    ] = False,
     opened: options.Open = False,
     debug: options.Debug = False,
     quiet: options.Quiet = False,
@@ -91,6 +94,7 @@ def run(
         movie=animated,
         plugins=plugins,
         overwrite=overwrite,
+        live=live,
         quiet=quiet,
         **execution,
     )

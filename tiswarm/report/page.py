@@ -8,13 +8,13 @@ import io
 import os
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree as ET
 
 from PIL import Image
@@ -272,6 +272,7 @@ class Page:
     rows: page_tables.PageTable | None = None  # a row for each case or robot, which readers filter
     rows_example: str = ""  # words that a reader may filter the rows by
     reproduction: _Reproduction | None = None
+    growth: Mapping[str, Any] | None = None  # of structures that grow: their `folder` or `news`
 
     @property
     def first_figures(self) -> list[Shown]:

@@ -19,9 +19,9 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.plugins import load_plugins
 from tiswarm.base.registry import Registered, contents
 from tiswarm.records.messages import Part, dotted
-from tiswarm.records.run_folder import ENGINE_METHOD, LABEL, variant_name
-from tiswarm.scenario.labels import swept_keys, without_label
-from tiswarm.scenario.model import ADAPTER, Scenario, from_plain, to_plain
+from tiswarm.records.run_folder import ENGINE_METHOD, LABEL, cell_of, variant_name
+from tiswarm.scenario.labels import row_labels, swept_keys, without_label
+from tiswarm.scenario.model import ADAPTER, BASELINE, Scenario, from_plain, to_plain
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     DISCRIMINATORS,
@@ -69,6 +69,14 @@ class Variant:
     condition: str  # name of the condition
     point: Mapping[str, Any]  # swept values by dotted key, without those that follow another key
     settings: Scenario  # the scenario at this point and condition, without conditions and sweep
+    condition_words: str = ""  # what pages call the condition, without its measurements
+    point_words: str = ""  # what pages call the point; empty without a sweep
+
+    @property
+    def words(self) -> str:
+        """Condition and point for people; empty where the scenario has neither."""
+        condition = "" if self.condition == BASELINE else self.condition_words
+        return ", ".join(filter(None, [condition, self.point_words]))
 
 
 def load_scenario(file_or_data: Path | Plain, overrides: Sequence[str] = ()) -> Scenario:
@@ -360,6 +368,7 @@ def _expand(
     if malformed:
         return [], malformed
     base = _Base.of(scenario)
+    labels = row_labels(sweep)
     failures = 0
     by_folder: dict[str, Variant] = {}
     mistakes: dict[Mistake, None] = {}
@@ -391,11 +400,22 @@ def _expand(
             mistakes[Mistake(("sweep" if sweep else "conditions",), problem)] = None
         else:
             by_folder[label.casefold()] = Variant(
-                label=label, condition=condition, point=point, settings=outcome
+                label=label,
+                condition=condition,
+                point=point,
+                settings=outcome,
+                condition_words=str(entries.get(LABEL, condition)),
+                point_words=_in_words(point, labels),
             )
         if len(mistakes) > MOST_MISTAKES or failures == _MAX_FAILURES:
             break
     return list(by_folder.values()), list(mistakes)
+
+
+def _in_words(point: Mapping[str, Any], labels: Mapping[str, Mapping[str, str]]) -> str:
+    """Write a point by the labels of its rows; values that all points share have none."""
+    cells = [labels.get(key, {}).get(cell_of(value), "") for key, value in point.items()]
+    return ", ".join(filter(None, cells))
 
 
 def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_ChangedKey]]:

@@ -54,6 +54,9 @@ _SLUG = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,98}[A-Za-z0-9_-])?")
 _LONGEST = 60
 _Values = TypeVar("_Values", bound=tuple[Any, ...])
 
+BASELINE = "baseline"
+"""Name of the condition of a scenario that states none."""
+
 
 def _slug(text: str) -> str:
     if not _SLUG.fullmatch(text):
@@ -205,7 +208,7 @@ class Scenario:
 
     conditions: Annotated[
         dict[_Slug, _Overrides], Field(min_length=1), AfterValidator(_labeled)
-    ] = field(default_factory=lambda: {"baseline": {}})
+    ] = field(default_factory=lambda: {BASELINE: {}})
     """By name, settings of `localization.*` and `sensing.*` that differ from those above. All
     conditions run on the same structures. Pages and figures show a condition's `label`, if any."""
 

@@ -292,13 +292,18 @@ class _CaseRunner:
         if not seeds:
             return histories
         self._warm_up_growth()
-        with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
+        points = {seed: case.variant.point_words for seed, case in first.items()}
+        names = [", ".join(filter(None, [points[seed], f"seed {seed}"])) for seed in seeds]
+        watched = self.progress.watch(names, settings.robots, self.job.folder.path)
+        total = len(seeds) * settings.robots
+        with self._stage("grow", missing, total) as advance, watched as watch:
             grown = grow(
                 settings.structure,
                 robots=settings.robots,
                 seeds=seeds,
                 robot=settings.robot,
                 on_progress=advance,
+                watch=watch,
                 **navigate(settings),
             )
         self.used.add(Used("grow", backend.processor(), rounding=numerics.current()))
@@ -420,10 +425,9 @@ def _where(cases: Sequence[Case]) -> str:
 
     A study of one condition without a sweep has nothing to name.
     """
-    labels = list(dict.fromkeys(case.variant.label for case in cases))
-    if not labels or labels == ["baseline"]:
+    first, *others = dict.fromkeys(case.variant.words for case in cases) or [""]
+    if not first:
         return ""
-    first, *others = labels
     if len(first) > _LONGEST_WHERE:
         first = f"{first[:_LONGEST_WHERE]}..."
     more = f" and {len(others)} more" if others else ""

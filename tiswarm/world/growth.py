@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import AnyInts, Bools, Reals
-from tiswarm.base.progress import Advance, ignore
+from tiswarm.base.progress import Advance, Watch, ignore
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets, uniform
@@ -60,6 +60,7 @@ def grow(
     believe: "Believe | None" = None,
     turn: Turn | None = None,
     on_progress: Advance = ignore,
+    watch: Watch = ignore,
 ) -> list[History]:
     """Grow one structure for each seed.
 
@@ -73,6 +74,7 @@ def grow(
         turn: By how much orientations that robots sense as they climb are wrong, if they believe;
             None for not at all.
         on_progress: Called after each round with the number of robots that joined in it.
+        watch: Called after each round with all structures, which it only reads.
 
     Returns:
         One history a seed, in that order. Where growth ended early its `ended` says why, and
@@ -86,6 +88,7 @@ def grow(
         believe=believe,
         turn=turn,
         on_progress=on_progress,
+        watch=watch,
     )
 
 
@@ -99,6 +102,7 @@ def grow_each(
     believe: "Believe | None" = None,
     turn: Turn | None = None,
     on_progress: Advance = ignore,
+    watch: Watch = ignore,
 ) -> list[History]:
     """Grow structures side by side, each with settings and a seed of its own.
 
@@ -112,6 +116,7 @@ def grow_each(
         believe: As for `grow`.
         turn: As for `grow`.
         on_progress: As for `grow`.
+        watch: As for `grow`.
 
     Returns:
         One history a structure, in that order.
@@ -119,14 +124,19 @@ def grow_each(
     backend.processor()
     batch = GrowthBatch(params, robots, seeds, robot, believe, turn)
     rule = params[0].rule
+
+    def report(joined: float) -> None:
+        on_progress(joined)
+        watch(batch.structures)
+
     if hasattr(rule, "choose"):
-        steered = SteeredGrowth(batch, together=True, on_progress=on_progress)
+        steered = SteeredGrowth(batch, together=True, on_progress=report)
         while not steered.is_over.all():
             steered.step(chosen_by(rule, steered.observe()))
     else:
         while len(movers := batch.spawn(batch.numbers)):
             batch.walks.climb_by_score(batch.arrays, batch.believed, movers)
-            on_progress(batch.end_round(movers, np.unique(batch.structure_of[movers])))
+            report(batch.end_round(movers, np.unique(batch.structure_of[movers])))
         batch.act_on(batch.numbers)
     return batch.histories(batch.numbers)
 

@@ -91,8 +91,8 @@ function titleOf(at, { name }, { radius, unit, score }) {
   return [name, iteration, error].filter(Boolean).join(", ");
 }
 
-function showSpace(view) {
-  const data = JSON.parse(document.getElementById("data").textContent);
+// Shows cases, `opens` first with that coloring; returns what takes others, and where the reader looks from.
+function showSpace(view, data, opens = "") {
   const byId = (id) => document.getElementById(id);
   const [point, picker, beside, quantity, track, slider, joined, play, pointed] = ["point", "case", "beside", "quantity", "track", "joins", "joined", "play", "pointed"].map(byId);
   const boxes = ["truth", "estimate", "error", "spheres", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
@@ -109,6 +109,7 @@ function showSpace(view) {
     const before = [picker, beside].map((menu) => menu.selectedOptions[0]?.text);
     picker.replaceChildren();
     beside.replaceChildren(new Option("no other", ""));
+    beside.parentElement.hidden = data.cases.length < 2;
     data.cases.forEach((each, n) => {
       if ((each.point ?? "") !== points[point.selectedIndex]) return;
       for (const menu of [picker, beside]) menu.add(new Option(each.condition ?? each.name, n));
@@ -116,7 +117,6 @@ function showSpace(view) {
     [picker, beside].forEach((menu, k) => { menu.selectedIndex = Math.max(0, [...menu.options].findIndex(({ text }) => text === before[k])); });
   };
   list();
-  beside.parentElement.hidden = data.cases.length < 2;
   if (data.compared && picker.length > 1 && innerWidth > WIDE) beside.selectedIndex = 2;
 
   const isTracked = () => track.value === "iterations";
@@ -150,7 +150,7 @@ function showSpace(view) {
     draw();
   };
   const choose = () => {
-    const { value } = quantity;
+    const value = quantity.value || opens;
     panes = every.slice(0, beside.value === "" ? 1 : 2);
     panes.forEach((pane, k) => pane.choose(data.cases[[picker, beside][k].value]));
     every[1].view.hidden = panes.length < 2;
@@ -223,6 +223,19 @@ function showSpace(view) {
   const onPaper = (paper) => { document.documentElement.classList.toggle("paper", paper); draw(); };
   addEventListener("beforeprint", () => onPaper(true));
   addEventListener("afterprint", () => onPaper(false));
+  return {
+    get look() { return look; },
+    set look(chosen) { change(() => { look = chosen; }); },
+    get isMoving() { return began !== null; },
+    // Takes cases anew; what the reader chose stays, and so does the slider unless it is at its end.
+    take(cases) {
+      const robots = slider.value < Number(slider.max) && slider.value;
+      data.cases = cases;
+      list();
+      choose();
+      if (robots) { slider.value = robots; draw(); }
+    },
+  };
 }
 
 // Mouse, touch and keys on the canvas.
@@ -270,6 +283,3 @@ function listen(view, { turn, move, zoom, reset, toggle, point, click }) {
     event.preventDefault();
   });
 }
-
-const view = document.getElementById("view");
-if (view) showSpace(view);
