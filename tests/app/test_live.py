@@ -64,7 +64,10 @@ def served(small_run, tmp_path_factory):
 
 
 def test_cases_appear_as_they_are_finished(served):
-    """The list has each finished case, the newest first; the folder stays as it is."""
+    """The list has each finished case, the newest first; the folder stays as it is.
+
+    Conditions have the names of the report, with the measurements in which they differ.
+    """
     before = {path: path.stat().st_mtime_ns for path in served.run.rglob("*")}
     stored = len([*(served.run / "cases").iterdir()])
 
@@ -86,7 +89,9 @@ def test_cases_appear_as_they_are_finished(served):
     assert status == 200
     assert '<canvas id="view"' in page
     seed, _, condition = served.late.partition("-")
-    assert f'"name":"{condition}, seed {seed}"' in page
+    name = f"{condition}, without heights and non-overlap, seed {seed}"
+    assert f'"name":"{name}"' in page
+    assert f">{name}</a>" in second
     after = {path: path.stat().st_mtime_ns for path in served.run.rglob("*")}
     late = served.run / "cases"
     assert {path: time for path, time in after.items() if path in before and path != late} == {

@@ -6,6 +6,7 @@ import pytest
 
 from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import study
+from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.progress import Progress
 from tiswarm.localization.virtual_force import method
 from tiswarm.scenario.expansion import load_scenario
@@ -90,3 +91,17 @@ def _interrupt(*_args, **_settings):
 def _grow_samples_only(*settings, robots, **others):
     assert robots == SAMPLE_ROBOTS
     return grow(*settings, robots=robots, **others)
+
+
+def test_progress_names_conditions_and_points_as_pages_do(tmp_path, capsys):
+    """Folders name a point `robots=6`; whoever watches a sweep reads its labels."""
+    conditions = "{a: {label: with heights}, b: {localization.z_correction: false}}"
+    sets = ["seeds=1", f"conditions={conditions}", "sweep={robots: [5, 6]}"]
+    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", sets)
+
+    study.run(scenario, tmp_path, progress=ConsoleProgress())
+
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.rpartition(":")[0] for line in lines if line.startswith("grow")] == [
+        "grow (with heights, 5 robots and 1 more)", "grow (with heights, 6 robots and 1 more)",
+    ]  # fmt: skip

@@ -21,7 +21,7 @@ from tiswarm.base.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page, render
 from tiswarm.report.page_tables import PageTable, case_table
-from tiswarm.report.run_data import RunData
+from tiswarm.report.run_data import RunData, named_run
 from tiswarm.report.swarm_view import build_view
 from tiswarm.study.store import CaseRecord
 from tiswarm.study.tables import summary
@@ -91,7 +91,7 @@ class _LiveRun:
         result += f", {failed} of them failed." if failed else "."
         if not newest_first:
             return render("live-list.html", state=state, result=result, rows=[], words=[], note="")
-        table = case_table(self._summary([name for name, _ in newest_first]))
+        table = case_table(self._finished([name for name, _ in newest_first]), in_words=True)
         shown = table.frame[[name for name in _LISTED if name in table.frame]].to_dict("records")
         links = [f"case/{quote(name)}?{stored}" for name, (stored, _) in newest_first]
         return render(
@@ -107,7 +107,7 @@ class _LiveRun:
         """Render the page of a case; None where no such case is finished."""
         if name not in self._records:
             return None
-        of_case = self._summary([name])
+        of_case = self._finished([name])
         cells = case_table(of_case).frame.drop(columns="case").iloc[0]
         cells = cells[cells != ""]
         quantities = pd.DataFrame({"quantity": cells.index, "value": cells.to_numpy()})
@@ -118,11 +118,13 @@ class _LiveRun:
             view=build_view(RunData(self._folder.path, of_case)),
         ).html()
 
-    def _summary(self, names: list[str]) -> pd.DataFrame:
-        """Tabulate some cases as in `summary.csv`."""
+    def _finished(self, names: list[str]) -> pd.DataFrame:
+        """Tabulate some cases as in `summary.csv`, with the names that all finished ones give."""
         settings = {case.name: case.settings for case in self._cases}
-        records = [self._records[name][1] for name in names]
-        return summary(records, [settings[name] for name in names])
+        records = [record for _, record in self._records.values()]
+        table = summary(records, [settings[record.case] for record in records])
+        named = named_run(self._folder.path, table).summary
+        return named.set_index("case", drop=False).loc[names].reset_index(drop=True)
 
 
 class _Server(socketserver.ThreadingTCPServer):

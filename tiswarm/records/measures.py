@@ -608,7 +608,6 @@ PAGE: Mapping[str, dict[Measure, str]] = {
         RMSE_RIGID_ALIGNED: "rigidly aligned [R]",
         DISPARITY: "disparity",
         **_LIMITS,
-        **{measure: f"{heading} on the anchor" for measure, heading in _ON_ANCHOR.items()},
         HEIGHT: "height [R]",
         PEAK_STRESS: "peak stress",
     },

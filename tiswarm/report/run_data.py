@@ -315,7 +315,17 @@ def load_run(folder: Path, labels: Labels | None = None) -> RunData:
         problem = "contains no summary of a run; name a folder that `tiswarm run` made"
         raise InputError(problem, path=folder)
     check_folders(folder)
-    summary = read_frame(path, _WORDS, ["seed"], numbers_after="reason")
+    return named_run(folder, read_frame(path, _WORDS, ["seed"], numbers_after="reason"), labels)
+
+
+def named_run(folder: Path, summary: pd.DataFrame, labels: Labels | None = None) -> RunData:
+    """Name the series of a summary, with the measurements in which they differ.
+
+    Args:
+        folder: Folder of the run.
+        summary: Cases of it.
+        labels: Names of its series; those of these cases if None.
+    """
     if labels is None:
         labels = read_labels(folder)
         measured = measured_cues(summary)
