@@ -2,7 +2,7 @@
 
 A robot is written once, when it has joined. Loads and ground change with every join; they are
 written anew each time the structure has grown by a tenth. So the size of all files grows as the
-number of robots does, and costs the same share of a small growth and of a large one.
+number of robots does, and watching takes the same share of the time of small and large structures.
 
 The page works from a file, whose scripts can fetch nothing: it loads small scripts beside it, again
 and again the one that says how far growth is, and each of those with new robots once.
