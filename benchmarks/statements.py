@@ -115,7 +115,7 @@ def _methods(results: Results) -> str:
         ("`joint`", "the same", "none", "height"),
         (
             "`joint`",
-            "the same, and contacts on the way",
+            "the same, and walk contacts",
             "1 deg of tilt, 2 deg of yaw",
             "noisy-walks",
         ),

@@ -104,7 +104,7 @@ def localize(
             other methods run on the processor. `auto` takes a graphics card if one works.
         threads: CPU threads; all that this process may use if None.
         precision: Floating-point type on that device; `auto` takes f64 where it computes that at
-            half the rate of f32. Other methods compute in f64.
+            half the rate of f32. f32 is slower on processors. Other methods compute in f64.
         within: Distance [log unit]: table, verdict and page state for each robot the probability
             that it is within this distance of its estimated position; R if None.
         plugins: Python files that register methods, see `tiswarm.method`.

@@ -67,6 +67,35 @@ print(json.dumps(found))
 """
 
 
+_STAY = """
+import numpy as np
+from tests.compute.test_devices import _relaxed
+from tests.devices import ARCH
+from tiswarm.base.errors import InputError
+further = []
+for arch in ("cpu", ARCH):
+    start, result = _relaxed(arch, "block", 5)
+    result.swarm.step(5, **{name: result.arguments[name] for name in
+        ("attraction_gain", "repulsion_gain", "ramp", "max_step")})
+    moved = result.swarm.position
+    further.append(result.resume().position)
+    longest = np.abs(moved - start).max()
+    assert np.abs(moved - further[-1]).max() <= 10 * result.force_error * longest
+assert 0.0 < np.abs(further[1] - further[0]).max() <= 10 * result.force_error * longest
+if ARCH != "cuda":
+    try: np.from_dlpack(result)
+    except InputError as error: assert "read `position`" in str(error)
+    else: raise AssertionError
+"""
+
+
+@pytest.mark.trial
+@on_each_library
+def test_robots_that_stay_on_a_device_go_on_there(library):
+    """By `resume` and `step`, as on the processor, to the stated error of forces."""
+    run_child(_STAY, **device_environment(library))
+
+
 @pytest.mark.trial
 @on_each_library
 def test_a_device_takes_the_steps_of_the_processor(library):

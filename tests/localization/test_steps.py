@@ -5,7 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from tiswarm.localization.cost.cost import SETTLED, Cost, State, shortened
+from tests.structures import NOISY
+from tiswarm.localization.chains.problem import pose_problem
+from tiswarm.localization.cost.cost import SETTLED, Cost, State, WholeCost, shortened
+from tiswarm.localization.cost.linear import Linear
+from tiswarm.localization.settings import JointParams
+from tiswarm.sensing import observe
 
 
 @dataclass
@@ -92,3 +97,37 @@ def test_steps_beyond_the_most_are_shortened():
     np.testing.assert_allclose(short, [[0.6, 0.8, 0.0], [0.0, 0.0, 0.0], [0.3, 0.0, 0.4]])
     np.testing.assert_allclose(shortened(step, 1.0, np.array([2.0, 1.0, 4.0]))[[0, 2]],
                                [[1.5, 2.0, 0.0], [0.075, 0.0, 0.1]])  # fmt: skip
+
+
+def test_factors_of_a_minimum_nearby_serve_one_step(tall_towers, monkeypatch):
+    """The first one factors no information, and the minimum is the same."""
+    history = tall_towers[0]
+    log = observe(history, NOISY)
+    cost = WholeCost(log, pose_problem(log, JointParams()).rows)
+    least, linear = cost.refine(cost.at(history.position, np.zeros(30)))
+    start = least._replace(position=least.position.copy())
+    start.position[1:] += 0.05 * np.random.default_rng(1).normal(size=(29, 3))
+    counted = []
+    factored = Linear._factored  # noqa: SLF001 - nothing else says how often it is done
+
+    def counting(self, *arguments):
+        counted[-1] += 1
+        return factored(self, *arguments)
+
+    monkeypatch.setattr(Linear, "_factored", counting)
+    minima = []
+    for factors in (linear.undamped, None):
+        with monkeypatch.context() as patched:
+            patched.setattr(WholeCost, "most_rounds", 1)
+            cost.factors = factors
+            counted.append(0)
+            cost.refine(start)
+        counted.append(0)
+        cost.factors = factors
+        minima.append(cost.refine(start))
+
+    (state, linear), (state_of_own, linear_of_own) = minima
+    assert counted[::2] == [0, 1]
+    assert linear.cost == pytest.approx(linear_of_own.cost, abs=2.0 * SETTLED)
+    np.testing.assert_allclose(state.position, state_of_own.position, atol=0.02)
+    assert cost.factors is None

@@ -1,8 +1,8 @@
 """Shows structures while they grow: on a page that loads what is new, or in a notebook's cell.
 
 A robot is written once, when it has joined. Loads and ground change with every join; they are
-written anew each time the structure has grown by a tenth. So all that is written grows as the
-number of robots does, and costs the same share of a small growth and of a large one.
+written anew each time the structure has grown by a tenth. So the size of all files grows as the
+number of robots does, and watching takes the same share of the time of small and large structures.
 
 The page works from a file, whose scripts can fetch nothing: it loads small scripts beside it, again
 and again the one that says how far growth is, and each of those with new robots once.
@@ -81,7 +81,7 @@ class LiveProgress(ConsoleProgress):
         how = "Growth has ended."
         if kind is not None:
             how = "Interrupted." if kind is KeyboardInterrupt else "Ended by an error."
-        self._tell([], f"{self._line} {how}".strip(), ended=True)
+        self._write([], f"{self._line} {how}".strip(), ended=True)
 
     @contextmanager
     def watch(
@@ -94,7 +94,7 @@ class LiveProgress(ConsoleProgress):
             self.show = _Cell(self.name) if self.cell else _Folder(self.name, self._place(folder))
         latest: Sequence[GrowingStructure] = ()
         begun_s = shown_s = time.perf_counter()
-        self._tell([growth.beginning], growth.line(latest, 0.0))
+        self._write([growth.beginning], growth.line(latest, 0.0))
 
         def look(structures: Sequence[GrowingStructure]) -> None:
             nonlocal latest, shown_s
@@ -104,14 +104,14 @@ class LiveProgress(ConsoleProgress):
                 return
             is_due = growth.has_news(structures) or now_s - shown_s >= _LONGEST_S
             if is_due:
-                self._tell(growth.news(structures), growth.line(structures, now_s - begun_s))
+                self._write(growth.news(structures), growth.line(structures, now_s - begun_s))
                 shown_s = time.perf_counter()  # the next look does not follow a slow one at once
 
         try:
             yield look
         finally:
             took_s = time.perf_counter() - begun_s
-            self._tell(growth.news(latest, is_last=True), growth.line(latest, took_s))
+            self._write(growth.news(latest, is_last=True), growth.line(latest, took_s))
 
     def _place(self, folder: Path | None) -> Path:
         """Choose the folder of the page and name the page: opened by nobody, it is said in a line.
@@ -122,13 +122,13 @@ class LiveProgress(ConsoleProgress):
         self.console.print(f"to watch robots join: open {place / PAGE}", markup=False)
         return place
 
-    def _tell(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool = False) -> None:
+    def _write(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool = False) -> None:
         """Show what is new; where that cannot be written, growth goes on unseen."""
         self._line = line
         if self.show is None or self.show.is_closed:
             return
         try:
-            self.show.tell(news, line, ended=ended)
+            self.show.write(news, line, ended=ended)
         except OSError as error:
             self.show.is_closed = True
             why = error.strerror or error
@@ -258,7 +258,7 @@ class _Display(Protocol):
 
     is_closed: bool
 
-    def tell(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool) -> None:
+    def write(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool) -> None:
         """Show what is new, and a sentence; `ended` says that nothing follows."""
 
 
@@ -273,7 +273,7 @@ class _Folder:
         self._first = self._next = 0
         self._is_written = False
 
-    def tell(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool) -> None:
+    def write(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool) -> None:
         """Write new robots into a script of their own, then the one that says how far growth is."""
         scripts = self._place / FOLDER
         if not self._is_written:
@@ -307,7 +307,7 @@ class _Cell:
         self._news: list[dict[str, Any]] = []
         self._handle: Any = None
 
-    def tell(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool) -> None:  # noqa: ARG002
+    def write(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool) -> None:  # noqa: ARG002
         """Show the page with all that has grown so far."""
         if news and "names" in news[0]:
             self._news.clear()

@@ -43,7 +43,9 @@ def localize(
     ] = None,
     arch: options.OneArch = "cpu",
     threads: options.Threads = None,
-    precision: Annotated[AnyPrecision, Option(help="Floating-point type of joint.")] = "auto",
+    precision: Annotated[
+        AnyPrecision, Option(help="Floating-point type of joint; f32 is slower on processors.")
+    ] = "auto",
     within: Annotated[
         float | None,
         Option(

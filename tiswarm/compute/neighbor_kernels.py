@@ -574,7 +574,8 @@ def fill_rows(
     rows = ti.static(Rows(entry_out, row_first_out, row_count_out))
     grid = ti.Struct(
         docks=docks, own_bits=own_bits, earlier=1, cutoff=cutoff, stride_y=stride_y,
-        stride_z=stride_z, buckets=begin.shape[0] - 2, entry_stride=entry_stride, table=0, slot=0,
+        stride_z=stride_z, buckets=begin.shape[0] - 2, table=0, slot=0,
+        entry_stride=entry_stride if ti.static(on_card) else 1,  # which compilers should know
     )  # fmt: skip
     longest_out[0] = 0
     count = row_count_out.shape[0]

@@ -137,8 +137,8 @@ def relax(
             None.
         structure: Number of each robot's structure, shape (N,); robots of different structures
             never interact. None for one structure.
-        precision: f32 halves the memory and rounds the more the larger the swarm, wherever it is;
-            `auto` as for `tiswarm.compute.backend.choose`.
+        precision: f32 takes three quarters of the memory, rounds the more the larger the swarm,
+            and is slower on processors; `auto` as for `tiswarm.compute.backend.choose`.
         arch: Device; it computes there or an error is raised. `auto` takes a card if one works.
         threads: CPU threads; all that this process may use if None.
 

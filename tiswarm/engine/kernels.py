@@ -100,6 +100,12 @@ class SwarmState(NamedTuple):
     """Places of docks and, last, their structure: two halves of M rows of four. Step t reads the
     half `t % 2` and writes the other one."""
 
+    dock_y: Reals1
+    """On processors, `dock` from its second number on; unused on cards."""
+
+    dock_z: Reals1
+    """On processors, `dock` from its third number on; unused on cards."""
+
     mobility: Reals2
     """Step along each axis for a force of 1 [1], shape (N, 3), or (1, 1) if unused."""
 
@@ -273,16 +279,22 @@ def is_vector(value: Any) -> bool:  # noqa: ANN401 - an expression of a kernel
 
 @ti.func
 def _add_row(
-    grid: Ref, dynamics: Static, number, base, row, row_docks, rows: Ref, robots: Ref, force
+    on_card: Static, grid: Ref, dynamics: Static, number, base, row, row_docks, rows: Ref,
+    robots: Ref, force,
 ):  # fmt: skip
     """Add the forces of the docks of a row."""
+    # A processor extends each index to 64 bits by itself: one for three coordinates takes less.
+    by_axis = ti.static((robots.dock, robots.dock_y, robots.dock_z))
+    k = ti.static((0, 1, 2) if on_card else (0, 0, 0))
     flag = 1 << grid.own_bits
     first = rows.first[row]
     for e in range(rows.count[row]):
         entry = rows.entry[first + e * grid.entry_stride]
         at = base + 4 * (row * row_docks + (entry & (flag - 1)))
         neighbor_at = base + 4 * (entry >> (grid.own_bits + 1))
-        apart = ti.Vector([robots.dock[neighbor_at + c] - robots.dock[at + c] for c in range(3)])
+        apart = ti.Vector(
+            [by_axis[c][neighbor_at + k[c]] - by_axis[c][at + k[c]] for c in range(3)]
+        )
         offset = in_length(apart, grid.unit, robots.dock)
         distance = offset.norm()
         connected = (entry & flag) != 0
@@ -307,9 +319,11 @@ def _force_on_robot(
     force = ti.Vector([0.0, 0.0, 0.0])
     if ti.static(on_card):
         for row in range(robot * grid.docks, (robot + 1) * grid.docks):
-            force = _add_row(grid, dynamics, number, base, row, 1, rows, robots, force)
+            force = _add_row(on_card, grid, dynamics, number, base, row, 1, rows, robots, force)
     else:
-        force = _add_row(grid, dynamics, number, base, robot, grid.docks, rows, robots, force)
+        force = _add_row(
+            on_card, grid, dynamics, number, base, robot, grid.docks, rows, robots, force
+        )
     return force
 
 
@@ -369,7 +383,8 @@ def step_robots(
     stray_limit: Float, unit: Float, first_t: I32, numbers: Reals2,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     position_out: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
-    mobility: Reals2, last_step_out: Reals2, number: Ints1,  # SwarmState
+    dock_y: Reals1, dock_z: Reals1, mobility: Reals2, last_step_out: Reals2,
+    number: Ints1,  # SwarmState
     control_out: Ints1, largest_move_out: Reals1,
 ):  # fmt: skip
     """Move every robot a few times, until rows are stale.
@@ -395,7 +410,8 @@ def step_robots(
     """
     rows = ti.static(Rows(entry, row_first, row_count))
     robots = ti.static(SwarmState(
-        position_out, reference, height, arm, dock_out, mobility, last_step_out, number
+        position_out, reference, height, arm, dock_out, dock_y, dock_z, mobility, last_step_out,
+        number,
     ))  # fmt: skip
     # The one dock of a card's row needs no bits, and entries of a processor's follow each other;
     # known to the compiler, this saves registers and arithmetic.
@@ -560,7 +576,8 @@ def relax_structures(
     connection_start: Ints1, connection: Ints1,  # ConnectedDocks
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
     position_out: Reals2, reference_out: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
-    mobility: Reals2, last_step_out: Reals2, number: Ints1,  # SwarmState
+    dock_y: Reals1, dock_z: Reals1, mobility: Reals2, last_step_out: Reals2,
+    number: Ints1,  # SwarmState
     largest_move_out: Reals2,
 ):  # fmt: skip
     """Take every step of small structures, each on one thread.
@@ -578,7 +595,8 @@ def relax_structures(
     connections = ti.static(ConnectedDocks(connection_start, connection))
     rows = ti.static(Rows(entry_out, row_first_out, row_count_out))
     robots = ti.static(SwarmState(
-        position_out, reference_out, height, arm, dock_out, mobility, last_step_out, number
+        position_out, reference_out, height, arm, dock_out, dock_y, dock_z, mobility,
+        last_step_out, number,
     ))  # fmt: skip
     table = ti.static(structure_out)
     docks = arm.shape[0] // position_out.shape[0]

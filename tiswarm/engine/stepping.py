@@ -482,12 +482,17 @@ class Stepper:
         share = np.ones((robots, 3)) if mobility is None else mobility
         asks = self.dynamics.asks
         numbers = np.append([0, 0], self.order if "number" in asks else [])
+        running = memory.running
+        by_processor = Allocator(running, on_host=not running.on_card)
+        dock = self._places(2 * robots * docks * 4, memory=by_processor)
         return SwarmState(
             position=None,
             reference=self._places(robots, 3),
             height=self._places(len(self.target)),
             arm=memory.reals(robots * docks, 3),
-            dock=self._places(2 * robots * docks * 4),
+            dock=dock,
+            dock_y=dock if running.on_card else dock[1:],
+            dock_z=dock if running.on_card else dock[2:],
             mobility=memory.upload(share if "mobility" in asks else np.ones((1, 1))),
             last_step=None,
             number=memory.upload(numbers.astype(np.int64)),
@@ -497,9 +502,10 @@ class Stepper:
         """Reserve the longest step of any robot in each step; on cards the bits of its square."""
         return self.memory.ints(steps) if self.neighbors.on_card else self.memory.reals(steps)
 
-    def _places(self, *shape: int) -> DeviceArray:
-        """Reserve an array of numbers of `places`."""
-        return self.memory.ints(*shape) if self.has_unit else self.memory.reals(*shape)
+    def _places(self, *shape: int, memory: Allocator | None = None) -> DeviceArray:
+        """Reserve an array of numbers of `places`, in memory of robots if not in another."""
+        memory = memory or self.memory
+        return memory.ints(*shape) if self.has_unit else memory.reals(*shape)
 
     @property
     def has_last_step(self) -> bool:

@@ -121,12 +121,12 @@ CAPTIONS = {
         intervals="Bars are 95 % CI.",
     ),
     "profiles": figure_style.Caption(
-        "RMSE of robots that are alike: by join index (order of joining), true "
+        "RMSE of robots with equal values of a quantity: join index (order of joining), true "
         "height, hops (contacts on the shortest way to an anchor) and number of "
         "contacts. Bands of the best and the worst series cover the errors of 80 % of "
         "these robots; hollow dots stand for few robots. Relative RMSE is the error of the "
-        "vector between two robots. Of many series, each has a small panel with RMSE by "
-        "hops alone.",
+        "vector between two robots. A study of many series has a small panel of each, with "
+        "RMSE by hops alone.",
     ),
     "scaling": figure_style.Caption(
         "Accuracy, size, time to build and cost against the number of robots N (or of "

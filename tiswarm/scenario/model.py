@@ -169,8 +169,8 @@ class Scenario:
 
     precision: Literal["auto", "f64", "f32"] = "auto"
     """Floating-point type of `joint`, and of `virtual-force` under the schedule `together`; all
-    else computes in f64. `auto` takes f64 on processors and on cards that compute it at half the
-    rate of f32, else f32."""
+    else computes in f64. `auto` takes f64 on processors, where f32 is slower, and on cards that
+    compute it at half the rate of f32, else f32."""
 
     arch: Annotated[Arch | None, UNLESS_SET] = None
     """Device of methods that are parallel; that of the command if left out."""

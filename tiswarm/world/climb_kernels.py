@@ -524,11 +524,12 @@ def gather_near(limits: Ref, docks: Ref, s, pivot, near: Ref, mover):
 @ti.func
 def revisits(limits: Ref, walks: Ref, mover, stance, point):
     """Whether the walk up to `stance` has had its center at `point` before."""
-    seen = False
+    # Without roots and branches, compilers look at several stances at a time.
+    seen = 0
     for earlier in range(stance + 1):
         offset = point - vector_in(walks.center, mover, earlier)
-        seen = seen or offset.norm() < limits.revisit_distance
-    return seen
+        seen |= ti.cast(offset.norm_sqr() < limits.revisit_distance**2, ti.i32)
+    return seen != 0
 
 
 @ti.func

@@ -114,7 +114,7 @@ class Cost(ABC, Generic[L]):
     """Reduction of the cost that the linear problem must predict for a step to be tried [1]."""
 
     factors: Factors | None = None
-    """Factors of information that are near enough at all states; those of each if None."""
+    """Factors of information nearby, which serve the first step; those of each state if None."""
 
     @abstractmethod
     def linearized(self, state: State) -> L:
@@ -150,8 +150,10 @@ class Cost(ABC, Generic[L]):
         for count in range(self.most_rounds):
             if count >= rounds and actual_reduction < _FALLING * linear.cost:
                 break
+            is_own = self.factors is None
             trial_state, predicted_reduction = self.moved(state, linear, radius)
-            if predicted_reduction < self.least_reduction:
+            self.factors = None  # a second step with those of a state nearby leads uphill
+            if is_own and predicted_reduction < self.least_reduction:
                 break
             trial_linear = self.linearized(trial_state)
             # We accept a step by the sign of its actual reduction alone. Its ratio to the predicted
@@ -161,8 +163,7 @@ class Cost(ABC, Generic[L]):
             # rounding, or of these terms, near the minimum; a step that rises more led uphill, and
             # the linear problem is trusted in a smaller region.
             if trial_linear.cost > linear.cost + SETTLED:
-                if self.factors is not None:
-                    self.factors = None  # they are too far away
+                if not is_own:
                     continue
                 longest = np.linalg.norm(trial_state.position - state.position, axis=1).max()
                 radius = _SMALLER * min(radius, float(longest))
@@ -173,7 +174,7 @@ class Cost(ABC, Generic[L]):
             state = trial_state
             linear = trial_linear
             radius = min(radius / _SMALLER, self.widest)
-            if actual_reduction < SETTLED:
+            if is_own and actual_reduction < SETTLED:
                 break
         return state, linear
 
@@ -241,6 +242,8 @@ class WholeCost(Cost[Linear]):
     Unknowns are shifts (3 N), turns of final stances (3 N), yaw (N), and errors of sources (K),
     U in all. Those that nothing moves are left out of matrices; F are free.
     """
+
+    least_reduction = SETTLED
 
     def __init__(
         self,

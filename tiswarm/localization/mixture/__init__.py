@@ -160,6 +160,10 @@ class RefineSettings:
     """Sd of the way from a stance to the final center from which on it is long [R], some 50 flips
     at 1 deg of tilt and 2 deg of yaw."""
 
+    mostly_long: float = 0.25
+    """Share of rows with a long way from which on a minimum that warm problems lead to is the only
+    one, if noise explains it [1]: none of the others of training towers was lower."""
+
     prior_sd: float = 1.2
     """Width of the prior that bounds steps and variances of positions [chain sd]; multiplied by
     sqrt(N), since all robots may share an error and move together."""

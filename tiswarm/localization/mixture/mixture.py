@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.compute.chi_square import chi_square_sd
+from tiswarm.compute.chi_square import chi_square_limit, chi_square_sd
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem, walk_sd
 from tiswarm.localization.chains.views import ANNEALING, place_disconnected
@@ -308,12 +308,15 @@ def _minima(ends: Ends, inlier: Bools, open_sd: Reals) -> tuple[list[Minimum], R
     minima = [_least(ends, members, inlier, open_sd) for members in groups]
     # Where a mode is floppy, chains alone say how far a solution reaches.
     if _are_held(minima) and not ends.turns:
-        groups = [
-            np.array(part)
-            for members, least in zip(groups, minima, strict=True)
-            for part in _parted(ends, members, least.sd)
+        parts = [
+            _parted(ends, members, least.sd) for members, least in zip(groups, minima, strict=True)
         ]
-        minima = [_least(ends, members, inlier, open_sd) for members in groups]
+        minima = [
+            least if len(of_group) == 1 else _least(ends, np.array(part), inlier, open_sd)
+            for of_group, least in zip(parts, minima, strict=True)
+            for part in of_group
+        ]
+        groups = [np.array(part) for of_group in parts for part in of_group]
         minima += _mirrored(ends, minima, inlier, open_sd)
     share = np.ones(len(minima))
     share[: len(groups)] = [ends.weight[members].sum() for members in groups]
@@ -374,11 +377,15 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
         if _agree(np.array(tried_places), position, best.sd).any():
             continue
         tried += 1
-        image = minimum(ends.at(position, yaw), np.ones(1), inlier, open_sd)
-        is_new = not _agree(np.array(tried_places), image.configuration, best.sd).any()
-        tried_places += [position, image.configuration]
+        end = ends.at(position, yaw)
+        there = _fitted(end, np.ones(1), inlier, open_sd)
+        is_new = not _agree(np.array(tried_places), there.state.position, best.sd).any()
+        tried_places += [position, there.state.position]
+        if not is_new:
+            continue
+        image = _described(end, np.ones(1), open_sd, there)
         least = max(solution.log_height for solution in accepted) + np.log(MIXTURE.least_weight)
-        if is_new and image.log_height >= least and _are_held([image]):
+        if image.log_height >= least and _are_held([image]):
             accepted.append(image._replace(chains=0))
     return accepted[len(minima) :]
 
@@ -468,19 +475,36 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         inlier: Measurements that count, shape (E,).
         sd: Standard deviation of positions by the chains [R], shape (N,).
     """
+    return _described(ends, weight, sd, _fitted(ends, weight, inlier, sd))
+
+
+def _fitted(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> InlierFit:
+    """Go to that minimum; arguments as for `minimum`."""
+    problem = ends.fit.problem
+    members = weight > 0.0
+    best = int(np.where(members, ends.cost, np.inf).argmin())
+    start = ends.position[best], ends.yaw[best]
+    used = inlier.copy()
+    used[problem.rows.touch] &= _agreed(problem.rows, ends.fit.annealed, members)
+    rows = problem.rows.select(used).associated(*start)
+    loose = _loose(ends, sd, start[0])
+    prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * loose, REFINEMENT.least_prior)
+    return InlierFit(used, *_refined(ends, rows, start, prior))
+
+
+def _loose(ends: Ends, sd: Reals, position: Reals) -> Reals:
+    """Widen the sd of chains (N,): they do not know errors that chained orientations share."""
+    return np.hypot(sd, extent(position)) if ends.fit.problem.is_chained else sd
+
+
+def _described(ends: Ends, weight: Reals, sd: Reals, fit: InlierFit) -> Minimum:
+    """Describe a minimum; other arguments as for `minimum`."""
     problem = ends.fit.problem
     annealed = ends.fit.annealed
     members = weight > 0.0
-    best = int(np.where(weight > 0.0, ends.cost, np.inf).argmin())
-    position = ends.position[best]
-    yaw = ends.yaw[best]
-    used = inlier.copy()
-    used[problem.rows.touch] &= _agreed(problem.rows, annealed, members)
-    rows = problem.rows.select(used).associated(position, yaw)
-    # Chains do not know the errors that chained orientations share.
-    loose = np.hypot(sd, extent(position)) if problem.is_chained else sd
-    prior = np.maximum(REFINEMENT.prior_sd * np.sqrt(len(sd)) * loose, REFINEMENT.least_prior)
-    cost, state, linear = _refined(ends, rows, (position, yaw), prior)
+    best = int(np.where(members, ends.cost, np.inf).argmin())
+    state = fit.state
+    linear = fit.linear
     free = None
     mean = state.position
     swept = np.zeros(sd.shape)
@@ -493,10 +517,11 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
     linear_sd = REFINEMENT.sd_scale * np.sqrt(linear.variance(free, draws))
     is_biased = 0.0 < problem.yaw_precision < REFINEMENT.most_yaw_bias**-2
     is_biased &= bool(annealed.within.any())  # only chains say better
+    loose = _loose(ends, sd, ends.position[best])
     small = np.maximum(REFINEMENT.open_sd * loose, REFINEMENT.linear_sd)
     is_held = ((linear_sd <= small) | (swept > 0.0)) & ~problem.untied & (not is_biased)
     square = np.zeros(len(problem.rows))
-    square[used] = linear.square
+    square[fit.inlier] = linear.square
     return Minimum(
         configuration=state.position,
         position=np.where(is_held[:, None], mean, np.tensordot(weight, annealed.mean, 1)),
@@ -510,7 +535,7 @@ def minimum(ends: Ends, weight: Reals, inlier: Bools, sd: Reals) -> Minimum:
         square=square,
         log_volume=linear.log_volume if ends.fit.is_refined else 0.0,
         chains=int(members.sum()),
-        inlier_fit=InlierFit(used, cost, state, linear) if ends.fit.is_refined else None,
+        inlier_fit=fit if ends.fit.is_refined else None,
     )
 
 
@@ -540,16 +565,22 @@ def _refined(
         )
 
     cost = missed_by(MIXTURE.tepid * ends.fit.annealed.sigma)
+    held = cost.held(prior)
     first = cost.at(*start)
-    state, linear = cost.held(prior).refine(first, REFINEMENT.rounds)
-    # Contacts seen over a long way are not linear in its turns, which begin at zero. So another
-    # search comes near first, where contacts may be missed by as much as is linear.
-    if ends.fit.is_refined and walk_sd(rows).max(initial=0.0) > REFINEMENT.long_walk_sd:
-        warm = missed_by(REFINEMENT.linear_sd).held(prior)
-        nearer, _ = warm.refine(first, REFINEMENT.warm_rounds)
-        warm_state, warm_linear = cost.held(prior).refine(nearer, REFINEMENT.rounds)
-        if warm_linear.cost < linear.cost:
-            state, linear = warm_state, warm_linear
+    is_long = walk_sd(rows) > REFINEMENT.long_walk_sd
+    if not ends.fit.is_refined or not is_long.any():
+        return cost, *held.refine(first, REFINEMENT.rounds)
+    # Contacts seen over a long way are not linear in its turns, which begin at zero. So a search
+    # comes near first, where contacts may be missed by as much as is linear.
+    warm = missed_by(REFINEMENT.linear_sd).held(prior)
+    nearer, _ = warm.refine(first, REFINEMENT.warm_rounds)
+    state, linear = held.refine(nearer, REFINEMENT.rounds)
+    limit = chi_square_limit(max(len(rows) - 3 * len(prior), 1), CONVERGENCE.chance_sd)
+    if is_long.mean() >= REFINEMENT.mostly_long and linear.cost <= limit:
+        return cost, state, linear
+    direct_state, direct_linear = held.refine(first, REFINEMENT.rounds)
+    if direct_linear.cost <= linear.cost:
+        return cost, direct_state, direct_linear
     return cost, state, linear
 
 
