@@ -115,7 +115,9 @@ def draw_calibration(table: pd.DataFrame, path: Path) -> None:
             axes.plot(of_kind["predicted_R"], of_kind["found_R"], label=kind, **dot_style(number))
         axes.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
         axes.set_xlabel("predicted RMSE [R]")
-        axes.set_ylabel("RMSE of joint, fresh structures [R]")
+        axes.set_ylabel("RMSE of joint on fresh structures [R]")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:g}")
 
     def complete(panels: Panels) -> list[str]:
         panels.legend(structures=int(table["structures"].max()))
