@@ -23,13 +23,15 @@ import tiswarm
 from tiswarm.app.design import USUAL_SEEDS
 from tiswarm.base.progress import ignore
 from tiswarm.records.intervals import share_ci95
-from tiswarm.report.figure_style import PAGE_WIDTH, Drawing, Panels, dot_style
+from tiswarm.records.outputs import Outputs
+from tiswarm.report.figure_style import PAGE_WIDTH, Drawing, Panels, dot_style, write
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.design.candidates import list_candidates
 from tiswarm.study.design.search import FIRST_FRESH_SEED, FIRST_SEED, predict
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from tiswarm.app.swarms import Swarms
 
@@ -103,7 +105,7 @@ def _grow(kind: Mapping[str, Any], robots: int, first: int, count: int) -> "Swar
     return tiswarm.grow(dict(kind), robots, range(first, first + count), threads=1, quiet=True)
 
 
-def draw_calibration(table: pd.DataFrame, path: Path) -> None:
+def draw_calibration(table: pd.DataFrame) -> "Figure":
     """Draw found errors by predicted ones."""
 
     def paint(axes: "Axes", panel: str, series: Sequence[str]) -> None:  # noqa: ARG001 - one panel
@@ -127,7 +129,7 @@ def draw_calibration(table: pd.DataFrame, path: Path) -> None:
         panels=["calibration"], paint=paint, complete=complete, row_height=3.4, head_height=0.0,
         alone=PAGE_WIDTH,
     )  # fmt: skip
-    drawing.draw().savefig(path)
+    return drawing.draw()
 
 
 def summarize(table: pd.DataFrame) -> pd.DataFrame:
@@ -170,7 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(of_kind.round(3).to_string(index=False), flush=True)
     print(summarize(table).round(2).to_string(index=False))
     if options.figure:
-        draw_calibration(table, options.figure)
+        write(options.figure, lambda: draw_calibration(table), Outputs(overwrite=True))
 
 
 if __name__ == "__main__":

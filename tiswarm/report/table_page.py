@@ -47,7 +47,7 @@ def page_columns(
     """Turn a table into columns of a page; those without any value are left out.
 
     Args:
-        table: Its rows, of which `MOST_ROWS` count.
+        table: Its rows; the page has the first `MOST_ROWS`.
         words: Columns of words; the others have numbers.
         headings: Headings of columns that are no measure.
     """
