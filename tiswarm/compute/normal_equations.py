@@ -11,7 +11,7 @@ from scipy.linalg import get_lapack_funcs
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import Ints, Reals
 
 
 def damped(information: Reals, precision: float | Reals) -> Reals:
@@ -93,21 +93,34 @@ class SparseFactors:
 
 
 class DenseFactors:
-    """Factors of dense information, with blocks of one or two pivots (Bunch and Kaufman 1977)."""
+    """Factors of dense information: by Cholesky, or with blocks of one or two pivots.
+
+    Information of a minimum is positive definite. Less a multiple of the identity it may not be:
+    then the factors are those of Bunch and Kaufman (1977).
+    """
 
     def __init__(self, information: Reals) -> None:
-        """Factor information (n, n), which is overwritten; only its upper triangle counts.
+        """Factor information (n, n), which is overwritten.
 
         Raises:
             RuntimeError: the information is singular.
         """
         # Their stubs do not know the functions of LAPACK.
-        functions: Any = get_lapack_funcs(("sytrf", "sytrs"), dtype=np.float64)
-        factor, self._solve = functions
-        work = _COLUMNS * max(len(information), 1)
+        names = ("potrf", "potrs", "sytrf", "sytrs")
+        functions: Any = get_lapack_funcs(names, dtype=np.float64)
+        cholesky, self._solve_definite, factor, self._solve = functions
+        diagonal = information.diagonal().copy()
         # Transposed, rows are the columns that LAPACK expects: nothing is copied.
+        factors, is_indefinite = cholesky(information.T, lower=1, clean=0, overwrite_a=1)
+        self._factors = factors
+        self._exchange: Ints | None = None
+        if not is_indefinite:
+            return
+        # The other triangle is as it was.
+        factors[np.diag_indices(len(factors))] = diagonal
+        work = _COLUMNS * max(len(information), 1)
         self._factors, self._exchange, singular = factor(
-            information.T, lower=1, lwork=work, overwrite_a=1
+            factors.T.copy(order="F"), lower=1, lwork=work, overwrite_a=1
         )
         if singular > 0:
             message = "the information is singular"
@@ -117,6 +130,8 @@ class DenseFactors:
     def pivots(self) -> Reals:
         """Eigenvalues of D, shape (n,)."""
         pivots = np.asarray(self._factors.diagonal(), np.float64).copy()
+        if self._exchange is None:
+            return np.asarray(pivots**2)
         # Of a block of two pivots both exchanges are negative.
         first = np.flatnonzero(self._exchange < 0)[::2]
         block = np.empty((len(first), 2, 2))
@@ -129,7 +144,10 @@ class DenseFactors:
     def solve(self, slope: Reals) -> Reals:
         """Solve normal equations of right sides, (n,) or (n, k)."""
         columns = slope.reshape(len(slope), -1)
-        solved_columns, _ = self._solve(self._factors, self._exchange, columns, lower=1)
+        if self._exchange is None:
+            solved_columns, _ = self._solve_definite(self._factors, columns, lower=1)
+        else:
+            solved_columns, _ = self._solve(self._factors, self._exchange, columns, lower=1)
         return np.asarray(solved_columns, np.float64).reshape(slope.shape)
 
 
