@@ -336,10 +336,11 @@ def test_the_first_table_has_what_a_question_asks_for():
     shown = headline_table(table, "reached")
     sent = headline_table(table, "traffic")
 
-    assert shown.frame["reached"].tolist() == ["30", "0.500 (0.0945 to 0.905)"]
-    assert "of bridges, the share that closed" in shown.note
+    assert shown.frame["height [R]"].tolist() == ["30", ""]
+    assert shown.frame["bridges closed [share]"].tolist() == ["", "0.500 (0.0945 to 0.905)"]
+    assert "Wilson" in shown.note
     assert sent.frame["sent by a robot [B]"].tolist() == ["7", "8"]
-    assert "reached" not in headline_table(table).frame
+    assert "height [R]" not in headline_table(table).frame
 
 
 def test_a_table_states_what_all_series_measure():
@@ -718,22 +719,28 @@ def test_a_picture_keeps_its_levels_of_transparency(tmp_path):
             [0.8, 0.6],
             [0.0, 0.0],
             ["joint", "joint"],
-            "70 % of the robots are within 1 R of where they are shown (95 %).",
+            (
+                "70 % of the robots are within 1 R of where they are shown with a probability of "
+                "95 % or more (mean over 2 structures)."
+            ),
         ),
         (
             [0.8, 0.6],
             [0.02, np.nan],
             ["joint", "online"],
             (
-                "joint: 80 % of the robots are within 1 R of where they are shown (95 %); 2 % of "
-                "these are not."
+                "joint: 80 % of the robots are within 1 R of where they are shown with a "
+                "probability of 95 % or more; 2 % of these are not."
             ),
         ),
         (
             [np.nan, 0.0],
             [np.nan, np.nan],
             ["algorithm-1", "joint"],
-            "joint: 0 % of the robots are within 1 R of where they are shown (95 %).",
+            (
+                "joint: 0 % of the robots are within 1 R of where they are shown with a "
+                "probability of 95 % or more."
+            ),
         ),
         (
             [np.nan, np.nan],

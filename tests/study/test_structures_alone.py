@@ -74,11 +74,13 @@ def test_the_answer_names_what_structures_reached(measured):
     """The table that `run` prints states height, standing and broken, and no error."""
     answer = measured.answer
 
-    assert [*answer][:5] == ["condition", "reached", "standing", "fell", "broken contacts"]
+    assert [*answer][:5] == ["condition", "height [R]", "standing", "fell", "broken contacts"]
     assert len(answer) == len(LIMITS)
     assert "Disparity" not in str(measured)
     mean = measured.frame("table")["height_R_mean"]
-    assert [float(cell.split()[0]) for cell in answer["reached"]] == pytest.approx(mean, rel=5e-3)
+    assert [float(cell.split()[0]) for cell in answer["height [R]"]] == pytest.approx(
+        mean, rel=5e-3
+    )
 
 
 def test_page_and_figures_show_structures_and_no_error(measured):
@@ -220,4 +222,4 @@ def test_the_answer_of_the_guide_comes_from_the_command(tmp_path):
     run = api.run("will-it-hold", settings, out=tmp_path, pictures=False, quiet=True)
 
     [row] = run.answer.to_dict("records")
-    assert (row["reached"], row["standing"]) == ("20.3 ± 0.6", "59.7 ± 0.3")
+    assert (row["height [R]"], row["standing"]) == ("20.3 ± 0.6", "59.7 ± 0.3")

@@ -221,7 +221,7 @@ def headline_table(
     notes += [note for label, note in _NOTES.items() if label in columns]
     if rows.get(LOCATED.mean, pd.Series(dtype=float)).eq(1.0).all() and LOCATED.mean in rows:
         notes.append("All robots are located: measurements tie them to the anchor.")
-    if {_LOCATED, "reached"} & {*columns}:
+    if {_LOCATED, _CLOSED} & {*columns}:
         notes.append(_WILSON)
     return _labeled(_names(rows), columns, "Accuracy", " ".join(notes))
 
@@ -236,7 +236,6 @@ def _errors(rows: pd.DataFrame) -> dict[str, pd.Series]:
 
 
 _WILSON = "Shares have Wilson's 95 % CI in parentheses."
-_REACHED = "Reached: height, reach or depth [R]; of bridges, the share that closed."
 
 
 def _notes_on_means(rows: pd.DataFrame) -> list[str]:
@@ -311,6 +310,7 @@ def _has_guesses(rows: pd.DataFrame) -> bool:
 
 
 _LOCATED = "located [%]"
+_CLOSED = "bridges closed [share]"
 _OF_LOCATED = "RMSE of located [R]"
 _CHANGE = "change [%]"
 _POWER = "RMSE as N^p: p"
@@ -318,7 +318,6 @@ _NOTES = {
     "disparity": "Disparity 0: right shape.",
     _LOCATED: "Located: robots that measurements tie to the anchor; positions of others are "
     "guesses.",
-    "reached": _REACHED,
     _CHANGE: "Change: of the RMSE from that of the condition without a change, at the same point.",
     _POWER: "p: power of the number of robots as which RMSE grows, over all sizes, with its 95 % "
     "CI.",
@@ -353,11 +352,22 @@ def _asked(
         return _changes(rows)
     if question == "sizes" and powers is not None and len(powers):
         return {_POWER: _powers(rows, powers)}
-    aims = {kind: m for kind, m in BUILT_FOR.items() if m.mean in rows and "kind" in rows}
-    if question != "reached" or not aims:
+    if question != "reached" or "kind" not in rows:
         return {}
-    cells = [_mean(rows[rows["kind"] == kind], measure) for kind, measure in aims.items()]
-    return {"reached": pd.concat(cells)}
+    # A column for each measure: heights and shares that closed do not compare.
+    columns = {}
+    for kind, measure in BUILT_FOR.items():
+        is_built_for = rows["kind"] == kind
+        if measure.mean in rows and is_built_for.any():
+            columns[_aim(measure)] = _mean(rows[is_built_for], measure).reindex(
+                rows.index, fill_value=""
+            )
+    return columns
+
+
+def _aim(measure: Measure) -> str:
+    """Return the heading of a measure of what structures are built for: `height [R]`."""
+    return measure.axis[0].lower() + measure.axis[1:]
 
 
 def _powers(rows: pd.DataFrame, powers: pd.DataFrame) -> "pd.Series[str]":
@@ -505,7 +515,10 @@ def statement_of(summary: pd.DataFrame) -> str:
     off = share[SURE_OFF.column][best]
     name = f"{best}: " if len(share) > 1 else ""
     text = f"{name}{percent(share[SURE.column][best])} % of the robots are within 1 R of where they"
-    text += f" are shown ({100.0 * error_law.SURE:g} %)"
+    text += f" are shown with a probability of {100.0 * error_law.SURE:g} % or more"
+    structures = int(done.loc[done["series"] == best, SURE.column].notna().sum())
+    if structures > 1:
+        text += f" (mean over {structures} structures)"
     return text + (f"; {percent(off)} % of these are not." if off > 0.0 else ".")
 
 

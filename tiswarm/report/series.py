@@ -34,6 +34,9 @@ def series_names(
     >>> used = {"joint": ["contacts", "walk_contacts"], "paper": ["contacts"]}
     >>> series_names({"joint": "joint", "paper": "Algorithm 1"}, used)
     {'joint': 'joint, walk contacts', 'paper': 'Algorithm 1, final contacts'}
+    >>> used = {"walks": ["contacts", "ground", "walk_contacts"], "joint": ["contacts"]}
+    >>> series_names({"walks": "joint, walk contacts", "joint": "joint"}, used)["walks"]
+    'joint, walk contacts and ground contacts'
     """
     used = {name: set(cues) for name, cues in measured.items() if cues}
     shared = set.intersection(*used.values()) if used else set()
@@ -42,8 +45,15 @@ def series_names(
     for name, label in conditions.items():
         words = _distinction(used[name], varied) if varied and name in used else ""
         is_said = not words or label.endswith(words)
-        names[name] = label if is_said else f"{label}, {words}"
+        short = label if is_said else f"{_without_words(label, varied)}, {words}"
+        names[name] = f"{label}, {words}" if short in names.values() else short
     return names
+
+
+def _without_words(label: str, varied: Collection[str]) -> str:
+    """Take from the end of a label a measurement that varies, since all of them follow it."""
+    method, _, last = label.rpartition(", ")
+    return method if method and last in _in_words(varied) else label
 
 
 def measured_cues(table: pd.DataFrame) -> dict[str, set[str]]:
