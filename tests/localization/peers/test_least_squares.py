@@ -202,8 +202,9 @@ def test_more_starts_and_another_seed_change_starts_alone():
 
     for other in estimates[1:]:
         np.testing.assert_allclose(other.position, estimates[0].position, atol=5e-4)
-    # Both images of scaled distances, and that of the best, are starts, too.
-    assert estimates[1].convergence.chains == estimates[0].convergence.chains + 3
+    # Starts of hops, those from directions, and both images of scaled distances: most lead there.
+    chains = [estimate.convergence.chains for estimate in estimates]
+    assert chains[3] < chains[0] < chains[1]
 
 
 def test_an_estimate_repeats_bit_for_bit(towers):

@@ -1,8 +1,9 @@
-"""Least squares from where `hop-by-hop` ends: the minimum of the chi-square of all measurements.
+"""Least squares from several starts: the minimum of the chi-square of all measurements.
 
 Robots that solve for themselves, one after the other, end near the minimum where measurements
-suffice. There all of them move at once, by the same steps as at the end of `joint`. Further starts
-differ by random errors, so that the estimate says whether they lead to one minimum. Lengths in R.
+suffice; where they do not, all of them follow from directions of contacts drawn at random. From
+there all move at once, by the same steps as at the end of `joint`. Starts differ by random errors,
+so that the estimate says whether they lead to one minimum. Lengths in R.
 """
 
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import set_apart
 from tiswarm.localization.mixture.assessment import open_variance
+from tiswarm.localization.mixture.coarse import coarse_starts
 from tiswarm.localization.mixture.common_causes import with_common_causes
 from tiswarm.localization.mixture.ends import Fit, Posed, further_starts, settled
 from tiswarm.localization.mixture.mixture import mixed
@@ -78,10 +80,12 @@ def _localized(log: SensingLog, params: LeastSquaresParams) -> Estimate:
     )
     placed = place(log, rows, non_overlap=params.cues.non_overlap)
     position = set_apart(posed.problem, placed.position)
-    ends = [
-        settled(posed, start, 0.0, params.rounds)
-        for start in [*_starts(position, placed.sd, params), *further_starts(posed)]
+    starts = [
+        *_starts(position, placed.sd, params),
+        *coarse_starts(posed.problem, position[0], params.seed, params.starts),
+        *further_starts(posed),
     ]
+    ends = [settled(posed, start, 0.0, params.rounds) for start in starts]
     end = np.array([center for center, _, _ in ends])
     yaw = np.array([turn for _, turn, _ in ends])
     still = Annealed(

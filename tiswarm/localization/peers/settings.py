@@ -19,8 +19,9 @@ class LeastSquaresParams(ChiSquareParams):
     """Name of the method."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = 4
-    """Starts: the positions of `hop-by-hop`, and the same with random errors of its standard
-    deviations. Where ranges tie robots, multidimensional scaling adds two more."""
+    """Starts from the positions of `hop-by-hop`, all but the first with random errors of its
+    standard deviations, and as many from random directions of contacts. Where ranges tie robots,
+    multidimensional scaling adds two more."""
 
     rounds: Annotated[int, Field(ge=1, le=1000)] = 50
     """Levenberg-Marquardt steps at most from each start."""
