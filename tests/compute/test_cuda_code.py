@@ -46,7 +46,7 @@ KERNELS = {  # registers rounded up to eights, in which a card grants them
     "fill_rows": Limits(2, 72, 72, 1),
     "start_interval": Limits(2, 24, 24, 0),
     "step_robots": Limits(17, 80, 56, 16),  # 16 steps; numbers of a step come from a table
-    "step_robots, guided": Limits(17, 80, 56, 16),
+    "step_robots, guided": Limits(17, 88, 56, 16),  # 81: a step is one launch, before two
     "note_places": Limits(2, 16, 16, 0),
     "take_steps_on_card": Limits(17, 176, 96, 0),  # two steps
 }

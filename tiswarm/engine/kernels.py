@@ -100,12 +100,6 @@ class SwarmState(NamedTuple):
     """Places of docks and, last, their structure: two halves of M rows of four. Step t reads the
     half `t % 2` and writes the other one."""
 
-    dock_y: Reals1
-    """On processors, `dock` from its second number on; unused on cards."""
-
-    dock_z: Reals1
-    """On processors, `dock` from its third number on; unused on cards."""
-
     mobility: Reals2
     """Step along each axis for a force of 1 [1], shape (N, 3), or (1, 1) if unused."""
 
@@ -115,6 +109,12 @@ class SwarmState(NamedTuple):
     number: Ints1
     """Seed, number of the first step, and the caller's numbers of robots, shape (2 + N,), or (2,)
     if unused."""
+
+    dock_y: Reals1
+    """On processors, `dock` from its second number on; unused on cards."""
+
+    dock_z: Reals1
+    """On processors, `dock` from its third number on; unused on cards."""
 
 
 @ti.func
@@ -285,16 +285,17 @@ def _add_row(
     """Add the forces of the docks of a row."""
     # A processor extends each index to 64 bits by itself: one for three coordinates takes less.
     by_axis = ti.static((robots.dock, robots.dock_y, robots.dock_z))
-    k = ti.static((0, 1, 2) if on_card else (0, 0, 0))
     flag = 1 << grid.own_bits
     first = rows.first[row]
     for e in range(rows.count[row]):
         entry = rows.entry[first + e * grid.entry_stride]
         at = base + 4 * (row * row_docks + (entry & (flag - 1)))
         neighbor_at = base + 4 * (entry >> (grid.own_bits + 1))
-        apart = ti.Vector(
-            [by_axis[c][neighbor_at + k[c]] - by_axis[c][at + k[c]] for c in range(3)]
-        )
+        apart = ti.Vector([
+            robots.dock[neighbor_at + c] - robots.dock[at + c]
+            if ti.static(on_card) else by_axis[c][neighbor_at] - by_axis[c][at]
+            for c in range(3)
+        ])  # fmt: skip
         offset = in_length(apart, grid.unit, robots.dock)
         distance = offset.norm()
         connected = (entry & flag) != 0
@@ -383,8 +384,8 @@ def step_robots(
     stray_limit: Float, unit: Float, first_t: I32, numbers: Reals2,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     position_out: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
-    dock_y: Reals1, dock_z: Reals1, mobility: Reals2, last_step_out: Reals2,
-    number: Ints1,  # SwarmState
+    mobility: Reals2, last_step_out: Reals2, number: Ints1, dock_y: Reals1,
+    dock_z: Reals1,  # SwarmState
     control_out: Ints1, largest_move_out: Reals1,
 ):  # fmt: skip
     """Move every robot a few times, until rows are stale.
@@ -410,8 +411,8 @@ def step_robots(
     """
     rows = ti.static(Rows(entry, row_first, row_count))
     robots = ti.static(SwarmState(
-        position_out, reference, height, arm, dock_out, dock_y, dock_z, mobility, last_step_out,
-        number,
+        position_out, reference, height, arm, dock_out, mobility, last_step_out, number, dock_y,
+        dock_z,
     ))  # fmt: skip
     # The one dock of a card's row needs no bits, and entries of a processor's follow each other;
     # known to the compiler, this saves registers and arithmetic.
@@ -576,8 +577,8 @@ def relax_structures(
     connection_start: Ints1, connection: Ints1,  # ConnectedDocks
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
     position_out: Reals2, reference_out: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
-    dock_y: Reals1, dock_z: Reals1, mobility: Reals2, last_step_out: Reals2,
-    number: Ints1,  # SwarmState
+    mobility: Reals2, last_step_out: Reals2, number: Ints1, dock_y: Reals1,
+    dock_z: Reals1,  # SwarmState
     largest_move_out: Reals2,
 ):  # fmt: skip
     """Take every step of small structures, each on one thread.
@@ -595,8 +596,8 @@ def relax_structures(
     connections = ti.static(ConnectedDocks(connection_start, connection))
     rows = ti.static(Rows(entry_out, row_first_out, row_count_out))
     robots = ti.static(SwarmState(
-        position_out, reference_out, height, arm, dock_out, dock_y, dock_z, mobility,
-        last_step_out, number,
+        position_out, reference_out, height, arm, dock_out, mobility, last_step_out, number, dock_y,
+        dock_z,
     ))  # fmt: skip
     table = ti.static(structure_out)
     docks = arm.shape[0] // position_out.shape[0]

@@ -51,6 +51,12 @@ class CLists(NumbaLists):
         return float(self._compiled(ctypes.c_int64(len(here)), *inputs, *numbers, *outputs))
 
 
+class ByHand(CLists):
+    """Docks loaded and transposed by hand: near what a processor can do on such lists."""
+
+    function = "take_step_by_fours"
+
+
 class Streaming(CLists):
     """Reads and writes the bytes of a step once: a lower bound for engines on these lists."""
 

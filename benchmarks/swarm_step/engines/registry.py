@@ -86,6 +86,8 @@ ENGINES = {
     "numba-f32": Entry(engine="numba_lists:NumbaLists", precision="float32"),
     "c-f64": Entry(engine="c_lists:CLists"),
     "c-f32": Entry(engine="c_lists:CLists", precision="float32"),
+    "by-hand-f64": Entry(engine="c_lists:ByHand"),
+    "by-hand-f32": Entry(engine="c_lists:ByHand", precision="float32"),
     "lammps-f64": Entry(engine="lammps_docks:LammpsDocks"),
     "warp-f64": _warp("float64"),
     "warp-f32": _warp("float32"),
