@@ -372,6 +372,7 @@ LOCATED = _larger(
     _ESTIMATE,
     "share of robots located, without anchors: measurements tie them to the anchor, and determine "
     "their positions if the method places robots one by one",
+    label="Located robots",
     is_share=True,
 )
 RMSE_LOCATED = _smaller(
@@ -379,6 +380,7 @@ RMSE_LOCATED = _smaller(
     "R",
     _BOTH,
     "RMSE of the robots located, without anchors; empty if there are none",
+    label="RMSE of located robots",
 )
 RMSE_AT_JOIN = _smaller(
     "rmse_at_join_R", "R", _BOTH, "RMSE of robots as they joined, if the method places them then"

@@ -29,6 +29,7 @@ from tiswarm.records.run_folder import (
 from tiswarm.records.terrain import NO_EDGE
 from tiswarm.report.series import measured_cues, series_names
 from tiswarm.scenario.labels import row_labels, words_of
+from tiswarm.scenario.model import BASELINE
 from tiswarm.scenario.yaml_source import plain_scalar, read_yaml
 
 
@@ -330,7 +331,10 @@ def named_run(folder: Path, summary: pd.DataFrame, labels: Labels | None = None)
         labels = read_labels(folder)
         measured = measured_cues(summary)
         stated = {name: labels.conditions.get(name, name) for name in measured}
-        labels = replace(labels, conditions=series_names(stated, measured))
+        names = series_names(stated, measured)
+        if labels.rows and names == {BASELINE: BASELINE}:
+            names = {BASELINE: ""}  # points alone name the series of a sweep
+        labels = replace(labels, conditions=names)
     return RunData(folder, labels.put(summary), labels)
 
 

@@ -41,7 +41,7 @@ def series_names(
     used = {name: set(cues) for name, cues in measured.items() if cues}
     shared = set.intersection(*used.values()) if used else set()
     varied = set().union(*used.values()) - shared
-    names = {}
+    names: dict[_Key, str] = {}
     for name, label in conditions.items():
         words = _distinction(used[name], varied) if varied and name in used else ""
         is_said = not words or label.endswith(words)

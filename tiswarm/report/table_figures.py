@@ -17,8 +17,10 @@ from tiswarm.records.measures import (
     FEWEST,
     FLOPPY_MODES,
     HEIGHT,
+    LOCATED,
     MAIN,
     RMSE,
+    RMSE_LOCATED,
     STANDING,
     Measure,
 )
@@ -45,10 +47,12 @@ _MOST_PANELS = 3
 CAPTIONS = {
     "accuracy": figure_style.Caption(
         "Errors of each condition, and point of the sweep: mean RMSE and mean "
-        "Procrustes disparity over the structures.",
+        "Procrustes disparity over the structures, or, where not all robots are located, the RMSE "
+        "of those that are, and their share.",
         intervals="Bars are 95 % CI.",
         reading=(
-            "Hollow markers, where there are any, are published numbers. Farther left is better."
+            "Hollow markers, where there are any, are published numbers. Errors farther left are "
+            "better."
         ),
     ),
     "structures": figure_style.Caption(
@@ -98,8 +102,13 @@ def structures_drawing(run: RunData) -> figure_style.Drawing:
 
 
 def accuracy_drawing(run: RunData) -> figure_style.Drawing:
-    """Compose the figure of accuracy; open markers are the paper's numbers."""
-    return _means_drawing(run, MAIN)
+    """Compose the figure of accuracy; open markers are the paper's numbers.
+
+    Where not all robots are located, errors are those of located ones, beside their share, as in
+    the first table: positions of others are guesses.
+    """
+    has_guesses = (run.summary.get(LOCATED.column, pd.Series(dtype=float)) < 1.0).any()
+    return _means_drawing(run, (RMSE_LOCATED, LOCATED) if has_guesses else MAIN)
 
 
 def _means_drawing(run: RunData, measures: Sequence[Measure]) -> figure_style.Drawing:
