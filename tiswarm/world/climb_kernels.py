@@ -65,6 +65,7 @@ class ClimbLimits:
     revisit_distance: F64
     full_turn: F64
     reach: F64
+    longest_flip: F64
     inverse_edge: F64
     twists: I32
     is_planar: I32
@@ -195,6 +196,7 @@ def limits_of(limits: Ref, of_structure: Ref, s):
         revisit_distance=limits.revisit_distance,
         full_turn=limits.full_turn,
         reach=limits.reach,
+        longest_flip=limits.longest_flip,
         inverse_edge=limits.inverse_edge,
         twists=limits.twists,
         is_planar=limits.is_planar,
@@ -264,6 +266,8 @@ _NUDGE = 1e-3
 """Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
 _MAX_STEPS = 500
 """Most steps along an edge; 10 to 40 are usual."""
+_IN_SUCCESSION = 8
+"""Stances of a walk that one of them may exclude."""
 _DOCKS_OF_AN_AXIS = 2
 """Attached docks with which a robot settles: it turns about the line through both."""
 
@@ -523,12 +527,20 @@ def gather_near(limits: Ref, docks: Ref, s, pivot, near: Ref, mover):
 
 @ti.func
 def revisits(limits: Ref, walks: Ref, mover, stance, point):
-    """Whether the walk up to `stance` has had its center at `point` before."""
-    # Without roots and branches, compilers look at several stances at a time.
+    """Whether the walk up to `stance` has had its center at `point` before.
+
+    Of stances in succession, one that is farther away than they flip excludes all.
+    """
     seen = 0
-    for earlier in range(stance + 1):
-        offset = point - vector_in(walks.center, mover, earlier)
-        seen |= ti.cast(offset.norm_sqr() < limits.revisit_distance**2, ti.i32)
+    excluding = limits.revisit_distance + _IN_SUCCESSION // 2 * limits.longest_flip
+    for part in range(stance // _IN_SUCCESSION + 1):
+        first = part * _IN_SUCCESSION
+        middle = ti.min(first + _IN_SUCCESSION // 2, stance)
+        if (point - vector_in(walks.center, mover, middle)).norm_sqr() <= excluding**2:
+            # Without roots and branches, compilers look at several stances at a time.
+            for earlier in range(first, ti.min(first + _IN_SUCCESSION, stance + 1)):
+                offset = point - vector_in(walks.center, mover, earlier)
+                seen |= ti.cast(offset.norm_sqr() < limits.revisit_distance**2, ti.i32)
     return seen != 0
 
 

@@ -74,6 +74,9 @@ Turn = Callable[[int, int, int], Reals]
 """Returns the turns from the orientations of a robot to those that it senses, at as many stances:
 from the seed, the robot's number and that of the stances; wxyz, shape (stances, 4)."""
 
+_ROUNDING = 1e-6
+"""By how much a flip may be longer by rounding, which adds up over a walk [1]."""
+
 _BELIEVED_NEARER = 8
 """Docks overlap where robots believe them, so that so many times as many are listed at a pivot."""
 
@@ -84,6 +87,8 @@ def climb_limits(
     """Gather the numbers that do not change during a climb."""
     # No flip meets a dock whose center is farther than this from the pivot.
     reach = float(pdist(robot.dock_offset_body).max()) + robot.spacing
+    # A flip swings the center about a dock, up to twice its distance from there.
+    arm = float(np.linalg.norm(robot.dock_offset_body, axis=1).max())
     is_planar = isinstance(robot, PlanarRobot)
     return ClimbLimits(
         spacing=robot.spacing,
@@ -96,6 +101,7 @@ def climb_limits(
         revisit_distance=climb.revisit_distance,
         full_turn=2.0 * math.pi,
         reach=reach,
+        longest_flip=2.0 * arm * (1.0 + _ROUNDING),
         inverse_edge=1.0 / reach,
         twists=1 if is_planar else climb.twists,
         is_planar=is_planar,
