@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.foreign import silent, with_places
 from tests.structures import NOISY, Rule, structure
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
@@ -81,6 +82,20 @@ def test_starts_meet_contacts_and_differ_where_these_do_not_suffice(tall_towers,
     assert np.sqrt((gap**2).mean()) < 0.2
     away = np.linalg.norm(starts[1:] - starts[0], axis=2).max()
     assert (away < 0.2) == is_held
+
+
+def test_robots_that_nothing_links_stay_with_planes_alone():
+    """Without a link there is no direction, and without another robot nothing to place."""
+    truth = np.array([[0.0, 0.0, 0.1], [0.5, 0.0, 0.1], [0.0, 0.7, 0.4]])
+    log = with_places(silent(truth), truth, [1, 2])
+    anchor = truth[0] / log.dock_radius
+
+    starts = coarse_starts(pose_problem(log, JointParams()), anchor, 0, 2)
+    alone = coarse_starts(pose_problem(silent(truth[:1]), JointParams()), anchor, 0, 2)
+
+    np.testing.assert_allclose(starts[0], truth / log.dock_radius, atol=1e-3)
+    np.testing.assert_array_equal(starts[0], starts[1])
+    np.testing.assert_array_equal(alone, np.tile(anchor, (2, 1, 1)))
 
 
 def test_least_squares_finds_lower_costs_from_them(monkeypatch):

@@ -84,8 +84,8 @@ class _Sum:
 
     def vectors(self, center: Reals) -> Reals:
         """Compute p_i - p_j + s of centers (3 (N - 1), K), shape (C, 3, K)."""
-        constant = self.constant[: self.of_links.shape[0], None]
-        return np.asarray((self.of_links @ center + constant).reshape(len(self.length), AXES, -1))
+        vector = self.of_links @ center + self.constant[: self.of_links.shape[0], None]
+        return np.asarray(vector.reshape(len(self.length), AXES, center.shape[1]))
 
     def lowered(self, center: Reals, direction: Reals, miss: float, missed: Reals) -> Reals:
         """Solve for centers and for directions in turn, for some rounds.
@@ -133,6 +133,8 @@ def coarse_starts(problem: Problem, anchor: Reals, seed: int, starts: int) -> Re
         Centers [R], shape (K, N, 3).
     """
     robots = len(problem.part)
+    if robots == 1:
+        return np.tile(anchor, (starts, 1, 1))
     squares = _Sum(problem, anchor)
     index = np.arange(squares.of_links.shape[0]).reshape(-1, AXES, 1)
     drawn = normal(seed, "directions", index, np.arange(starts))
