@@ -356,6 +356,18 @@ def test_a_table_states_what_all_series_measure():
     assert "All series use final contacts and heights." in shown.note
 
 
+def test_a_table_states_what_a_point_of_a_sweep_measures_in_addition():
+    """It said that all series use walk contacts where a sweep of methods has some that do not."""
+    table = pd.DataFrame({"condition": "a", "localization.method": ["paper", "joint"]})
+    table = table.assign(cases=2, rmse_R_mean=[1.0, 2.0])
+    used = ["contacts, height", "contacts, height, walk_contacts"]
+
+    note = headline_table(table.assign(measurements=used)).note
+
+    assert "All series use final contacts and heights." in note
+    assert "Those of joint also use walk contacts." in note
+
+
 def test_p_needs_five_structures():
     """Of three structures, p is .25 at best: noise beside the numbers."""
     rows = pd.DataFrame({"condition": [*"bc"], "against": "a", "measure": "rmse_R"})

@@ -44,7 +44,7 @@ from tiswarm.records.measures import (
 from tiswarm.records.messages import MISSING, counted, percent, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.run_data import NO_KEYS, joined_words, swept_columns, with_points
-from tiswarm.report.series import measured_cues, measured_words
+from tiswarm.report.series import measured_words, split_cues
 
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""
@@ -214,9 +214,7 @@ def headline_table(
     if rows["cases"].min() < rows["cases"].max():
         columns["structures"] = _numbers(rows["cases"])
     notes = _notes_on_means(rows)
-    shared = _shared_measurements(rows)
-    if shared:
-        notes.append(f"All series use {shared}.")
+    notes += _measurements_in_use(rows)
     notes.append("R: a dock's radius.")
     notes += [note for label, note in _NOTES.items() if label in columns]
     if rows.get(LOCATED.mean, pd.Series(dtype=float)).eq(1.0).all() and LOCATED.mean in rows:
@@ -411,11 +409,39 @@ def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
     return {_CHANGE: changes.reindex(rows.index)}
 
 
-def _shared_measurements(rows: pd.DataFrame) -> str:
-    """Write what all conditions measure, in words."""
-    used = [cues for cues in measured_cues(rows).values() if cues]
-    shared = set.intersection(*used) if used else set()
-    return measured_words(", ".join(sorted(shared)))
+def _measurements_in_use(rows: pd.DataFrame) -> list[str]:
+    """State what all series measure, and what those of a point of the sweep have in addition.
+
+    Names of conditions have the measurements in which they differ; points may differ, too, as
+    methods do.
+    """
+    if "measurements" not in rows:
+        return []
+    named = with_points(rows).dropna(subset=["measurements"])
+    cues = named["measurements"].map(lambda names: set(split_cues(str(names))))
+    cues = cues[cues.map(bool)]
+    if cues.empty:
+        return []
+    shared = set.intersection(*cues)
+    notes = [f"All series use {_cue_words(shared)}."] if shared else []
+    points_by_words: dict[str, list[str]] = {}
+    for point, of_point in cues.groupby(named["point"], sort=False):
+        added = set.intersection(*of_point) - shared
+        points_by_words.setdefault(_cue_words(added) if added else "", []).append(str(point))
+    points_by_words.pop("", None)
+    if len(points_by_words) > _MOST_GROUPS:
+        return [*notes, "Measurements differ between points: table.csv lists them."]
+    for words, points in points_by_words.items():
+        notes.append(f"Those of {'; '.join(points)} also use {words}.")
+    return notes
+
+
+_MOST_GROUPS = 2
+"""Most groups of points whose measurements a note lists."""
+
+
+def _cue_words(cues: Collection[str]) -> str:
+    return measured_words(", ".join(sorted(cues)))
 
 
 def result_tables(
