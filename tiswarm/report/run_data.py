@@ -28,8 +28,7 @@ from tiswarm.records.run_folder import (
 )
 from tiswarm.records.terrain import NO_EDGE
 from tiswarm.report.series import measured_cues, series_names
-from tiswarm.scenario.labels import row_labels, words_of
-from tiswarm.scenario.model import BASELINE
+from tiswarm.scenario.labels import BASELINE, row_labels, words_of
 from tiswarm.scenario.yaml_source import plain_scalar, read_yaml
 
 

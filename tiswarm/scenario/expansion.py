@@ -20,8 +20,8 @@ from tiswarm.base.plugins import load_plugins
 from tiswarm.base.registry import Registered, contents
 from tiswarm.records.messages import Part, dotted
 from tiswarm.records.run_folder import ENGINE_METHOD, LABEL, cell_of, variant_name
-from tiswarm.scenario.labels import row_labels, swept_keys, without_label
-from tiswarm.scenario.model import ADAPTER, BASELINE, Scenario, from_plain, to_plain
+from tiswarm.scenario.labels import BASELINE, row_labels, swept_keys, without_label
+from tiswarm.scenario.model import ADAPTER, Scenario, from_plain, to_plain
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     DISCRIMINATORS,

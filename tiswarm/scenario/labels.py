@@ -8,6 +8,9 @@ from tiswarm.records.run_folder import LABEL, cell_of
 
 _SIGNS = re.compile(r"[^\w. -]+")
 
+BASELINE = "baseline"
+"""Name of the condition of a scenario that states none."""
+
 SELECTORS = ("kind", "method", "suite")
 """Last words of the keys that select which settings a section has; labels begin with theirs."""
 

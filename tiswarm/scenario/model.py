@@ -29,7 +29,7 @@ from tiswarm.base.sections import mistake_at
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario import validation
-from tiswarm.scenario.labels import labels_of, swept_keys, without_label
+from tiswarm.scenario.labels import BASELINE, labels_of, swept_keys, without_label
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams, anchor_fault, ground_fault
@@ -53,9 +53,6 @@ _SWEEP_SECTIONS = (
 _SLUG = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,98}[A-Za-z0-9_-])?")
 _LONGEST = 60
 _Values = TypeVar("_Values", bound=tuple[Any, ...])
-
-BASELINE = "baseline"
-"""Name of the condition of a scenario that states none."""
 
 
 def _slug(text: str) -> str:
