@@ -251,7 +251,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
         _draw_step(panels[2], table[(table["work"] == _STEP) & (table["scaling"] == "strong")])
         figure.legend(
             *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3,
-            title="Works of the left and the middle panel",
+            title="left and middle panel",
         )  # fmt: skip
         path.write_bytes(png(figure))
 

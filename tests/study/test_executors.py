@@ -116,8 +116,8 @@ def test_stages_name_their_condition_and_point(tmp_path):
 
     run_tower(tmp_path, ("sweep={robots: [4, 5]}", *SMALL[1:]), progress=recorder)
 
-    assert "grow (robots=4,a and 1 more)" in recorder.tasks
-    assert "localize (robots=5,b)" in recorder.tasks
+    assert "grow (a, 4 robots and 1 more)" in recorder.tasks
+    assert "localize (b, 5 robots)" in recorder.tasks
 
 
 def test_cases_of_a_job_that_is_split_count_once(tmp_path, monkeypatch):
