@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from PIL import Image
 
 from tests.runs import REPOSITORY, assert_same_bytes
@@ -37,6 +38,16 @@ def test_every_shipped_scenario_is_checked_and_planned(tiswarm, tmp_path, scenar
     assert re.match(r"[\d,]+ cases?, [\d,]+ robots in all; estimate: ", planned.stdout)
     assert planned.stdout.partition("\n")[0] in checked.stdout
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
+def test_shipped_conditions_have_words(scenario):
+    """Figures and tables showed `walk-own-dock`, which is the name of a folder."""
+    conditions = yaml.safe_load(scenario.read_text(encoding="utf-8")).get("conditions", {})
+
+    named = [name for name, keys in conditions.items() if "-" in str(name) and "label" not in keys]
+
+    assert not named
 
 
 @pytest.mark.parametrize(
