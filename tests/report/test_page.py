@@ -382,6 +382,8 @@ def test_p_needs_five_structures():
         for pairs in (rows, rows[:1])
     )
 
+    assert some.note.startswith("Differences from a: negative ones are smaller. p of Wilcoxon's")
+    assert none.note.startswith("Differences from a: ")
     assert some.frame["p"].tolist() == ["", "0.0625"]
     assert "p" not in none.frame
     assert "Wilcoxon" not in none.note
@@ -741,8 +743,18 @@ def test_a_picture_keeps_its_levels_of_transparency(tmp_path):
             [0.02, np.nan],
             ["joint", "online"],
             (
-                "joint: 80 % of the robots are within 1 R of where they are shown with a "
+                "joint, the best of 2 series: 80 % of the robots are within 1 R of where they are "
+                "shown with a "
                 "probability of 95 % or more; 2 % of these are not."
+            ),
+        ),
+        (
+            [0.8, 0.8],
+            [0.0, 0.0],
+            ["joint", "online"],
+            (
+                "joint, one of the 2 best of 2 series: 80 % of the robots are within 1 R of where "
+                "they are shown with a probability of 95 % or more."
             ),
         ),
         (
@@ -750,7 +762,8 @@ def test_a_picture_keeps_its_levels_of_transparency(tmp_path):
             [np.nan, np.nan],
             ["algorithm-1", "joint"],
             (
-                "joint: 0 % of the robots are within 1 R of where they are shown with a "
+                "joint, the only series that states errors of single robots: 0 % of the robots "
+                "are within 1 R of where they are shown with a "
                 "probability of 95 % or more."
             ),
         ),
@@ -765,7 +778,7 @@ def test_a_picture_keeps_its_levels_of_transparency(tmp_path):
 def test_a_run_says_first_how_many_robots_are_near_where_they_are_shown(
     sure, off, series, statement
 ):
-    """Of several series it is that with the most; a failed case does not count."""
+    """Of several series it names that with the most as such; a failed case does not count."""
     summary = pd.DataFrame(
         {
             "status": ["done", "done", "failed"],

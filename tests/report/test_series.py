@@ -76,5 +76,6 @@ def test_sentences_cases_and_warnings_have_these_names(unlike_run):
     """The headline study set a method with walk contacts beside one without, and did not say so."""
     assert [*unlike_run.series] == ["20, joint, walk contacts", "20, a, final contacts"]
     assert unlike_run.cases[0].title == "20, joint, walk contacts, seed 0"
-    assert statement_of(unlike_run.summary).startswith("20, joint, walk contacts: 90 %")
+    best = "20, joint, walk contacts, the best of 2 series: 90 %"
+    assert statement_of(unlike_run.summary).startswith(best)
     assert "all of a, final contacts" in warnings_of(unlike_run.summary)[0]

@@ -525,7 +525,7 @@ def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
 def statement_of(summary: pd.DataFrame) -> str:
     """State in a sentence how many robots are near where they are shown; empty without estimates.
 
-    It is of the series with the largest share, in the mean over its cases.
+    It is of the series with the largest share, in the mean over its cases, and says so.
     """
     done = summary[summary["status"] == "done"]
     if RMSE.column not in done or done[RMSE.column].isna().all():
@@ -539,13 +539,23 @@ def statement_of(summary: pd.DataFrame) -> str:
         return "No method states the error of single robots."
     best = share[SURE.column].idxmax()
     off = share[SURE_OFF.column][best]
-    name = f"{best}: " if len(share) > 1 else ""
+    name = f"{best}, {_rank(share[SURE.column])}: " if len(share) > 1 else ""
     text = f"{name}{percent(share[SURE.column][best])} % of the robots are within 1 R of where they"
     text += f" are shown with a probability of {100.0 * error_law.SURE:g} % or more"
     structures = int(done.loc[done["series"] == best, SURE.column].notna().sum())
     if structures > 1:
         text += f" (mean over {structures} structures)"
     return text + (f"; {percent(off)} % of these are not." if off > 0.0 else ".")
+
+
+def _rank(shares: "pd.Series[float]") -> str:
+    """Say that the series with the largest share was chosen, and from how many."""
+    rivals = int(shares.notna().sum())
+    if rivals == 1:
+        return "the only series that states errors of single robots"
+    equals = int((shares == shares.max()).sum())
+    first = "the best" if equals == 1 else f"one of the {equals} best"
+    return f"{first} of {rivals} series"
 
 
 def _robots_on_anchor(table: pd.DataFrame) -> Iterator[PageTable]:
@@ -631,6 +641,7 @@ def _differences(paired: pd.DataFrame) -> PageTable:
         "smaller in": rows["smaller"].astype(str) + " of " + rows["structures"].astype(str),
         "measurements": np.where(rows["equal_measurements"] == 1, "the same", "others"),
     }
+    against = f"Differences from {paired['against'].iloc[0]}: negative ones are smaller."
     note = "paired.csv contains all measures and pairs."
     p = rows["wilcoxon_p"].where(rows["structures"] >= FEWEST)
     if p.notna().any():
@@ -639,7 +650,7 @@ def _differences(paired: pd.DataFrame) -> PageTable:
             "p of Wilcoxon's signed-rank test, not corrected for multiple comparisons; with n "
             f"structures it is at least 2^(1 - n), and fewer than {FEWEST} have none. {note}"
         )
-    return _labeled(words, columns, "Differences on the same structures", note)
+    return _labeled(words, columns, "Differences on the same structures", f"{against} {note}")
 
 
 def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
