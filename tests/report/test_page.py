@@ -447,6 +447,17 @@ def test_changes_are_from_the_first_condition_of_the_same_point():
     assert shown.frame["change [%]"].tolist() == ["", "+50", "-25", ""]
 
 
+def test_changes_are_of_the_errors_beside_them():
+    """Beside the RMSE of located robots it stated the change of that of all, guesses included."""
+    table = pd.DataFrame({"condition": ["all", "less", "none"], "cases": 1, "rmse_R_mean": 9.0})
+    table = table.assign(located_mean=[0.5, 0.5, 0.0], rmse_located_R_mean=[1.0, 1.5, np.nan])
+
+    shown = headline_table(table, "cues")
+
+    assert shown.frame["RMSE of located [R]"].tolist() == ["1", "1.50", ""]
+    assert shown.frame["change [%]"].tolist() == ["", "+50", ""]
+
+
 def test_the_console_has_the_table_in_aligned_columns():
     """Points stand above their conditions; words are on the left, numbers on the right."""
     table = pd.DataFrame(

@@ -298,8 +298,14 @@ def _structure_table(table: pd.DataFrame) -> PageTable:
 def _best_first(table: pd.DataFrame) -> pd.DataFrame:
     """Sort the rows of each point of the sweep by the error that they state."""
     point = with_points(table).groupby("point", sort=False).ngroup()
-    error = RMSE_LOCATED.mean if _has_guesses(table) else RMSE.mean
-    return table.assign(point_rank=point).sort_values(["point_rank", error], kind="stable")
+    return table.assign(point_rank=point).sort_values(
+        ["point_rank", _error_of(table)], kind="stable"
+    )
+
+
+def _error_of(rows: pd.DataFrame) -> str:
+    """Return the column of the errors that the table states: of located robots, or of all."""
+    return RMSE_LOCATED.mean if _has_guesses(rows) else RMSE.mean
 
 
 def _has_guesses(rows: pd.DataFrame) -> bool:
@@ -316,7 +322,7 @@ _NOTES = {
     "disparity": "Disparity 0: right shape.",
     _LOCATED: "Located: robots that measurements tie to the anchor; positions of others are "
     "guesses.",
-    _CHANGE: "Change: of the RMSE from that of the condition without a change, at the same point.",
+    _CHANGE: "Change: of this RMSE from that of the condition without a change, at the same point.",
     _POWER: "p: power of the number of robots as which RMSE grows, over all sizes, with its 95 % "
     "CI.",
     "standing": "Standing: robots that contacts tie to the ground in the end.",
@@ -396,14 +402,16 @@ def power_words(exponent: float, half: float) -> str:
 
 
 def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
-    """Format by how much the RMSE of each condition differs from that of the first one [%].
+    """Format by how much the error of each condition differs from that of the first one [%].
 
-    The first condition is that of `table.csv`, whose order the index of the rows has.
+    Errors are those that the table has beside it. The first condition is that of `table.csv`, whose
+    order the index of the rows has.
     """
     named = with_points(rows).sort_index(kind="stable")
     first = named["condition"].iloc[0]
-    of_first = named[named["condition"] == first].set_index("point")[RMSE.mean]
-    change = 100.0 * (named[RMSE.mean] / named["point"].map(of_first) - 1.0)
+    error = _error_of(rows)
+    of_first = named[named["condition"] == first].set_index("point")[error]
+    change = 100.0 * (named[error] / named["point"].map(of_first) - 1.0)
     texts = [_number(round(value), "+") if math.isfinite(value) else "" for value in change]
     changes = pd.Series(texts, named.index, dtype=str).where(named["condition"] != first, "")
     return {_CHANGE: changes.reindex(rows.index)}
@@ -600,11 +608,15 @@ def _measured_suites(suites: pd.DataFrame) -> PageTable:
         f"{_WILSON}"
     )
     prices = [name for name in map(str, suites) if name.startswith("usd_")]
-    costs = {f"{int(n.removeprefix('usd_')):,} robots [USD]": _numbers(suites[n]) for n in prices}
+    costs = {_price_of(int(n.removeprefix("usd_"))): _numbers(suites[n]) for n in prices}
     columns = {**costs, **_means(suites, "suites"), "needs": suites["needs"]}
     words = _names(suites)
     shown = _labeled(words, columns, "Table I, measured", note)
     return replace(shown, words=[*words, "needs"], is_first=True)
+
+
+def _price_of(robots: int) -> str:
+    return f"{robots:,} robot{'' if robots == 1 else 's'} [USD]"
 
 
 def _once(frame: pd.DataFrame) -> pd.DataFrame:
