@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
@@ -613,6 +614,27 @@ def test_grades_of_a_sensor_are_a_curve(run_folder):
     np.testing.assert_allclose(curves[0].get_xydata(), [[0.3, 0.6], [1.0, 2.0], [10.0, 20.0]])
     assert sum(line.get_linestyle() == "--" for line in second.lines) == 2
     require_alike(drawing)
+
+
+def test_grades_state_the_errors_of_located_robots(run_folder):
+    """Beside the figure of accuracy, the errors of mute robots had those of their guesses."""
+    names = [f"mute {share} %" for share in (5, 10, 20)]
+    measures = "rmse_R_mean,rmse_R_ci95,rmse_located_R_mean,rmse_located_R_ci95,located_mean"
+    rows = [[name, 4, 9.0, 1.0, 0.5, 0.1, 0.8] for name in names]
+    write_table(run_folder / "table.csv", f"condition,cases,{measures}", rows)
+    summary = pd.read_csv(run_folder / "summary.csv").assign(located=0.8)
+    summary.to_csv(run_folder / "summary.csv", index=False)
+    (run_folder / "scenario.yaml").write_text(
+        "conditions:\n"
+        + "".join(f"  {name}: {{sensing.mute: 0.{name[5:-2]:0>2}}}\n" for name in names)
+    )
+
+    figure = curve_figures.painters(load_run(run_folder))["grades"].draw()
+
+    axes = next(axes for axes in figure.axes if axes.axison)
+    assert [*axes.lines[0].get_ydata()] == [0.5, 0.5, 0.5]
+    texts = figure.findobj(lambda artist: hasattr(artist, "get_text"))
+    assert "RMSE of located robots [R]" in {text.get_text() for text in texts}
 
 
 def test_conditions_that_differ_in_two_numbers_are_no_grades(run_folder):

@@ -115,9 +115,9 @@ CAPTIONS = {
         intervals="Bars are 95 % CI.",
     ),
     "grades": figure_style.Caption(
-        "RMSE by grade: conditions that differ in one number share a panel, and each "
-        "point of the sweep has a line. The dashed line is the first condition "
-        "without a grade.",
+        "RMSE, of located robots where not all are, by grade: conditions that differ in one "
+        "number share a panel, and each point of the sweep has a line. The dashed line is the "
+        "first condition without a grade.",
         intervals="Bars are 95 % CI.",
     ),
     "profiles": figure_style.Caption(
@@ -542,6 +542,7 @@ _FEWEST_GRADES = 3
 _UNITS = {
     "_deg": "deg",
     "_noise": "R",
+    "stop_error": "R",
     "loss": "share of messages",
     **dict.fromkeys(["mute", "deaf", "drift", "stuck"], "share of robots"),
 }
@@ -561,12 +562,13 @@ def _grade_painters(run: RunData) -> dict[str, figure_style.Drawable]:
 
 
 def grades_drawing(run: RunData) -> figure_style.Drawing:
-    """Compose the figure of RMSE against the number in which conditions differ that else agree.
+    """Compose the figure of errors against the number in which conditions differ that else agree.
 
     They share a panel, in which each point of the sweep has a line.
     """
-    table = run.table("table.csv", ["condition"], ["cases", RMSE.mean, RMSE.ci95], after="cases")
-    table = table[table[RMSE.mean].notna()]
+    error = run.error
+    table = run.table("table.csv", ["condition"], ["cases", error.mean, error.ci95], after="cases")
+    table = table[table[error.mean].notna()]
     families = {family.title: family for family in _families(run, table)}
     table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
@@ -574,12 +576,12 @@ def grades_drawing(run: RunData) -> figure_style.Drawing:
     plain = next((name for name in table["condition"] if name not in graded), "")
 
     def paint(axes: "Axes", title: str, series: Sequence[str]) -> None:
-        draw_grades(axes, table, families[title], series, plain)
+        draw_grades(axes, table, error, families[title], series, plain)
 
     def complete(panels: figure_style.Panels) -> list[str]:
-        means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
+        means = table.loc[table["condition"].isin(graded | {plain}), error.mean].to_numpy(float)
         figure_style.fit_axis(panels.first, "y", means, nonpositive="clip")
-        panels.label_once(y=RMSE.axis)
+        panels.label_once(y=error.axis)
         level = f"; dashed: {plain}" if plain else ""
         number = counted(int(table["cases"].max()), "structure")
         panels.legend(f"{figure_style.mean_words(table['cases'])}, {number}{level}")
@@ -594,9 +596,14 @@ def grades_drawing(run: RunData) -> figure_style.Drawing:
 
 
 def draw_grades(
-    axes: "Axes", table: pd.DataFrame, family: "_Family", points: Sequence[str], plain: str
+    axes: "Axes",
+    table: pd.DataFrame,
+    error: Measure,
+    family: "_Family",
+    points: Sequence[str],
+    plain: str,
 ) -> None:
-    """Draw RMSE against the number of a family of conditions, a line for each point.
+    """Draw an error against the number of a family of conditions, a line for each point.
 
     A dashed line in its color is the condition `plain`, which belongs to no family.
     """
@@ -610,9 +617,9 @@ def draw_grades(
     for point in points:
         rows = table[table["point"] == point].set_index("condition")
         look = {"label": point or "mean", **figure_style.marker_style(looks.index(point))}
-        _draw_line(axes, rows, family.names, look)
+        _draw_line(axes, rows, error, family.names, look)
         if plain in rows.index:
-            axes.axhline(rows[RMSE.mean][plain], **_dashed(look))
+            axes.axhline(rows[error.mean][plain], **_dashed(look))
     figure_style.set_title(axes, family.title)
     axes.set_xlabel(_meaning(family.keys))
     axes.set_xticks([*family.names], [f"{grade:g}" for grade in family.names])
@@ -662,12 +669,16 @@ def _meaning(keys: Sequence[str]) -> str:
 
 
 def _draw_line(
-    axes: "Axes", rows: pd.DataFrame, grades: Mapping[float, str], look: dict[str, Any]
+    axes: "Axes",
+    rows: pd.DataFrame,
+    error: Measure,
+    grades: Mapping[float, str],
+    look: dict[str, Any],
 ) -> None:
     """Draw the means of graded conditions with their intervals."""
     graded = rows.reindex([*grades.values()])
-    half = graded[RMSE.ci95].fillna(0.0)
-    axes.errorbar([*grades], graded[RMSE.mean], yerr=half, elinewidth=0.6, **look)
+    half = graded[error.ci95].fillna(0.0)
+    axes.errorbar([*grades], graded[error.mean], yerr=half, elinewidth=0.6, **look)
 
 
 def _dashed(look: dict[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from tiswarm.records.measures import (
     LOCATED,
     MAIN,
     RMSE,
-    RMSE_LOCATED,
     STANDING,
     Measure,
 )
@@ -107,8 +106,7 @@ def accuracy_drawing(run: RunData) -> figure_style.Drawing:
     Where not all robots are located, errors are those of located ones, beside their share, as in
     the first table: positions of others are guesses.
     """
-    has_guesses = (run.summary.get(LOCATED.column, pd.Series(dtype=float)) < 1.0).any()
-    return _means_drawing(run, (RMSE_LOCATED, LOCATED) if has_guesses else MAIN)
+    return _means_drawing(run, (run.error, LOCATED) if run.has_guesses else MAIN)
 
 
 def _means_drawing(run: RunData, measures: Sequence[Measure]) -> figure_style.Drawing:
