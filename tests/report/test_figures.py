@@ -1,5 +1,6 @@
 """Figures show what the tables say, in any run that has results."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -94,6 +95,8 @@ def test_a_reader_chooses_panels_series_and_width():
     ):
         with pytest.raises(InputError, match=problem):
             drawing.draw(**wrong)
+    with pytest.raises(InputError, match="this figure has no series to choose from; leave it out"):
+        replace(drawing, series=[]).draw(series=["b"])
 
 
 def test_letters_have_seven_points_and_lines_one(run_folder):

@@ -255,6 +255,9 @@ class Drawing:
 
 def _chosen(names: Sequence[str], chosen: Sequence[str], argument: str) -> list[str]:
     """Return some names in their order; all if none is chosen."""
+    if chosen and not names:
+        problem = f"this figure has no {argument} to choose from; leave it out"
+        raise InputError(problem, argument=argument)
     for name in chosen:
         require_name(name, names, argument)
     return [name for name in names if name in chosen or not chosen]
