@@ -514,6 +514,21 @@ def test_an_estimate_is_consistent_only_where_it_could_not_be():
     }  # fmt: skip
 
 
+def test_suites_and_calibration_say_which_robots_they_count():
+    """Two tables of a page called unlike shares of robots located."""
+    table = pd.DataFrame({"condition": ["a"], "cases": 5, "rmse_R_mean": 1.79})
+    table = table.assign(located_mean=1.0, rmse_located_R_mean=2.0, paper_rmse_radii=None)
+    suites = table.assign(suite="s", way="joint", needs="nothing", located_mean=0.8)
+    suites = suites.assign(usd_1=20.0, usd_1000=20000.0)
+
+    shown = {t.title: t for t in result_tables(table, pd.DataFrame(), suites)}
+
+    headings = [*shown["Table I, measured"].frame]
+    assert headings[1:4] == ["1 robot [USD]", "1,000 robots [USD]", "positions determined"]
+    assert "robots located" in shown["Calibration"].frame
+    assert "without anchors" in shown["Calibration"].note
+
+
 def test_what_conditions_have_in_common_is_said_once():
     """All conditions localize the same structures, so the anchor's neighbors are the same."""
     table = pd.DataFrame({"condition": [*"abab"], "kind": ["tower", "tower", "chain", "chain"]})

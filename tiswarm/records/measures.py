@@ -577,7 +577,8 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     },
     "anchor": _ON_ANCHOR,
     "suites": {
-        **_OF_LOCATED,
+        LOCATED: "positions determined",
+        RMSE_LOCATED: "RMSE of these robots [R]",
         RMSE: "RMSE of all [R]",
         DISPARITY: "disparity",
         FLOPPY_MODES: "floppy modes",

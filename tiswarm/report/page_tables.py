@@ -514,6 +514,8 @@ def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
             " Precision: wrong contacts among those reported as outliers; recall: reported "
             "outliers among wrong contacts."
         )
+    if PAGE["calibration"][RMSE_LOCATED] in columns:
+        note += " Robots located are without anchors, whose errors are 0."
     if PAGE["calibration"][CONSISTENT] in columns:
         note += (
             " Converged: several searches found one least cost. Consistent: noise as stated "
@@ -601,9 +603,10 @@ def _measured_suites(suites: pd.DataFrame) -> PageTable:
     """Format prices of sensor suites beside what robots achieve with them."""
     note = (
         "Prices [USD] are those of the paper's Table I: of the sensors of so many robots, touch "
-        "included, and of what the suite needs, if Table I states it. Where a method does not "
-        "place robots one by one, robots are located if its cues determine their positions, up to "
-        "mirror images. Systems of a lattice, m-blocks and atron, cannot build these structures: "
+        "included, and of what the suite needs, if Table I states it. Positions are determined of "
+        "robots that the method places one by one, or else of those that its cues fix, up to "
+        "mirror images; measurements may tie more robots to the anchor. "
+        "Systems of a lattice, m-blocks and atron, cannot build these structures: "
         "their rows mean FireAntV3 robots whose docks know the pose of a connection. "
         f"{_WILSON}"
     )
