@@ -222,11 +222,11 @@ class _Written:
         return {name: values for name, values in news.items() if values}
 
     def _contacts(self, structure: GrowingStructure) -> list[list[int]]:
-        """List contacts of new robots, rows of (earlier robot, its dock, robot, its dock)."""
+        """List contacts of new robots, rows of (neighbor, its dock, robot, its dock)."""
         return [
-            [other, other_dock, robot, dock]
+            [neighbor, neighbor_dock, robot, dock]
             for robot, walk in enumerate(structure.walks[self.robots :], start=self.robots)
-            for dock, other, other_dock in walk.at_rest(walk.contacts).tolist()
+            for dock, neighbor, neighbor_dock in walk.at_rest(walk.contacts).tolist()
         ]
 
     def _ground(self, structure: GrowingStructure) -> list[Any]:

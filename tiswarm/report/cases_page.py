@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from tiswarm.records.measures import MAIN
-from tiswarm.report.table_page import Column, View, page_columns, table_page
+from tiswarm.report.table_page import Column, FirstView, page_columns, table_page
 
 _NAMING = ("point", "condition", "kind", "method", "measurements", "seed")
 """Columns that name a case, where cases differ in them."""
@@ -36,7 +36,7 @@ def cases_page(title: str, cases: pd.DataFrame, words: Sequence[str], *, file: s
     )
 
 
-def _first_view(columns: Sequence[Column]) -> View:
+def _first_view(columns: Sequence[Column]) -> FirstView:
     """Choose what a reader sees first.
 
     The chart has the first error over the number of robots if that differs, by condition or run.
@@ -50,4 +50,4 @@ def _first_view(columns: Sequence[Column]) -> View:
     of_table = [name for name in _NAMING if name in varying]
     shown = [*dict.fromkeys(["run", *of_table, x, *errors, y, *_FURTHER])]
     names = {column.name for column in columns}
-    return View(x, y, color, [name for name in shown if name in names])
+    return FirstView(x, y, color, [name for name in shown if name in names])

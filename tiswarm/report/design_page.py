@@ -7,7 +7,7 @@ import pandas as pd
 
 from tiswarm.records.measures import MEASURES
 from tiswarm.report.design_figure import result_column
-from tiswarm.report.table_page import View, heading_of, page_columns, table_page
+from tiswarm.report.table_page import FirstView, heading_of, page_columns, table_page
 
 _KINDS = {
     "predicted": "predicted",
@@ -62,7 +62,7 @@ def design_page(
         title,
         result,
         columns,
-        View(across, up, _VERDICT, [*keys, *results, *further, _VERDICT, _ON_FRESH]),
+        FirstView(across, up, _VERDICT, [*keys, *results, *further, _VERDICT, _ON_FRESH]),
         count=len(table),
         noun="candidates",
         example="front",

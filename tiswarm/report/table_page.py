@@ -31,7 +31,7 @@ class Column(NamedTuple):
         return len({*self.cells}) > 1
 
 
-class View(NamedTuple):
+class FirstView(NamedTuple):
     """What a reader sees first: names of columns."""
 
     x: str
@@ -85,7 +85,7 @@ def table_page(
     title: str,
     result: str,
     columns: Sequence[Column],
-    first: View,
+    first: FirstView,
     *,
     count: int,
     noun: str,

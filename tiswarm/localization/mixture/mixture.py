@@ -378,12 +378,12 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
             continue
         tried += 1
         end = ends.at(position, yaw)
-        there = _fitted(end, np.ones(1), inlier, open_sd)
-        is_new = not _agree(np.array(tried_places), there.state.position, best.sd).any()
-        tried_places += [position, there.state.position]
+        image_fit = _fitted(end, np.ones(1), inlier, open_sd)
+        is_new = not _agree(np.array(tried_places), image_fit.state.position, best.sd).any()
+        tried_places += [position, image_fit.state.position]
         if not is_new:
             continue
-        image = _described(end, np.ones(1), open_sd, there)
+        image = _described(end, np.ones(1), open_sd, image_fit)
         least = max(solution.log_height for solution in accepted) + np.log(MIXTURE.least_weight)
         if image.log_height >= least and _are_held([image]):
             accepted.append(image._replace(chains=0))

@@ -15,7 +15,7 @@ function take({ names, structure, offsets, center, turn, contacts, gone, broken,
   }
   const grown = structures[structure];
   data.offsets = offsets ?? data.offsets;
-  for (const [to, values] of [[grown.center, center], [grown.turn, turn], [grown.contacts, contacts]]) for (const each of values ?? []) to.push(each);
+  for (const [to, values] of [[grown.center, center], [grown.turn, turn], [grown.contacts, contacts]]) for (const value of values ?? []) to.push(value);
   for (const robot of gone ?? []) grown.gone.add(robot);
   for (const ends of broken ?? []) grown.broken.add(String(ends));
   grown.load = load ?? grown.load;
@@ -25,14 +25,14 @@ function take({ names, structure, offsets, center, turn, contacts, gone, broken,
 // A structure as the 3D view has cases, without robots that are gone and contacts that broke.
 function caseOf({ name, center, turn, contacts, gone, broken, load, ground }) {
   const robot = center.map((_, n) => n).filter((n) => !gone.has(n));
-  const place = new Map(robot.map((each, n) => [each, n])), docks = data.offsets.length;
+  const place = new Map(robot.map((number, n) => [number, n])), docks = data.offsets.length;
   const isWhole = ([i, a, j, b]) => place.has(i) && place.has(j) && !broken.has(`${docks * i + a},${docks * j + b}`);
   const chosen = (values) => robot.map((n) => values[n] ?? null);
   const estimate = chosen(center), sensed = chosen(turn), value = chosen(load);
   return {
     name, robot, true: [], turn: [], estimate, sensed, trace: null, ground,
     contacts: contacts.filter(isWhole).map(([i, a, j, b]) => [place.get(i), a, place.get(j), b]),
-    colors: value.some((each) => each !== null) ? [{ ...data.coloring, value }] : [],
+    colors: value.some((load) => load !== null) ? [{ ...data.coloring, value }] : [],
   };
 }
 
