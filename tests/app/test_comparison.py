@@ -11,8 +11,10 @@ from tests.runs import REPOSITORY
 from tiswarm.app.comparison import compare
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
+from tiswarm.records.measures import MEASURES
 from tiswarm.report import figure_style
 from tiswarm.report.cases_page import cases_page
+from tiswarm.report.table_page import heading_of
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import run
 
@@ -202,3 +204,12 @@ def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
     ]
     labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
     assert labels == ["yaw 5, nan", "none"]
+
+
+def test_a_heading_keeps_the_words_of_a_column():
+    """A unit is left out of the words where the column ends in it, and nothing else is."""
+    assert heading_of(MEASURES["peak_stress"]) == "peak stress [dock weights/R²]"
+    assert heading_of(MEASURES["sse_R2"]) == "sse [R²]"
+    assert heading_of(MEASURES["rms_radius_R"]) == "rms radius [R]"
+    assert heading_of(MEASURES["beyond_edge"]) == "beyond edge"
+    assert heading_of(MEASURES["height_R"]) == MEASURES["height_R"].axis

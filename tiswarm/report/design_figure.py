@@ -7,6 +7,7 @@ import pandas as pd
 
 from tiswarm.records.measures import MEASURES
 from tiswarm.report.figure_style import PAGE_WIDTH, Drawing, Panels, dot_style, line_style
+from tiswarm.report.table_page import heading_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,9 +74,5 @@ def _values(table: pd.DataFrame, name: str, kind: str) -> "pd.Series[float]":
 
 
 def _label(name: str) -> str:
-    """Label the axis of a result."""
-    if name not in MEASURES:
-        return name
-    measure = MEASURES[name]
-    unit = measure.unit.replace("^2", "²")
-    return measure.axis if measure.label else f"{name.replace('_', ' ')} [{unit}]"
+    """Label the axis of a result; a price has no unit."""
+    return heading_of(MEASURES[name]) if name in MEASURES else name

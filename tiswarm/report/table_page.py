@@ -76,9 +76,10 @@ def heading_of(measure: Measure) -> str:
     """Write the label of a measure with its unit, or else its column in words."""
     if measure.label:
         return measure.axis
-    if measure.unit == "1":
-        return measure.column.replace("_", " ")
-    return f"{measure.column.rpartition('_')[0].replace('_', ' ')} [{measure.unit}]"
+    suffix = "_" + measure.unit.replace("^", "")
+    words = measure.column.removesuffix(suffix).replace("_", " ")
+    unit = measure.unit.replace("^2", "²")
+    return words if measure.unit == "1" else f"{words} [{unit}]"
 
 
 def table_page(
