@@ -3,10 +3,12 @@
     python -m benchmarks.growth            # 100 robots x 25 seeds, 1,000 and 10,000 robots
     python -m benchmarks.growth --quick    # 100 robots x 25 seeds
     python -m benchmarks.growth --robots 10000 30000 --rounds 2  # towers of the scaling study
+    python -m benchmarks.growth --robots 30000 --orders minimum-degree nested-dissection
 
 On one thread; a small structure compiles the kernels first. Towers of the scaling study grow in
-turn, once a round. Their last row compares loads of the last solve with those of a direct solver of
-SciPy: the largest difference of a force or moment of a contact, relative to the largest one.
+turn, by each of the orders of elimination, once a round. Their last row compares loads of the last
+solve with those of a direct solver of SciPy: the largest difference of a force or moment of a
+contact, relative to the largest one.
 """
 
 import argparse
@@ -15,6 +17,7 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -60,16 +63,23 @@ def main() -> None:
     parser.add_argument("--robots", type=int, nargs="+", choices=studied,
                         help="sizes of scenarios/scaling.yaml")  # fmt: skip
     parser.add_argument("--rounds", type=int, default=1, help="how often each of them grows")
+    orders = "minimum-degree", "nested-dissection"
+    parser.add_argument("--orders", nargs="+", choices=orders, default=orders[:1],
+                        help="orders of elimination of theirs")  # fmt: skip
     options = parser.parse_args()
     sizes = list(SIZES.items())[: 1 if options.quick else None]
     if options.robots:
-        sizes = [(f"{n:,} robots", (n, 1, _studied(n))) for n in options.robots] * options.rounds
+        towers = product(options.robots, options.orders)
+        sizes = [(f"{n:,} robots, {order}", (n, 1, _studied(n, order))) for n, order in towers]
+        sizes *= options.rounds
     running = backend.start(threads=1)
     print(f"machine: {machine()}, Python {platform.python_version()}, {running.library}")
     print(f"threads: {running.threads}, load before: {os.getloadavg()[0]:.2f}\n")
     print("| size | CPU s | a structure s | a join ms | peak MB |", " | ".join(PARTS), "|")
     print("|---" * (5 + len(PARTS)) + "|")
-    grow(TowerParams(), robots=10, seeds=[0], robot=RobotGeometry())
+    for order in options.orders:
+        compiled = TowerParams(mechanics=MechanicsParams(order=order))
+        grow(compiled, robots=10, seeds=[0], robot=RobotGeometry())
     spent: Counter[str] = Counter()
     solved: list[mechanics.Frames] = []
     for part, (owner, name) in PARTS.items():
@@ -82,8 +92,8 @@ def main() -> None:
             print(f"{size}: loads differ by {load_difference(solved[0]):.1e} from SciPy's")
 
 
-def _studied(robots: int) -> TowerParams:
-    """Read the tower of so many robots from the scaling study."""
+def _studied(robots: int, order: str) -> TowerParams:
+    """Read the tower of so many robots from the scaling study; solve it by an order."""
     study = load_scenario(Path(__file__).parents[1] / "scenarios" / "scaling.yaml")
     rows = {row[0]: row for row in next(iter(study.sweep.values()))}
     _, movers, solve_every, goal, _ = rows[robots]
@@ -91,7 +101,7 @@ def _studied(robots: int) -> TowerParams:
         movers=movers,
         solve_every=solve_every,
         goal_height=goal,
-        mechanics=MechanicsParams(model="rigid"),
+        mechanics=MechanicsParams(model="rigid", order=order),
     )
 
 

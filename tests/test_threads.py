@@ -42,6 +42,7 @@ from tiswarm.sensing.sight import in_sight
 from tiswarm.world.ground.bodies import PlaneParams, SphereParams
 from tiswarm.world.ground.grids import grid_of_mesh
 from tiswarm.world.growth import grow
+from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.params import TowerParams
 
 
@@ -95,6 +96,13 @@ _swarm = cache(swarm)
 def _growth(kind: str, movers: int) -> Work:
     params = dataclasses.replace(KINDS[kind], movers=movers)
     return lambda *_: grow(params, robots=25, seeds=[1, 3, 4], robot=FIREANT)
+
+
+def _growth_by_dissection(scale: Scale, _: Path) -> object:
+    """Grow towers whose mechanics METIS orders."""
+    params = TowerParams(movers=2, mechanics=MechanicsParams(order="nested-dissection"))
+    seeds = range(scale.structures)
+    return grow(params, robots=2 * scale.robots, seeds=seeds, robot=FIREANT)
 
 
 def _growth_on_ground(*_: object) -> object:
@@ -200,6 +208,7 @@ def _run(*sets: str) -> Work:
 WORKS: dict[str, Work] = {
     **{f"growth of a {kind}": _growth(kind, 1) for kind in ("cantilever", "bridge", "chain")},
     **{f"growth of a {kind} by three": _growth(kind, 3) for kind in ("tower", "cantilever")},
+    "growth by nested dissection": _growth_by_dissection,
     "growth on ground of bodies": _growth_on_ground,
     "sight": _sight,
     "joint": _joint,

@@ -340,6 +340,36 @@ def test_solving_on_the_way_changes_nothing(cantilevers, model):
             assert np.abs(getattr(loads, name) - expected).max(initial=0.0) < 1e-9 * 90, name
 
 
+@pytest.mark.parametrize("leaf", [0, 3])
+@pytest.mark.parametrize("model", MODELS)
+def test_the_order_of_elimination_changes_no_force(towers, bridges, monkeypatch, model, leaf):
+    """METIS orders all nodes of a structure, or those that are left without its leaves."""
+    monkeypatch.setattr(mechanics, "_LEAF", leaf)
+    for structure in map(frames.grown, (*towers, *bridges)):
+        expected = frames.solve(structure, model=model)
+
+        loads = frames.solve(structure, model=model, order="nested-dissection")
+
+        for name in FORCES:
+            assert _difference(getattr(loads, name), getattr(expected, name)) < 1e-9, name
+
+
+def test_an_order_of_all_structures_is_that_of_each(towers):
+    """Structures side by side, of different sizes, are put in order one by one."""
+    params = MechanicsParams(order="nested-dissection")
+    structures = [frames.grown(history, 10 + 5 * n) for n, history in enumerate(towers)]
+    together = Frames(params, docks=3, robots=30, structures=len(structures))
+    for number, structure in enumerate(structures):
+        for j in range(len(structure.center)):
+            frames.join(together, number, structure, j)
+
+    together.solve(range(len(structures)))
+
+    for number, structure in enumerate(structures):
+        alone = frames.solve(structure, params)
+        np.testing.assert_array_equal(together.loads(number).sensed, alone.sensed)
+
+
 def test_robots_sense_what_a_frame_built_anew_says(towers, cantilevers, bridges, chains):
     """Growth hands on what its mechanics found, robot by robot."""
     for history in (*towers, *cantilevers, *bridges, *chains):

@@ -105,6 +105,7 @@ _LIBRARIES = (
     "open3d-cpu",
     "pandas",
     "pydantic",
+    "pymetis",
     "quadrants",
     "scipy",
     "taichi",

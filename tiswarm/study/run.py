@@ -176,6 +176,8 @@ def _start_device(
             methods.require_use(used, arch, settings.precision)
         return arch
     require_cores(points)
+    for settings in points:
+        settings.structure.mechanics.require_libraries()
     chosen = arch
     wanted = {(p.arch or "", p.threads or 0, p.precision) for p in points}
     for point_arch, point_threads, precision in sorted(wanted):

@@ -1,7 +1,8 @@
 """Frames: how a kernel finds the forces in structures of beams at rest.
 
 It solves a sparse system of 6 x 6 blocks by elimination over a graph. Nodes of 6 unknowns are
-eliminated one after the other, always one of the fewest neighbors that are left (minimum degree).
+eliminated one after the other, always one of the fewest neighbors that are left (minimum degree),
+or in an order that is given.
 With K the matrix of those that are left, C C' = K_kk the Cholesky factorization of the pivot's
 block, and a and b neighbors of k,
 
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tiswarm.compute.lang import (
     F64,
     GRAIN,
+    I32,
     Columns,
     Ints1,
     Ints2,
@@ -65,6 +67,8 @@ class NodeList(Columns):
     """Node that was eliminated in the step that the row says."""
     NEAR = 1
     """Neighbors of the last pivot, one a row."""
+    ORDERED = 1
+    """Nodes in the order of their elimination, one a row, where that is given."""
 
 
 class HalfEdge(Columns):
@@ -89,7 +93,7 @@ class EliminationArrays(NamedTuple):
     """Columns of `Node`, shape (S, M, 7)."""
 
     order: Ints3
-    """Columns of `NodeList`, whose rows are no nodes, shape (S, M + 1, 3)."""
+    """Columns of `NodeList`, whose rows are no nodes, shape (S, M + 1, 4)."""
 
     half: Ints3
     """Columns of `HalfEdge`; the edge with block e has 2 e and 2 e + 1, shape (S, 2 L, 2)."""
@@ -331,6 +335,36 @@ def _eliminate_group(work: Ref, s, k, step, near):
 
 
 @ti.func
+def _list_by_degree(work: Ref, s, nodes):
+    """Put all nodes in front of those of their degrees."""
+    for degree in range(nodes + 1):
+        work.order[s, degree, NodeList.LEAST] = -1
+    for a in range(nodes):
+        _enter(work, s, a)
+
+
+@ti.func
+def _strip(work: Ref, s, nodes, most):
+    """Take nodes of at most `most` neighbors out of a graph, and list them, without numbers.
+
+    What is left is the core; the search ends early without room for its edges.
+    """
+    _list_by_degree(work, s, nodes)
+    least = 0
+    step = 0
+    while least <= most and step < nodes and work.block_count[s] <= work.block.shape[1]:
+        k = work.order[s, least, NodeList.LEAST]
+        if k < 0:
+            least += 1
+        else:
+            work.order[s, step, NodeList.ORDERED] = k
+            step += 1
+            for n in range(_join_neighbors(work, s, k)):
+                _enter(work, s, work.order[s, n, NodeList.NEAR])
+            least = ti.max(least - 1, 0)
+
+
+@ti.func
 def _back(work: Ref, s, k):
     """Find the motion of `k` from those that were eliminated later."""
     # y - sum_a Z_a u_a
@@ -354,18 +388,26 @@ def _back(work: Ref, s, k):
 
 
 @ti.func
-def solve(work: Ref, s, nodes):
-    """Solve a system; return whether there was room for the edges."""
-    for degree in range(nodes + 1):
-        work.order[s, degree, NodeList.LEAST] = -1
-    for a in range(nodes):
-        _enter(work, s, a)
+def solve(work: Ref, s, nodes, is_ordered):
+    """Solve a system; return whether there was room for the edges.
+
+    Nodes are eliminated in the order that `ORDERED` lists, or by minimum degree.
+    """
+    _list_by_degree(work, s, nodes)
     least = 0
+    place = 0
     step = 0
     while step < nodes:
-        while work.order[s, least, NodeList.LEAST] < 0:
-            least += 1
-        k = work.order[s, least, NodeList.LEAST]
+        k = -1
+        if is_ordered:
+            # Those that went with a group before are done.
+            while work.node[s, work.order[s, place, NodeList.ORDERED], Node.DEGREE] == ELIMINATED:
+                place += 1
+            k = work.order[s, place, NodeList.ORDERED]
+        else:
+            while work.order[s, least, NodeList.LEAST] < 0:
+                least += 1
+            k = work.order[s, least, NodeList.LEAST]
         near = _join_neighbors(work, s, k)
         if work.block_count[s] > work.block.shape[1]:
             break
@@ -486,6 +528,37 @@ class LoadArrays(NamedTuple):
     """Load that each robot senses, shape (S, N)."""
 
 
+@ti.kernel
+def strip_to_core(
+    most: I32, due: Ints1, node_count: Ints1, beam_count: Ints1, ends: Ints3,
+    # EliminationArrays
+    node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
+    panel_out: Sixes, motion_out: Sixes,
+):  # fmt: skip
+    """List nodes of few neighbors, by minimum degree, and leave the graph of the others.
+
+    Args:
+        most: Most neighbors that they may have when it is their turn.
+        due: Structures, shape (n,).
+        node_count, beam_count, ends: As in `FrameArrays`.
+    """
+    work = ti.static(
+        EliminationArrays(
+            node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
+        )
+    )
+    for n, idle in ti.ndrange(due.shape[0], GRAIN):
+        if idle == 0:
+            s = due[n]
+            clear(work, s, node_count[s])
+            for beam in range(beam_count[s]):
+                a = ends[s, beam, BeamEnds.NODE_A]
+                b = ends[s, beam, BeamEnds.NODE_B]
+                if b >= 0:
+                    edge_between(work, s, a, b)
+            _strip(work, s, node_count[s], most)
+
+
 @ti.func
 def _assemble(frame: Ref, work: Ref, s):
     """Add up the beams' stiffnesses."""
@@ -593,6 +666,7 @@ def _sense(frame: Ref, loads: Ref, s, robot, docks):
 @ti.kernel
 def find_loads(
     radius: F64, gravity_x: F64, gravity_y: F64, gravity_z: F64, robots: Ints1, due: Ints1,
+    is_ordered: I32,
     # FrameArrays
     node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Blocks, span: Reals3,
     arm: Reals3, weight: Sixes, slip: Reals3,
@@ -610,6 +684,7 @@ def find_loads(
         gravity_x, gravity_y, gravity_z: Weight of a dock.
         robots: Robots of each structure, shape (S,).
         due: Structures to solve, shape (n,).
+        is_ordered: Whether the order of elimination is given.
     """
     frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight, slip))
     work = ti.static(
@@ -624,7 +699,7 @@ def find_loads(
             docks = arm.shape[1] // sensed_out.shape[1]
             is_rigid = weight.shape[1] == sensed_out.shape[1]  # a robot is one node
             _assemble(frame, work, s)
-            if solve(work, s, node_count[s]):
+            if solve(work, s, node_count[s], is_ordered):
                 for dock in range(docks * robots[s]):
                     acting_out[s, dock] = ti.Vector(
                         [gravity_x, gravity_y, gravity_z, 0.0, 0.0, 0.0], F64
