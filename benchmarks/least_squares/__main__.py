@@ -41,7 +41,6 @@ def ours(log: SensingLog, problem: Problem, position: Array, yaw: Array) -> Mini
         log, problem.rows, yaw_precision=problem.yaw_precision, non_overlap=False,
         are_independent=True,
     )  # fmt: skip
-    cost.least_reduction = -np.inf  # as the other solver goes to the minimum itself
     state, linear = cost.refine(cost.at(position, yaw), PARAMS.rounds)
     return Minimum(state.position, state.yaw, linear.chi_square)
 

@@ -86,7 +86,6 @@ def optimum(
         links=problem.connections,
         robust_sd=ROBUST_SD,
     )
-    cost.least_reduction = -np.inf  # a limit is that of the minimum itself
     state = cost.at(*start)
     for _ in range(calls):
         before = state.position

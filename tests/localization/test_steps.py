@@ -105,6 +105,7 @@ def test_factors_of_a_minimum_nearby_serve_one_step(tall_towers, monkeypatch):
     log = observe(history, NOISY)
     cost = WholeCost(log, pose_problem(log, JointParams()).rows)
     least, linear = cost.refine(cost.at(history.position, np.zeros(30)))
+    of_minimum = linear.undamped
     start = least._replace(position=least.position.copy())
     start.position[1:] += 0.05 * np.random.default_rng(1).normal(size=(29, 3))
     counted = []
@@ -116,7 +117,7 @@ def test_factors_of_a_minimum_nearby_serve_one_step(tall_towers, monkeypatch):
 
     monkeypatch.setattr(Linear, "_factored", counting)
     minima = []
-    for factors in (linear.undamped, None):
+    for factors in (of_minimum, None):
         with monkeypatch.context() as patched:
             patched.setattr(WholeCost, "most_rounds", 1)
             cost.factors = factors

@@ -243,8 +243,6 @@ class WholeCost(Cost[Linear]):
     U in all. Those that nothing moves are left out of matrices; F are free.
     """
 
-    least_reduction = SETTLED
-
     def __init__(
         self,
         log: SensingLog,
