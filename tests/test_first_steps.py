@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[1]
-BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```(sh|python|yaml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NOT_TYPED = {"make test": "runs this test", "pip install .": "tests of packages install wheels"}
 SHELL = """set -eE -o pipefail
 trap 'echo "failed: $BASH_COMMAND" >&2' ERR
@@ -60,6 +60,10 @@ def _typed(page):
         if lang == "python":
             # From beside the clone, whose name is that of the package.
             yield f"(cd .. && python - <<'END'\n{block}END\n)\n"
+            continue
+        if lang == "yaml":  # a scenario of the reader, in a file of its name
+            name = block.partition("\n")[0].removeprefix("name: ")
+            yield f"cat > {name}.yaml <<'END'\n{block}END\n"
             continue
         for line in block.splitlines():
             command = line.partition(" #")[0].strip()

@@ -193,9 +193,9 @@ def run(
     load_plugins(plugins)
     where = study.Execution(workers=workers, **_fields(execution))
     settings, progress = _load(scenario, overrides), ConsoleProgress(quiet=quiet)
-    where = fewer(settings, where, progress)
     if live:
         progress = _live(settings, where, quiet=quiet)
+    where = fewer(settings, where, progress)
     with progress:
         result = study.run(
             settings, as_path(out, "out"),

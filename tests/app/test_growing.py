@@ -72,6 +72,7 @@ def test_a_watched_run_has_the_same_bytes(tiswarm, tmp_path, impatient):
     assert len(ours) > 10
     assert watched.keys() - ours == plain.keys()
     assert [path for path in plain if plain[path] != watched[path]] == []
+    assert done.stderr.count("to watch") == 1
     assert f"to watch robots join: open {run / 'live.html'}" in done.stderr
 
 
@@ -225,9 +226,10 @@ def test_a_page_that_cannot_be_written_stops_no_growth(tmp_path, capsys, impatie
     assert "growth goes on without it" in said
 
 
-def test_other_processes_cannot_be_watched(tiswarm, tmp_path):
-    """They would grow structures that no page shows: refused, and nothing is written."""
-    done = tiswarm("run", "tests/tower.yaml", "--live", "--case-limit", 60, "--out", tmp_path)
+@pytest.mark.parametrize("option", [("--case-limit", 60), ("--workers", 2)])
+def test_other_processes_cannot_be_watched(tiswarm, tmp_path, option):
+    """They would grow structures that no page shows: refused, however little there is to do."""
+    done = tiswarm("run", "tests/tower.yaml", "--live", *option, "--out", tmp_path)
 
     problem = "structures that other processes grow are not shown"
     fix = "leave out workers, scheduler and case limit"
@@ -242,7 +244,8 @@ def test_a_run_that_grows_nothing_says_so(tiswarm, tmp_path):
 
     done = tiswarm(*command, "--live")
 
-    assert "nothing grew that could be shown" in done.stderr
+    assert "--live: all structures had grown before" in done.stderr
+    assert "to watch" not in done.stderr
     assert not [*tmp_path.glob("*/live.html")]
 
 

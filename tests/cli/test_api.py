@@ -63,7 +63,7 @@ def test_a_table_for_a_paper_is_that_of_the_page(run, tiswarm):
         tiswarm("table", run.folder, form).stdout for form in ("--latex", "--markdown", "--csv")
     )
 
-    assert [*cells] == ["condition", "RMSE [R]", "disparity"]
+    assert [*cells] == ["condition", "n", "RMSE [R]", "disparity"]
     assert cells["RMSE [R]"].str.fullmatch(r"[\d.]+ \([\d.]+ to [\d.]+\)").all()
     pd.testing.assert_frame_equal(pd.read_csv(io.StringIO(csv), dtype=str, na_filter=False), cells)
     for rmse in cells["RMSE [R]"]:

@@ -59,6 +59,15 @@ def test_only_bare_names_are_looked_up(path):
         load_scenario(Path(path))
 
 
+@pytest.mark.parametrize("path", ["scenarios/tower.yaml", "tower.yml"])
+def test_a_page_that_is_read_outside_the_repository_leads_to_the_name(path, tmp_path, monkeypatch):
+    """An installed package has the scenarios that pages name by their files in the repository."""
+    monkeypatch.chdir(tmp_path)
+
+    with pytest.raises(InputError, match=rf"^{path}: .*did you mean tiswarm run tower\?$"):
+        load_scenario(Path(path))
+
+
 def test_an_unknown_name_says_where_names_are():
     """The message leads to the list, and to the nearest name."""
     meant = "did you mean tower\\?"

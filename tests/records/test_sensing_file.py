@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import jsonschema
@@ -222,6 +222,30 @@ def logs(draw):
     )
 
 
+@pytest.mark.parametrize("kept", [2, 3, 4])
+def test_a_log_that_was_cut_at_the_end_of_a_line_is_refused(tmp_path, kept):
+    """A download that stopped there passed as a log of fewer robots, or of those that had left."""
+    path = written(tmp_path / "a", {**HEADER, "version": 3}, ANCHOR, JOINER, {**JOINER, "robot": 4})
+    log = replace(read_sensing_log(path), gone=np.array([1]), left_after=np.array([3]))
+    write_sensing_log(log, path)
+    lines = path.read_text().splitlines(keepends=True)
+    assert json.loads(lines[0])["lines"] == len(lines) - 1 == 4
+    path.write_text("".join(lines[:kept]))
+
+    with pytest.raises(InputError) as refusal:
+        read_sensing_log(path)
+
+    expected = f"{path}:1: lines: 4 lines should follow, and {kept - 1} do; "
+    assert str(refusal.value).startswith(expected)
+
+
+def test_a_log_without_a_number_of_lines_is_read(tmp_path):
+    """Robots that record do not know it yet, and programs of others do not write it."""
+    log = read_sensing_log(written(tmp_path / "a", HEADER, ANCHOR, JOINER))
+
+    assert log.robot_count == 2
+
+
 def content(record):
     """Everything in a record, arrays as type, shape and bytes."""
     if is_dataclass(record):
@@ -311,7 +335,8 @@ def test_the_format_is_the_published_one(tmp_path):
 
     header, anchor, joiner = map(json.loads, path.read_text().splitlines())
 
-    assert list(header.items()) == list(HEADER.items())
+    stated = list(HEADER.items())
+    assert list(header.items()) == [*stated[:2], ("lines", 2), *stated[2:]]
     assert anchor == {**ANCHOR, **{key: [] for key in ["ground_docks", *NEW_LISTS, "stances"]}}
     assert joiner == {**JOINER, "contacts": [[0, 7, 1], [2, 7, 0]]}
     assert list(joiner) == list(JOINER)

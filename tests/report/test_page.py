@@ -337,7 +337,10 @@ def test_the_first_table_has_what_a_question_asks_for():
     sent = headline_table(table, "traffic")
 
     assert shown.frame["height [R]"].tolist() == ["30", ""]
-    assert shown.frame["bridges closed [share]"].tolist() == ["", "0.500 (0.0945 to 0.905)"]
+    assert shown.frame["bridges closed [share] (95 % CI)"].tolist() == [
+        "",
+        "0.500 (0.0945 to 0.905)",
+    ]
     assert "Wilson" in shown.note
     assert sent.frame["sent by a robot [B]"].tolist() == ["7", "8"]
     assert "height [R]" not in headline_table(table).frame
@@ -389,8 +392,8 @@ def test_p_needs_five_structures():
     assert "Wilcoxon" not in none.note
 
 
-def test_errors_are_of_located_robots():
-    """Positions that no measurement ties to the anchor are guesses, and their errors no errors."""
+def test_the_error_of_all_robots_ranks_where_some_are_not_located():
+    """A method that locates a fifth of the robots led tables by the errors of that fifth."""
     table = pd.DataFrame({"condition": [*"ab"], "cases": 2, "rmse_R_mean": [18.3, 17.0]})
     table = table.assign(rmse_located_R_mean=[1.5, 17.0], procrustes_disparity_mean=5.9)
     table = table.assign(located_ci95_low=[0.09, 0.34], located_ci95_high=[0.91, 1.0])
@@ -398,11 +401,33 @@ def test_errors_are_of_located_robots():
     all_located = headline_table(table.assign(located_mean=1.0))
     some = headline_table(table.assign(located_mean=[0.5, 1.0]))
 
-    assert [*all_located.frame] == ["condition", "RMSE [R]", "disparity"]
+    assert [*all_located.frame] == ["condition", "n", "RMSE [R]", "disparity"]
     assert "All robots are located" in all_located.note
-    assert [*some.frame] == ["condition", "RMSE of located [R]", "located [%]"]
-    assert some.frame.to_numpy().tolist() == [["a", "1.50", "50 (9 to 91)"], ["b", "17", "100"]]
+    assert [*some.frame] == [
+        "condition", "n", "RMSE [R]", "located [%] (95 % CI)", "RMSE of located [R]",
+    ]  # fmt: skip
+    assert some.frame.to_numpy().tolist() == [
+        ["b", "2", "17", "100", "17"],
+        ["a", "2", "18.3", "50 (9 to 91)", "1.50"],
+    ]
     assert "positions of others are guesses" in some.note
+
+
+def test_headings_tell_intervals_from_ranges():
+    """Wilson's interval of a share stood beside the least and greatest of an error, unsaid."""
+
+    def attachment(structures):
+        table = pd.DataFrame({"condition": ["a"], "cases": structures, "paper_rmse_radii": None})
+        table = table.assign(rmse_R_mean=1.0, within_dock_mean=0.5)
+        tables = result_tables(table, pd.DataFrame())
+        return next(shown for shown in tables if shown.title == "Accuracy for attachment")
+
+    few, many = attachment(2), attachment(5)
+
+    assert [*few.frame][1:] == ["share of robots within 2 R (95 % CI)"]
+    assert "In parentheses: least and greatest" in few.note
+    assert [*many.frame][1:] == ["share of robots within 2 R"]
+    assert "least and greatest" not in many.note
 
 
 def test_powers_stand_at_the_largest_size():
@@ -447,15 +472,15 @@ def test_changes_are_from_the_first_condition_of_the_same_point():
     assert shown.frame["change [%]"].tolist() == ["", "+50", "-25", ""]
 
 
-def test_changes_are_of_the_errors_beside_them():
-    """Beside the RMSE of located robots it stated the change of that of all, guesses included."""
-    table = pd.DataFrame({"condition": ["all", "less", "none"], "cases": 1, "rmse_R_mean": 9.0})
-    table = table.assign(located_mean=[0.5, 0.5, 0.0], rmse_located_R_mean=[1.0, 1.5, np.nan])
+def test_changes_are_of_the_error_that_ranks():
+    """A cue without which few robots are located would seem to make errors smaller."""
+    table = pd.DataFrame({"condition": ["all", "less"], "cases": 1, "rmse_R_mean": [1.0, 9.0]})
+    table = table.assign(located_mean=[1.0, 0.5], rmse_located_R_mean=[1.0, 0.5])
 
     shown = headline_table(table, "cues")
 
-    assert shown.frame["RMSE of located [R]"].tolist() == ["1", "1.50", ""]
-    assert shown.frame["change [%]"].tolist() == ["", "+50", ""]
+    assert shown.frame["RMSE [R]"].tolist() == ["1", "9"]
+    assert shown.frame["change [%]"].tolist() == ["", "+800"]
 
 
 def test_the_console_has_the_table_in_aligned_columns():
@@ -474,7 +499,7 @@ def test_the_console_has_the_table_in_aligned_columns():
     ).splitlines()
 
     assert (first, second) == ("1 deg:", "2 deg:")
-    assert [row.split() for row in (one, two)] == [["all", "1"], ["less", "1.50"]]
+    assert [row.split() for row in (one, two)] == [["all", "1", "1"], ["less", "1", "1.50"]]
     assert len({len(row) for row in (head, one, two, three, four)}) == 1
 
 
@@ -524,7 +549,7 @@ def test_suites_and_calibration_say_which_robots_they_count():
     shown = {t.title: t for t in result_tables(table, pd.DataFrame(), suites)}
 
     headings = [*shown["Table I, measured"].frame]
-    assert headings[1:4] == ["1 robot [USD]", "1,000 robots [USD]", "positions determined"]
+    assert headings[1:4] == ["1 robot [USD]", "1,000 robots [USD]", "n"]
     assert "robots located" in shown["Calibration"].frame
     assert "without anchors" in shown["Calibration"].note
 
@@ -629,7 +654,7 @@ def test_a_page_of_a_sweep_has_a_row_group_and_a_choice_for_each_point(swept_run
     assert found["kept"] == found["shown"]
     assert found["conditions"] == ["joint", "Algorithm 1"]
     assert found["rows"] == [[point, "Algorithm 1", "joint"] for point in found["points"]]
-    assert found["csv"].splitlines()[1].startswith('"gap 20 R","Algorithm 1","2')
+    assert found["csv"].splitlines()[1].startswith('"gap 20 R","Algorithm 1","1","2')
     assert not re.search(r"kind: bridge|structure=", page.partition("The scenario with all")[0])
 
 
@@ -649,7 +674,7 @@ def test_spreadsheets_compute_no_label_of_a_downloaded_table(swept_run, tmp_path
         ['"\'=wide"', '"Algorithm 1"'],
         ['"\'=wide"', '"\'=joint"'],
     ]
-    assert rows[1].startswith('"gap 20 R","Algorithm 1","2')
+    assert rows[1].startswith('"gap 20 R","Algorithm 1","1","2')
 
 
 @pytest.mark.parametrize(("rows", "is_wide"), [(14, False), (15, True)])

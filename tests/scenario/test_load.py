@@ -134,6 +134,21 @@ def test_a_scenario_names_its_method(tmp_path, text, line):
     )
 
 
+@pytest.mark.parametrize("text", ["", "structure: {goal_height: 9.0}\n"])
+def test_a_scenario_names_its_kind_of_structure(tmp_path, text):
+    """A first file of one's own has not all that it needs; the message shows what to write."""
+    path = tmp_path / "scenario.yaml"
+    path.write_text(f"name: mine\n{text}localization: {{method: joint}}\n")
+
+    with pytest.raises(InputError) as refusal:
+        load_scenario(path)
+
+    assert str(refusal.value).endswith(
+        ": structure.kind: is missing; write it like structure: {kind: tower}, one of bridge, "
+        "cantilever, chain, tower"
+    )
+
+
 def test_what_is_written_is_what_is_loaded(scenario):
     """Values end up where they belong, whole numbers as floats where floats are wanted."""
     full = load_scenario(scenario(FULL))
@@ -150,8 +165,13 @@ METHOD = "localization.method"
 HUNDRED = list(range(2, 103))
 REFUSED = [
     ("robots: 5\nstructure: {kind: tower}", 1, "name", "is missing; add it"),
-    ("name: tower", 1, "structure", "is missing; add it"),
-    ("name: tower\nstructure: {}", 2, "structure.kind", "is missing; add it"),
+    ("name: tower", 1, "structure.kind", "is missing; write it like structure: {kind: tower}"),
+    (
+        "name: tower\nstructure: {}",
+        2,
+        "structure.kind",
+        "is missing; write it like structure: {kind: tower}",
+    ),
     ("name: a/b\nstructure: {kind: tower}", 1, "name", "'a/b' cannot name a folder; use letters"),
     ("name: ..\nstructure: {kind: tower}", 1, "name", "'..' cannot name a folder; use letters"),
     ("name: 3\nstructure: {kind: tower}", 1, "name", "3 should be text"),
@@ -494,7 +514,7 @@ def test_wrong_keys_come_before_what_is_missing():
     """A reader mends the key, and sees the other mistake still."""
     mistakes = find_mistakes({"nam": "x", "robts": 3, "localization": {"method": "joint"}})
 
-    assert [mistake.key for mistake in mistakes] == ["nam", "robts", "structure"]
+    assert [mistake.key for mistake in mistakes] == ["nam", "robts", "structure.kind"]
 
 
 def test_two_mistakes_are_one_more(scenario):

@@ -176,7 +176,7 @@ def test_throughput_has_its_table_and_figure(relaxed):
     page = relaxed.page.read_text()
     assert "robot steps / CPU s" in page
     assert "RMSE" not in str(relaxed)
-    assert [*relaxed.answer][:3] == ["point", "condition", "settled"]
+    assert [*relaxed.answer][:4] == ["point", "condition", "n", "settled (95 % CI)"]
 
 
 def test_columns_of_the_engine_that_the_page_of_files_lists_are_there(relaxed):

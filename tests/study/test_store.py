@@ -151,6 +151,20 @@ def damaged(tiny_run, tmp_path):
     return Path(shutil.copytree(tiny_run, tmp_path / tiny_run.name))
 
 
+def test_the_folder_of_a_run_is_no_parent_of_another(tiny, damaged):
+    """A user who continues a run may name its own folder; a run within it would be none of both."""
+    before = sorted(damaged.rglob("*"))
+
+    with pytest.raises(InputError) as refusal:
+        study.run(tiny, damaged, progress=Progress())
+
+    problem = (
+        f"--out: {damaged} is the folder of a run; name its parent {damaged.parent} to continue"
+    )
+    assert str(refusal.value.as_option()).startswith(problem)
+    assert sorted(damaged.rglob("*")) == before
+
+
 def test_a_run_that_goes_on_under_other_roundings_says_so(tiny, damaged, monkeypatch):
     """Its bytes are those of two kinds of processor; manifest and cases name both."""
     [own] = json.loads((damaged / "manifest.json").read_text())["numerics"]

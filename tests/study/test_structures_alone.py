@@ -74,7 +74,7 @@ def test_the_answer_names_what_structures_reached(measured):
     """The table that `run` prints states height, standing and broken, and no error."""
     answer = measured.answer
 
-    assert [*answer][:5] == ["condition", "height [R]", "standing", "fell", "broken contacts"]
+    assert [*answer][:6] == ["condition", "n", "height [R]", "standing", "fell", "broken contacts"]
     assert len(answer) == len(LIMITS)
     assert "Disparity" not in str(measured)
     mean = measured.frame("table")["height_R_mean"]

@@ -168,7 +168,7 @@ def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
     lines = console_text(headline_table(rows)).splitlines()
     compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
 
-    assert lines[-1].split() == [name, "2", "0.500"]
+    assert lines[-1].split() == [name, "1", "2", "0.500"]
     assert f"a,{name},1," in (tmp_path / "both" / "comparison.csv").read_text()
 
 

@@ -12,12 +12,13 @@ from tiswarm.app.results import Figure as Picture
 from tiswarm.base.errors import InputError
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import damaged, make_folder
-from tiswarm.records.measures import DISPARITY, MAIN, RMSE
+from tiswarm.records.measures import DISPARITY, LOCATED, MAIN, OF_LOCATED, RMSE, RMSE_LOCATED
 from tiswarm.records.messages import shown
 from tiswarm.records.outputs import NEW, Outputs
 from tiswarm.records.run_folder import TABLE_NOTES
 from tiswarm.report import figure_style, table_figures
 from tiswarm.report.cases_page import cases_page
+from tiswarm.report.page_tables import has_guesses
 from tiswarm.report.run_data import (
     Labels,
     joined_words,
@@ -35,6 +36,14 @@ if TYPE_CHECKING:
 
 _ERRORS = {RMSE.mean: "RMSE [R]", RMSE.ci95: "± 95 % CI [R]", DISPARITY.mean: "disparity"}
 """Columns of errors that the printed table has, and their headings; `frame` has all."""
+
+_ERRORS_OF_LOCATED = {
+    RMSE.mean: "RMSE [R]",
+    RMSE.ci95: "± 95 % CI [R]",
+    LOCATED.mean: "located [share]",
+    RMSE_LOCATED.mean: "RMSE of located [R]",
+}
+"""Those where not all robots are located."""
 
 _COMPARED = ["run", "series", "against_run", "against_series", "measure"]
 
@@ -224,7 +233,7 @@ def rows_drawing(table: pd.DataFrame) -> figure_style.Drawing:
     labels = joined_words(seen, ["point", "condition"])
     seen = seen.drop(columns=[m.published for m in MAIN], errors="ignore")
     seen = seen.assign(row=[*map(str, range(len(seen)))], of=seen["run"])  # labels may repeat
-    measures = {measure.column: measure for measure in MAIN}
+    measures = {m.column: m for m in (OF_LOCATED if has_guesses(table) else MAIN)}
 
     def paint(axes: "Axes", column: str, runs: Sequence[str]) -> None:
         table_figures.draw_means(axes, seen, measures[column], seen["row"].tolist(), runs)
@@ -239,8 +248,8 @@ def rows_drawing(table: pd.DataFrame) -> figure_style.Drawing:
 
     return figure_style.Drawing(
         panels=list(measures), series=list(dict.fromkeys(seen["run"])), paint=paint,
-        complete=complete, columns=len(MAIN), row_height=0.5 + 0.17 * len(seen), head_height=0.4,
-        share="y",
+        complete=complete, columns=len(measures), row_height=0.5 + 0.17 * len(seen),
+        head_height=0.4, share="y",
     )  # fmt: skip
 
 
@@ -250,6 +259,7 @@ def _short_table(table: pd.DataFrame) -> pd.DataFrame:
     Numbers have three digits, and a column that no row fills is left out.
     """
     head = table.loc[:, :"cases"]
-    errors = table.filter([*_ERRORS]).map(lambda value: float(f"{value:.3g}"))
-    shown = head.join(errors).dropna(axis="columns", how="all")
-    return shown.rename(columns=_ERRORS)
+    headings = (_ERRORS_OF_LOCATED if has_guesses(table) else _ERRORS) | {"cases": "n"}
+    errors = table.filter([*headings]).map(lambda value: float(f"{value:.3g}"))
+    shown = head.join(errors.drop(columns="cases")).dropna(axis="columns", how="all")
+    return shown.rename(columns=headings)

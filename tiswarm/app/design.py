@@ -41,6 +41,7 @@ from tiswarm.study.design.search import (
     search,
 )
 from tiswarm.study.design.verification import choose, verify
+from tiswarm.study.store import refuse_run_as_parent
 
 FILES = ("design.yaml", "design.csv", "design.png", "design.html")
 """Files of a design: its scenario, its table, with several objectives a figure of the front, and a
@@ -153,9 +154,10 @@ def design(
             raise InputError(problem, argument=argument)
     outputs = Outputs(overwrite=overwrite)
     if out is not None:
+        refuse_run_as_parent(out)
         outputs.check({"out": [out / name for name in FILES]})
     candidates = list_candidates(base, vary, prices)
-    progress = ConsoleProgress(quiet=quiet)
+    progress = ConsoleProgress(quiet=quiet) if out is not None else _Unwatched(quiet=quiet)
     search_result = search(
         base, candidates, part, wanted, seeds=count, threads=threads, progress=progress
     )
@@ -197,6 +199,13 @@ def design(
         )
         outputs.write(out / FILES[3], page.encode())
     return result
+
+
+class _Unwatched(ConsoleProgress):
+    """Progress of runs in a temporary folder, which is gone before a user could watch it."""
+
+    def begun(self, run: Path) -> None:
+        """Report nothing."""
 
 
 def _note(part: str, seeds: int, fresh: int) -> str:

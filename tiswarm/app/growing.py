@@ -76,12 +76,15 @@ class LiveProgress(ConsoleProgress):
         kind = error[0] if error else None
         if self.show is None:
             if kind is None:
-                self.console.print("nothing grew that could be shown", markup=False)
+                self.console.print("--live: all structures had grown before", markup=False)
             return
         how = "Growth has ended."
         if kind is not None:
             how = "Interrupted." if kind is KeyboardInterrupt else "Ended by an error."
         self._write([], f"{self._line} {how}".strip(), ended=True)
+
+    def begun(self, run: Path) -> None:
+        """Report nothing yet: the page that shows more is named as soon as it is there."""
 
     @contextmanager
     def watch(
@@ -90,11 +93,17 @@ class LiveProgress(ConsoleProgress):
         """Show structures while the block runs, in place of those that were shown before."""
         room = max(1, min(MOST_STRUCTURES, MOST_ROBOTS // robots, len(names)))
         growth = _Growth(names, robots, room)
+        is_first = self.show is None
         if self.show is None:
-            self.show = _Cell(self.name) if self.cell else _Folder(self.name, self._place(folder))
+            # Without a run the page is in a new folder of temporary files.
+            place = folder or Path(tempfile.mkdtemp(prefix="tiswarm-"))
+            self.show = _Cell(self.name) if self.cell else _Folder(self.name, place)
         latest: Sequence[GrowingStructure] = ()
         begun_s = shown_s = time.perf_counter()
         self._write([growth.beginning], growth.line(latest, 0.0))
+        if is_first and isinstance(self.show, _Folder) and not self.show.is_closed:
+            # Opened by nobody, it is named in a line, also if progress is hidden.
+            self.console.print(f"to watch robots join: open {self.show.page}", markup=False)
 
         def look(structures: Sequence[GrowingStructure]) -> None:
             nonlocal latest, shown_s
@@ -112,15 +121,6 @@ class LiveProgress(ConsoleProgress):
         finally:
             took_s = time.perf_counter() - begun_s
             self._write(growth.news(latest, is_last=True), growth.line(latest, took_s))
-
-    def _place(self, folder: Path | None) -> Path:
-        """Choose the folder of the page and name the page: opened by nobody, it is said in a line.
-
-        Without a run it is a new folder of temporary files.
-        """
-        place = folder or Path(tempfile.mkdtemp(prefix="tiswarm-"))
-        self.console.print(f"to watch robots join: open {place / PAGE}", markup=False)
-        return place
 
     def _write(self, news: Sequence[dict[str, Any]], line: str, *, ended: bool = False) -> None:
         """Show what is new; where that cannot be written, growth goes on unseen."""
@@ -269,7 +269,7 @@ class _Folder:
         self.is_closed = False
         self._name = name
         self._place = place
-        self._page = place / PAGE
+        self.page = place / PAGE
         self._first = self._next = 0
         self._is_written = False
 
@@ -280,7 +280,7 @@ class _Folder:
             scripts.mkdir(exist_ok=True)
             for old in scripts.glob("*.js"):
                 old.unlink()
-            _put(self._page, _page(self._name, line, {"folder": FOLDER}))
+            _put(self.page, _page(self._name, line, {"folder": FOLDER}))
             self._is_written = True
         if news:
             if "names" in news[0]:

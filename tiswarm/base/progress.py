@@ -1,5 +1,6 @@
 """What long work reports while it runs."""
 
+import shlex
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -20,6 +21,10 @@ class Progress:
 
     def info(self, text: str) -> None:
         """Report one line."""
+
+    def begun(self, run: Path) -> None:
+        """Report that cases are computed from now on into the folder of a run, where it stays."""
+        self.info(f"to watch: tiswarm view --live {shlex.quote(str(run))}")
 
     def task(
         self,

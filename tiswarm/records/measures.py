@@ -534,6 +534,9 @@ MEASURES = {value.column: value for value in [*globals().values()] if isinstance
 MAIN = (RMSE, DISPARITY)
 """The two that state accuracy: the paper's, in headlines, figures and studies of size."""
 
+OF_LOCATED = (RMSE, LOCATED, RMSE_LOCATED)
+"""What states accuracy where not all robots are located: RMSE of all, share and RMSE of these."""
+
 BUILT_FOR = {"tower": HEIGHT, "cantilever": REACH, "chain": DEPTH, "bridge": CROSSED}
 """By kind of structure, the measure of what it is built for."""
 
@@ -577,9 +580,9 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     },
     "anchor": _ON_ANCHOR,
     "suites": {
+        RMSE: "RMSE of all [R]",
         LOCATED: "positions determined",
         RMSE_LOCATED: "RMSE of these robots [R]",
-        RMSE: "RMSE of all [R]",
         DISPARITY: "disparity",
         FLOPPY_MODES: "floppy modes",
     },

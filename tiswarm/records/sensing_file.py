@@ -550,6 +550,8 @@ def read_sensing_log(path: Path) -> SensingLog:
     for number, raw in lines:
         with at_line(path, number):
             builder.take(sensing_format.parse_line(decode(raw, path, number), builder.header))
+    with at_line(path, 1):
+        builder.header.require_lines(number - 1)
     if number == 1:
         problem = "there are no robots; add a line for each, the anchor first"
         raise InputError(problem, path=path, line=2)
@@ -613,6 +615,7 @@ def _header_entries(log: SensingLog) -> dict[str, object]:
     entries: dict[str, object] = {
         "format": FORMAT,
         "version": _version(log),
+        "lines": log.robot_count + len(log.gone),
         "dock_radius": log.dock_radius,
         "dock_offsets": log.dock_offset_body.tolist(),
         "anchor_position": log.anchor_position.tolist(),

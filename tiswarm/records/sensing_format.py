@@ -30,7 +30,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from tiswarm.base.errors import InputError, did_you_mean
 from tiswarm.base.params import STRICT
-from tiswarm.records.messages import dotted, explain, shown
+from tiswarm.records.messages import counted, dotted, explain, shown
 from tiswarm.records.sensing_log import FARTHEST, KEYS, LISTS, NUMBERS, Key, SensingNoise
 
 FORMAT = "tiswarm-sensing"
@@ -151,6 +151,9 @@ class HeaderLine(BaseModel):
 
     format: Literal["tiswarm-sensing"]
     version: Literal[1, 2, 3]
+    lines: Annotated[int, Field(ge=1)] | None = None
+    """Number of lines after the header, by which a reader notices that a file was cut."""
+
     dock_radius: _Radius
     """Radius of a dock sphere [length unit]."""
 
@@ -234,6 +237,13 @@ class HeaderLine(BaseModel):
         if not least <= sd <= most:
             problem = f"the standard deviation {shown(sd)} should be from {least:g} to {most:g}"
             raise InputError(f"{problem}; correct it", key=key)
+
+    def require_lines(self, count: int) -> None:
+        """Raise InputError where another number of lines follows than the header states."""
+        if self.lines is not None and count != self.lines:
+            problem = f"{counted(self.lines, 'line')} should follow, and {count} do; "
+            remedy = "get the whole file, or leave out this key if no line is missing"
+            raise InputError(f"{problem}{remedy}", key="lines")
 
     def source_arrays(self) -> dict[str, Any]:
         """Return the names and standard deviations of the sources, as `SensingLog` has them."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from tiswarm.records.measures import MAIN
+from tiswarm.records.measures import LOCATED, MAIN, OF_LOCATED, Measure
 from tiswarm.report.table_page import Column, FirstView, page_columns, table_page
 
 _NAMING = ("point", "condition", "kind", "method", "measurements", "seed")
@@ -36,6 +36,12 @@ def cases_page(title: str, cases: pd.DataFrame, words: Sequence[str], *, file: s
     )
 
 
+def _errors(columns: Sequence[Column]) -> Sequence[Measure]:
+    """Choose the measures that state accuracy: where not all robots are located, how many are."""
+    shares = next((column.cells for column in columns if column.name == LOCATED.column), [])
+    return OF_LOCATED if any(share is not None and share < 1.0 for share in shares) else MAIN
+
+
 def _first_view(columns: Sequence[Column]) -> FirstView:
     """Choose what a reader sees first.
 
@@ -43,7 +49,7 @@ def _first_view(columns: Sequence[Column]) -> FirstView:
     """
     varying = [column.name for column in columns if column.varies]
     numbers = [column.name for column in columns if not column.words]
-    errors = [measure.column for measure in MAIN if measure.column in numbers]
+    errors = [measure.column for measure in _errors(columns) if measure.column in numbers]
     y = [*errors, *numbers][0]
     x = next((name for name in ("robots", "joined") if name in varying), "run")
     color = next((name for name in ("condition", "point") if name in varying), "run")

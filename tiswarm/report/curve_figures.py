@@ -115,7 +115,7 @@ CAPTIONS = {
         intervals="Bars are 95 % CI.",
     ),
     "grades": figure_style.Caption(
-        "RMSE, of located robots where not all are, by grade: conditions that differ in one "
+        "RMSE by grade: conditions that differ in one "
         "number share a panel, and each point of the sweep has a line. The dashed line is the "
         "first condition without a grade.",
         intervals="Bars are 95 % CI.",
@@ -186,7 +186,7 @@ def rounds_drawing(run: RunData) -> figure_style.Drawing:
         figure_style.set_log(panels.first, "x", 2.0 * steps.max() / steps.min())
         panels.first.set_xlim(0.7 * steps.min(), 1.4 * steps.max())
         words = f"robots moved in a round; {figure_style.mean_words(table['cases'])}"
-        panels.legend(words, structures=int(table["cases"].max()))
+        panels.legend(words)
         more = figure_style.omission_note(
             max(len(points) - _MOST_POINTS, 0), "sweep point", "in table.csv"
         )
@@ -566,9 +566,8 @@ def grades_drawing(run: RunData) -> figure_style.Drawing:
 
     They share a panel, in which each point of the sweep has a line.
     """
-    error = run.error
-    table = run.table("table.csv", ["condition"], ["cases", error.mean, error.ci95], after="cases")
-    table = table[table[error.mean].notna()]
+    table = run.table("table.csv", ["condition"], ["cases", RMSE.mean, RMSE.ci95], after="cases")
+    table = table[table[RMSE.mean].notna()]
     families = {family.title: family for family in _families(run, table)}
     table = with_points(table)
     points = list(dict.fromkeys(table["point"]))
@@ -576,15 +575,14 @@ def grades_drawing(run: RunData) -> figure_style.Drawing:
     plain = next((name for name in table["condition"] if name not in graded), "")
 
     def paint(axes: "Axes", title: str, series: Sequence[str]) -> None:
-        draw_grades(axes, table, error, families[title], series, plain)
+        draw_grades(axes, table, families[title], series, plain)
 
     def complete(panels: figure_style.Panels) -> list[str]:
-        means = table.loc[table["condition"].isin(graded | {plain}), error.mean].to_numpy(float)
+        means = table.loc[table["condition"].isin(graded | {plain}), RMSE.mean].to_numpy(float)
         figure_style.fit_axis(panels.first, "y", means, nonpositive="clip")
-        panels.label_once(y=error.axis)
+        panels.label_once(y=RMSE.axis)
         level = f"; dashed: {plain}" if plain else ""
-        number = counted(int(table["cases"].max()), "structure")
-        panels.legend(f"{figure_style.mean_words(table['cases'])}, {number}{level}")
+        panels.legend(f"{figure_style.mean_words(table['cases'])}{level}")
         omitted = max(len(points) - figure_style.MOST_SERIES, 0)
         return [figure_style.omission_note(omitted, "sweep point", "in table.csv"), run.note]
 
@@ -598,12 +596,11 @@ def grades_drawing(run: RunData) -> figure_style.Drawing:
 def draw_grades(
     axes: "Axes",
     table: pd.DataFrame,
-    error: Measure,
     family: "_Family",
     points: Sequence[str],
     plain: str,
 ) -> None:
-    """Draw an error against the number of a family of conditions, a line for each point.
+    """Draw RMSE against the number of a family of conditions, a line for each point.
 
     A dashed line in its color is the condition `plain`, which belongs to no family.
     """
@@ -616,10 +613,13 @@ def draw_grades(
     looks = list(dict.fromkeys(table["point"]))
     for point in points:
         rows = table[table["point"] == point].set_index("condition")
-        look = {"label": point or "mean", **figure_style.marker_style(looks.index(point))}
-        _draw_line(axes, rows, error, family.names, look)
+        look = {
+            "label": point or figure_style.ONLY_SERIES,
+            **figure_style.marker_style(looks.index(point)),
+        }
+        _draw_line(axes, rows, family.names, look)
         if plain in rows.index:
-            axes.axhline(rows[error.mean][plain], **_dashed(look))
+            axes.axhline(rows[RMSE.mean][plain], **_dashed(look))
     figure_style.set_title(axes, family.title)
     axes.set_xlabel(_meaning(family.keys))
     axes.set_xticks([*family.names], [f"{grade:g}" for grade in family.names])
@@ -669,16 +669,12 @@ def _meaning(keys: Sequence[str]) -> str:
 
 
 def _draw_line(
-    axes: "Axes",
-    rows: pd.DataFrame,
-    error: Measure,
-    grades: Mapping[float, str],
-    look: dict[str, Any],
+    axes: "Axes", rows: pd.DataFrame, grades: Mapping[float, str], look: dict[str, Any]
 ) -> None:
-    """Draw the means of graded conditions with their intervals."""
+    """Draw the mean RMSE of graded conditions with its intervals."""
     graded = rows.reindex([*grades.values()])
-    half = graded[error.ci95].fillna(0.0)
-    axes.errorbar([*grades], graded[error.mean], yerr=half, elinewidth=0.6, **look)
+    half = graded[RMSE.ci95].fillna(0.0)
+    axes.errorbar([*grades], graded[RMSE.mean], yerr=half, elinewidth=0.6, **look)
 
 
 def _dashed(look: dict[str, Any]) -> dict[str, Any]:
@@ -734,7 +730,7 @@ def building_drawing(run: RunData) -> figure_style.Drawing:
     def complete(panels: figure_style.Panels) -> list[str]:
         figure_style.label_rows(panels.first, names)
         panels.first.invert_yaxis()
-        panels.legend(figure_style.mean_words(sizes), panels.entries(), structures=int(sizes.max()))
+        panels.legend(figure_style.mean_words(sizes), panels.entries())
         return [run.note]
 
     return figure_style.Drawing(

@@ -99,6 +99,9 @@ COLUMN_WIDTH = 3.5
 PAGE_WIDTH = 7.0
 """Width of a page of a paper [inch]."""
 
+ONLY_SERIES = "mean"
+"""Label of the markers of a series without a name; in a legend, they are what its title says."""
+
 VIEWS = {"from the side": (0, 2), "from above": (0, 1)}
 """Axes of each view of positions, across and upward."""
 
@@ -342,10 +345,15 @@ class Panels:
             loc: Place.
         """
         entries = entries_of(self.first) if entries is None else entries
-        width, height = map(float, self.figure.get_size_inches())
-        columns = legend_columns([*entries], width)
         if structures:
             title = f"{title}, {counted(structures, 'structure')}".removeprefix(", ")
+        if ONLY_SERIES in entries and title:
+            entries = {
+                title if label == ONLY_SERIES else label: entries[label] for label in entries
+            }
+            title = ""
+        width, height = map(float, self.figure.get_size_inches())
+        columns = legend_columns([*entries], width)
         title = _filled(title, width, TEXT_SIZE)
         lines = -(-len(entries) // columns) + title.count("\n")
         self.figure.set_size_inches(width, height + _LEGEND_LINE * max(0, lines - 1))
@@ -442,8 +450,18 @@ def bar_of(values: "pd.Series[float]", *, is_share: bool = False) -> tuple[float
 
 
 def mean_words(cases: "pd.Series[int]") -> str:
-    """Name what markers and bars show of so many structures: few have no interval."""
-    return "mean and 95 % interval" if cases.max() >= FEWEST else "mean"
+    """Name what markers and bars show of so many structures: few have no interval.
+
+    >>> import pandas as pd
+    >>> mean_words(pd.Series([2, 2])), mean_words(pd.Series([4, 25])), mean_words(pd.Series([1]))
+    ('mean over 2 structures', 'mean and 95 % interval, 4 to 25 structures', '1 structure')
+    """
+    least = int(cases.min())
+    most = int(cases.max())
+    count = counted(most, "structure") if least == most else f"{least} to {most} structures"
+    if most >= FEWEST:
+        return f"mean and 95 % interval, {count}"
+    return f"mean over {count}" if most > 1 else count
 
 
 def fit_axis(

@@ -193,67 +193,86 @@ def headline_table(
 ) -> PageTable:
     """Format accuracy, and what a question asks for: a row for each series.
 
-    Errors are those of located robots, whose share is beside them. Verdicts are how many estimates
-    converged and are consistent, where not all are; a page has them in a table of their own.
+    RMSE is that of all robots. Where not all are located, their share and RMSE stand beside it.
+    Verdicts are how many estimates converged and are consistent, where not all are; a page has them
+    in a table of their own.
 
     Args:
         table: `table.csv` with labels.
         question: Question of the scenario.
         powers: Powers of N of series and measures, as `RunData.powers` has them.
         with_verdicts: Whether to count verdicts.
-        best_first: Whether the series of each point are sorted by their errors.
+        best_first: Whether the series of each point are sorted by their RMSE.
     """
     if SETTLED.mean in table:
         return _swarm_table(table)
     if RMSE.mean not in table:
         return _structure_table(table)
     rows = _best_first(table) if best_first else table
-    columns = _errors(rows) | _asked(rows, question, powers)
+    columns = _counts(rows) | _errors(rows) | _asked(rows, question, powers)
     if with_verdicts:
         columns |= _verdicts(rows)
-    if rows["cases"].min() < rows["cases"].max():
-        columns["structures"] = _numbers(rows["cases"])
-    notes = _notes_on_means(rows)
+    with_shares = has_guesses(rows) or any(_CLOSED in heading for heading in columns)
+    notes = _notes_on_means(rows, with_shares=with_shares)
     notes += _measurements_in_use(rows)
     notes.append("R: a dock's radius.")
-    notes += [note for label, note in _NOTES.items() if label in columns]
+    notes += _notes_on_columns(columns)
     if rows.get(LOCATED.mean, pd.Series(dtype=float)).eq(1.0).all() and LOCATED.mean in rows:
         notes.append("All robots are located: measurements tie them to the anchor.")
-    if {_LOCATED, _CLOSED} & {*columns}:
-        notes.append(_WILSON)
     return _labeled(_names(rows), columns, "Accuracy", " ".join(notes))
 
 
+def _counts(rows: pd.DataFrame) -> dict[str, pd.Series]:
+    """Format over how many structures the means of each row are."""
+    return {"n": _numbers(rows["cases"])}
+
+
 def _errors(rows: pd.DataFrame) -> dict[str, pd.Series]:
-    """Format RMSE and disparity; where not all robots are located, the RMSE and share of these."""
-    if not _has_guesses(rows):
+    """Format RMSE and disparity; where not all robots are located, RMSE, their share and RMSE."""
+    if not has_guesses(rows):
         return _means(rows, "accuracy")
     least = rows.get(LOCATED.least, rows[LOCATED.mean]).astype(float)
     share = _mean(rows, LOCATED, factor=100.0).mask(least >= 1.0, "100")
-    return {_OF_LOCATED: _mean(rows, RMSE_LOCATED), _LOCATED: share}
+    return {
+        PAGE["accuracy"][RMSE]: _mean(rows, RMSE),
+        _heading(_LOCATED, LOCATED, rows): share,
+        _OF_LOCATED: _mean(rows, RMSE_LOCATED),
+    }
 
 
-_WILSON = "Shares have Wilson's 95 % CI in parentheses."
-
-
-def _notes_on_means(rows: pd.DataFrame) -> list[str]:
+def _notes_on_means(rows: pd.DataFrame, *, with_shares: bool) -> list[str]:
     """State over how many structures means are, and what stands beside them."""
-    least = rows["cases"].min()
     most = rows["cases"].max()
-    over = counted(most, "structure") if least == most else "structures"
-    notes = [f"Means over {over}."]
+    if most <= 1:
+        return ["Values of n = 1 structure."]
+    notes = ["Means over n structures, or over those of them that have a value."]
     if most >= FEWEST:
         notes.append("± is the half width of the 95 % CI.")
-    if most > 1 and least < FEWEST:
+    return [*notes, *_in_parentheses(rows, with_shares=with_shares)]
+
+
+def _in_parentheses(rows: pd.DataFrame, *, with_shares: bool = True) -> list[str]:
+    """State what stands in parentheses: ranges of few structures, and intervals of shares."""
+    notes = []
+    if _has_ranges(rows):
         notes.append(f"In parentheses: least and greatest, of fewer than {FEWEST} structures.")
+    if with_shares:
+        notes.append("Shares have Wilson's 95 % CI in parentheses.")
     return notes
+
+
+def _has_ranges(rows: pd.DataFrame) -> bool:
+    """Whether some means are over so few structures that their least and greatest stand beside."""
+    return bool(rows["cases"].between(2, FEWEST - 1).any())
 
 
 def _swarm_table(table: pd.DataFrame) -> PageTable:
     """Format whether swarms settled, and how they ended: a row for each point and condition."""
-    columns = _means(table, "swarms")
-    notes = [note.replace("structure", "swarm") for note in _notes_on_means(table)]
-    notes += [_WILSON, "R: a dock's radius."]
+    columns = _counts(table) | _means(table, "swarms")
+    notes = [
+        note.replace("structure", "swarm") for note in _notes_on_means(table, with_shares=True)
+    ]
+    notes.append("R: a dock's radius.")
     notes.append(
         "Last step: the longest of a robot. Overlap: of docks that are not connected. Gap: root "
         "mean square by which connected docks miss touching. Moved: from where robots started."
@@ -282,47 +301,42 @@ _RARE = (LEFT, DIED)
 
 def _structure_table(table: pd.DataFrame) -> PageTable:
     """Format what structures reached, which robots stand, and loads: a row for each point."""
-    columns = _asked(table, "reached")
+    columns = _counts(table) | _asked(table, "reached")
     for measure, heading in PAGE["structures"].items():
         is_usual = measure in _RARE and not table.get(measure.most, pd.Series([0.0])).any()
         columns |= {} if is_usual else _means_of(table, {measure: heading})
-    if table["cases"].min() < table["cases"].max():
-        columns["structures"] = _numbers(table["cases"])
-    notes = [*_notes_on_means(table), "R: a dock's radius."]
-    notes += [note for label, note in _NOTES.items() if label in columns]
-    if "bridge" in {*table.get("kind", [])}:
-        notes.append(_WILSON)
+    with_shares = "bridge" in {*table.get("kind", [])}
+    notes = [*_notes_on_means(table, with_shares=with_shares), "R: a dock's radius."]
+    notes += _notes_on_columns(columns)
     return _labeled(_names(table), columns, "Structures", " ".join(notes))
 
 
 def _best_first(table: pd.DataFrame) -> pd.DataFrame:
-    """Sort the rows of each point of the sweep by the error that they state."""
+    """Sort the rows of each point of the sweep by the RMSE of all robots."""
     point = with_points(table).groupby("point", sort=False).ngroup()
-    return table.assign(point_rank=point).sort_values(
-        ["point_rank", _error_of(table)], kind="stable"
-    )
+    return table.assign(point_rank=point).sort_values(["point_rank", RMSE.mean], kind="stable")
 
 
-def _error_of(rows: pd.DataFrame) -> str:
-    """Return the column of the errors that the table states: of located robots, or of all."""
-    return RMSE_LOCATED.mean if _has_guesses(rows) else RMSE.mean
-
-
-def _has_guesses(rows: pd.DataFrame) -> bool:
-    """Whether robots of some series are not located."""
+def has_guesses(rows: pd.DataFrame) -> bool:
+    """Whether robots of some series of `table.csv` are not located, whose positions are guesses."""
     return bool((rows.get(LOCATED.mean, pd.Series(dtype=float)) < 1.0).any())
 
 
+def _heading(heading: str, measure: Measure, rows: pd.DataFrame) -> str:
+    """Write the heading of a measure; beside ranges, that of a share says that it has intervals."""
+    return f"{heading} (95 % CI)" if measure.is_share and _has_ranges(rows) else heading
+
+
 _LOCATED = "located [%]"
-_CLOSED = "bridges closed [share]"
+_CLOSED = "bridges closed"
 _OF_LOCATED = "RMSE of located [R]"
 _CHANGE = "change [%]"
 _POWER = "RMSE as N^p: p"
 _NOTES = {
     "disparity": "Disparity 0: right shape.",
-    _LOCATED: "Located: robots that measurements tie to the anchor; positions of others are "
-    "guesses.",
-    _CHANGE: "Change: of this RMSE from that of the condition without a change, at the same point.",
+    _LOCATED: "Located: robots that measurements tie to the anchor, and that a method which places "
+    "robots one by one could place; positions of others are guesses.",
+    _CHANGE: "Change: of RMSE from that of the condition without a change, at the same point.",
     _POWER: "p: power of the number of robots as which RMSE grows, over all sizes, with its 95 % "
     "CI.",
     "standing": "Standing: robots that contacts tie to the ground in the end.",
@@ -332,6 +346,12 @@ _NOTES = {
     "consistent": "Consistent: measurements agree within the noise that their logs state.",
 }
 """Meaning of a column, by its label."""
+
+
+def _notes_on_columns(columns: Collection[str]) -> list[str]:
+    """List what columns mean, by their headings."""
+    headings = {heading.removesuffix(" (95 % CI)") for heading in columns}
+    return [note for heading, note in _NOTES.items() if heading in headings]
 
 
 def _verdicts(rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -363,9 +383,9 @@ def _asked(
     for kind, measure in BUILT_FOR.items():
         is_built_for = rows["kind"] == kind
         if measure.mean in rows and is_built_for.any():
-            columns[_aim(measure)] = _mean(rows[is_built_for], measure).reindex(
-                rows.index, fill_value=""
-            )
+            means = _mean(rows[is_built_for], measure)
+            heading = _heading(_aim(measure), measure, rows)
+            columns[heading] = means.reindex(rows.index, fill_value="")
     return columns
 
 
@@ -404,14 +424,12 @@ def power_words(exponent: float, half: float) -> str:
 def _changes(rows: pd.DataFrame) -> dict[str, pd.Series]:
     """Format by how much the error of each condition differs from that of the first one [%].
 
-    Errors are those that the table has beside it. The first condition is that of `table.csv`, whose
-    order the index of the rows has.
+    The first condition is that of `table.csv`, whose order the index of the rows has.
     """
     named = with_points(rows).sort_index(kind="stable")
     first = named["condition"].iloc[0]
-    error = _error_of(rows)
-    of_first = named[named["condition"] == first].set_index("point")[error]
-    change = 100.0 * (named[error] / named["point"].map(of_first) - 1.0)
+    of_first = named[named["condition"] == first].set_index("point")[RMSE.mean]
+    change = 100.0 * (named[RMSE.mean] / named["point"].map(of_first) - 1.0)
     texts = [_number(round(value), "+") if math.isfinite(value) else "" for value in change]
     changes = pd.Series(texts, named.index, dtype=str).where(named["condition"] != first, "")
     return {_CHANGE: changes.reindex(rows.index)}
@@ -479,7 +497,7 @@ def _errors_in_parts(table: pd.DataFrame) -> Iterator[PageTable]:
     note = (
         "2 R, a dock's diameter, is what the paper calls sufficient for attachment. Robots: in the "
         "world; neighbors: the vector between two robots in contact, one hop apart, with its RMSE. "
-        f"{_WILSON}"
+        f"{' '.join(_in_parentheses(table))}"
     )
     yield _labeled(words, _means(table, "attachment"), "Accuracy for attachment", note)
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
@@ -501,11 +519,15 @@ def _plugin_measures(table: pd.DataFrame) -> Iterator[PageTable]:
 
 def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
     """Format what methods report of their estimates beside what is true, if any does."""
-    columns = _means(table, "calibration") | _consistent(table)
+    columns: dict[str, pd.Series] = {}
+    for measure, heading in PAGE["calibration"].items():
+        tested = _consistent(table) if measure is CONSISTENT else {}
+        columns |= tested or _means_of(table, {measure: heading})
     if not columns:
         return
     note = (
-        f"{_WILSON} A robot is in its interval if its error is within the interval that its "
+        f"{' '.join(_in_parentheses(table))} Means are over the structures that have a value. "
+        "A robot is in its interval if its error is within the interval that its "
         "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
         "are too large."
     )
@@ -516,7 +538,7 @@ def _calibration(table: pd.DataFrame) -> Iterator[PageTable]:
         )
     if PAGE["calibration"][RMSE_LOCATED] in columns:
         note += " Robots located are without anchors, whose errors are 0."
-    if PAGE["calibration"][CONSISTENT] in columns:
+    if any(heading.startswith(PAGE["calibration"][CONSISTENT]) for heading in columns):
         note += (
             " Converged: several searches found one least cost. Consistent: noise as stated "
             "explains it; where not, the factor multiplies standard deviations. Not testable: "
@@ -608,11 +630,11 @@ def _measured_suites(suites: pd.DataFrame) -> PageTable:
         "mirror images; measurements may tie more robots to the anchor. "
         "Systems of a lattice, m-blocks and atron, cannot build these structures: "
         "their rows mean FireAntV3 robots whose docks know the pose of a connection. "
-        f"{_WILSON}"
+        f"{' '.join(_notes_on_means(suites, with_shares=True))}"
     )
     prices = [name for name in map(str, suites) if name.startswith("usd_")]
     costs = {_price_of(int(n.removeprefix("usd_"))): _numbers(suites[n]) for n in prices}
-    columns = {**costs, **_means(suites, "suites"), "needs": suites["needs"]}
+    columns = {**costs, **_counts(suites), **_means(suites, "suites"), "needs": suites["needs"]}
     words = _names(suites)
     shown = _labeled(words, columns, "Table I, measured", note)
     return replace(shown, words=[*words, "needs"], is_first=True)
@@ -783,7 +805,7 @@ def _means(table: pd.DataFrame, section: str) -> dict[str, pd.Series]:
 def _means_of(table: pd.DataFrame, headings: Mapping[Measure, str]) -> dict[str, pd.Series]:
     """Format the means of measures, by heading, if `table` has them."""
     return {
-        heading: _mean(table, measure)
+        _heading(heading, measure, table): _mean(table, measure)
         for measure, heading in headings.items()
         if measure.mean in table and table[measure.mean].notna().any()
     }

@@ -17,7 +17,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import damaged, run_file
-from tiswarm.records.measures import DISCONNECTED, LOCATED, RMSE, RMSE_LOCATED, Measure
+from tiswarm.records.measures import DISCONNECTED, LOCATED
 from tiswarm.records.run_folder import (
     ENGINE_METHOD,
     LABEL,
@@ -219,11 +219,6 @@ class RunData:
     def has_guesses(self) -> bool:
         """Whether robots of some case are not located, whose positions are guesses."""
         return bool((self.summary.get(LOCATED.column, pd.Series(dtype=float)) < 1.0).any())
-
-    @property
-    def error(self) -> Measure:
-        """The error that figures and tables state: of located robots where not all are."""
-        return RMSE_LOCATED if self.has_guesses else RMSE
 
     @property
     def note(self) -> str:

@@ -70,7 +70,7 @@ def suites_drawing(run: RunData) -> figure_style.Drawing:
     def complete(panels: figure_style.Panels) -> list[str]:
         panels.label_left("RMSE of all robots [R]")
         words = figure_style.mean_words(table["cases"])
-        panels.legend(words, panels.entries(), structures=int(table["cases"].max()))
+        panels.legend(words, panels.entries())
         omitted = len(points) - len(shown)
         return [figure_style.omission_note(omitted, "sweep point", "in suites.csv"), run.note]
 

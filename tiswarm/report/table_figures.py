@@ -17,13 +17,12 @@ from tiswarm.records.measures import (
     FEWEST,
     FLOPPY_MODES,
     HEIGHT,
-    LOCATED,
     MAIN,
+    OF_LOCATED,
     RMSE,
     STANDING,
     Measure,
 )
-from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, joined_words, with_points
 
@@ -47,7 +46,7 @@ CAPTIONS = {
     "accuracy": figure_style.Caption(
         "Errors of each condition, and point of the sweep: mean RMSE and mean "
         "Procrustes disparity over the structures, or, where not all robots are located, the RMSE "
-        "of those that are, and their share.",
+        "of all robots, the share of those that are located, and their RMSE.",
         intervals="Bars are 95 % CI.",
         reading=(
             "Hollow markers, where there are any, are published numbers. Errors farther left are "
@@ -103,10 +102,10 @@ def structures_drawing(run: RunData) -> figure_style.Drawing:
 def accuracy_drawing(run: RunData) -> figure_style.Drawing:
     """Compose the figure of accuracy; open markers are the paper's numbers.
 
-    Where not all robots are located, errors are those of located ones, beside their share, as in
-    the first table: positions of others are guesses.
+    Where not all robots are located, it has RMSE of all robots, and share and RMSE of the located
+    ones, as the first table has.
     """
-    return _means_drawing(run, (run.error, LOCATED) if run.has_guesses else MAIN)
+    return _means_drawing(run, OF_LOCATED if run.has_guesses else MAIN)
 
 
 def _means_drawing(run: RunData, measures: Sequence[Measure]) -> figure_style.Drawing:
@@ -140,11 +139,10 @@ def _means_drawing(run: RunData, measures: Sequence[Measure]) -> figure_style.Dr
         entries = panels.entries()
         if table[published].notna().any(axis=None):
             (entries[_PUBLISHED],) = panels.first.plot([], [], "o", color="0.35", mfc="white")
-        number = counted(int(table["cases"].max()), "structure")
-        title = f"mean, and each of {number} (small)"
-        if not few:
-            title = f"mean and 95 % interval, {number}"
-        panels.legend(title, entries, loc="outside upper right")
+        words = figure_style.mean_words(table["cases"])
+        if few and table["cases"].max() > 1:
+            words += "; small: each of them"
+        panels.legend(words, entries, loc="outside upper right")
         return [
             figure_style.omission_note(len(names) - len(shown), "row", "in table.csv"),
             run.note,
@@ -177,7 +175,11 @@ def draw_means(
         y = _heights(len(rows), index, len(looks))
         look = figure_style.dot_style(index)
         axes.errorbar(
-            shown[measure.mean], y, xerr=_bars(shown, measure), label=name or "mean", **look
+            shown[measure.mean],
+            y,
+            xerr=_bars(shown, measure),
+            label=name or figure_style.ONLY_SERIES,
+            **look,
         )
         if measure.published in shown:
             axes.plot(shown[measure.published], y, markerfacecolor="white", **look)
@@ -271,8 +273,7 @@ def shape_drawing(run: RunData) -> figure_style.Drawing:
     def complete(panels: figure_style.Panels) -> list[str]:
         figure_style.label_rows(panels.first, shown)
         words = figure_style.mean_words(table["cases"])
-        structures = int(table["cases"].max())
-        panels.legend(words, structures=structures, loc="outside upper right")
+        panels.legend(words, loc="outside upper right")
         omitted = len(points) - len(shown)
         return [figure_style.omission_note(omitted, "sweep point", "in table.csv"), run.note]
 

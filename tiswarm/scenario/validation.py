@@ -35,6 +35,9 @@ Plain = dict[str, Any]
 DISCRIMINATORS = {"structure": "kind", "localization": "method", "sensing": "suite"}
 """By section, the key that selects which settings the section has, or their defaults."""
 
+_SUGGESTED = {"structure": "tower", "localization": "joint"}
+"""Those of them without a default, and what a message on a missing one suggests."""
+
 SAME_KEYS = ("sensing",)
 """Those of them whose settings have the same keys, whichever is selected."""
 
@@ -313,10 +316,9 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> Mis
     elif path[:1] == ("seeds",):  # continues with the alternative that was tried
         path = ("seeds", *path[2:])
     is_missing = error["type"] in MISSING_KEY
-    if is_missing and path in {("localization",), _METHOD}:
-        methods = ", ".join(_alternatives("localization", adapter))
-        problem = f"is missing; write it like localization: {{method: joint}}, one of {methods}"
-        return Mistake(_METHOD, problem)
+    section = str(path[0]) if path else ""
+    if is_missing and section in _SUGGESTED and path[1:] in {(), (DISCRIMINATORS[section],)}:
+        return _missing_choice(section, adapter)
     problem = explain(error, _allowed(path, adapter, data))
     keys = tuple(part for part in path if not isinstance(part, int))
     if keys in _NAMES and error["type"] in _UNKNOWN_NAME:
@@ -329,6 +331,14 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any], data: Plain) -> Mis
         new_key = dotted(moved if adapter is not _LOCALIZATION else moved[1:])
         problem = f"the key is now {new_key}; write {new_key}: {shown(error['input'])}"
     return Mistake(path, _by_choice(moved or path, error, adapter, data) or problem, about_key)
+
+
+def _missing_choice(section: str, adapter: TypeAdapter[Any]) -> Mistake:
+    """Show how to write a section that lacks the key which selects its settings."""
+    key = DISCRIMINATORS[section]
+    names = ", ".join(_alternatives(section, adapter))
+    example = f"{section}: {{{key}: {_SUGGESTED[section]}}}"
+    return Mistake((section, key), f"is missing; write it like {example}, one of {names}")
 
 
 def _by_choice(

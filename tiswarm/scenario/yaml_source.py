@@ -222,9 +222,13 @@ def find_scenario(path: Path) -> Path:
 
     Raises:
         InputError: a name without folder and suffix is neither a file nor a shipped scenario, or
-            both.
+            both; or a file that does not exist has the name of a shipped scenario.
     """
     if str(path) != path.stem:
+        is_shipped = path.suffix in {".yaml", ".yml"} and path.stem in shipped_scenarios()
+        if is_shipped and not os.path.lexists(path):
+            problem = f"there is no such file; did you mean tiswarm run {path.stem}?"
+            raise InputError(problem, path=path)
         return path
     # Unlike those of Path, functions of os.path do not raise for names that are too long.
     shipped = shipped_scenarios().get(str(path))

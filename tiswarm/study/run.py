@@ -3,7 +3,6 @@
 Any executor computes the jobs; their progress is shown.
 """
 
-import shlex
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -90,8 +89,7 @@ def run(
         measures.try_on(stored.values())
         if missing:
             folder.reopen(progress, computes=execution.scheduler is None)
-            # A user can watch the cases from now on, wherever they are computed.
-            progress.info(f"to watch: tiswarm view --live {shlex.quote(str(folder.path))}")
+            progress.begun(folder.path)
             ended = _CaseCount()
             total = sum(map(len, of_shard))
             with progress.task("cases", total, ended.note, len(stored)) as ended.advance:

@@ -140,6 +140,17 @@ class CaseRecord:
 _RECORD_KIND = TypeAdapter(CaseRecord)
 
 
+def refuse_run_as_parent(parent: Path) -> None:
+    """Refuse the folder of a run as the parent of another one.
+
+    Raises:
+        InputError: a run made `parent`.
+    """
+    if is_run(parent):
+        problem = f"{parent} is the folder of a run; name its parent {parent.parent} to continue it"
+        raise InputError(f"{problem}, or another folder", argument="out")
+
+
 class RunFolder:
     """Folder of one run, named after the scenario and its content."""
 
@@ -195,9 +206,11 @@ class RunFolder:
         """Make or open the folder of a scenario, and keep other runs out while the block runs.
 
         Raises:
-            InputError: the folder has files, no run made it, and they are not to be replaced.
+            InputError: the folder has files, no run made it, and they are not to be replaced; or
+                the parent is the folder of a run.
             EnvironmentTroubleError: another run computes there.
         """
+        refuse_run_as_parent(parent)
         cls._refuse_foreign(scenario, parent, overwrite=overwrite)
         folder = cls.of(scenario, parent)
         with folder.locked(shard) as has_locks:

@@ -30,8 +30,10 @@ ROBUST_SD = 3.0
 
 
 def lines_of(log):
-    """Header and robots of a log, as the lines of its file."""
-    return [json.dumps(entries) for entries in log_entries(log)]
+    """Header and robots of a log, as robots record them: nobody knows how many lines follow."""
+    header, *robots = log_entries(log)
+    del header["lines"]
+    return [json.dumps(entries) for entries in (header, *robots)]
 
 
 def fed(lines, params=QUICK):

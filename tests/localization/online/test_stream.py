@@ -70,6 +70,17 @@ def test_every_line_has_an_answer_and_broken_ones_are_skipped(stream, answers):
     assert [answer.get("moved") for answer in found if "refused" not in answer] == moved
 
 
+def test_lines_that_are_missing_at_the_end_are_reported(stream):
+    """All lines that came have answers; a warning says that the header states more."""
+    header, *robots = stream[:4]
+    stated = json.dumps({**json.loads(header), "lines": 5}).encode()
+
+    with pytest.warns(ResultWarning, match="^-:1: lines: 5 lines should follow, and 3 do; "):
+        tracker = track(as_input([stated, *robots]), **SET)
+
+    assert len(tracker.names) == 3
+
+
 def test_a_file_of_answers_has_the_bytes_that_a_stream_has(tmp_path, stream, answers):
     """It appears whole, in place of an earlier one if asked to; a byte-order mark is no mistake."""
     source, out = tmp_path / "log.jsonl.zst", tmp_path / "changes.jsonl"

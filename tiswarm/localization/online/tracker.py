@@ -142,6 +142,11 @@ class Tracker:
         self._said: Reals = np.empty(0)  # standard deviations [R]
 
     @property
+    def header(self) -> HeaderLine:
+        """First line of the log."""
+        return self._builder.header
+
+    @property
     def log(self) -> SensingLog:
         """The sensing log of the robots so far."""
         return self._builder.log()
@@ -656,12 +661,14 @@ def follow(
         params: Settings of `online`; its defaults if None.
         on_answer: Called with the answer of each line, a JSON object that ends in a newline, before
             the next line is read.
-        on_refused: Called with the mistake of a line that is skipped.
+        on_refused: Called with the mistake of a line that is skipped, and where lines are missing
+            at the end.
 
     Raises:
         InputError: the header is malformed, or the input cannot be read.
     """
     tracker: Tracker | None = None
+    number = 0
     for number, raw in lines:
         if tracker is None:
             with at_line(name, number):
@@ -672,6 +679,11 @@ def follow(
         on_answer(f"{json.dumps(answer)}\n")
     if tracker is None:
         raise InputError("the input is empty; start it with a header line", path=name, line=1)
+    try:
+        with at_line(name, 1):
+            tracker.header.require_lines(number - 1)
+    except InputError as mistake:
+        on_refused(str(mistake))
     return tracker
 
 
