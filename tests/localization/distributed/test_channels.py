@@ -181,6 +181,8 @@ def test_a_radio_of_limited_reach_relays():
         ({"radio_reach": "ranged"}, "radio_reach is of radio"),
         ({"scheme": "algorithm-1", "burst": 3.0}, "burst of algorithm-1 is of radio"),
         ({"scheme": "algorithm-1", "delay": 3}, "delay is of scheme joiner"),
+        ({"scheme": "algorithm-1", "routes": "learned"}, "routes is of scheme joiner"),
+        ({"routes": "learned", "channel": "radio"}, "needs robots that pass messages on"),
         (
             PUBLISHED | {"poses": "once", "loss": 0.1},
             "poses once needs all poses, and channel radio loses some; remove loss",

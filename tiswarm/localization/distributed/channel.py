@@ -1,19 +1,18 @@
 """How messages travel: from robot to robot by touch, or by radio to those in reach.
 
-A message has parts, each for one robot. It takes shortest ways along contacts, or by radio from
-robot to robot in reach; where ways part, each branch carries the parts of the robots behind it. By
-radio one transmission reaches all robots, or those that measured a range between them. Who passes a
-message on takes it in, and so does who is in reach of a radio that reaches all. Transmissions take
-a round and `delay` more. Who was to receive one acknowledges it; without an answer it is sent
-again, after pauses that double: they outlast bursts of loss. Which are heard is decided by the
-channel of the settings, for all of a round at once.
+A message has parts, each for one robot. It goes along contacts, or by radio from robot to robot in
+reach, by the ways that `routes.py` knows or learns; where ways part, each branch carries the parts
+of the robots behind it. By radio one transmission reaches all robots, or those that measured a
+range between them. Who passes a message on takes it in, and so does who is in reach of a radio that
+reaches all. Transmissions take a round and `delay` more. Who was to receive one acknowledges it;
+without an answer it is sent again, after pauses that double: they outlast bursts of loss. Which are
+heard is decided by the channel of the settings, for all of a round at once.
 
 Losses and the order of events depend on the seed and on numbers of messages and robots alone.
 """
 
-from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -23,6 +22,7 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.registry import get
 from tiswarm.compute.math import uniform
+from tiswarm.localization.distributed import routes
 from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.distributed.wire import MOST_ROBOTS
 from tiswarm.records.sensing_format import RobotLine
@@ -74,17 +74,20 @@ class _Hop:
     """A transmission under way."""
 
     serial: int
+    """Number by which chance decides about it."""
+
+    origin: int
     """Number of the message."""
 
     message: Message
     sender: int
     """Peer that transmits."""
 
-    tree: Mapping[int, list[int]]
-    """By robot, those that it passes the message on to."""
+    way: routes.Way
+    """Way of the message."""
 
     next: Mapping[int, set[int]]
-    """Robots that are to hear this transmission, each with those behind it and itself."""
+    """Robots that are to hear this transmission, each with those that it is to reach by them."""
 
     attempt: int = 0
     acknowledged: set[int] = field(default_factory=set)
@@ -128,6 +131,7 @@ class Channel:
         self._air: list[_Hop] = []
         self._links: list[set[int]] = []
         self._present: list[int] = []
+        self._routes = routes.of(params.routes, self._links)
         self._degree: list[int] = []
         self._events: dict[int, list[tuple[int, Callable[[], None]]]] = {}
         self._round = 0
@@ -139,7 +143,8 @@ class Channel:
         """Bytes that each robot heard."""
         self.messages: list[int] = []
         """Transmissions of each robot."""
-        self._had: set[tuple[int, int]] = set()
+        self._had: dict[tuple[int, int], set[int]] = {}
+        """By message and robot that heard it, the receivers whose parts came with it."""
 
     def traffic(self, memory: Ints, operations: Reals) -> dict[str, Reals]:
         """List what localization cost each robot, as `Estimate.traffic` has it."""
@@ -192,14 +197,15 @@ class Channel:
 
     def send(self, message: Message, after: int = 0) -> None:
         """Send a message after some silent rounds; parts of robots out of reach are lost."""
-        self._transmit(
-            self._serial,
-            message,
-            message.sender,
-            self._tree(message.sender, {*message.parts}),
-            after,
-        )
-        self._serial += 1
+        origin = self._next_serial()
+        receivers = {*message.parts}
+        way = self._way(origin, message.sender, receivers)
+        self._transmit(_Hop(origin, origin, message, message.sender, way, {}), receivers, after)
+
+    @property
+    def memory(self) -> Ints:
+        """Bytes in which each robot holds the ways that it has learned, shape (N,)."""
+        return self._routes.memory
 
     def wait(self, rounds: int) -> None:
         """Let rounds pass in which nothing is under way."""
@@ -207,13 +213,25 @@ class Channel:
 
     def settle(self) -> None:
         """Let rounds pass until no message is under way."""
-        while self._events:
-            self._round += 1
-            due = self._events.pop(self._round, [])
-            # Events of a round come in an order of chance.
-            for _, event in sorted(due, key=itemgetter(0)):
-                event()
-            self._deliver()
+        while self.is_busy:
+            self.step()
+
+    def step(self) -> None:
+        """Let a round pass."""
+        self._round += 1
+        due = self._events.pop(self._round, [])
+        # Events of a round come in an order of chance.
+        for _, event in sorted(due, key=itemgetter(0)):
+            event()
+        self._deliver()
+        if not self.is_busy:
+            # No message comes again.
+            self._had.clear()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a message is under way, or will be sent after silent rounds."""
+        return bool(self._events)
 
     @property
     def degree(self) -> Ints:
@@ -231,10 +249,10 @@ class Channel:
             self._count_by_radio(self._present, size, times)
             return
         for source in self._present:
-            tree = {source: sorted(self._links[source])}
+            children = {source: sorted(self._links[source])}
             if by_all:
-                tree = self._tree(source, {*self._present})
-            for sender, after in tree.items():
+                children = routes.tree(self._links, source, {*self._present})
+            for sender, after in children.items():
                 self._count_by_touch(sender, after, size, times)
 
     def transmit(self, senders: Iterable[int], size: int) -> dict[int, list[int]]:
@@ -243,11 +261,11 @@ class Channel:
         Nobody acknowledges or repeats them.
         """
         self._round += 1
-        hops = [
-            _Hop(self._serial + k, Message("pose", sender, b"", {}), sender, {}, {})
-            for k, sender in enumerate(senders)
-        ]
-        self._serial += len(hops)
+        hops = []
+        for sender in senders:
+            serial = self._next_serial()
+            pose = Message("pose", sender, b"", {})
+            hops.append(_Hop(serial, serial, pose, sender, routes.KnownWay({}), {}))
         heard = self._heard(hops, [self._in_reach(hop) for hop in hops], [size for _ in hops])
         for hop, listeners in zip(hops, heard, strict=True):
             self.sent[hop.sender] += size
@@ -300,57 +318,35 @@ class Channel:
             self.heard[receiver] += round(tries * got * size)
             self.sent[receiver] += round(tries * got * ACKNOWLEDGMENT)
 
-    def _tree(self, root: int, targets: set[int]) -> dict[int, list[int]]:
-        """Find ways to some robots: by robot, whom it passes a message on to."""
+    def _way(self, origin: int, sender: int, receivers: set[int]) -> routes.Way:
+        """Find the way of a message; where a radio reaches all, it is one transmission."""
         if self._reaches_all:
-            receivers = sorted(targets & {*self._present} - {root})
-            return {root: receivers} if receivers else {}
-        parent: dict[int, int] = {root: root}
-        queue = deque([root])
-        unreached = {*targets} - {root}
-        while queue and unreached:
-            robot = queue.popleft()
-            for neighbor in sorted(self._links[robot]):
-                if neighbor not in parent:
-                    parent[neighbor] = robot
-                    unreached.discard(neighbor)
-                    queue.append(neighbor)
-        tree: dict[int, list[int]] = {}
-        for target in sorted(targets & parent.keys() - {root}):
-            robot = target
-            while robot != root and robot not in tree.get(parent[robot], []):
-                tree.setdefault(parent[robot], []).append(robot)
-                robot = parent[robot]
-        return tree
+            children = sorted(receivers & {*self._present} - {sender})
+            return routes.KnownWay({sender: children} if children else {})
+        return self._routes.way(origin, sender, receivers)
 
-    def _behind(self, robot: int, tree: Mapping[int, list[int]]) -> set[int]:
-        """List a robot and all to which it passes a message on."""
-        subtree = {robot}
-        queue = [robot]
-        while queue:
-            children = tree.get(queue.pop(), [])
-            subtree.update(children)
-            queue += children
-        return subtree
+    def _next_serial(self) -> int:
+        self._serial += 1
+        return self._serial - 1
 
-    def _transmit(
-        self,
-        serial: int,
-        message: Message,
-        sender: int,
-        tree: Mapping[int, list[int]],
-        after: int = 0,
-    ) -> None:
-        """Let a robot pass a message on to those that follow in the tree, after silent rounds."""
-        behind = {child: self._behind(child, tree) for child in tree.get(sender, [])}
-        if not behind:
+    def _transmit(self, hop: _Hop, receivers: set[int], after: int = 0) -> None:
+        """Let a robot pass a message on towards its receivers, after silent rounds.
+
+        Args:
+            hop: The transmission by which it heard the message, with the robot as its sender.
+            receivers: Robots that the message is to reach from there.
+            after: Silent rounds.
+        """
+        onward = hop.way.onward(hop.sender, receivers)
+        if not onward:
             return
         # By touch, each contact has a transmission of its own.
-        transmissions = [behind]
+        transmissions = [onward]
         if not self._is_radio:
-            transmissions = [{child: subtree} for child, subtree in behind.items()]
+            transmissions = [{child: reached_by_it} for child, reached_by_it in onward.items()]
         for next_ones in transmissions:
-            self._begin(_Hop(serial, message, sender, tree, next_ones), after)
+            serial = hop.origin if hop.way.meets_once else self._next_serial()
+            self._begin(replace(hop, serial=serial, next=next_ones), after)
 
     def _begin(self, hop: _Hop, after: int) -> None:
         """Let a transmission begin in the next round, after silent ones."""
@@ -377,10 +373,7 @@ class Channel:
             self.messages[hop.sender] += 1
             for listener in heard[k]:
                 self.heard[listener] += size
-                is_new = (hop.serial, listener) not in self._had
-                if is_new and (self._reaches_all or listener in hop.next):
-                    self._had.add((hop.serial, listener))
-                    self._later(self._params.delay, partial(self._arrive, hop, listener, message))
+                self._receive(hop, listener, message)
             # An acknowledgment may be lost, too: the message comes twice then, and counts twice.
             for listener in waited[k]:
                 self.sent[listener] += ACKNOWLEDGMENT
@@ -389,6 +382,20 @@ class Channel:
             hop.attempt += 1
             if hop.waited and hop.attempt <= self._params.retries:
                 self._begin(hop, self._params.delay + pause(hop.attempt))
+
+    def _receive(self, hop: _Hop, listener: int, message: Message) -> None:
+        """Let a robot take in what of a message has not come to it before."""
+        carried = hop.next.get(listener, {listener} if self._reaches_all else set())
+        had = self._had.setdefault((hop.origin, listener), set())
+        new = carried - had
+        if not new:
+            return
+        repeated = carried & had
+        had |= new
+        if repeated:
+            parts = {n: part for n, part in message.parts.items() if n not in repeated}
+            message = message._replace(parts=parts)
+        self._later(self._params.delay, partial(self._arrive, hop, listener, message, new))
 
     def _in_reach(self, hop: _Hop) -> list[int]:
         """List the robots that may hear a transmission."""
@@ -428,9 +435,11 @@ class Channel:
         heard = self._hears(self._round, *ends, size, loss_draw, slot_draw, is_answer)
         return [listener[heard & (of == k)].tolist() for k in range(len(hops))]
 
-    def _arrive(self, hop: _Hop, robot: int, message: Message) -> None:
+    def _arrive(self, hop: _Hop, robot: int, message: Message, receivers: set[int]) -> None:
+        hop.way.learn(robot, hop.sender)
         message = self._hear(robot, message)
-        self._transmit(hop.serial, message, robot, hop.tree)
+        passed = _Hop(hop.serial, hop.origin, message, robot, hop.way, {})
+        self._transmit(passed, receivers - {robot})
 
     def _later(self, delay: int, event: Callable[[], None]) -> None:
         """Let something happen after the next round and a delay."""

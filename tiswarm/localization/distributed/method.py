@@ -17,6 +17,7 @@ of those that it touches, or with `poses: asked` of all that answer, up to `retr
 goes without.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,6 +34,7 @@ from tiswarm.localization.distributed.local_swarm import with_fix
 from tiswarm.localization.distributed.program import Program
 from tiswarm.localization.distributed.robot import Peer
 from tiswarm.localization.distributed.settings import DistributedParams
+from tiswarm.localization.distributed.waiting import Timers
 from tiswarm.localization.distributed.wire import MOST_ROBOTS, NUMBER, pose_bytes
 from tiswarm.localization.mixture.assessment import assess
 from tiswarm.localization.mixture.verdict import rms
@@ -51,7 +53,7 @@ _OF_OTHERS = {"stances": None} | {
 """What a line says of other robots, which Algorithm 1 does not use but for contacts."""
 
 _MOST_TURNS = 1000
-"""Times that robots go on without an answer after a join, before the next one joins."""
+"""Times, for each robot, that some go on without an answer after a join, before the next joins."""
 
 _OF_DISTANCE = 8
 """Operations for the distance of two docks [1]."""
@@ -146,6 +148,7 @@ def localize(
         swarm.join(line)
         swarm.leave(_leavers(log, line.robot + 1))
         on_progress((line.robot + 1) / len(lines))
+    swarm.settle()
     if params.solver == "keeper":
         for _ in range(params.reviews):
             swarm.review()
@@ -166,11 +169,12 @@ class PeerSwarm:
         self._program = Program(params, header)
         self.channel = Channel(params, self._hear)
         self.robots: list[Peer] = []
-        self._memory: list[int] = []
+        self._timers = Timers(params.timer)
+        self._memory: Ints = np.zeros(0, np.int64)
         self._at_join: list[Reals] = []
 
     def join(self, line: RobotLine) -> None:
-        """Let the next robot join, and all go on until none waits for an answer.
+        """Let the next robot join, and all go on until none waits, or for `join_rounds`.
 
         Args:
             line: What it sensed; robots go by their numbers in join order.
@@ -178,11 +182,11 @@ class PeerSwarm:
         params = self._program.params
         robot = Peer(self._program, line if params.ranges else _without_ranges(line))
         self.robots.append(robot)
-        self._memory.append(0)
+        self._memory = np.append(self._memory, 0)
         self.channel.join(reached(line, params))
         robot.join()
         self._send(robot)
-        self._settle()
+        self.settle(self.channel.rounds + (params.join_rounds or math.inf))
         self._at_join.append(self._centers()[-1])
 
     def leave(self, robots: Sequence[int]) -> None:
@@ -191,34 +195,41 @@ class PeerSwarm:
         Those that left know no more than they knew by then.
         """
         touched = self.channel.leave(robots)
+        for number in robots:
+            self._timers.set(number, None, self.channel.rounds)
         for number in touched:
             witness = self.robots[number]
             # One message serves all that it reaches.
             if not all(witness.memory.has_left(leaver) for leaver in robots):
                 witness.announce(robots, [n for n in self.channel.present if n != number])
                 self._send(witness)
-                self._settle()
+                self.settle()
 
     def review(self) -> None:
         """Let all robots that solved do so again, one after the other."""
         self.robots[0].review()
         self._send(self.robots[0])
-        self._settle()
+        self.settle()
 
-    def _settle(self) -> None:
-        """Let messages pass until no robot waits for an answer."""
-        self.channel.settle()
-        for _ in range(_MOST_TURNS):
-            waiting = [self.robots[n] for n in self.channel.present if self.robots[n].waits]
-            if not waiting:
+    def settle(self, until: float = math.inf) -> None:
+        """Let messages pass until no robot waits for an answer, or so many rounds have passed."""
+        channel, timers = self.channel, self._timers
+        for _ in range(_MOST_TURNS * len(self.robots)):
+            while channel.is_busy and channel.rounds < min(until, timers.first):
+                channel.step()
+            waiting = [self.robots[n] for n in channel.present if self.robots[n].waits]
+            if not waiting or channel.rounds >= until:
                 break
-            # Nothing is under way, so no answer will come.
+            if timers.first < math.inf:
+                # The rounds up to the next timer pass in silence.
+                channel.wait(round(min(until, timers.first)) - channel.rounds)
+            # Without timers nothing is under way by now, so no answer will come.
             for robot in waiting:
-                self._send(robot, robot.expire())
-            self.channel.settle()
+                if timers.has_run_out(robot.number, channel.rounds):
+                    self._send(robot, robot.expire())
         # Memory counts at its fullest.
-        before = zip(self._memory, self.robots, strict=True)
-        self._memory = [max(memory, robot.memory.size) for memory, robot in before]
+        held = np.array([robot.memory.size for robot in self.robots]) + self.channel.memory
+        self._memory = np.maximum(self._memory, held)
 
     @property
     def positions(self) -> Reals:
@@ -254,6 +265,7 @@ class PeerSwarm:
         """Send what a robot has to say, after some silent rounds."""
         while robot.outbox:
             self.channel.send(robot.outbox.pop(0), silent)
+        self._timers.set(robot.number, robot.tasks.next_wait, self.channel.rounds + silent)
 
     def _centers(self) -> Reals:
         """List where the robots take themselves to be; at the anchor if they do not know."""
@@ -275,7 +287,7 @@ class PeerSwarm:
             lost=np.array([not robot.place or robot.place.body > 0 for robot in robots], np.bool_),
             doubtful=np.array([robot.judge() for robot in robots], np.bool_),
             traffic={
-                **self.channel.traffic(np.array(self._memory), operations),
+                **self.channel.traffic(self._memory, operations),
                 "joins": np.array([robot.joins for robot in robots], np.float64),
             },
             steps=len(robots),

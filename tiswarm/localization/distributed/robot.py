@@ -271,7 +271,12 @@ def _hear_child(robot: Peer, sender: int, _: Child) -> None:
 
 
 def _hear_walk(robot: Peer, sender: int, walk: ReviewWalk) -> None:
-    """Take in a walk that comes or returns; repeat its return where it was not heard."""
+    """Take in a walk that comes or returns; repeat its return where it was not heard.
+
+    What is left of a walk before the last one came late, and its robots have gone on without it.
+    """
+    if robot.walk.number >= 0 and wire.is_earlier(walk.number, robot.walk.number):
+        return
     if walk.number != robot.walk.number:
         robot.hang_on(sender)
         if robot.record.body > 0:

@@ -41,6 +41,9 @@ _OF_SCHEME = {
         "steps",
         "start_sigma",
         "delay",
+        "routes",
+        "timer",
+        "join_rounds",
     ),
     "algorithm-1": ("poses", "back_propagation", "undocked_repulsion"),
 }
@@ -110,6 +113,18 @@ class DistributedParams(ChiSquareParams, SendsPlugins):
     """Times at most that a transmission or a question without an answer is repeated, each after a
     pause twice as long as the one before [1]."""
 
+    routes: Annotated[Literal["known", "learned"], UNLESS_SET] = "known"
+    """known: robots know the shortest way along contacts to each other. learned: they know by whom
+    messages of others came; what has no route goes to all, and each robot passes it on once."""
+
+    timer: Annotated[int | None, Field(ge=1, le=1_000_000), UNLESS_SET] = None
+    """Rounds for which a robot waits for an answer before it asks again, or goes on without [1];
+    if null it does so exactly when no answer can come any more."""
+
+    join_rounds: Annotated[int | None, Field(ge=1, le=1_000_000), UNLESS_SET] = None
+    """Rounds from one join to the next, whatever is under way by then [1]; if null a robot joins
+    when all messages of the last join have ended."""
+
     bits: Annotated[int, Field(ge=8, le=32)] | None = 16
     """Bits of each number that is sent, in a range that its message states; all 64 if null."""
 
@@ -167,6 +182,11 @@ class DistributedParams(ChiSquareParams, SendsPlugins):
         if self.channel == "touch" and (wired or self.poses == "asked"):
             what = [*wired, "poses asked"][0]
             raise ValueError(f"{what} is of radio; remove it, or set channel to radio")
+        if self.routes == "learned" and self.channel != "touch" and self.radio_reach is None:
+            raise ValueError(
+                "routes learned needs robots that pass messages on, and this radio reaches all; "
+                "remove it, or set channel to touch"
+            )
         if self.scheme == "algorithm-1" and self.channel == "touch" and self.burst is not None:
             raise ValueError("burst of algorithm-1 is of radio; remove it, or set channel to radio")
         if self.misses_poses and (self.poses == "once" or self.back_propagation):

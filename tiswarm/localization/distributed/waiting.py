@@ -5,6 +5,7 @@ of a message with its sender, or a `Timeout`. A robot waits for one thing of eac
 once a task begins to wait for answers, the one that waited for answers before is dropped.
 """
 
+import math
 from collections.abc import Collection, Generator
 from dataclasses import dataclass
 
@@ -94,6 +95,12 @@ class Tasks:
         """Sort of wait whose time runs out first: answers, then a walk, then a place."""
         return next((sort for sort in (Answers, Return, WhenPlaced) if sort in self._waiting), None)
 
+    @property
+    def next_wait(self) -> Wait | None:
+        """The wait whose time runs out first."""
+        sort = self.next_sort
+        return None if sort is None else self._waiting[sort][0]
+
     def _resume(self, task: Task, event: Event) -> None:
         try:
             wait = next(task) if event is None else task.send(event)
@@ -101,3 +108,39 @@ class Tasks:
             return
         self.drop(type(wait))
         self._waiting[type(wait)] = wait, task
+
+
+class Timers:
+    """When robots go on without what they wait for: after some rounds, or as nothing can come."""
+
+    def __init__(self, rounds: int | None) -> None:
+        """Begin without robots that wait.
+
+        Args:
+            rounds: Rounds for which a robot waits; None if it does until nothing can come.
+        """
+        self._rounds = rounds
+        self._due: dict[int, tuple[Wait, int]] = {}
+
+    def set(self, robot: int, wait: Wait | None, now: int) -> None:
+        """Let the time of a robot begin as it begins to wait, and end as it waits for nothing.
+
+        Args:
+            robot: Its number.
+            wait: What it waits for whose time runs out first.
+            now: Number of the round.
+        """
+        last, _ = self._due.get(robot, (None, 0))
+        if wait is None or self._rounds is None:
+            self._due.pop(robot, None)
+        elif wait is not last:
+            self._due[robot] = wait, now + self._rounds
+
+    @property
+    def first(self) -> float:
+        """Number of the round in which the time of a robot runs out first; infinity if of none."""
+        return min((due for _, due in self._due.values()), default=math.inf)
+
+    def has_run_out(self, robot: int, now: int) -> bool:
+        """Return whether the time of a robot that waits is over; without timers it is."""
+        return self._rounds is None or self._due[robot][1] <= now

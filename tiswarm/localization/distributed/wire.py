@@ -41,7 +41,7 @@ CHECK = 15
 _WALK = 3
 """Bits of a walk's number."""
 
-WALKS = 2**_WALK
+WALKS: int = 2**_WALK
 """Walks after which numbers begin anew; even ones are of first walks of a review."""
 
 _ANGLE = 10
@@ -315,6 +315,12 @@ def read_walk(content: bytes) -> tuple[int, int]:
     """Read what `write_walk` wrote."""
     source = Reader(content, None)
     return source.number(NUMBER + 1), source.number(_WALK)
+
+
+def is_earlier(walk: int, other: int) -> bool:
+    """Return whether a walk began before another one, by numbers that begin anew (RFC 1982)."""
+    behind = (other - walk) % WALKS
+    return 0 < behind < WALKS // 2
 
 
 def write_span(to: Writer, span: tuple[int, int] | None) -> None:
