@@ -78,7 +78,7 @@ def test_labels_stand_where_keys_would(small_run, other_run, tmp_path):
     *_, one, two, _, _ = str(found).splitlines()
     # Measurements of the runs differ, so that all names have them.
     for line, point in ((one, "one"), (two, "two")):
-        assert "without heights, " in line
+        assert "without heights / " in line
         assert f" {point} " in line
     assert pd.read_csv(tmp_path / "both" / "comparison.csv")["condition"].iloc[-1] == "no-z"
 
@@ -203,7 +203,7 @@ def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
         ["b", "none", "2", "1.0", "0.1", "0.1"],
     ]
     labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
-    assert labels == ["yaw 5, nan", "none"]
+    assert labels == ["yaw 5 / nan", "none"]
 
 
 def test_a_heading_keeps_the_words_of_a_column():
