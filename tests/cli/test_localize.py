@@ -67,7 +67,7 @@ def test_the_first_line_says_how_many_robots_are_near_and_the_next_ones_why_othe
     assert lines[:3] == [
         (
             "1 of 30 robots is within 1 R of where it is shown (95 %); 29 may be anywhere within "
-            "4.3 R -> estimate.csv"
+            "4.3 R; expected RMSE 2 R -> estimate.csv"
         ),
         "2 configurations fit, the likeliest has 70 %",
         (
@@ -89,7 +89,7 @@ def test_a_distance_of_the_user_is_that_of_the_statement_and_a_column(localize):
     _, printed, rows = localize(GOOD, "--within", "5")
 
     assert printed.out.startswith(
-        "all 30 robots are within 5 R of where they are shown (95 %) -> estimate.csv"
+        "all 30 robots are within 5 R of where they are shown (95 %); expected RMSE 2 R -> "
     )
     assert all(0.95 <= float(row["within_5R"]) <= 1.0 for row in rows)
     assert [*rows[0]].index("within_5R") == [*rows[0]].index("within_1R") + 1

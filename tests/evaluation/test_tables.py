@@ -46,11 +46,13 @@ def test_coverage_is_the_share_of_robots_in_their_interval(towers):
     rows = measure(log, [])
     silent, calibrated = (score(truth, log, e, history.robot, rows=rows) for e in (estimate, sure))
 
-    assert {"coverage_50", "sure_1R", "sure_off_1R"} & {*silent} == set()
+    assert {"coverage_50", "expected_rmse_R", "sure_1R", "sure_off_1R"} & {*silent} == set()
     is_sure = sure_ratio() * (error / within)[1:] <= 1.0
     assert 0.0 < calibrated["sure_1R"] == is_sure.mean()
     assert calibrated["sure_off_1R"] == (error[1:] >= 1.0)[is_sure].mean() == 0.0
     assert calibrated["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
+    expected = np.sqrt(np.mean((error / within)[1:] ** 2))
+    assert calibrated["expected_rmse_R"] == pytest.approx(expected)
     assert calibrated["coverage_90"] == 1.0 - 1.0 / (count - 1)
 
 

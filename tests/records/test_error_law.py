@@ -126,28 +126,41 @@ def test_tables_have_the_probability_of_r_and_of_a_distance_of_the_user(log, tmp
     ("sd", "fields", "statement"),
     [
         (None, {}, "the method states no error of the positions of 5 robots"),
-        (0.1, {}, "all 5 robots are within 1 R of where they are shown (95 %)"),
+        (
+            0.1,
+            {},
+            "all 5 robots are within 1 R of where they are shown (95 %); expected RMSE 0.1 R",
+        ),
         (
             0.1,
             {"length_unit": "mm", "dock_radius": 30.0},
-            "all 5 robots are within 30 mm (1 R) of where they are shown (95 %)",
+            (
+                "all 5 robots are within 30 mm (1 R) of where they are shown (95 %); expected RMSE "
+                "0.1 mm"
+            ),
         ),
         (
             0.1,
             {"length_unit": "mm", "dock_radius": 30.0, "tolerance": 2.5},
-            "all 5 robots are within 2.5 mm of where they are shown (95 %)",
+            (
+                "all 5 robots are within 2.5 mm of where they are shown (95 %); expected RMSE "
+                "0.1 mm"
+            ),
         ),
         (
             0.1,
             {"free_frame": ("rotation",)},
-            "all 5 robots are within 1 R of where they are shown, up to a motion of all, (95 %)",
+            (
+                "all 5 robots are within 1 R of where they are shown, up to a motion of all, (95 "
+                "%); expected RMSE 0.1 R"
+            ),
         ),
         (
             1.0,
             {},
             (
                 "none of 5 robots is known to be within 1 R of where it is shown (95 %); 5 may be "
-                "anywhere within 2.2 R"
+                "anywhere within 2.2 R; expected RMSE 1 R"
             ),
         ),
         (
@@ -155,7 +168,7 @@ def test_tables_have_the_probability_of_r_and_of_a_distance_of_the_user(log, tmp
             {},
             (
                 "3 of 5 robots are within 1 R of where they are shown (95 %); 2 may be anywhere "
-                "within 220 R"
+                "within 220 R; expected RMSE 45 R"
             ),
         ),
         (
@@ -163,7 +176,7 @@ def test_tables_have_the_probability_of_r_and_of_a_distance_of_the_user(log, tmp
             {"disconnected": np.arange(5) // 2 == 1, "gone": np.arange(5) == 4},
             (
                 "1 of 4 robots is within 1 R of where it is shown (95 %); 1 may be anywhere within "
-                "4.3 R; the positions of 2 are guesses"
+                "4.3 R; the positions of 2 are guesses; expected RMSE 1.4 R"
             ),
         ),
     ],

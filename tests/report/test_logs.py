@@ -176,8 +176,8 @@ def test_a_page_needs_no_truth(log, estimate, tmp_path):
 
     assert "<li>one contact only: 2 robots</li>" in text
     near = "29 of 30 robots are within 33 mm (1 R) of where they are shown (95 %)"
-    assert f"{near}; the position of 1 is a guess." in text
-    assert "RMSE" not in text
+    assert f"{near}; the position of 1 is a guess; expected RMSE " in text
+    assert "RMSE" not in text.replace("expected RMSE", "")
     assert 'id="show-truth"' not in text
     assert [case["name"] for case in data["cases"]] == ["estimate", "solution 1", "solution 2"]
     assert all(case["true"] == [] for case in data["cases"])
@@ -198,7 +198,7 @@ def test_guesses_do_not_stretch_the_scale(log, estimate, tmp_path):
     text, data = _page(tmp_path, log, found)
 
     assert "The estimate judges 2 measurements wrong." in text
-    assert "(95 %); the position of 1 is a guess." in text
+    assert "(95 %); the position of 1 is a guess; expected RMSE 2 mm." in text
     within, color = data["cases"][0]["colors"]
     assert color["value"] == [2.0] * 29 + [None]
     assert [value is None for value in within["value"]] == [False] * 29 + [True]
@@ -337,7 +337,7 @@ def test_with_a_truth_a_page_shows_errors(log, estimate, true, tmp_path):
     """The sentence, the table of robots and the view agree."""
     text, data = _page(tmp_path, log, estimate, true=true)
 
-    assert f"a guess. The RMSE is {5.0 * np.sqrt(29 / 30):.3g} mm." in text
+    assert f". The RMSE is {5.0 * np.sqrt(29 / 30):.3g} mm." in text
     error, _, sd = data["cases"][0]["colors"]
     assert (error["label"], error["unit"], sd["label"]) == ("error", "mm", "sd")
     assert error["value"] == [0.0] + [5.0] * 29

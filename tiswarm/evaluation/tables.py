@@ -562,6 +562,7 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
     if estimate.sd is not None:
         error = metrics.robot_errors(estimate.position, truth.position)[unknown]
         sd = estimate.sd[unknown]
+        scores["expected_rmse_R"] = estimate.expected_rmse(unknown)
         scores["coverage_50"] = _mean(error <= HALF_WITHIN * sd)
         scores["coverage_90"] = _mean(error <= MOST_WITHIN * sd)
         scores |= _of_sure(estimate, error, unknown)

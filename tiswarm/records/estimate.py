@@ -1,5 +1,6 @@
 """The estimate that a localizer returns, with its convergence and observability."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -429,6 +430,22 @@ class Estimate:
             probability = ERRORS.probability(distance / self.sd)
         return np.where(self.is_guess | ~np.isfinite(self.sd), np.nan, probability)
 
+    def expected_rmse(self, robots: Bools | None = None) -> float:
+        """Compute the RMSE that the estimate expects: the root mean square of `sd`.
+
+        Args:
+            robots: Robots to count, shape (N,); all if None. Guesses do not count.
+
+        Returns:
+            Expected RMSE [log unit]; NaN without a robot whose error is stated.
+        """
+        if self.sd is None:
+            return math.nan
+        counts = ~self.is_guess & np.isfinite(self.sd)
+        if robots is not None:
+            counts &= robots
+        return float(np.sqrt(np.mean(self.sd[counts] ** 2))) if counts.any() else math.nan
+
     @property
     def near_distance(self) -> float:
         """Distance that counts as near in words: `tolerance`, or R [log unit]."""
@@ -472,6 +489,9 @@ class Estimate:
         if guesses:
             of_one = "the position of 1 is a guess"
             clauses.append(of_one if guesses == 1 else f"the positions of {guesses} are guesses")
+        expected = self.expected_rmse(stays)
+        if expected > 0.0:
+            clauses.append(f"expected RMSE {two_digits(expected)} {self.length_unit}")
         return "; ".join(clauses)
 
     def __repr__(self) -> str:

@@ -270,6 +270,14 @@ FLOPPY_MODES = _smaller(
     "motions that change no measurement that the method uses; empty where they were not counted",
     label="Floppy modes",
 )
+EXPECTED_RMSE = Measure(
+    "expected_rmse_R",
+    "R",
+    _ESTIMATE,
+    "RMSE that the estimate expects, the root mean square of `sd_R`, without anchors and guesses; "
+    "empty if the method states no `sd_R`",
+    label="Expected RMSE",
+)
 COVERAGE_50 = Measure(
     "coverage_50",
     "1",
@@ -566,6 +574,7 @@ PAGE: Mapping[str, dict[Measure, str]] = {
     },
     "limits": _LIMITS,
     "calibration": {
+        EXPECTED_RMSE: "expected RMSE [R]",
         COVERAGE_50: "robots in their 50 % interval",
         COVERAGE_90: "robots in their 90 % interval",
         SURE: "robots within 1 R (95 %)",
