@@ -388,11 +388,11 @@ class GrowthBatch:
         due_slots = is_due[self.structure_of]
         climbing = np.bincount(self.structure_of[self.moving], minlength=len(self.structures))
         free = np.flatnonzero(~self.moving & due_slots)
-        while len(free):
-            # Within a structure robots start one after the other.
-            _, first = np.unique(self.structure_of[free], return_index=True)
-            self._fill(free[first], climbing)
-            free = np.delete(free, first)
+        # Within a structure robots start one after the other.
+        structure = self.structure_of[free]
+        turn = np.arange(len(free)) - np.searchsorted(structure, structure)
+        for due in range(turn.max(initial=-1) + 1):
+            self._fill(free[turn == due], climbing)
         return np.flatnonzero(self.moving & due_slots).astype(np.int32)
 
     def _fill(self, slots: AnyInts, climbing: AnyInts) -> None:
@@ -691,6 +691,7 @@ class GrowingStructure:
             self.side_of_body = sides_of_bodies(params, robot)
         self.docks = robot.dock_count
         self.dock_offset_body = robot.dock_offset_body
+        self.lowest = self.dock_offset_body[:, 2].min()
         self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
         self.extent = robot.extent
@@ -770,7 +771,7 @@ class GrowingStructure:
         place = np.array([x, y, self.level])
         body = self.dock_offset_body
         if not self.params.plane:
-            place[2] -= body[:, 2].min()
+            place[2] -= self.lowest
             return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
         orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
         arm = dock_offsets(orientation[None], body)[0]
@@ -806,6 +807,8 @@ class GrowingStructure:
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""
         surveyed = self.surveyed // self.docks
+        if surveyed == len(self.walks):
+            return
         is_gone = self.frames.gone[self.number, surveyed : len(self.walks)]
         is_new = np.repeat(~is_gone, self.docks)
         new = docks[self.surveyed : self.docks * len(self.walks)][is_new]

@@ -381,11 +381,13 @@ class Frames:
         Docks of the structures are numbered in that order, one structure after the other.
         """
         self._admit()
-        docks = self.frame.ends[structures, :, frame_kernels.BeamEnds.DOCK_A :]
-        in_use = np.arange(docks.shape[1]) < self.frame.beam_count[structures, None]
-        place, beam = np.nonzero(in_use & (docks[:, :, 1] >= 0))
-        joints: AnyInts = docks[place, beam] + self.frame.arm.shape[1] * place[:, None]
-        return joints
+        joints = [np.empty((0, 2), np.int64)]
+        for place, structure in enumerate(structures.tolist()):
+            beams = self.frame.beam_count[structure]
+            docks = self.frame.ends[structure, :beams, frame_kernels.BeamEnds.DOCK_A :]
+            touching = docks[docks[:, 1] >= 0].astype(np.int64)
+            joints.append(touching + self.frame.arm.shape[1] * place)
+        return np.concatenate(joints)
 
     def clear(self, structures: AnyInts) -> None:
         """Take all robots out of structures, shape (n,), as if none had joined."""

@@ -33,11 +33,11 @@ class OrderedNode(Columns):
     SEEN = 1
     """Rank of the node that had it among its neighbors last, or -1."""
     BEAM = 1
-    """First beam of which it is eliminated first, or -1."""
+    """First of its beams whose other node is eliminated later, or -1."""
     FOLLOWING = 1
     """Next node of its panel, or -1."""
     PANEL = 1
-    """First panel of which it is the first row, or -1."""
+    """First panel with this node as its first row, or -1."""
     PLACE = 1
     """Its place in the present front."""
 
@@ -88,7 +88,7 @@ class PanelArrays(NamedTuple):
     """Columns of `OrderedNode`, shape (M, 6)."""
 
     next_beam: Ints1
-    """Next beam of which the same node is eliminated first, or -1, shape (B,)."""
+    """Next beam in the list of the same node, or -1, shape (B,)."""
 
     panel: Ints2
     """Columns of `Panel`, shape (M, 10)."""
@@ -340,7 +340,7 @@ def _add_stiffness(rows: Ref, first, stiffness: Ref, part):
 
 @ti.func
 def _add_beams(arrays: Ref, work: Ref, ends: Ref, stiffness: Ref, p):
-    """Add the beams to a front of which a node of the panel is eliminated first."""
+    """Add the beams to a front that nodes of the panel list."""
     nodes = arrays.panel[p, Panel.NODES]
     block = arrays.panel[p, Panel.BLOCK]
     k = arrays.panel[p, Panel.FIRST]

@@ -8,7 +8,7 @@ from tiswarm.world import panel_kernels
 from tiswarm.world.panel_kernels import ROW_WIDTH, FactorArrays, OrderedNode, Panel, Total
 
 _CACHE_LINE = 64
-"""Bytes at a multiple of which rows begin, as vectors of their size have to."""
+"""Rows begin at a multiple of so many bytes: vectors of their size need that."""
 
 _SPARE = 1.5
 """Room to reserve, in parts of what is needed: structures grow."""

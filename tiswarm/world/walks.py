@@ -10,6 +10,7 @@ ReactiveBuild, DARS 2021).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import reduce
 from inspect import signature
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -409,6 +410,8 @@ class Walks:
     def walks(self, slots: AnyInts, rounds: AnyInts) -> list[Walk]:
         """Copy walks out, each with the way back to where the robot stays at its end.
 
+        They are parts of one array each, which all of them fill.
+
         Args:
             slots: Slots of the robots, shape (k,).
             rounds: Round in which each joined, shape (k,).
@@ -448,9 +451,9 @@ class Walks:
             flips = self.flips[slot, : last[k] + 1]
             walks.append(
                 Walk(
-                    center=center[first:stop].copy(),
-                    orientation_wxyz=orientation[first:stop].copy(),
-                    pivot_dock=pivot[first : stop - 1].copy(),
+                    center=center[first:stop],
+                    orientation_wxyz=orientation[first:stop],
+                    pivot_dock=pivot[first : stop - 1],
                     contacts=contacts[k],
                     ground_docks=flat[k],
                     edge_docks=edge[k],
@@ -476,7 +479,7 @@ def _by_walk(
     """
     table = np.column_stack([stance[row], *columns]).astype(np.int32)
     bounds = np.append(np.searchsorted(row, start), len(row)).tolist()
-    return [table[a:b].copy() for a, b in pairwise(bounds)]
+    return [table[a:b] for a, b in pairwise(bounds)]
 
 
 def note_belief(walks: list[Walk], contacts: AnyInts, error: Reals, sent: Reals) -> None:
@@ -529,9 +532,11 @@ def relay(
     receiver, sender = np.concatenate([contacts, contacts[:, ::-1]]).T
     while True:
         incoming = np.zeros_like(passed_on)
-        np.maximum.at(incoming, receiver, passed_on[sender])
+        sent = passed_on[sender]
+        is_passed_on = sent > 1  # nothing is left of others
+        np.maximum.at(incoming, receiver[is_passed_on], sent[is_passed_on])
         # The greatest of all zones may stand for the others': in its own zone the -1 prevails.
-        greatest = np.repeat(incoming.reshape(-1, docks).max(axis=1), docks)
+        greatest = np.repeat(reduce(np.maximum, incoming.reshape(-1, docks).T), docks)
         spread = np.maximum(call_of_dock, np.maximum(incoming - 1, greatest - 2))
         if mute is not None:
             spread[np.repeat(mute, docks)] = 0
