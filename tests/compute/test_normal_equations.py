@@ -1,11 +1,16 @@
 """Information is damped, solved and factored as dense matrices say."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
+from tiswarm.base.aliases import Reals
+from tiswarm.compute import normal_equations
 from tiswarm.compute.normal_equations import (
     DenseFactors,
+    Nearby,
     Pivots,
     SparseFactors,
     damped,
@@ -82,3 +87,45 @@ def test_singular_information_is_refused(factor) -> None:
     """A solution would be infinite."""
     with pytest.raises(RuntimeError, match="singular"):
         factor(np.zeros((2, 2)))
+
+
+def iterated(near: float, unknowns: int = 1200) -> tuple[Any, ...]:
+    """Solve with factors of information that differs by some share of each row's weight."""
+    rng = np.random.default_rng(1)
+    rows = rng.normal(size=(2 * unknowns, unknowns))
+    weight = np.exp(rng.normal(0.0, 2.0, 2 * unknowns))
+    slope = rng.normal(size=unknowns)
+    information = (rows.T * weight) @ rows
+    other = (rows.T * (weight * np.exp(near * rng.normal(size=2 * unknowns)))) @ rows
+    products = []
+
+    def product(unknown: Reals) -> Reals:
+        products.append(unknown)
+        return np.asarray(information @ unknown, np.float64)
+
+    nearby = Nearby(DenseFactors(other.copy()), unknowns)
+    return nearby.solve(product, slope), np.linalg.solve(information, slope), information, products
+
+
+def test_factors_of_information_nearby_lead_to_the_solution(monkeypatch) -> None:
+    """Nearer ones in fewer iterations."""
+    monkeypatch.setattr(normal_equations, "_AS_LONG", 20)  # as of more unknowns
+    counts = []
+    for near in (0.0, 0.1, 0.2):
+        solution, expected, information, products = iterated(near)
+        counts.append(len(products))
+
+        error = solution - expected
+        # Squares in standard deviations of the unknowns; what ends iterations is an estimate.
+        off = np.sqrt(error @ information @ error / (expected @ information @ expected))
+        assert off < 1e-4
+
+    assert counts[0] < counts[1] < counts[2]
+
+
+def test_factors_that_are_far_away_solve_nothing(monkeypatch) -> None:
+    """Neither do those of other unknowns, or of few: a factorization takes less time."""
+    monkeypatch.setattr(normal_equations, "_AS_LONG", 20)
+    assert iterated(5.0)[0] is None
+    assert iterated(0.0, 100)[0] is None
+    assert Nearby().solve(np.asarray, np.ones(2000)) is None

@@ -13,6 +13,8 @@ from tests.localization.test_mixture import chains_at
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.methods import localize
+from tiswarm.localization.mixture import MIXTURE
+from tiswarm.localization.mixture import mixture as mixture_module
 from tiswarm.localization.mixture.ends import Fit
 from tiswarm.localization.mixture.frames import PartImages, hanging_parts
 from tiswarm.localization.mixture.mixture import mixed
@@ -170,6 +172,30 @@ def test_a_second_place_that_no_chain_finds_is_a_solution(mirrored):
     # The truth was in no sphere of an estimate that knew of one place.
     apart = np.linalg.norm(further[0].position - best.position, axis=1)
     assert apart.max() > 1.0
+
+
+def test_images_of_many_robots_move_alone_before_all_robots_do(monkeypatch):
+    """Those that fall back are not searched for, and the others are solutions as before."""
+    log, truth = tower(12, 100005)
+    problem = pose_problem(log, FINAL)
+    fit = Fit(log, FINAL, problem, chains_at(truth[None]), np.zeros(1, np.bool_))
+    searched = []
+    search = mixture_module._fitted  # noqa: SLF001 - the time of an image is spent there
+
+    def counting(*arguments):
+        searched[-1] += 1
+        return search(*arguments)
+
+    monkeypatch.setattr(mixture_module, "_fitted", counting)
+    weights = []
+    for most in (200, 0):
+        monkeypatch.setattr(mixture_module, "MIXTURE", replace(MIXTURE, image_robots=most))
+        searched.append(0)
+        weights.append([each.weight for each in mixed(fit).solutions])
+
+    assert len(weights[0]) > 1
+    assert searched[1] < searched[0]
+    np.testing.assert_allclose(weights[1], weights[0], atol=1e-6)
 
 
 def test_chains_at_both_places_leave_the_same_mixture(mirrored):

@@ -4,6 +4,8 @@ Information is J^T C^-1 J, with derivatives J and covariance C of the rows. Prec
 unknown has beside its rows, that of a prior or of a radius of trust, adds to its diagonal.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -63,6 +65,9 @@ _COLUMNS = 64
 class Factors(Protocol):
     """Factors L D L^T of symmetric information of n unknowns, with permutations of these."""
 
+    size: int
+    """Number of stored entries."""
+
     @property
     def pivots(self) -> Reals:
         """Eigenvalues of D, shape (n,).
@@ -81,6 +86,7 @@ class SparseFactors:
     def __init__(self, information: csc_array) -> None:
         """Factor information (n, n); errors as of `factored`."""
         self._factors = factored(information)
+        self.size = int(self._factors.nnz)
 
     @property
     def pivots(self) -> Reals:
@@ -113,6 +119,7 @@ class DenseFactors:
         # Transposed, rows are the columns that LAPACK expects: nothing is copied.
         factors, is_indefinite = cholesky(information.T, lower=1, clean=0, overwrite_a=1)
         self._factors = factors
+        self.size = int(factors.size)
         self._exchange: Ints | None = None
         if not is_indefinite:
             return
@@ -149,6 +156,75 @@ class DenseFactors:
         else:
             solved_columns, _ = self._solve(self._factors, self._exchange, columns, lower=1)
         return np.asarray(solved_columns, np.float64).reshape(slope.shape)
+
+
+_AS_LONG = 50
+"""Entries of factors in each column for each iteration that takes as long as factoring does [1]."""
+
+_FEWEST = 40
+"""Iterations up to which solutions nearby may need, so that others are factored at once."""
+
+_CLOSE = 1e-5
+"""Error of a solution, relative to it, both in standard deviations of the unknowns, at which
+iterations end [1]: the last step to a minimum is a tenth of a standard deviation."""
+
+_DELAY = 4
+"""Iterations whose gains estimate the squared error before them (Strakos and Tichy 2002)."""
+
+
+@dataclass
+class Nearby:
+    """The latest factors of a sequence of problems, each near the one before."""
+
+    factors: Factors | None = None
+    """Factors of the latest problem that was factored."""
+
+    unknowns: int = 0
+    """Number of its unknowns."""
+
+    damping: float = 0.0
+    """Precision of each of them that its information has beside that of rows and priors."""
+
+    def solve(self, product: Callable[[Reals], Reals], slope: Reals) -> Reals | None:
+        """Solve normal equations by conjugate gradients that these factors precondition.
+
+        Few iterations lead to the solution itself where information is nearly the same (Hestenes
+        and Stiefel 1952).
+
+        Args:
+            product: Multiplies unknowns (n,) by the information without `damping`.
+            slope: Right side, shape (n,).
+
+        Returns:
+            Unknowns, shape (n,). None if the problem should be factored: there are no factors, it
+            takes little time, or the information is another one.
+        """
+        if self.factors is None or len(slope) != self.unknowns:
+            return None
+        most = self.factors.size // (_AS_LONG * self.unknowns)
+        if most < _FEWEST:
+            return None
+        unknowns = np.zeros_like(slope)
+        residual = slope
+        direction = preconditioned = self.factors.solve(residual)
+        square = float(residual @ preconditioned)
+        gains: list[float] = []
+        for _ in range(most):
+            if square == 0.0 or sum(gains[-_DELAY:]) < _CLOSE**2 * sum(gains[:-_DELAY]):
+                return unknowns
+            image = product(direction) + self.damping * direction
+            curvature = float(direction @ image)
+            if square < 0.0 or curvature <= 0.0:  # rounding, where hardly anything is measured
+                return None
+            length = square / curvature
+            gains.append(length * square)
+            unknowns = unknowns + length * direction
+            residual = residual - length * image
+            preconditioned = self.factors.solve(residual)
+            before = square
+            square = float(residual @ preconditioned)
+            direction = preconditioned + square / before * direction
+        return None
 
 
 Pivots = Literal["diagonal", "largest", "any"]

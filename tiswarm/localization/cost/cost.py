@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
-from tiswarm.compute.normal_equations import Factors
+from tiswarm.compute.normal_equations import Nearby
 from tiswarm.localization.cost import OVERLAP_SD
 from tiswarm.localization.cost.linear import NOMINAL, Linear, LinearRows
 from tiswarm.localization.cost.walk_noise import WalkNoise, WalkRows
@@ -113,9 +113,6 @@ class Cost(ABC, Generic[L]):
     least_reduction: float = -np.inf
     """Reduction of the cost that the linear problem must predict for a step to be tried [1]."""
 
-    factors: Factors | None = None
-    """Factors of information nearby, which serve the first step; those of each state if None."""
-
     @abstractmethod
     def linearized(self, state: State) -> L:
         """Linearize the cost at a state, which is where priors of positions are."""
@@ -150,10 +147,8 @@ class Cost(ABC, Generic[L]):
         for count in range(self.most_rounds):
             if count >= rounds and actual_reduction < _FALLING * linear.cost:
                 break
-            is_own = self.factors is None
             trial_state, predicted_reduction = self.moved(state, linear, radius)
-            self.factors = None  # a second step with those of a state nearby leads uphill
-            if is_own and predicted_reduction < self.least_reduction:
+            if predicted_reduction < self.least_reduction:
                 break
             trial_linear = self.linearized(trial_state)
             # We accept a step by the sign of its actual reduction alone. Its ratio to the predicted
@@ -163,8 +158,6 @@ class Cost(ABC, Generic[L]):
             # rounding, or of these terms, near the minimum; a step that rises more led uphill, and
             # the linear problem is trusted in a smaller region.
             if trial_linear.cost > linear.cost + SETTLED:
-                if not is_own:
-                    continue
                 longest = np.linalg.norm(trial_state.position - state.position, axis=1).max()
                 radius = _SMALLER * min(radius, float(longest))
                 if radius < _LEAST_RADIUS:
@@ -174,7 +167,7 @@ class Cost(ABC, Generic[L]):
             state = trial_state
             linear = trial_linear
             radius = min(radius / _SMALLER, self.widest)
-            if is_own and actual_reduction < SETTLED:
+            if actual_reduction < SETTLED:
                 break
         return state, linear
 
@@ -256,6 +249,7 @@ class WholeCost(Cost[Linear]):
         further_variance: Reals | float = 0.0,
         hinged: Ints = _NO_PAIRS,
         moves: Bools | None = None,
+        nearby: Nearby | None = None,
     ) -> None:
         """Gather what does not change with the state.
 
@@ -272,7 +266,9 @@ class WholeCost(Cost[Linear]):
             hinged: Pairs of robots whose offset is known to `HINGE_SD` as well, shape (n, 2).
             moves: Robots that move; all others are constants, and rows of robots without a row
                 about one that moves do not count. All if None, shape (N,).
+            nearby: Factors of like costs, by which this one is solved; of itself alone if None.
         """
+        self.nearby = nearby or Nearby()
         self.robust_sd = robust_sd
         self.non_overlap = non_overlap
         self.hinged = hinged
@@ -496,6 +492,7 @@ class WholeCost(Cost[Linear]):
             off=np.concatenate([part.ravel() for part in off])[self.free],
             excess=excess,
             moves=self.moving & (np.arange(self.rows.robots) > 0),
+            nearby=self.nearby,
         )
 
     def _noise(self, direction: Reals, part: Reals, reached: Reals) -> WalkNoise:
@@ -672,7 +669,7 @@ class WholeCost(Cost[Linear]):
         Returns:
             The state there, and the predicted reduction of the cost [1].
         """
-        free, earlier = linear.step(radius, self.factors)
+        free, earlier = linear.step(radius)
         step = np.zeros(len(self.precision))
         step[self.free] = free
         count = state.position.size

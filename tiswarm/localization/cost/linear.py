@@ -1,7 +1,7 @@
 """One linear problem: residuals with their covariance, priors, steps and uncertainty."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -10,7 +10,13 @@ from scipy.sparse import csc_array, csr_array, diags_array
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
-from tiswarm.compute.normal_equations import DenseFactors, Factors, SparseFactors, inverted
+from tiswarm.compute.normal_equations import (
+    DenseFactors,
+    Factors,
+    Nearby,
+    SparseFactors,
+    inverted,
+)
 from tiswarm.localization.cost.walk_noise import WalkCovariance, WalkNoise, summed
 
 DRAWS = 64
@@ -85,6 +91,9 @@ class Linear:
 
     moves: Bools
     """Robots whose shifts are free; these come first, shape (N,)."""
+
+    nearby: Nearby = field(default_factory=Nearby)
+    """Factors of problems of the same cost, by which this one is solved."""
 
     def __post_init__(self) -> None:
         """Compute the cost and its slope."""
@@ -193,27 +202,42 @@ class Linear:
 
     @cached_property
     def undamped(self) -> Factors:
-        """Factors of the information, priors included."""
-        return self._factored(self.precision + self._largest * _LEAST_DAMPING)
+        """Factors of the information, priors included; problems nearby are solved by them, too.
+
+        Not where motions are open: solutions nearby would go far along these.
+        """
+        damping = self._largest * _LEAST_DAMPING
+        factors = self._factored(self.precision + damping)
+        if factors.pivots.min(initial=np.inf) > _FLOPPY * self._largest:
+            self.nearby.factors = factors
+            self.nearby.unknowns = len(self.precision)
+            self.nearby.damping = damping
+        return factors
 
     @property
     def _largest(self) -> float:
         """Largest information of a single unknown, at least 1."""
         return float(self.information.diagonal().max(initial=1.0))
 
-    def step(self, radius: float, factors: Factors | None = None) -> tuple[Reals, Reals]:
+    def step(self, radius: float) -> tuple[Reals, Reals]:
         """Solve for the steps of free unknowns, (F,), and the turns of earlier stances, (M,).
 
-        Steps of robots much beyond a radius [R] are damped. Undamped ones may take the factors of
-        a problem nearby: they lead to the same minimum in a few more steps.
+        Steps of robots much beyond a radius [R] are damped.
         """
-        if np.isfinite(radius):
-            damping = self.precision + self._largest * _LEAST_DAMPING
-            damping[: self.shifts] += radius**-2.0
-            factors = self._factored(damping)
-        elif factors is None:
-            factors = self.undamped
-        step = -factors.solve(self.slope)
+        precision = self.precision.copy()
+        precision[: self.shifts] += radius**-2.0
+
+        def product(step: Reals) -> Reals:
+            pull = self.weighted(np.asarray(self.jacobian @ step))
+            return np.asarray(self.jacobian.T @ pull) + precision * step
+
+        solution = self.nearby.solve(product, self.slope)
+        if solution is None:
+            is_damped = np.isfinite(radius)
+            damping = self._largest * _LEAST_DAMPING
+            factors = self._factored(precision + damping) if is_damped else self.undamped
+            solution = factors.solve(self.slope)
+        step = -solution
         # Turns of earlier stances are in the covariance, not among the unknowns: their likeliest
         # values follow from the residuals that are left.
         weighted_residual = self.weighted(self.residual + self.jacobian @ step)

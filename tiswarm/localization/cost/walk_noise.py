@@ -397,11 +397,19 @@ def summed(parts: Iterable[tuple[Ints, Reals]], unknowns: int) -> csc_array:
     Returns:
         The sum, shape (F, F).
     """
-    total: csc_array | None = None
+    # Sums of equally many parts are added, so that each entry is in few additions.
+    sums: list[tuple[int, csc_array]] = []
     for columns, values in _chunks(parts):
+        count = 1
         part = _scattered(columns, values, unknowns)
-        total = part if total is None else csc_array(total + part)
-    return csc_array((unknowns, unknowns)) if total is None else total
+        while sums and sums[-1][0] == count:
+            part = csc_array(sums.pop()[1] + part)
+            count *= 2
+        sums.append((count, part))
+    total = csc_array((unknowns, unknowns))
+    for _, part in reversed(sums):
+        total = csc_array(total + part)
+    return total
 
 
 def _chunks(parts: Iterable[tuple[Ints, Reals]]) -> Iterator[tuple[list[Ints], list[Reals]]]:

@@ -89,7 +89,8 @@ class MixtureSettings:
     """Standard deviation up to which a coordinate counts as known, as a part is mirrored [R]."""
 
     image_robots: int = 200
-    """Robots up to which parts that hang on two are looked for [1]: that takes N^2 steps."""
+    """Robots up to which parts that hang on two are looked for [1]: that takes N^2 steps. Images of
+    more robots are moved to a minimum of their own robots first."""
 
     image_nearest: float = 0.1
     """Distance up to which two minima count as one, where their sd is less [R]."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
+from tiswarm.compute.normal_equations import Nearby
 from tiswarm.localization.chains.problem import pose_problem
 from tiswarm.localization.chains.views import place_disconnected
 from tiswarm.localization.cost import ROBUST_SD
@@ -286,7 +287,9 @@ def _minimum(
     robust = posed.cost(rows, links=links, robust_sd=ROBUST_SD)
     begin = robust.at(*start)
     # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
-    _, of_estimate = robust.held(np.full(len(is_guess), _STAYS)).refine(begin, _ROUNDS)
+    staying = robust.held(np.full(len(is_guess), _STAYS))
+    staying.nearby = Nearby()  # none of its factors are near those of robots that move
+    _, of_estimate = staying.refine(begin, _ROUNDS)
     state, least = robust.refine(begin, _ROUNDS)
     variance = rows.variance()
     missed = rows.residual(state.position, state.yaw) ** 2 / variance

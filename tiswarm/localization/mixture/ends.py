@@ -4,13 +4,16 @@ A chain failed if it put a robot farther away than its contacts reach, or if its
 ran away. Lengths in R.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.chi_square import chi_square_sd
+from tiswarm.compute.normal_equations import Nearby
 from tiswarm.localization.chains.annealer import Annealed
 from tiswarm.localization.chains.problem import Problem
 from tiswarm.localization.chains.views import ANNEALING
@@ -44,8 +47,7 @@ class Posed:
             rows,
             yaw_precision=self.problem.yaw_precision,
             non_overlap=non_overlap and self.params.cues.non_overlap,
-            moves=self.problem.moves,
-            **options,
+            **{"moves": self.problem.moves, **options},
         )
 
 
@@ -92,6 +94,9 @@ class Ends:
 
     turns: Turns = field(default_factory=Turns)
     """Rigid motions that nothing resists, by which ends are aligned."""
+
+    nearby: dict[float, Nearby] = field(default_factory=partial(defaultdict, Nearby))
+    """Factors of costs of solutions, by the standard deviation by which rows may be missed [R]."""
 
     def at(self, position: Reals, yaw: Reals) -> "Ends":
         """Return one end at a configuration, (N, 3) and (N,), in place of all."""

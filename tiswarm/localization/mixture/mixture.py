@@ -361,7 +361,7 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
     parts = PartImages(fit.log, rows, further, non_overlap=fit.params.cues.non_overlap)
     accepted = list(minima)
     tried_places = [solution.configuration for solution in minima]
-    waiting: list[tuple[float, int, Reals, Reals]] = []
+    waiting: list[tuple[float, int, Reals, Minimum]] = []
     number = count()
     expanded = 0
     tried = 0
@@ -369,15 +369,20 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
         for solution in accepted[expanded:]:
             for position, excess in parts.of(solution.configuration, solution.yaw):
                 # The number keeps arrays from being compared.
-                heappush(waiting, (solution.cost + excess, next(number), position, solution.yaw))
+                heappush(waiting, (solution.cost + excess, next(number), position, solution))
         expanded = len(accepted)
         if not waiting:
             break
-        *_, position, yaw = heappop(waiting)
+        *_, position, solution = heappop(waiting)
         if _agree(np.array(tried_places), position, best.sd).any():
             continue
         tried += 1
-        end = ends.at(position, yaw)
+        end = ends.at(position, solution.yaw)
+        if len(position) > MIXTURE.image_robots:
+            # Of many robots, a search of all takes long.
+            alone = _moved_alone(ends, solution, position)
+            if _agree(np.array(tried_places), alone, best.sd).any():
+                continue
         image_fit = _fitted(end, np.ones(1), inlier, open_sd)
         is_new = not _agree(np.array(tried_places), image_fit.state.position, best.sd).any()
         tried_places += [position, image_fit.state.position]
@@ -388,6 +393,17 @@ def _mirrored(ends: Ends, minima: list[Minimum], inlier: Bools, open_sd: Reals) 
         if image.log_height >= least and _are_held([image]):
             accepted.append(image._replace(chains=0))
     return accepted[len(minima) :]
+
+
+def _moved_alone(ends: Ends, solution: Minimum, image: Reals) -> Reals:
+    """Move the robots of an image (N, 3) to a minimum, all others as they are at a solution."""
+    if solution.inlier_fit is None:
+        return image
+    rows = solution.inlier_fit.cost.rows.associated(image, solution.yaw)
+    is_moved = (image != solution.configuration).any(axis=1)
+    cost = _cost(ends, rows, MIXTURE.tepid * ends.fit.annealed.sigma, moves=is_moved)
+    start = solution.inlier_fit.state._replace(position=image)
+    return cost.refine(start, REFINEMENT.rounds)[0].position
 
 
 def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]:
@@ -553,18 +569,8 @@ def _refined(
     Returns:
         The cost, the minimum and the linear problem there.
     """
-    problem = ends.fit.problem
-
-    def missed_by(sd: float) -> WholeCost:
-        return ends.fit.cost(
-            rows,
-            links=problem.connections,
-            # A bias that is not solved for is in all stances of a robot.
-            are_independent=problem.rows.odometry.bias > 0.0 or not ends.fit.is_refined,
-            further_variance=sd**2,
-        )
-
-    cost = missed_by(MIXTURE.tepid * ends.fit.annealed.sigma)
+    sd = MIXTURE.tepid * ends.fit.annealed.sigma
+    cost = _cost(ends, rows, sd, nearby=ends.nearby[sd])
     held = cost.held(prior)
     first = cost.at(*start)
     is_long = walk_sd(rows) > REFINEMENT.long_walk_sd
@@ -572,7 +578,8 @@ def _refined(
         return cost, *held.refine(first, REFINEMENT.rounds)
     # Contacts seen over a long way are not linear in its turns, which begin at zero. So a search
     # comes near first, where contacts may be missed by as much as is linear.
-    warm = missed_by(REFINEMENT.linear_sd).held(prior)
+    sd = REFINEMENT.linear_sd
+    warm = _cost(ends, rows, sd, nearby=ends.nearby[sd]).held(prior)
     nearer, _ = warm.refine(first, REFINEMENT.warm_rounds)
     state, linear = held.refine(nearer, REFINEMENT.rounds)
     limit = chi_square_limit(max(len(rows) - 3 * len(prior), 1), CONVERGENCE.chance_sd)
@@ -582,6 +589,19 @@ def _refined(
     if direct_linear.cost <= linear.cost:
         return cost, direct_state, direct_linear
     return cost, state, linear
+
+
+def _cost(ends: Ends, rows: Measurements, sd: float, **options: Any) -> WholeCost:  # noqa: ANN401
+    """Return the cost of rows that may be missed by a further sd [R]; options as of `WholeCost`."""
+    problem = ends.fit.problem
+    return ends.fit.cost(
+        rows,
+        links=problem.connections,
+        # A bias that is not solved for is in all stances of a robot.
+        are_independent=problem.rows.odometry.bias > 0.0 or not ends.fit.is_refined,
+        further_variance=sd**2,
+        **options,
+    )
 
 
 def _agreed(rows: Measurements, annealed: Annealed, members: Bools) -> Bools:

@@ -69,13 +69,8 @@ class InlierFit(NamedTuple):
         return InlierFit(self.inlier, cost, *cost.refine(self.state))
 
     def simulated(self, number: int) -> "InlierFit":
-        """Fit measurements drawn as if the minimum were true; numbers as for `WholeCost`.
-
-        Drawn errors move the minimum by as little as noise does: factors of this one serve the
-        steps to it.
-        """
+        """Fit measurements drawn as if the minimum were true; numbers as for `WholeCost`."""
         cost = self.cost.simulated(self.state, number)
-        cost.factors = self.linear.undamped
         return InlierFit(self.inlier, cost, *cost.refine(self.state))
 
 
