@@ -754,7 +754,7 @@ def _navigation(done: pd.DataFrame) -> "pd.Series[str]":
 def _structures(done: pd.DataFrame) -> "pd.Series[str]":
     """Name the structure of each case: its kind, and of a bridge its span."""
     span = done.get("right_edge_R", pd.Series(np.nan, done.index))
-    words = [f", {x:g} R" if np.isfinite(x) else "" for x in span]
+    words = [f" over {x:g} R" if np.isfinite(x) else "" for x in span]
     return done["kind"] + pd.Series(words, done.index)
 
 
