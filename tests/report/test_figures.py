@@ -45,6 +45,26 @@ def test_every_figure_is_drawn(run_folder):
             assert not is_blank(image)
 
 
+def test_a_legend_of_long_names_is_within_its_figure():
+    """Names of measurements made entries wider than a panel alone, which cut both of their ends."""
+    name = "Algorithm 1 (radio) / final contacts / without ranges and non-overlap and heights"
+
+    def paint(axes, _panel, series):
+        for label in series:
+            axes.plot([1.0, 2.0], [3.0, 4.0], label=label)
+
+    def complete(panels):
+        panels.legend("mean", panels.entries())
+        return []
+
+    drawing = Drawing(panels=["one"], series=[name, "b"], paint=paint, complete=complete)
+    figure = drawing.draw()
+    png(figure)
+
+    left, _, right, _ = figure.legends[0].get_window_extent().extents
+    assert 0.0 <= left < right <= figure.bbox.width
+
+
 def _three_panels():
     """Return a figure of three panels with two series, which states what it draws."""
     drawn = []

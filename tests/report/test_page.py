@@ -371,6 +371,17 @@ def test_a_table_states_what_a_point_of_a_sweep_measures_in_addition():
     assert "Those of joint also use walk contacts." in note
 
 
+def test_a_note_lists_no_long_row_of_points():
+    """Of a study of thirty points, thirteen lines stated which ones have ground contacts."""
+    points = pd.DataFrame({"condition": "a", "structure.goal_height": [*map(str, range(20))]})
+    used = ["contacts, ground"] * 19 + ["contacts"]
+
+    note = headline_table(points.assign(cases=2, rmse_R_mean=1.0, measurements=used)).note
+
+    assert "Measurements differ between points: table.csv lists them." in note
+    assert "also use" not in note
+
+
 def test_p_needs_five_structures():
     """Of three structures, p is .25 at best: noise beside the numbers."""
     rows = pd.DataFrame({"condition": [*"bc"], "against": "a", "measure": "rmse_R"})

@@ -96,7 +96,7 @@ def test_labels_stand_for_conditions(tmp_path):
 
     run = load_run(tmp_path)
 
-    assert list(run.series) == ["30, Method \\1", "30, aa"]
+    assert list(run.series) == ["30 / Method \\1", "30 / aa"]
     assert [case.name for case in run.cases] == ["0-a", "0-aa"]
     table = run.table("table.csv", ["condition"], [], after="cases")
     assert list(table["condition"]) == ["Method \\1", "aa"]

@@ -14,6 +14,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
 from tiswarm.report.run_data import load_run
+from tiswarm.report.suite_figure import _heights
 from tiswarm.scenario.expansion import load_scenario
 
 TABLE_1 = load_scenario(REPOSITORY / "scenarios" / "table-1.yaml", ["robots=8", "seeds=2"])
@@ -94,3 +95,13 @@ def test_the_page_compares_suites_first(measured):
     assert {"FireAntV3", "Zooids", "Algorithm 1", "hop by hop", "joint / touch"} <= drawn
     assert {"RMSE of all robots [R]"} <= drawn
     assert not {"zooids", "virtual-force", "hop-by-hop"} & drawn
+
+
+def test_names_of_suites_stay_within_their_panel():
+    """The highest ones were written over the title."""
+    anchors = np.column_stack([np.full(12, 0.5), np.linspace(0.9, 0.99, 12)])
+
+    heights = _heights(["Zooids"] * 12, anchors)
+
+    assert 0.0 < min(heights) < max(heights) < 1.0
+    assert np.diff(sorted(heights)).min() > 0.02

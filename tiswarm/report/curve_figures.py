@@ -36,6 +36,7 @@ from tiswarm.report.run_data import (
     stated_scenario,
     with_points,
 )
+from tiswarm.report.series import joined
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -201,7 +202,7 @@ def rounds_drawing(run: RunData) -> figure_style.Drawing:
 def _family_name(sweeps: float, recent: float, *, one_length: bool) -> str:
     """Name rounds by the robots that they move, and by their steps where these differ."""
     name = f"last {recent:g}" if np.isfinite(recent) else "all"
-    return name if one_length else f"{name}, {sweeps:g} steps"
+    return name if one_length else joined([name, f"{sweeps:g} steps"])
 
 
 def draw_rounds(axes: "Axes", table: pd.DataFrame, point: str, families: Sequence[str]) -> None:
@@ -754,7 +755,7 @@ def _navigation(done: pd.DataFrame) -> "pd.Series[str]":
 def _structures(done: pd.DataFrame) -> "pd.Series[str]":
     """Name the structure of each case: its kind, and of a bridge its span."""
     span = done.get("right_edge_R", pd.Series(np.nan, done.index))
-    words = [f", {x:g} R" if np.isfinite(x) else "" for x in span]
+    words = [f" over {x:g} R" if np.isfinite(x) else "" for x in span]
     return done["kind"] + pd.Series(words, done.index)
 
 

@@ -355,7 +355,12 @@ class Panels:
         width, height = map(float, self.figure.get_size_inches())
         columns = legend_columns([*entries], width)
         title = _filled(title, width, TEXT_SIZE)
-        lines = -(-len(entries) // columns) + title.count("\n")
+        if columns == 1:
+            entries = {
+                _filled(label, width - _LEGEND_MARK, TEXT_SIZE): artist
+                for label, artist in entries.items()
+            }
+        lines = -(-len(entries) // columns) + "".join([title, *entries]).count("\n")
         self.figure.set_size_inches(width, height + _LEGEND_LINE * max(0, lines - 1))
         self.figure.legend(
             entries.values(),

@@ -455,7 +455,8 @@ def _measurements_in_use(rows: pd.DataFrame) -> list[str]:
         added = set.intersection(*of_point) - shared
         points_by_words.setdefault(_cue_words(added) if added else "", []).append(str(point))
     points_by_words.pop("", None)
-    if len(points_by_words) > _MOST_GROUPS:
+    most = max(map(len, points_by_words.values()), default=0)
+    if len(points_by_words) > _MOST_GROUPS or most > _MOST_POINTS:
         return [*notes, "Measurements differ between points: table.csv lists them."]
     for words, points in points_by_words.items():
         notes.append(f"Those of {'; '.join(points)} also use {words}.")
@@ -464,6 +465,9 @@ def _measurements_in_use(rows: pd.DataFrame) -> list[str]:
 
 _MOST_GROUPS = 2
 """Most groups of points whose measurements a note lists."""
+
+_MOST_POINTS = 5
+"""Most points of such a group."""
 
 
 def _cue_words(cues: Collection[str]) -> str:

@@ -117,7 +117,7 @@ def draw_suites(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
 
 
 def _heights(names: list[str], anchors: Reals) -> list[float]:
-    """Choose the height of each label: the one nearest to its marker where it hides nothing.
+    """Choose the height of each label: the nearest within the panel where it hides nothing.
 
     Lengths are shares of the panel; `anchors` are the markers' places, shape (n, 2).
     """
@@ -131,7 +131,7 @@ def _heights(names: list[str], anchors: Reals) -> list[float]:
         free = (
             height
             for height in (y + _LINE * step for step in steps)
-            if height > 0.5 * _LINE
+            if 0.5 * _LINE < height < 1.0 - 0.5 * _LINE
             and not any(
                 start < taken_end and taken_start < end and abs(height - taken_height) < _LINE
                 for taken_start, taken_end, taken_height in taken

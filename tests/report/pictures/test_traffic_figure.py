@@ -77,6 +77,18 @@ def test_names_keep_apart_from_markers_and_each_other():
     assert (labels + sizes / 2.0 <= high).all()
 
 
+def test_long_names_have_several_lines(run):
+    """In one line, names with their measurements hid each other and the lines to their markers."""
+    name = "Algorithm 1 (radio) / final contacts / without ranges and non-overlap"
+    long = run.summary.assign(condition=run.summary["condition"].replace("touch", name))
+
+    [axes] = painters(RunData(run.folder, long))["traffic"].draw().axes
+
+    lines = next(text.get_text() for text in axes.texts if "Algorithm" in text.get_text())
+    assert " ".join(lines.split("\n")) == name
+    assert max(map(len, lines.split("\n"))) <= 32
+
+
 def test_runs_in_which_nobody_sends_have_no_such_figure(run):
     """It would have nothing to show."""
     silent = run.summary.assign(sent_B=np.nan)

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,8 @@ _DIRECTIONS = 12
 _RINGS = 8
 """Distances from its marker at which a name is tried in each direction."""
 _LABEL = figure_style.TEXT_SIZE
+_LINE_STEP = 1.2  # distance of the lines of a label, in parts of its letters
+_LONGEST_LINE = 32  # letters of a label beyond which it goes on in another line
 """Height of a name [pt]."""
 _LETTER = 4.0
 """Width of a letter of a name [pt]."""
@@ -239,7 +242,8 @@ def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
     is_line = np.array([len(line.get_xydata()) > 1 for line, _ in drawn])
     # A line is named at its left end.
     points[is_line, 0] = low[0]
-    sizes = np.array([[_LETTER * len(label), _LABEL] for _, label in drawn])
+    texts = [fill(label, _LONGEST_LINE, break_on_hyphens=False) for _, label in drawn]
+    sizes = np.array([_size(text) for text in texts])
     middle = np.column_stack([np.full(is_line.sum(), low[0]), points[is_line, 1]])
     bars = [
         paper(ends) * points_per_pixel
@@ -256,9 +260,9 @@ def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
     taken = np.array(boxes).reshape(-1, 2, 2)
     offsets = label_offsets(points, sizes, np.array([low, high]), taken)
     anchors = axes.transData.inverted().transform(points / points_per_pixel)
-    for (marker, label), at, offset in zip(drawn, anchors, offsets, strict=True):
+    for (marker, _), text, at, offset in zip(drawn, texts, anchors, offsets, strict=True):
         axes.annotate(
-            label,
+            text,
             at,
             offset,
             textcoords="offset points",
@@ -273,6 +277,12 @@ def _name_markers(axes: "Axes", names: Sequence[str]) -> None:
                 "shrinkB": 2.0,
             },
         )
+
+
+def _size(text: str) -> tuple[float, float]:
+    """Return about how wide and high a label of one or more lines is [pt]."""
+    lines = text.split("\n")
+    return _LETTER * max(map(len, lines)), _LABEL * (1.0 + _LINE_STEP * (len(lines) - 1))
 
 
 def label_offsets(points: Reals, sizes: Reals, panel: Reals, taken: Reals) -> Reals:

@@ -77,10 +77,21 @@ function paneOf(view, data) {
     pen.textBaseline = "top";
     pen.font = "600 14px system-ui, sans-serif";
     pen.fillStyle = textOf("--ink");
-    pen.fillText(title, 10, 10);
+    linesOf(pen, title, width - 20).forEach((line, k) => pen.fillText(line, 10, 10 + 18 * k));
     return drawn;
   };
   return pane;
+}
+
+// Breaks a text between words into lines of a width [pixels].
+function linesOf(pen, text, width) {
+  const lines = [""];
+  for (const word of text.split(" ")) {
+    const longer = `${lines.at(-1)} ${word}`.trim();
+    if (pen.measureText(longer).width <= width) lines[lines.length - 1] = longer;
+    else lines.push(word);
+  }
+  return lines.filter(Boolean);
 }
 
 // What a pane shows, in words.
