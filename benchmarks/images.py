@@ -50,8 +50,14 @@ _IMAGES = Path("docs/images")
 _COMPARED = {"joint": "joint", "algorithm-1": "Algorithm 1 of the paper"}
 """Conditions of the tower with equal measurements, and what the picture calls them."""
 
+_IN_FILM = {
+    "joint-with-walks": "joint / walk contacts",
+    "algorithm-1": "Algorithm 1 / final contacts",
+}
+"""Conditions of the tower in its film, each with all measurements that its method takes."""
+
 _WIDTH = 1200  # [pixels]
-_FRAMES = 60
+_FRAMES = 58
 _FRAME = (420, 480)  # most columns and rows of a structure in the animation [pixels]
 _BELOW = 64  # rows for its title [pixels]
 _QUALITY = 70
@@ -91,11 +97,11 @@ def draw_methods(run: RunData, renderer: str) -> Image.Image:
 
 def draw_growing(run: RunData, renderer: str) -> bytes:
     """Animate the first structure beside the estimates of two methods, as WebP."""
-    views = [read_case_view(_case_of(run, condition)) for condition in _COMPARED]
+    views = [read_case_view(_case_of(run, condition)) for condition in _IN_FILM]
     truth = views[0].robots(views[0].pose, views[0].color_by_join, TRUE_SIZE)
     greatest = max(float(np.nanmax(view.error)) for view in views)
     columns = [("true structure", truth)]
-    for view, title in zip(views, _COMPARED.values(), strict=True):
+    for view, title in zip(views, _IN_FILM.values(), strict=True):
         color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
         columns.append((title, view.robots(view.estimated_pose, color, TRUE_SIZE)))
     around = np.concatenate([robots.dock.reshape(-1, 3) for _, robots in columns])

@@ -3,12 +3,13 @@
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from tests.browser import probe
 from tests.runs import REPOSITORY
-from tiswarm.app.comparison import compare
+from tiswarm.app.comparison import compare, rows_drawing
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records.measures import MEASURES
@@ -78,7 +79,7 @@ def test_labels_stand_where_keys_would(small_run, other_run, tmp_path):
     *_, one, two, _, _ = str(found).splitlines()
     # Measurements of the runs differ, so that all names have them.
     for line, point in ((one, "one"), (two, "two")):
-        assert "without heights, " in line
+        assert "without heights / " in line
         assert f" {point} " in line
     assert pd.read_csv(tmp_path / "both" / "comparison.csv")["condition"].iloc[-1] == "no-z"
 
@@ -203,7 +204,31 @@ def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
         ["b", "none", "2", "1.0", "0.1", "0.1"],
     ]
     labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
-    assert labels == ["yaw 5, nan", "none"]
+    assert labels == ["yaw 5 / nan", "none"]
+
+
+def _compared(runs, conditions):
+    """Rows of a comparison of some runs with the same conditions."""
+    rows = [(f"run {k}", name) for k in range(runs) for name in conditions]
+    table = pd.DataFrame(rows, columns=["run", "condition"]).assign(point="", cases=2)
+    return table.assign(rmse_R_mean=1.0, rmse_R_ci95=None, procrustes_disparity_mean=0.1)
+
+
+def test_markers_of_few_runs_stand_in_the_middle_of_their_rows():
+    """A row has one run: beside the line of its name, markers of the last runs seemed cut off."""
+    axes = rows_drawing(_compared(3, ["a", "b"])).draw().axes[0]
+
+    points = np.concatenate([line.get_xydata() for line in axes.lines])
+    assert sorted(points[np.isfinite(points[:, 0]), 1]) == pytest.approx(range(6))
+
+
+def test_each_of_many_runs_has_a_row():
+    """A legend of forty runs named each, and rows had the name of a condition alone."""
+    figure = rows_drawing(_compared(40, ["a", "b"])).draw()
+
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert labels == [f"run {k}" for k in range(40)]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b"]
 
 
 def test_a_heading_keeps_the_words_of_a_column():

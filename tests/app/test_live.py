@@ -89,8 +89,9 @@ def test_cases_appear_as_they_are_finished(served):
     assert status == 200
     assert '<canvas id="view"' in page
     seed, _, condition = served.late.partition("-")
-    name = f"{condition}, without heights and non-overlap, seed {seed}"
+    name = f"{condition} / without heights and non-overlap, seed {seed}"
     assert f'"name":"{name}"' in page
+    assert f">{name}</h1>" in page
     assert f">{name}</a>" in second
     after = {path: path.stat().st_mtime_ns for path in served.run.rglob("*")}
     late = served.run / "cases"

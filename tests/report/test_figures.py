@@ -398,7 +398,7 @@ def test_many_points_and_conditions_have_room(tmp_path):
 
     assert png(figure)  # without a warning that axes have no room
     assert [axes.get_title() for axes in figure.axes] == [
-        "tower, settle 0", "tower, settle 1", "cantilever, settle 0", "cantilever, settle 1",
+        "tower / settle 0", "tower / settle 1", "cantilever / settle 0", "cantilever / settle 1",
     ]  # fmt: skip
     texts = {text.get_text() for text in figure.legends[0].get_texts()}
     assert texts == {"others", "condition-0", "condition-7"}  # all are equally good here

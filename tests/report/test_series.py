@@ -14,30 +14,37 @@ ALL = ("contacts", "ground", "height", "non_overlap", "odometry", "walk_contacts
     ("measured", "names"),
     [
         ([ALL, ALL], ["a", "b"]),
-        ([["contacts", "walk_contacts"], ["contacts"]], ["a, walk contacts", "b, final contacts"]),
-        ([["contacts", "height"], ["contacts"]], ["a, heights", "b, without heights"]),
+        (
+            [["contacts", "walk_contacts"], ["contacts"]],
+            ["a / walk contacts", "b / final contacts"],
+        ),
+        ([["contacts", "height"], ["contacts"]], ["a / heights", "b / without heights"]),
         (
             [["contacts", "height", "walk_contacts"], ["contacts", "height"], ["contacts"]],
-            ["a, walk contacts and heights", "b, heights", "c, final contacts, without heights"],
+            [
+                "a / walk contacts and heights",
+                "b / heights",
+                "c / final contacts / without heights",
+            ],
         ),
         (
             [ALL, ALL[1:], ALL[:3], ("contacts", "height")],
             [
-                "a, all measurements",
-                "b, without final contacts",
-                "c, final contacts and ground contacts",
-                "d, final contacts",
+                "a / all measurements",
+                "b / without final contacts",
+                "c / final contacts and ground contacts",
+                "d / final contacts",
             ],
         ),
         (
             [ALL, ALL[:1], ALL[1:2]],
-            ["a, all measurements", "b, final contacts", "c, ground contacts"],
+            ["a / all measurements", "b / final contacts", "c / ground contacts"],
         ),
-        ([ALL, ["ranges"]], ["a, without ranges", "b, ranges"]),
-        ([[*ALL, "ranges"], ["ranges"]], ["a, all measurements", "b, fewest measurements"]),
+        ([ALL, ["ranges"]], ["a / without ranges", "b / ranges"]),
+        ([[*ALL, "ranges"], ["ranges"]], ["a / all measurements", "b / fewest measurements"]),
         (
             [["contacts", "walk_contacts"], [], ["contacts"]],
-            ["a, walk contacts", "b", "c, final contacts"],
+            ["a / walk contacts", "b", "c / final contacts"],
         ),
     ],
 )
@@ -54,9 +61,9 @@ def test_a_label_that_states_its_measurements_stays():
     """An author's label may have the words already."""
     measured = {"a": ["contacts", "walk_contacts"], "b": ["contacts"]}
 
-    names = series_names({"a": "joint, walk contacts", "b": "joint"}, measured)
+    names = series_names({"a": "joint / walk contacts", "b": "joint"}, measured)
 
-    assert [*names.values()] == ["joint, walk contacts", "joint, final contacts"]
+    assert [*names.values()] == ["joint / walk contacts", "joint / final contacts"]
 
 
 @pytest.fixture
@@ -74,8 +81,8 @@ def unlike_run(tmp_path):
 
 def test_sentences_cases_and_warnings_have_these_names(unlike_run):
     """The headline study set a method with walk contacts beside one without, and did not say so."""
-    assert [*unlike_run.series] == ["20, joint, walk contacts", "20, a, final contacts"]
-    assert unlike_run.cases[0].title == "20, joint, walk contacts, seed 0"
-    best = "20, joint, walk contacts, the best of 2 series: 90 %"
+    assert [*unlike_run.series] == ["20 / joint / walk contacts", "20 / a / final contacts"]
+    assert unlike_run.cases[0].title == "20 / joint / walk contacts, seed 0"
+    best = "20 / joint / walk contacts, the best of 2 series: 90 %"
     assert statement_of(unlike_run.summary).startswith(best)
-    assert "all of a, final contacts" in warnings_of(unlike_run.summary)[0]
+    assert "all of a / final contacts" in warnings_of(unlike_run.summary)[0]

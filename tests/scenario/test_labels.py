@@ -120,6 +120,16 @@ def test_symbols_and_units_are_those_of_the_schema():
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=[path.stem for path in SCENARIOS])
+def test_labels_of_shipped_scenarios_have_no_comma(path: Path):
+    """Names of series are cells of tables, options of commands and parts of sentences."""
+    scenario = load_scenario(path)
+    points = [label for rows in row_labels(scenario.sweep).values() for label in rows.values()]
+    conditions = [str(entries.get("label", "")) for entries in scenario.conditions.values()]
+
+    assert [label for label in points + conditions if ", " in label] == []
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=[path.stem for path in SCENARIOS])
 def test_points_of_shipped_scenarios_have_short_labels(path: Path):
     """They are titles of panels and rows of tables."""
     labels = [

@@ -204,10 +204,10 @@ def test_the_figure_shows_every_series(scaled):
     assert names == ["paper", "together", "joint", "joint-final"]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend[:4] == [
-        "Algorithm 1, final contacts",
-        "Algorithm 1 (all at once), final contacts",
-        "joint, walk contacts",
-        "joint, final contacts",
+        "Algorithm 1 / final contacts",
+        "Algorithm 1 (all at once) / final contacts",
+        "joint / walk contacts",
+        "joint / final contacts",
     ]
     for axes, measure in zip(figure.axes, SCALING_PANELS, strict=True):
         wanted = [means[measure, n].to_numpy() for n in names if (measure, n) in means.index]

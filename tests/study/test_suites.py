@@ -68,7 +68,7 @@ def test_suites_stand_beside_their_prices(measured):
         *(f"{name}_{kind}" for name in measures for kind in ("mean", "ci95")),
     ]  # fmt: skip
     assert list(table.index) == CHOSEN
-    assert table.loc["zooids-touch", "suite":"way"].tolist() == ["zooids", "joint, touch"]
+    assert table.loc["zooids-touch", "suite":"way"].tolist() == ["zooids", "joint / touch"]
     assert table["usd_100"].tolist() == [2000.0, 2000.0, 1100.0, 1100.0, 3100.0, 0.0]
     for name in ("rmse_R", "procrustes_disparity", "floppy_modes"):
         np.testing.assert_allclose(table[f"{name}_mean"], summary[name].mean())
@@ -90,3 +90,7 @@ def test_the_page_compares_suites_first(measured):
     assert "robots whose docks know the pose of a connection" in page
     assert "10,000 robots [USD]" in page
     assert re.findall(r'title="(figures/[^"]*)"', page)[0] == "figures/price-and-error.png"
+    drawn = {*re.findall(r"<text[^>]*>([^<]*)", page)}
+    assert {"FireAntV3", "Zooids", "Algorithm 1", "hop by hop", "joint / touch"} <= drawn
+    assert {"RMSE of all robots [R]"} <= drawn
+    assert not {"zooids", "virtual-force", "hop-by-hop"} & drawn

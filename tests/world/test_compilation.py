@@ -8,8 +8,10 @@ import pytest
 
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
-from tiswarm.world import mechanics
+from tiswarm.world import mechanics, panels
 from tiswarm.world.growth import grow
+from tiswarm.world.history import History
+from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.params import BridgeParams, CantileverParams, GrowthParams, TowerParams
 
 pytestmark = [pytest.mark.trial, pytest.mark.unchecked]
@@ -35,7 +37,23 @@ def test_loads_have_the_bits_of_kernels_that_the_library_optimizes(
     monkeypatch.setattr(mechanics, "optimized_by_llvm", contextlib.nullcontext)
     by_library = grow(structure, robots=60, seeds=range(8), robot=RobotGeometry())
 
-    for one, same in zip(by_llvm, by_library, strict=True):
+    _assert_equal_bits(by_llvm, by_library)
+
+
+def test_loads_have_the_bits_of_kernels_without_vectors(monkeypatch):
+    """Registers of several numbers round each of them as one number is rounded."""
+    tower = TowerParams(mechanics=MechanicsParams(order="nested-dissection"))
+    by_vectors = grow(tower, robots=60, seeds=range(3), robot=RobotGeometry())
+
+    backend.end()  # a kernel is compiled once in a program
+    monkeypatch.setattr(panels, "native_vectors", contextlib.nullcontext)
+    by_numbers = grow(tower, robots=60, seeds=range(3), robot=RobotGeometry())
+
+    _assert_equal_bits(by_vectors, by_numbers)
+
+
+def _assert_equal_bits(histories: list[History], expected: list[History]) -> None:
+    for one, same in zip(histories, expected, strict=True):
         assert one.sensed.tobytes() == same.sensed.tobytes()
         assert one.position.tobytes() == same.position.tobytes()
         loads = [

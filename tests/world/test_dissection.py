@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from benchmarks.growth import load_difference
 from tests import frames
@@ -76,6 +77,12 @@ def test_forces_are_those_of_a_direct_solver(robots):
     solved = frames.solved(frames.grown(history), params)
 
     assert load_difference(solved) < 1e-8
+
+
+def test_docks_that_rest_are_refused():
+    """The slips of their feet need solutions for many loads, which panels do not keep."""
+    with pytest.raises(ValidationError, match="solved by minimum-degree; leave order out"):
+        MechanicsParams(ground="rests", friction=0.5, order="nested-dissection")
 
 
 def test_without_metis_a_line_says_what_to_install(tiswarm, tmp_path, monkeypatch):

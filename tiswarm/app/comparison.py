@@ -228,27 +228,40 @@ def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
 
 
 def rows_drawing(table: pd.DataFrame) -> figure_style.Drawing:
-    """Compose panels of the means of the first rows with their intervals, one color a run."""
-    seen = table.head(table_figures.MOST_ROWS)
-    labels = joined_words(seen, ["point", "condition"])
-    seen = seen.drop(columns=[m.published for m in MAIN], errors="ignore")
-    seen = seen.assign(row=[*map(str, range(len(seen)))], of=seen["run"])  # labels may repeat
+    """Compose panels of the means of the first rows with their intervals.
+
+    Each series of each run has a row, and each run a color. Of more runs than there are colors,
+    each run has a row, and each series a color.
+    """
+    names = joined_words(table, ["point", "condition"])
+    if table["run"].nunique() > figure_style.MOST_SERIES >= len({*names}):
+        rows = table.assign(row=table["run"], of=names)
+        shown = list(dict.fromkeys(rows["row"]))[: table_figures.MOST_ROWS]
+        labels = shown
+        kind = "run"
+    else:  # names may repeat
+        rows = table.assign(row=[*map(str, range(len(table)))], of=table["run"])
+        shown = rows["row"].tolist()[: table_figures.MOST_ROWS]
+        labels = names[: len(shown)]
+        kind = "row"
+    rows = rows.drop(columns=[m.published for m in MAIN], errors="ignore")
+    omitted = rows["row"].nunique() - len(shown)
+    rows = rows[rows["row"].isin(shown)]
     measures = {m.column: m for m in (OF_LOCATED if has_guesses(table) else MAIN)}
 
-    def paint(axes: "Axes", column: str, runs: Sequence[str]) -> None:
-        table_figures.draw_means(axes, seen, measures[column], seen["row"].tolist(), runs)
+    def paint(axes: "Axes", column: str, series: Sequence[str]) -> None:
+        table_figures.draw_means(axes, rows, measures[column], shown, series)
         table_figures.finish_row_axis(axes, measures[column], labels)
 
     def complete(panels: figure_style.Panels) -> list[str]:
         figure_style.label_rows(panels.first, labels)
         words = figure_style.mean_words(table["cases"])
         panels.legend(words, panels.entries(), loc="outside upper right")
-        omitted = len(table) - len(seen)
-        return [f"{omitted} more rows are in comparison.csv" if omitted else ""]
+        return [figure_style.omission_note(omitted, kind, "in comparison.csv")]
 
     return figure_style.Drawing(
-        panels=list(measures), series=list(dict.fromkeys(seen["run"])), paint=paint,
-        complete=complete, columns=len(measures), row_height=0.5 + 0.17 * len(seen),
+        panels=list(measures), series=list(dict.fromkeys(rows["of"])), paint=paint,
+        complete=complete, columns=len(measures), row_height=0.5 + 0.17 * len(shown),
         head_height=0.4, share="y",
     )  # fmt: skip
 

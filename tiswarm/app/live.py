@@ -108,11 +108,12 @@ class _LiveRun:
         if name not in self._records:
             return None
         of_case = self._finished([name])
+        title, *_ = case_table(of_case, in_words=True).frame["case"]
         cells = case_table(of_case).frame.drop(columns="case").iloc[0]
         cells = cells[cells != ""]
         quantities = pd.DataFrame({"quantity": cells.index, "value": cells.to_numpy()})
         return Page(
-            name=name,
+            name=title,
             result="" if self._records[name][1].is_done else "The case failed.",
             headline=PageTable(frame=quantities, words=["quantity"], title="Case"),
             view=build_view(RunData(self._folder.path, of_case)),

@@ -185,3 +185,19 @@ def optimized_by_llvm() -> Iterator[None]:
         yield
     finally:
         config.advanced_optimization = True
+
+
+@contextmanager
+def native_vectors() -> Iterator[None]:
+    """Let kernels that are compiled within keep vectors in registers of their size.
+
+    Else each number of a vector is one variable, and loops over rows take four times as long.
+    Operations on numbers are the same, and so are bits. Vectors in arrays have to begin at a
+    multiple of their size; `a = a - b` stands for `a -= b`, which the library cannot translate.
+    """
+    config = ti.lang.impl.current_cfg()
+    config.real_matrix_scalarize = False
+    try:
+        yield
+    finally:
+        config.real_matrix_scalarize = True

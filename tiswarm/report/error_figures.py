@@ -11,6 +11,7 @@ from tiswarm.records.measures import RMSE
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, Series, StoredCase
+from tiswarm.report.series import SEPARATOR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -232,7 +233,7 @@ def errors_drawing(run: RunData) -> figure_style.Drawing:
     shown = dict(listed[: _MAX_PANELS // columns * columns])
     lines = max(name.count(", ") for name in shown)
     omitted = len(run.localized) - len(shown)
-    titles = {name: name.replace(", ", ",\n") for name in shown}
+    titles = {name: name.replace(SEPARATOR, "\n") for name in shown}
     return _scatter_drawing(
         run, shown, titles, columns=columns, row_height=1.8 + _TITLE_LINE * lines,
         note=f"{omitted} more series not shown" if omitted else "",

@@ -711,7 +711,7 @@ def case_table(summary: pd.DataFrame, *, in_words: bool = False) -> PageTable:
     omitted = len(summary) - len(shown)
     note = f"{counted(omitted, 'more case')} in summary.csv." if omitted else ""
     if in_words:
-        note += " The column `case` of summary.csv names their folders."
+        note += ' The column "case" of summary.csv names their folders.'
     return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, *reason])
 
 

@@ -27,7 +27,7 @@ from tiswarm.records.run_folder import (
     check_folders,
 )
 from tiswarm.records.terrain import NO_EDGE
-from tiswarm.report.series import measured_cues, series_names
+from tiswarm.report.series import joined, measured_cues, series_names
 from tiswarm.scenario.labels import BASELINE, row_labels, words_of
 from tiswarm.scenario.yaml_source import plain_scalar, read_yaml
 
@@ -112,13 +112,13 @@ class Labels:
         """Return the label of a point that is written as `key=value, key=value`."""
         pairs = [pair.partition("=") for pair in _PAIR.split(text)]
         labels = [self.cell(key, cell) if equals else key for key, equals, cell in pairs]
-        return ", ".join(filter(None, labels))
+        return joined(labels)
 
     def series(self, text: str) -> str:
         """Return the label of a series: of its point, if there is one, and of its condition."""
         point, _, condition = text.rpartition(", ")
         condition = self.conditions.get(condition, condition)
-        return ", ".join(filter(None, [self.point(point), condition]))
+        return joined([self.point(point), condition])
 
     def put(self, table: pd.DataFrame, *, before: str = "") -> pd.DataFrame:
         """Write labels into the columns of conditions, series and points, and of swept keys.
@@ -404,5 +404,5 @@ def with_points(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
 
 
 def joined_words(table: pd.DataFrame, columns: Sequence[str]) -> list[str]:
-    """Join the words of some columns in each row, without those that are empty."""
-    return [", ".join(filter(None, row)) for row in table[[*columns]].to_numpy().tolist()]
+    """Name each row by the words of some columns, without those that are empty."""
+    return [joined(row) for row in table[[*columns]].to_numpy().tolist()]

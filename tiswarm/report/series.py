@@ -1,16 +1,24 @@
-"""Names of series: a condition, the measurements that it uses, and a point of the sweep.
+"""Names of series: a point of the sweep, a condition, and the measurements that it uses.
 
 Tables, figures, captions and sentences call a series by the name that it has here. Where conditions
 of a run differ in their measurements, the name of each has those that distinguish it, so that no
 reader compares unlike ones unawares.
 """
 
-from collections.abc import Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
 import pandas as pd
 
+from tiswarm.base.registry import get
+from tiswarm.base.registry import names as registered_names
 from tiswarm.measurements.cues import CUES, WALKED, Cue
+
+SEPARATOR = " / "
+"""What stands between the parts of a name.
+
+Commas separate names: in tables of files, in sentences and in the options of commands.
+"""
 
 _FINAL = "contacts"
 """Cue of contacts at the end."""
@@ -33,10 +41,10 @@ def series_names(
 
     >>> used = {"joint": ["contacts", "walk_contacts"], "paper": ["contacts"]}
     >>> series_names({"joint": "joint", "paper": "Algorithm 1"}, used)
-    {'joint': 'joint, walk contacts', 'paper': 'Algorithm 1, final contacts'}
+    {'joint': 'joint / walk contacts', 'paper': 'Algorithm 1 / final contacts'}
     >>> used = {"walks": ["contacts", "ground", "walk_contacts"], "joint": ["contacts"]}
-    >>> series_names({"walks": "joint, walk contacts", "joint": "joint"}, used)["walks"]
-    'joint, walk contacts and ground contacts'
+    >>> series_names({"walks": "joint / walk contacts", "joint": "joint"}, used)["walks"]
+    'joint / walk contacts and ground contacts'
     """
     used = {name: set(cues) for name, cues in measured.items() if cues}
     shared = set.intersection(*used.values()) if used else set()
@@ -45,14 +53,19 @@ def series_names(
     for name, label in conditions.items():
         words = _distinction(used[name], varied) if varied and name in used else ""
         is_said = not words or label.endswith(words)
-        short = label if is_said else f"{_without_words(label, varied)}, {words}"
-        names[name] = f"{label}, {words}" if short in names.values() else short
+        short = label if is_said else joined([_without_words(label, varied), words])
+        names[name] = joined([label, words]) if short in names.values() else short
     return names
+
+
+def joined(parts: Iterable[str]) -> str:
+    """Join the parts of a name, such as a point and a condition, without those that are empty."""
+    return SEPARATOR.join(filter(None, parts))
 
 
 def _without_words(label: str, varied: Collection[str]) -> str:
     """Take from the end of a label a measurement that varies, since all of them follow it."""
-    method, _, last = label.rpartition(", ")
+    method, _, last = label.rpartition(SEPARATOR)
     return method if method and last in _in_words(varied) else label
 
 
@@ -76,21 +89,41 @@ def _distinction(cues: Collection[str], varied: Collection[str]) -> str:
         if len(lacking) > _MOST_LISTED:
             words.append("fewest measurements")
         elif lacking:
-            words.append(f"without {_listed(lacking)}")
-        return ", ".join(words)
+            words.append(f"without {_all_of(lacking)}")
+        return joined(words)
     if not absent and len(varied) > _MOST_LISTED:
         return "all measurements"
     is_short = len(varied) <= _MOST_LISTED or len(present) < len(absent)
-    return _listed(present) if is_short else f"without {_listed(absent)}"
+    return _all_of(present) if is_short else f"without {_all_of(absent)}"
 
 
-def measured_words(names: str) -> str:
+_METHODS = {"virtual-force": "Algorithm 1"}
+"""Methods that have another name in the paper."""
+
+
+def way_words(way: str) -> str:
+    """Write in words how robots localize, as `suites.csv` has it.
+
+    >>> way_words("virtual-force"), way_words("hop-by-hop"), way_words("joint / touch")
+    ('Algorithm 1', 'hop by hop', 'joint / touch')
+    """
+    return joined(_METHODS.get(part, part.replace("-", " ")) for part in way.split(SEPARATOR))
+
+
+def suite_words(name: str) -> str:
+    """Write the name of a sensor suite as that of its system; of an unknown one as it is."""
+    suite = get("sensor", name) if name in registered_names("sensor") else None
+    return getattr(suite, "title", "") or name
+
+
+def measured_words(cues: str) -> str:
     """Write cues, as tables list them, in words.
 
     >>> measured_words("contacts, height, walk_contacts")
     'final contacts, walk contacts and heights'
     """
-    return _listed(split_cues(names))
+    *first, last = _in_words(split_cues(cues)) or [""]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def split_cues(names: str) -> list[str]:
@@ -98,10 +131,9 @@ def split_cues(names: str) -> list[str]:
     return [name for name in names.split(", ") if name]
 
 
-def _listed(names: Collection[str]) -> str:
-    """List the words of cues in the order of sentences."""
-    *first, last = _in_words(names) or [""]
-    return f"{', '.join(first)} and {last}" if first else last
+def _all_of(names: Collection[str]) -> str:
+    """List the words of cues without a comma, which names do not have."""
+    return " and ".join(_in_words(names))
 
 
 def _in_words(names: Collection[str]) -> Sequence[str]:

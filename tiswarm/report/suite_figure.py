@@ -10,6 +10,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.records.measures import RMSE
 from tiswarm.report import figure_style
 from tiswarm.report.run_data import RunData, with_points
+from tiswarm.report.series import suite_words, way_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,6 +52,7 @@ def suites_drawing(run: RunData) -> figure_style.Drawing:
     table = run.table("suites.csv", ["condition", "suite", "way"], gaps, after="cases")
     table = table[table["cases"] > 0]
     table[_HALF] = table[_HALF].fillna(0.0)
+    table = table.assign(suite=table["suite"].map(suite_words), way=table["way"].map(way_words))
     pointed = with_points(table)
     points = list(dict.fromkeys(pointed["point"]))
     shown = points[:_MOST_PANELS]

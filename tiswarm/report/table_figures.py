@@ -169,10 +169,11 @@ def draw_means(
         series: Names of the series to draw.
     """
     looks = list(dict.fromkeys(table["of"]))
+    is_shared = table.groupby("row")["of"].nunique().max() > 1
     for name in series:
         shown = table[table["of"] == name].set_index("row").reindex(list(rows))
         index = looks.index(name)
-        y = _heights(len(rows), index, len(looks))
+        y = _heights(len(rows), index, len(looks)) if is_shared else _heights(len(rows), 0, 1)
         look = figure_style.dot_style(index)
         axes.errorbar(
             shown[measure.mean],

@@ -40,6 +40,9 @@ class Suite:
     senses: str
     """What robots sense."""
 
+    title: str = ""
+    """Name of the system, as figures have it; that of the suite if empty."""
+
     settings: Mapping[str, Any]
     """Settings of `sensing.*` that differ from the defaults."""
 
@@ -82,12 +85,14 @@ _NO_TOUCH = {"contacts": False, "ground_docks": False, "heights": False, "stance
 
 
 FIREANT_V3 = Suite(
+    title="FireAntV3",
     senses="contacts with docks, docks on the ground, orientation, flips",
     settings={},
     robot_usd=TOUCH_USD,
 )
 
 COACHBOT_V1 = Suite(
+    title="CoachBot V1",
     senses="x, y and heading from wall tags that an onboard camera sees",
     settings=_NO_TOUCH | {"beacons": WALL_TAGS, "fix_noise": 0.5},
     robot_usd=20.0,
@@ -95,6 +100,7 @@ COACHBOT_V1 = Suite(
 )
 
 COACHBOT_V2 = Suite(
+    title="CoachBot V2",
     senses="two sweep planes of each lighthouse in sight",
     settings=_NO_TOUCH
     | {
@@ -110,6 +116,7 @@ COACHBOT_V2 = Suite(
 )
 
 ZOOIDS = Suite(
+    title="Zooids",
     senses="x and y from the Gray code of a projector in sight",
     settings=_NO_TOUCH | {"beacons": (CEILING,), "fix_noise": 0.03},
     robot_usd=1.0,
@@ -118,6 +125,7 @@ ZOOIDS = Suite(
 )
 
 KILOBOT = Suite(
+    title="Kilobot",
     senses="distances to robots in sight",
     settings=_NO_TOUCH
     | {
@@ -131,6 +139,7 @@ KILOBOT = Suite(
 )
 
 FREESN = Suite(
+    title="FreeSN",
     senses="direction of each connection, and orientation",
     settings=_NO_TOUCH | {"contacts": True, "direction_noise_deg": 1.0},
     robot_usd=150.0,
@@ -138,6 +147,7 @@ FREESN = Suite(
 )
 
 M_BLOCKS = Suite(
+    title="M-Blocks",
     senses="pose of each connected robot, by face tags; no compass",
     settings=_NO_TOUCH
     | {
@@ -150,6 +160,7 @@ M_BLOCKS = Suite(
 )
 
 ATRON = Suite(
+    title="ATRON",
     senses="pose of each connected robot, by the infrared of its connectors; no compass",
     settings=_NO_TOUCH
     | {
@@ -162,6 +173,7 @@ ATRON = Suite(
 )
 
 SWARMBANG = Suite(
+    title="SwarmBang",
     senses="x, y and heading from a beacon on the ceiling, as a robot moves and joins",
     settings=_NO_TOUCH
     | {

@@ -527,7 +527,7 @@ def suites(
             "condition": first.condition,
             **first.point_cells,
             "suite": setting.sensing.suite,
-            "way": f"{method}, touch" if touch else method,
+            "way": f"{method} / touch" if touch else method,
             "needs": suite.needs,
             "cases": len(done),
             **{f"usd_{n}": suite.price(n, touch=touch) for n in _PRICED},

@@ -48,11 +48,12 @@ def dissected(nodes: AnyInts, pairs: AnyInts) -> Ints:
     if not len(pairs):
         return np.asarray(nodes, np.int64)
     metis = import_metis()
+    whole = metis.zero_copy_dtype()
     a, b = np.searchsorted(nodes, pairs).T
     ones = np.ones(2 * len(pairs), np.int8)
     graph = coo_array((ones, (np.r_[a, b], np.r_[b, a])), shape=(len(nodes), len(nodes))).tocsr()
     order, _ = metis.nested_dissection(
-        adjacency=metis.CSRAdjacency(graph.indptr.tolist(), graph.indices.tolist()),
+        adjacency=metis.CSRAdjacency(graph.indptr.astype(whole), graph.indices.astype(whole)),
         options=metis.Options(seed=_SEED),
     )
     ordered: Ints = np.asarray(nodes, np.int64)[order]

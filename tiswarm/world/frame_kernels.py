@@ -1,8 +1,7 @@
 """Frames: how a kernel finds the forces in structures of beams at rest.
 
 It solves a sparse system of 6 x 6 blocks by elimination over a graph. Nodes of 6 unknowns are
-eliminated one after the other, always one of the fewest neighbors that are left (minimum degree),
-or in an order that is given.
+eliminated one after the other, always one of the fewest neighbors that are left (minimum degree).
 With K the matrix of those that are left, C C' = K_kk the Cholesky factorization of the pivot's
 block, and a and b neighbors of k,
 
@@ -67,8 +66,6 @@ class NodeList(Columns):
     """Node that was eliminated in the step that the row says."""
     NEAR = 1
     """Neighbors of the last pivot, one a row."""
-    ORDERED = 1
-    """Nodes in the order of their elimination, one a row, where that is given."""
 
 
 class HalfEdge(Columns):
@@ -93,7 +90,7 @@ class EliminationArrays(NamedTuple):
     """Columns of `Node`, shape (S, M, 7)."""
 
     order: Ints3
-    """Columns of `NodeList`, whose rows are no nodes, shape (S, M + 1, 4)."""
+    """Columns of `NodeList`, whose rows are no nodes, shape (S, M + 1, 3)."""
 
     half: Ints3
     """Columns of `HalfEdge`; the edge with block e has 2 e and 2 e + 1, shape (S, 2 L, 2)."""
@@ -357,7 +354,7 @@ def _strip(work: Ref, s, nodes, most):
         if k < 0:
             least += 1
         else:
-            work.order[s, step, NodeList.ORDERED] = k
+            work.order[s, step, NodeList.PIVOT] = k
             step += 1
             for n in range(_join_neighbors(work, s, k)):
                 _enter(work, s, work.order[s, n, NodeList.NEAR])
@@ -388,26 +385,15 @@ def _back(work: Ref, s, k):
 
 
 @ti.func
-def solve(work: Ref, s, nodes, is_ordered):
-    """Solve a system; return whether there was room for the edges.
-
-    Nodes are eliminated in the order that `ORDERED` lists, or by minimum degree.
-    """
+def solve(work: Ref, s, nodes):
+    """Solve a system; return whether there was room for the edges."""
     _list_by_degree(work, s, nodes)
     least = 0
-    place = 0
     step = 0
     while step < nodes:
-        k = -1
-        if is_ordered:
-            # Those that went with a group before are done.
-            while work.node[s, work.order[s, place, NodeList.ORDERED], Node.DEGREE] == ELIMINATED:
-                place += 1
-            k = work.order[s, place, NodeList.ORDERED]
-        else:
-            while work.order[s, least, NodeList.LEAST] < 0:
-                least += 1
-            k = work.order[s, least, NodeList.LEAST]
+        while work.order[s, least, NodeList.LEAST] < 0:
+            least += 1
+        k = work.order[s, least, NodeList.LEAST]
         near = _join_neighbors(work, s, k)
         if work.block_count[s] > work.block.shape[1]:
             break
@@ -666,7 +652,7 @@ def _sense(frame: Ref, loads: Ref, s, robot, docks):
 @ti.kernel
 def find_loads(
     radius: F64, gravity_x: F64, gravity_y: F64, gravity_z: F64, robots: Ints1, due: Ints1,
-    is_ordered: I32,
+    is_solved: I32,
     # FrameArrays
     node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Blocks, span: Reals3,
     arm: Reals3, weight: Sixes, slip: Reals3,
@@ -684,7 +670,7 @@ def find_loads(
         gravity_x, gravity_y, gravity_z: Weight of a dock.
         robots: Robots of each structure, shape (S,).
         due: Structures to solve, shape (n,).
-        is_ordered: Whether the order of elimination is given.
+        is_solved: Whether `motion` has how they move already.
     """
     frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight, slip))
     work = ti.static(
@@ -698,8 +684,11 @@ def find_loads(
             s = due[n]
             docks = arm.shape[1] // sensed_out.shape[1]
             is_rigid = weight.shape[1] == sensed_out.shape[1]  # a robot is one node
-            _assemble(frame, work, s)
-            if solve(work, s, node_count[s], is_ordered):
+            has_motion = is_solved
+            if not is_solved:
+                _assemble(frame, work, s)
+                has_motion = ti.cast(solve(work, s, node_count[s]), ti.i32)
+            if has_motion:
                 for dock in range(docks * robots[s]):
                     acting_out[s, dock] = ti.Vector(
                         [gravity_x, gravity_y, gravity_z, 0.0, 0.0, 0.0], F64

@@ -41,6 +41,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.numerics import optimized_by_llvm
 from tiswarm.records.messages import shown
 from tiswarm.world import dissection, frame_kernels, rest
+from tiswarm.world.panels import PanelSolver
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
@@ -161,10 +162,10 @@ class MechanicsParams:
         Literal["minimum-degree", "nested-dissection"],
         Field(exclude_if=lambda value: value == "minimum-degree"),
     ] = "minimum-degree"
-    """Order in which nodes of the structure are eliminated when forces are computed: always one
-    with the fewest neighbors (minimum-degree), or by METIS (nested-dissection), which takes less
-    time from some 10,000 robots on and needs `pip install tiswarm[large]`. Forces are the same but
-    for rounding."""
+    """Order in which nodes of a structure are eliminated when forces are computed: always one with
+    the fewest neighbors (minimum-degree), or by METIS (nested-dissection), which takes less time
+    from some 10,000 robots on and needs `pip install tiswarm[large]`. Forces are the same but for
+    rounding. Goes with `ground: holds`."""
 
     def __post_init__(self) -> None:
         """Refuse gravity without a direction, and friction that is missing or says nothing.
@@ -176,6 +177,8 @@ class MechanicsParams:
             raise ValueError("gravity has no direction; give a vector like [0, 0, -1]")
         if self.ground == "rests" and self.friction is None:
             raise ValueError("docks that rest need a coefficient; add friction, such as 0.5")
+        if self.ground == "rests" and self.is_dissected:
+            raise ValueError("docks that rest are solved by minimum-degree; leave order out")
         if self.ground == "holds" and self.friction is not None:
             raise ValueError("friction goes with ground: rests; set both, or neither")
 
@@ -279,6 +282,7 @@ class Frames:
         self.shape = (params.beam_radius, params.poisson)
         self.rests = params.ground == "rests"
         params.require_libraries()  # before anything grows
+        self.panels = PanelSolver()
         self.down = params.down
         self.robots = np.zeros(structures, np.int32)
         self.stability: list[rest.Stability | Literal[""]] = [""] * structures
@@ -502,7 +506,7 @@ class Frames:
     def _find_loads(self, due: NDArray[np.int32]) -> None:
         """Solve some structures with the slips of their feet."""
         if self.params.is_dissected:
-            self._dissect(due)
+            self._solve_by_panels(due)
 
         def find_loads(due: NDArray[np.int32]) -> None:
             frame_kernels.find_loads(
@@ -516,44 +520,55 @@ class Frames:
                 *self.load_arrays,
             )
 
-        self._eliminate(due, find_loads)
+        self._with_room(due, find_loads)
 
-    def _eliminate(
-        self, due: NDArray[np.int32], launch: Callable[[NDArray[np.int32]], None]
+    def _with_room(
+        self, due: NDArray[np.int32], eliminate: Callable[[NDArray[np.int32]], None]
     ) -> None:
-        """Launch a kernel that eliminates nodes of some structures, until it has enough room."""
+        """Eliminate nodes of some structures; again, with more room, where fill-in needs it."""
         while len(due):
             with optimized_by_llvm():
-                launch(due)
+                eliminate(due)
             # The kernel counted the blocks that fill-in needs: what had too little room is due.
             due = due[self.work.block_count[due] > self.work.block.shape[1]]
             if len(due):
                 self.work = _doubled(self.work, "half", "block")
 
-    def _dissect(self, due: NDArray[np.int32]) -> None:
-        """Order the nodes of some structures: leaves by minimum degree, then the core by METIS.
-
-        Structures are nearly trees: without leaves a third of the nodes is left to METIS, and the
-        order fills in less than either way alone.
-        """
+    def _solve_by_panels(self, due: NDArray[np.int32]) -> None:
+        """Find how the nodes of some structures move, in an order by METIS."""
+        frame = self.frame
 
         def strip(due: NDArray[np.int32]) -> None:
-            frame = self.frame
             frame_kernels.strip_to_core(
                 _LEAF, due, frame.node_count, frame.beam_count, frame.ends, *self.work
             )
 
-        self._eliminate(due, strip)
-        work = self.work
+        self._with_room(due, strip)
         for structure in due.tolist():
-            nodes = int(self.frame.node_count[structure])
-            degree = work.node[structure, :nodes, frame_kernels.Node.DEGREE]
-            core = np.flatnonzero(degree != frame_kernels.ELIMINATED)
-            edges = slice(2 * nodes, 2 * work.block_count[structure])
-            pairs = work.half[structure, edges, frame_kernels.HalfEdge.TARGET].reshape(-1, 2)
-            is_left = (degree[pairs] != frame_kernels.ELIMINATED).all(axis=1)
-            ordered = work.order[structure, :nodes, frame_kernels.NodeList.ORDERED]
-            ordered[nodes - len(core) :] = dissection.dissected(core, pairs[is_left])
+            nodes = int(frame.node_count[structure])
+            beams = int(frame.beam_count[structure])
+            self.work.motion[structure, :nodes] = self.panels.solve(
+                self._dissected(structure, nodes),
+                frame.ends[structure, :beams],
+                frame.stiffness[structure, : 4 * beams],
+                frame.weight[structure, :nodes],
+            )
+
+    def _dissected(self, structure: int, nodes: int) -> NDArray[np.int32]:
+        """Order nodes for elimination: leaves by minimum degree, then the core by METIS.
+
+        Structures are nearly trees: without leaves a third of the nodes is left to METIS, and the
+        order fills in less than either way alone. `strip_to_core` has listed the leaves.
+        """
+        degree = self.work.node[structure, :nodes, frame_kernels.Node.DEGREE]
+        is_left = degree != frame_kernels.ELIMINATED
+        edges = slice(2 * nodes, 2 * self.work.block_count[structure])
+        pairs = self.work.half[structure, edges, frame_kernels.HalfEdge.TARGET].reshape(-1, 2)
+        core = np.flatnonzero(is_left)
+        order: NDArray[np.int32]
+        order = self.work.order[structure, :nodes, frame_kernels.NodeList.PIVOT].copy()
+        order[nodes - len(core) :] = dissection.dissected(core, pairs[is_left[pairs].all(axis=1)])
+        return order
 
     def _put_payload(self, structure: int, payload: PayloadParams) -> None:
         """Put the payload of a structure on the robot that carries it now."""

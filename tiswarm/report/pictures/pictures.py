@@ -41,6 +41,7 @@ from tiswarm.report.figure_style import (
 from tiswarm.report.pictures.raycast import Pixels, draw_growth, draw_scenes, on_white
 from tiswarm.report.pictures.scene import TRUE_SIZE, Camera, Scene, build_scene, paint
 from tiswarm.report.run_data import RunData, StoredCase
+from tiswarm.report.series import SEPARATOR
 from tiswarm.report.swarm_view import (
     Coloring,
     DrawnRobots,
@@ -397,7 +398,9 @@ def build_extremes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
         return [], 0.0
     cases.sort(key=lambda case: float(rmse[case.name]))
     extremes = [cases[0], cases[-1]]
-    labels = ["\n".join(filter(None, case.condition.rpartition(", ")[::2])) for case in extremes]
+    labels = [
+        "\n".join(filter(None, case.condition.rpartition(SEPARATOR)[::2])) for case in extremes
+    ]
     return _tiles([read_case_view(case) for case in extremes], labels, by_error=True)
 
 
