@@ -552,11 +552,13 @@ for _name, _settings in GAP_SETS.items():
 # --- docs/benchmarks.md -------------------------------------------------------------------------
 
 LARGE = {
+    ("tower", 300): ("goal_height: 94.0", "goal_height: 113.0, force_threshold: 35.0", 17),
     ("tower", 1_000): ("goal_height: 140.0", "goal_height: 206.0, force_threshold: 63.0", 32),
     ("tower", 3_000): ("goal_height: 202.0", "goal_height: 356.0, force_threshold: 110.0", 55),
     ("tower", 10_000): ("goal_height: 302.0", "goal_height: 650.0, force_threshold: 200.0", 100),
+    ("cantilever", 300): ("goal_reach: 65.0", "goal_reach: 78.0, force_threshold: 35.0", 17),
     ("cantilever", 1_500): ("goal_reach: 110.0", "goal_reach: 174.0, force_threshold: 77.0", 39),
-    ("cantilever", 3_000): ("", "goal_reach: 246.0, force_threshold: 110.0", 55),
+    ("cantilever", 3_000): ("goal_reach: 140.0", "goal_reach: 246.0, force_threshold: 110.0", 55),
     ("bridge", 1_000): ("gap: 80.0", "", 0),
     ("bridge", 1_500): ("", "gap: 100.0, force_threshold: 77.0", 39),
 }
@@ -565,34 +567,40 @@ LARGE = {
 LARGE_SIZES = {"tower": "height_R", "cantilever": "reach_R", "bridge": "crossed"}
 """What structures of the scenario large-structures reach."""
 
+LARGE_SHARES = {"tower": "above_crowd", "cantilever": "beyond_edge", "bridge": "beyond_edge"}
+"""The share of their robots that are beyond the crowd at their foot."""
+
+
+def large_point(kind: str, robots: int, *, by_law: bool) -> str:
+    """Return the point of a structure of the scenario large-structures; empty if it has none."""
+    default, law, patience = LARGE[kind, robots]
+    settings = f"{law}, climb: {{patience: {patience}}}" if by_law and law else default
+    return f"structure={{kind: {kind}, {settings}}}" if (law if by_law else default) else ""
+
+
+def of_large(results: Results, point: str, measure: str) -> Result:
+    """Return a result of the scenario large-structures."""
+    return results.of("large-structures", "baseline", point, measure, OLDER_EPYC)
+
 
 @statement("large-structures")
 def _large_structures(results: Results) -> str:
     rows = []
-    for (kind, robots), (default, law, patience) in LARGE.items():
-        for settings, rule in ((default, "defaults"), (law, "law")):
-            if not settings:
+    for kind, robots in LARGE:
+        for by_law in (False, True):
+            point = large_point(kind, robots, by_law=by_law)
+            if not point:
                 continue
-            climb = f", climb: {{patience: {patience}}}" if rule == "law" else ""
-            point = f"structure={{kind: {kind}, {settings}{climb}}}"
-
-            columns = ("large-structures", "baseline", point)
-            if not results.kinds(*columns, LARGE_SIZES[kind]):
-                continue
-
-            def of(measure: str, at: tuple[str, str, str] = columns) -> Result:
-                return results.of(*at, measure, OLDER_EPYC)
-
-            reached = of(LARGE_SIZES[kind])
-            share = of("above_crowd" if kind == "tower" else "beyond_edge")
+            reached = of_large(results, point, LARGE_SIZES[kind])
+            share = of_large(results, point, LARGE_SHARES[kind])
             rows.append(
                 [
                     f"{kind}, {robots:,}",
-                    rule,
+                    "law" if by_law else "defaults",
                     f"{count(reached)} closed" if kind == "bridge" else f"{reached.mean:.0f} R",
                     percent(share.mean),
-                    fixed(of("tries_per_robot").mean, 0),
-                    f"{of('peak_stress').mean:,.0f}",
+                    fixed(of_large(results, point, "tries_per_robot").mean, 0),
+                    f"{of_large(results, point, 'peak_stress').mean:,.0f}",
                     str(reached.structures),
                 ]
             )
@@ -634,9 +642,11 @@ def built(results: Results, structures: str, by: str, measure: str, kind: str = 
     return results.of(*_built_columns(structures, by, measure), kind)
 
 
-def built_patiently(results: Results, by: str, measure: str) -> Result:
-    """Return a result of bridges over 30 R at the patience of the search."""
-    columns = _built_columns("bridges over 30 R", by, measure, DESIGNED_PATIENCE)
+def built_patiently(
+    results: Results, by: str, measure: str, structures: str = "bridges over 30 R"
+) -> Result:
+    """Return a result of the scenario closed-loop at the patience of the search."""
+    columns = _built_columns(structures, by, measure, DESIGNED_PATIENCE)
     return results.of(*columns, OLDER_EPYC)
 
 
@@ -691,6 +701,23 @@ def _closed_loop_patience(results: Results) -> str:
         rows.append(row)
     header = ["robots go by", "closed, patience 3", f"patience {DESIGNED_PATIENCE}", "p of the two"]
     return table([*header, "tries of a robot", "failed flips for each one taken"], rows)
+
+
+@statement("closed-loop-patient-sizes")
+def _closed_loop_patient_sizes(results: Results) -> str:
+    """Tabulate the sizes of structures at the patience of the search, beside the default."""
+    rows = []
+    for by in NAVIGATION:
+        row = [by]
+        for structures, measure in (("towers", "height_R"), ("cantilevers", "reach_R")):
+            row += [
+                interval(built(results, structures, by, measure), 1),
+                interval(built_patiently(results, by, measure, structures), 1),
+            ]
+        rows.append(row)
+    patience = f"patience {DESIGNED_PATIENCE}"
+    sizes = ["height of towers [R], patience 3", patience, "reach of cantilevers [R], patience 3"]
+    return table(["robots go by", *sizes, f"{patience} "], rows)
 
 
 PATIENCE_BUILT = {
@@ -1003,6 +1030,20 @@ POSE_CHANNELS = {
 }
 """Conditions of `algorithm-1` in the scenario channels."""
 
+PROTOCOLS = {
+    "all three known": "known",
+    "learned ways": "learned",
+    "timers of 64 rounds": "timer-64",
+    "timers of 16 rounds": "timer-16",
+    "timers of 4 rounds": "timer-4",
+    "joins 10 rounds apart": "joins-10",
+    "joins 1 round apart": "joins-1",
+    "learned ways, timers of 64 rounds, joins 10 rounds apart": "without",
+    "all three known, 30 % lost": "known-loss-30",
+    "none of the three, 30 % lost": "without-loss-30",
+}
+"""Conditions of the scenario protocol, by what pages call them."""
+
 ROBOTS_SEND = ["a robot sends [kB]", "worst robot [kB]"]
 
 
@@ -1013,9 +1054,11 @@ def between(
     return results.of("between", condition, f"structure.kind={structure}", measure, kind)
 
 
-def of_channel(results: Results, condition: str, measure: str) -> Result:
-    """Return a result of the scenario channels."""
-    return results.of("channels", condition, "", measure, OLDER_EPYC)
+def of_channel(
+    results: Results, condition: str, measure: str, scenario: str = "channels"
+) -> Result:
+    """Return a result of the scenario channels, or of another one without a sweep."""
+    return results.of(scenario, condition, "", measure, OLDER_EPYC)
 
 
 @statement("between")
@@ -1087,6 +1130,26 @@ def _losses(results: Results) -> str:
 def _channels(results: Results) -> str:
     rows = [_channel_row(results, *item, decimals=2) for item in CHANNELS.items()]
     return table(["channel", "RMSE [R]", *ROBOTS_SEND, "rounds"], rows)
+
+
+@statement("protocol")
+def _protocol(results: Results) -> str:
+    rows = []
+    for label, condition in PROTOCOLS.items():
+        columns = results, condition
+        rows.append(
+            [
+                label,
+                interval(of_channel(*columns, "rmse_R", "protocol"), 2),
+                *(
+                    kilobytes(of_channel(*columns, measure, "protocol"))
+                    for measure in ("sent_B", "worst_sent_B", "worst_memory_B")
+                ),
+                tens(of_channel(*columns, "rounds", "protocol")),
+            ]
+        )
+    header = ["robots have", "RMSE [R]", *ROBOTS_SEND, "stored by the fullest [kB]", "rounds"]
+    return table(header, rows)
 
 
 @statement("pose-channels")

@@ -27,6 +27,7 @@ CONTENTS = [
     messages.Child([0]),
     messages.Left([1, 4], [2, 300]),
     messages.ReviewWalk([0], 4000, 7),
+    messages.ReturnedWalk([0], 4000, 7),
     messages.Walking([0]),
     messages.Branch([6], b"shift"),
     messages.Shift([6, 7], b"shift"),
@@ -114,6 +115,7 @@ def test_a_robot_passes_the_shift_of_a_body_on_once(towers):
     robot = grown(observe(towers[0], NOISY), QUICK, 6).robots[2]
     robot.parent = 0
     robot.children = {4, 5}
+    robot.bodies = {3}
     shift = write_shift(JointShift(1, np.ones(3), body=3, joined=0, sd=0.1), QUICK.bits)
 
     for parent in (0, 1, 0):
@@ -121,3 +123,15 @@ def test_a_robot_passes_the_shift_of_a_body_on_once(towers):
 
     passed_on = [message for message in robot.outbox if message.kind == "shift"]
     assert [{*message.parts} for message in passed_on] == [{4, 5}]
+
+
+def test_a_shift_of_another_body_ends_at_a_robot(towers):
+    """It would go around in a body that does not move, and change what hangs on whom."""
+    robot = grown(observe(towers[0], NOISY), QUICK, 6).robots[2]
+    before = robot.parent, {*robot.children}
+    shift = write_shift(JointShift(1, np.ones(3), body=3, joined=0, sd=0.1), QUICK.bits)
+
+    robot.hear(messages.Shift([2], shift).message(5))
+
+    assert not robot.outbox
+    assert (robot.parent, robot.children) == before

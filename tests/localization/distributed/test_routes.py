@@ -15,6 +15,8 @@ from tiswarm.localization.distributed.routes import ROUTE
 from tiswarm.localization.distributed.settings import DistributedParams
 from tiswarm.localization.methods import localize_many
 from tiswarm.sensing import observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import BridgeParams, CantileverParams, TowerParams
 
 QUICK = {"chains": 0}
 
@@ -181,6 +183,42 @@ def test_all_three_together_end(log, timer, join_rounds, loss):
     (estimate,) = localize_many([log], [params])
 
     assert np.isfinite(estimate.position).all()
+
+
+@pytest.fixture(scope="module")
+def many_logs():
+    """Noisy logs of towers, cantilevers, and bridges whose sides meet."""
+    kinds = (TowerParams(), CantileverParams(), BridgeParams(gap=20.0))
+    return [
+        observe(history, NOISY)
+        for kind in kinds
+        for history in grow(kind, robots=30, seeds=range(1000, 1003))
+    ]
+
+
+@pytest.mark.trial
+@settings(max_examples=60, deadline=None)
+@given(
+    number=st.integers(0, 8),
+    given_settings=st.fixed_dictionaries({
+        "routes": st.sampled_from(["known", "learned"]),
+        "timer": st.sampled_from([None, 1, 8, 60]),
+        "join_rounds": st.sampled_from([None, 1, 3, 10, 30]),
+        "loss": st.sampled_from([0.0, 0.1, 0.6]),
+        "retries": st.sampled_from([0, 5]),
+        "solver": st.sampled_from(["keeper", "base", "joiner"]),
+        "reviews": st.integers(0, 3),
+    }),
+)  # fmt: skip
+def test_no_order_of_messages_goes_on_without_end(many_logs, number, given_settings):
+    """Walks and shifts went around, where bodies join that touch each other already."""
+    params = DistributedParams(**given_settings, **QUICK)
+
+    (estimate,) = localize_many([many_logs[number]], [params])
+
+    assert np.isfinite(estimate.position).all()
+    # Every message of a join and of its reviews is heard by few: none goes around.
+    assert estimate.traffic["messages"].sum() < 100_000
 
 
 def test_robots_that_join_at_once_take_fewer_rounds(log):

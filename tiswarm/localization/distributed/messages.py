@@ -280,10 +280,8 @@ class Place(Content):
 
 
 @dataclass(frozen=True)
-class ReviewWalk(Content):
-    """A walk of a review comes to a robot that hangs on the sender, or returns to its parent."""
-
-    kind = "walk"
+class _Walk(Content):
+    """A walk of a review."""
 
     count: int
     """Robots that the walk has come to."""
@@ -300,6 +298,20 @@ class ReviewWalk(Content):
     def read(cls, message: Message) -> Self:
         """Read what a message says."""
         return cls(message.parts.keys(), *wire.read_walk(message.common))
+
+
+@dataclass(frozen=True)
+class ReviewWalk(_Walk):
+    """A walk of a review comes to a robot that hangs on the sender."""
+
+    kind = "walk"
+
+
+@dataclass(frozen=True)
+class ReturnedWalk(_Walk):
+    """A walk of a review returns to the robot that it came from."""
+
+    kind = "return"
 
 
 @dataclass(frozen=True)
@@ -389,6 +401,7 @@ KINDS: dict[str, type[Content]] = {
         Moved,
         Child,
         ReviewWalk,
+        ReturnedWalk,
         Walking,
         Branch,
         Shift,

@@ -49,6 +49,7 @@ from tiswarm.localization.distributed.messages import (
     Lost,
     Moved,
     Place,
+    ReturnedWalk,
     ReviewWalk,
     Shift,
     Task,
@@ -271,24 +272,27 @@ def _hear_child(robot: Peer, sender: int, _: Child) -> None:
 
 
 def _hear_walk(robot: Peer, sender: int, walk: ReviewWalk) -> None:
-    """Take in a walk that comes or returns; repeat its return where it was not heard.
+    """Take in a walk that comes; repeat its return where that was not heard.
 
-    What is left of a walk before the last one came late, and its robots have gone on without it.
+    What is left of an earlier walk came late: its robots have gone on without it. A walk that comes
+    again, or from a second robot, returns at once.
     """
-    if robot.walk.number >= 0 and wire.is_earlier(walk.number, robot.walk.number):
-        return
-    if walk.number != robot.walk.number:
+    walked = robot.walk.number
+    if walked < 0 or wire.is_earlier(walked, walk.number):
         robot.hang_on(sender)
         if robot.record.body > 0:
             robot.say(Lost([sender]))
-        robot.tasks.start(tasks.take_walk(robot, walk.count, walk.number))
-    elif sender == robot.tasks.visited:
+        robot.tasks.start(tasks.take_walk(robot, walk.count, walk.number, sender))
+    elif walk.number == walked and sender == robot.walk.came_from and robot.is_on_walk:
+        robot.say(Walking([sender]))
+    elif walk.number == walked:
+        robot.say(ReturnedWalk([sender], robot.walk.count, walked))
+
+
+def _hear_return(robot: Peer, sender: int, walk: ReturnedWalk) -> None:
+    """Go on with a walk that returns; nobody answers one that comes late."""
+    if walk.number == robot.walk.number and sender == robot.tasks.visited:
         robot.tasks.wake(Return, Heard(sender, walk))
-    elif sender == robot.parent:
-        if robot.tasks.answers is not None or robot.tasks.visited is not None:
-            robot.say(Walking([sender]))
-        else:
-            robot.say(ReviewWalk([sender], robot.walk.count, robot.walk.number))
 
 
 def _hear_walking(robot: Peer, sender: int, _: Walking) -> None:
@@ -305,12 +309,14 @@ def _hear_branch(robot: Peer, _: int, branch: Branch) -> None:
 def _hear_shift(robot: Peer, sender: int, shift: Shift) -> None:
     """Move with the robot that this one hangs on."""
     joint = wire.read_shift(shift.shift, robot.program.params.bits)
+    # After losses, or where several join at once, ways from robot to robot may lead back, or to
+    # another body, and the shift would go around without end. Who missed it asks for it as a walk
+    # comes.
+    if shift.shift in robot.shifts or (joint.body and not robot.was_in(joint.body)):
+        return
+    robot.shifts.add(shift.shift)
     robot.hang_on(sender)
     if joint.body:
-        if robot.joined == shift.shift:
-            # After losses two robots may each take the other for its child: the shift would go back
-            # and forth between them without end. Who missed it asks for it as a walk comes.
-            return
         robot.joined = shift.shift
         robot.memory.join_body(robot.number, joint)
         robot.warn(robot.number)
@@ -347,6 +353,7 @@ _HANDLERS: dict[type[Content], Callable[[Peer, int, Any], Content | None]] = {
     Moved: _hear_moved,
     Child: _hear_child,
     ReviewWalk: _hear_walk,
+    ReturnedWalk: _hear_return,
     Walking: _hear_walking,
     Branch: _hear_branch,
     Shift: _hear_shift,

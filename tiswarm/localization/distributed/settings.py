@@ -122,7 +122,7 @@ class DistributedParams(ChiSquareParams, SendsPlugins):
     if null it does so exactly when no answer can come any more."""
 
     join_rounds: Annotated[int | None, Field(ge=1, le=1_000_000), UNLESS_SET] = None
-    """Rounds from one join to the next, whatever is under way by then [1]; if null a robot joins
+    """Rounds from one join to the next, even with messages under way [1]; if null a robot joins
     when all messages of the last join have ended."""
 
     bits: Annotated[int, Field(ge=8, le=32)] | None = 16

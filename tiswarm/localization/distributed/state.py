@@ -19,6 +19,9 @@ class WalkState:
     number: int = -1
     """Number of the walk; -1 before the first one."""
 
+    came_from: int | None = None
+    """Robot that it came from, to which it returns; None at the anchor."""
+
     entered: int = 0
     """Robots that it had come to as it came here."""
 
@@ -54,6 +57,10 @@ class PeerState:
         self.walk = WalkState()
         self.joined = b""
         """The shift by which its body joined another one, as it was sent."""
+        self.shifts: set[bytes] = set()
+        """Shifts that it has heard since a walk last came, as they were sent."""
+        self.bodies: set[int] = set()
+        """Bodies in which it has had a place."""
 
         self.keepers: dict[int, int] = {}
         """Robots that moved this one, and contacts to them."""
@@ -96,7 +103,12 @@ class PeerState:
         """Take in where a robot is; this one waits for its place no more."""
         self.memory.hold_result(number, packed)
         if number == self.number:
+            self.bodies.add(self.record.body)
             self.tasks.wake(WhenPlaced, None)
+
+    def was_in(self, body: int) -> bool:
+        """Return whether the robot has had a place in a body, or has none in any."""
+        return body in self.bodies or self.place is None
 
     def follow(self, keeper: int, contacts: int) -> None:
         """Take note of a robot that moved this one, and let others that hold it know."""
@@ -136,12 +148,20 @@ class PeerState:
         self.lose(robots)
         self.say(Left(receivers, robots))
 
+    @property
+    def is_on_walk(self) -> bool:
+        """Whether a walk that came here has not returned yet."""
+        return self.tasks.answers is not None or self.tasks.visited is not None
+
     def hang_on(self, parent: int) -> None:
-        """Hang on a robot; what this one hung on before hangs on it then, as its body joined."""
-        if parent == self.parent:
+        """Hang on a robot; what this one hung on before hangs on it then, as its body joined.
+
+        The first robot of a body hung on none of that body, and the anchor hangs on nobody.
+        """
+        if self.number == 0 or parent == self.parent:
             return
         self.children.discard(parent)
-        if self.parent is not None:
+        if self.parent is not None and self.record.body != self.number:
             self.children.add(self.parent)
         self.parent = parent
 

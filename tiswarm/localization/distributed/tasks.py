@@ -13,7 +13,14 @@ What has no answer is repeated, and after `retries` times a task goes on without
 from collections.abc import Collection, Generator
 
 from tiswarm.localization.distributed import wire
-from tiswarm.localization.distributed.messages import Answer, Ask, Child, Join, ReviewWalk
+from tiswarm.localization.distributed.messages import (
+    Answer,
+    Ask,
+    Child,
+    Join,
+    ReturnedWalk,
+    ReviewWalk,
+)
 from tiswarm.localization.distributed.solving import (
     place_itself_again,
     place_joiner,
@@ -70,7 +77,7 @@ def review(robot: PeerState) -> Task:
     relax_near(robot, near)
 
 
-def take_walk(robot: PeerState, count: int, number: int) -> Task:
+def take_walk(robot: PeerState, count: int, number: int, came_from: int | None = None) -> Task:
     """Take in a walk that comes to this robot, let it visit what hangs on it, and send it back.
 
     The first walk of a review lets robots learn what hangs on them, and robots that are alone solve
@@ -81,10 +88,13 @@ def take_walk(robot: PeerState, count: int, number: int) -> Task:
         robot: The robot.
         count: Robots that the walk has come to before.
         number: Number of the walk; even ones are the first of a review.
+        came_from: Robot that it came from; None at the anchor, where it begins.
     """
     robot.tasks.drop(Return)
     walk = robot.walk
     walk.number = number % wire.WALKS
+    walk.came_from = came_from
+    robot.shifts.clear()
     walk.entered = count
     walk.unvisited = sorted(robot.children)
     count += 1
@@ -99,8 +109,8 @@ def take_walk(robot: PeerState, count: int, number: int) -> Task:
         _walk_on(robot, count)
     robot.tasks.drop(Return)
     robot.record.span = walk.entered, count
-    if robot.parent is not None:
-        robot.say(ReviewWalk([robot.parent], count, walk.number))
+    if walk.came_from is not None:
+        robot.say(ReturnedWalk([walk.came_from], count, walk.number))
     elif walk.number % 2 == 0:
         yield from take_walk(robot, 0, walk.number + 1)
 
@@ -120,7 +130,7 @@ def _visit(robot: PeerState, child: int) -> Generator[Wait, Event, int]:
     while True:
         robot.say(ReviewWalk([child], robot.walk.count, robot.walk.number))
         event = yield Return(child)
-        if isinstance(event, Heard) and isinstance(event.content, ReviewWalk):
+        if isinstance(event, Heard) and isinstance(event.content, ReturnedWalk):
             return event.content.count
         if isinstance(event, Timeout) and event.is_last:
             return robot.walk.count

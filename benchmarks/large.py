@@ -1,0 +1,80 @@
+"""Draws size, share beyond the crowd, and peak stress of large structures against N.
+
+    tiswarm run scenarios/large-structures.yaml --no-pictures
+    python -m benchmarks.results reports/large-structures-* --write
+    python -m benchmarks.large
+
+The figure is of `docs/results.csv`: the scenario large-structures, by its law and by the defaults.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks import result_texts, statements
+from benchmarks.results import read_results
+from tiswarm.report.figure_style import PAGE_WIDTH, STYLE, label_plainly, new_figure, png
+
+FILE = Path("docs/images/large-structures.png")
+
+_LOOKS = {
+    ("tower", True): ("#0072B2", "o", "-", "tower by the law"),
+    ("tower", False): ("#0072B2", "o", "--", "heap by the defaults, tower's goal"),
+    ("cantilever", True): ("#D55E00", "s", "-", "cantilever by the law"),
+    ("cantilever", False): ("#D55E00", "s", "--", "heap by the defaults, cantilever's goal"),
+}
+"""Color, marker, line and name of each series, by kind and whether it is of the law."""
+
+
+def draw(results: result_texts.Results) -> bytes:
+    """Draw three panels against the number of robots, and return a PNG."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        figure = new_figure(PAGE_WIDTH, 2.9)
+        sizes, shares, peaks = figure.subplots(1, 3)
+        for (kind, by_law), (color, marker, line, name) in _LOOKS.items():
+            points = {
+                robots: point
+                for of_kind, robots in statements.LARGE
+                if of_kind == kind
+                and (point := statements.large_point(kind, robots, by_law=by_law))
+            }
+            for axes, measure, factor in (
+                (sizes, statements.LARGE_SIZES[kind], 1.0),
+                (shares, statements.LARGE_SHARES[kind], 100.0),
+                (peaks, "peak_stress", 1.0),
+            ):
+                means = [statements.of_large(results, p, measure).mean for p in points.values()]
+                axes.plot(
+                    [*points], [factor * mean for mean in means],
+                    color=color, marker=marker, linestyle=line, markersize=4.0, label=name,
+                    markerfacecolor=color if by_law else "white",
+                )  # fmt: skip
+        sizes.set(xscale="log", yscale="log", ylabel="Height, or reach beyond the edge [R]")
+        shares.set(xscale="log", ylim=(0.0, 100.0), ylabel="Robots beyond the crowd [%]")
+        peaks.set(xscale="log", yscale="log", ylabel="Peak stress of a dock [W / R²]")
+        for axes in (sizes, shares, peaks):
+            axes.set_xlabel("Robots N")
+            axes.set_xticks([300, 1_000, 3_000, 10_000], ["300", "1,000", "3,000", "10,000"])
+            axes.minorticks_off()
+        label_plainly(sizes.yaxis)
+        figure.legend(*sizes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        return png(figure)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Draw the figure; return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.large",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--out", type=Path, default=FILE, help="its file")
+    options = parser.parse_args(arguments)
+    options.out.write_bytes(draw(result_texts.Results(read_results())))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
