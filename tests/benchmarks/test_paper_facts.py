@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import paper_facts, paper_sentences, results
 from benchmarks.result_texts import Results
+from benchmarks.statements import STATEMENTS
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.base.progress import Progress
@@ -116,3 +117,20 @@ def test_a_verdict_by_the_own_axis_stands_where_the_start_without_z_matters():
 
     assert upward
     assert not own_axis
+
+
+def test_counts_follow_from_the_table_of_sentences():
+    """A verdict by the own axis is that of the upward start where the cell is empty."""
+    results_of_file = Results(results.read_results())
+    header, _, *rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in STATEMENTS["paper-sentences"](results_of_file).splitlines()
+    ]
+    upward = [row[header.index("here")] for row in rows]
+    own_axis = [row[header.index("own axis")] or row[header.index("here")] for row in rows]
+
+    last = STATEMENTS["paper-counts"](results_of_file).splitlines()[-1]
+
+    names = ("holds", "depends", "does not hold")
+    counts = [str(verdicts.count(name)) for verdicts in (upward, own_axis) for name in names]
+    assert last == f"| sentences | {' | '.join(counts)} |"
