@@ -12,18 +12,31 @@ from typing import Literal, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr, wilcoxon
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.evaluation import metrics
+from tiswarm.evaluation.tables import DOCK_DIAMETER
 from tiswarm.report.run_data import load_run
 from tiswarm.world.params import ClimbParams
 
 SCENARIO = "paper"
 """Name of the scenario."""
+
+ALL, NO_Z, NEITHER = "all-cues", "no-z", "no-z-no-undock"
+"""Conditions of the paper's table."""
+
+OWN_AXIS = "own-axis-"
+"""Start of the names of conditions in which robots without Z start along their own z axis."""
+
+_BEFORE = {
+    NO_Z: ALL,
+    NEITHER: NO_Z,
+    OWN_AXIS + NO_Z: ALL,
+    OWN_AXIS + NEITHER: OWN_AXIS + NO_Z,
+}
+"""The condition with one cue more, by condition."""
 
 NEAR = 0.5
 """Gap up to which docks that do not touch count as near [R]."""
@@ -32,10 +45,7 @@ _TOUCHING = ClimbParams().contact_gap
 """Gap up to which docks touch [R]."""
 
 _EARLY = 10
-"""Largest join index of the robots that the paper calls early."""
-
-_TILT_DEG = 10.0
-"""Inclination of a tower in the paper's example of the disparity."""
+"""Number of the robots that the paper calls early, the anchor among them."""
 
 _CLOSE = 1.1
 """Multiple of the last RMSE from which on an estimate counts as settled."""
@@ -55,20 +65,9 @@ class Fact(NamedTuple):
 
 
 def _errors(robots: pd.DataFrame, *, early: bool) -> float:
-    """Return the mean error of robots up to the join index `_EARLY`, or of the later ones [R]."""
+    """Return the mean error of the first `_EARLY` robots but the anchor, or of the others [R]."""
     error = robots["error_R"].to_numpy(float)
-    return float(error[1 : _EARLY + 1].mean() if early else error[_EARLY + 1 :].mean())
-
-
-def _around_anchor(robots: pd.DataFrame, *, before: bool) -> float:
-    """Return the mean error of robots that joined before the first on the anchor, or not [R]."""
-    later = robots["hops_from_anchor"].iloc[1:] == 1
-    if not later.any():
-        return np.nan
-    first = int(later.to_numpy().argmax()) + 1
-    error = robots["error_R"].to_numpy(float)
-    part = error[1:first] if before else error[first:]
-    return float(part.mean()) if len(part) else np.nan
+    return float(error[1:_EARLY].mean() if early else error[_EARLY:].mean())
 
 
 def _correlation(robots: pd.DataFrame, column: str) -> float:
@@ -84,11 +83,34 @@ def near_docks(place: Reals, wxyz: Reals, robot: RobotGeometry) -> float:
         wxyz: Their orientations, body to world, shape (N, 4).
         robot: Geometry of a robot.
     """
-    arms = dock_offsets(wxyz, robot.dock_offset_body)
-    center = (place[:, None] + arms).reshape(-1, 3)
-    pair = cKDTree(center).query_pairs(2.0 + NEAR, output_type="ndarray")
+    return _apart(place, place, dock_offsets(wxyz, robot.dock_offset_body), DOCK_DIAMETER + NEAR)
+
+
+def collapsed_docks(place: Reals, estimate: Reals, wxyz: Reals, robot: RobotGeometry) -> float:
+    """Count pairs of docks per robot that do not touch, but overlap by `NEAR` in the estimate.
+
+    Args:
+        place: Centers of N robots [R], shape (N, 3).
+        estimate: Their estimates [R], shape (N, 3).
+        wxyz: Their orientations, body to world, shape (N, 4).
+        robot: Geometry of a robot.
+    """
+    return _apart(place, estimate, dock_offsets(wxyz, robot.dock_offset_body), DOCK_DIAMETER - NEAR)
+
+
+def _apart(place: Reals, estimate: Reals, arms: Reals, distance: float) -> float:
+    """Count pairs of docks per robot that do not touch, but are near by the estimate.
+
+    Args:
+        place: Centers of N robots [R], shape (N, 3).
+        estimate: Their estimates [R], shape (N, 3).
+        arms: Offsets of their n docks in the world [R], shape (N, n, 3).
+        distance: Distance below which the estimated docks are near [R].
+    """
+    docks, estimated = ((center[:, None] + arms).reshape(-1, 3) for center in (place, estimate))
+    pair = cKDTree(estimated).query_pairs(distance, output_type="ndarray")
     first, second = (pair // arms.shape[1]).T
-    gap = np.linalg.norm(center[pair[:, 0]] - center[pair[:, 1]], axis=1) - 2.0
+    gap = np.linalg.norm(docks[pair[:, 0]] - docks[pair[:, 1]], axis=1) - DOCK_DIAMETER
     return np.count_nonzero((first != second) & (gap > _TOUCHING)) / len(place)
 
 
@@ -105,25 +127,27 @@ def narrows(height: Reals) -> bool:
 
 
 def _near_docks(robots: pd.DataFrame) -> float:
-    place = robots[["x_R", "y_R", "z_R"]].to_numpy(float)
-    return near_docks(place, robots[["qw", "qx", "qy", "qz"]].to_numpy(float), RobotGeometry())
+    return near_docks(*_poses(robots), RobotGeometry())
 
 
-def tilted_rmse(robots: pd.DataFrame) -> float:
-    """Return the RMSE of a structure that leans by `_TILT_DEG` about its anchor [R]."""
+def _collapsed_docks(robots: pd.DataFrame) -> float:
+    place, wxyz = _poses(robots)
+    estimate = robots[["x_est_R", "y_est_R", "z_est_R"]].to_numpy(float)
+    return collapsed_docks(place, estimate, wxyz, RobotGeometry())
+
+
+def _poses(robots: pd.DataFrame) -> tuple[Reals, Reals]:
+    """Return centers [R], shape (N, 3), and orientations, body to world, shape (N, 4)."""
     place = robots[["x_R", "y_R", "z_R"]].to_numpy(float)
-    lean = Rotation.from_euler("x", _TILT_DEG, degrees=True)
-    return float(metrics.rmse(place[0] + lean.apply(place - place[0]), place))
+    return place, robots[["qw", "qx", "qy", "qz"]].to_numpy(float)
 
 
 OF_ROBOTS = {
     "near_docks": Fact("1", _near_docks),
+    "collapsed_docks": Fact("1", _collapsed_docks),
     "narrows": Fact("1", lambda robots: float(narrows(robots["z_R"].to_numpy(float)))),
-    "tilted_rmse_R": Fact("R", tilted_rmse),
     "early_error_R": Fact("R", lambda robots: _errors(robots, early=True)),
     "late_error_R": Fact("R", lambda robots: _errors(robots, early=False)),
-    "before_anchor_error_R": Fact("R", lambda robots: _around_anchor(robots, before=True)),
-    "from_anchor_error_R": Fact("R", lambda robots: _around_anchor(robots, before=False)),
     "join_correlation": Fact("1", lambda robots: _correlation(robots, "robot")),
     "hops_correlation": Fact("1", lambda robots: _correlation(robots, "hops_from_anchor")),
 }
@@ -144,10 +168,7 @@ OF_STEPS = {
 }
 """Facts of `convergence.csv` of a case, by the name of the measure."""
 
-UNITS = {name: fact.unit for name, fact in (OF_ROBOTS | OF_STEPS).items()} | {
-    "both_at_once": "1",
-    "whole": "1",
-}
+UNITS = {name: fact.unit for name, fact in (OF_ROBOTS | OF_STEPS).items()} | {"both_at_once": "1"}
 """Units of the facts of cases."""
 
 
@@ -169,7 +190,6 @@ def with_facts(run: Path, cases: pd.DataFrame) -> pd.DataFrame:
         )
     facts = pd.DataFrame(rows, index=cases.index)
     facts["both_at_once"] = (cases["second_on_anchor"] == 2).astype(float)  # noqa: PLR2004 - robots 1, 2
-    facts["whole"] = (cases["joined"] == cases["robots"]).astype(float)
     return cases.join(facts)
 
 
@@ -180,13 +200,17 @@ def of_groups(run: Path, cases: pd.DataFrame) -> pd.DataFrame:
         A row each: condition, point, measure, value, unit. They are the least RMSE of a structure
         and its standard deviation over structures; standard deviations of the errors of all robots
         by third of the height; median and quartiles of the first robot on the anchor; and p of
-        Wilcoxon's signed-rank test of RMSE and disparity against the condition before.
+        Wilcoxon's signed-rank test of RMSE and disparity against the condition with one cue more
+        (`_p`), and against all cues (`_p_all`).
     """
     folders = {case.name: case.folder for case in load_run(run).cases}
     rows: list[tuple[str, str, str, float, str]] = []
     for point, at_point in cases.groupby("point", sort=False):
-        before = None
-        for condition, group in at_point.groupby("condition", sort=False):
+        conditions = {
+            str(condition): group.set_index("seed").sort_index()
+            for condition, group in at_point.groupby("condition", sort=False)
+        }
+        for condition, group in conditions.items():
             values = {
                 ("rmse_least_R", "R"): group["rmse_R"].min(),
                 ("rmse_sd_R", "R"): group["rmse_R"].std(),
@@ -196,14 +220,13 @@ def of_groups(run: Path, cases: pd.DataFrame) -> pd.DataFrame:
             }
             spread = _spreads([pd.read_csv(folders[n] / "robots.csv") for n in group["case"]])
             values |= {(f"error_sd_{third}_R", "R"): sd for third, sd in spread.items()}
-            by_seed = group.set_index("seed").sort_index()
-            if before is not None:
-                for measure in ("rmse_R", "procrustes_disparity"):
-                    change = (by_seed[measure] - before[measure]).dropna()
-                    values[f"{measure}_p", "1"] = wilcoxon(change).pvalue
-            before = by_seed
+            if condition in _BEFORE:
+                for end, reference in (("p", _BEFORE[condition]), ("p_all", ALL)):
+                    for measure in ("rmse_R", "procrustes_disparity"):
+                        change = (group[measure] - conditions[reference][measure]).dropna()
+                        values[f"{measure}_{end}", "1"] = wilcoxon(change).pvalue
             rows += [
-                (str(condition), str(point), name, float(value), unit)
+                (condition, str(point), name, float(value), unit)
                 for (name, unit), value in values.items()
             ]
     return pd.DataFrame(rows, columns=["condition", "point", "measure", "value", "unit"])

@@ -10,6 +10,9 @@ from scipy.stats import fisher_exact
 
 from tiswarm.base.errors import InputError
 
+BOTH = ("tower", "cantilever")
+"""Kinds of structures, in the order of the tables."""
+
 
 @dataclass(frozen=True)
 class Result:

@@ -4,14 +4,24 @@ Numbers that no row of the file has, such as p of a paired test, stand outside m
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 
 from benchmarks import paper_facts
-from benchmarks.paper_sentences import Facts, sentence_table, verdict_counts
+from benchmarks.paper_sentences import (
+    RADII,
+    VERDICTS,
+    Facts,
+    percents,
+    reproduces,
+    sentence_table,
+    sentence_verdicts,
+    verdict,
+)
 from benchmarks.result_texts import (
+    BOTH,
     Result,
     Results,
     count,
@@ -29,7 +39,6 @@ from benchmarks.result_texts import (
     three_digits,
 )
 from tiswarm.base.errors import InputError
-from tiswarm.base.robot import FIREANT_RHO
 from tiswarm.evaluation.paper import PAPER
 
 EPYC = "AMD EPYC family 26 model 2"
@@ -43,9 +52,6 @@ XEON = "Intel(R) Xeon(R) Processor family 6 model 167"
 
 PLAIN_EPYC = f"{EPYC}, libraries without AVX2 and FMA"
 """The same processor with other numerical libraries."""
-
-BOTH = ("tower", "cantilever")
-"""Kinds of structures, in the order of the tables."""
 
 Statement = Callable[[Results], str]
 """A function that composes the text of a mark."""
@@ -214,11 +220,17 @@ def _all_at_once_not_converged(results: Results) -> str:
 # --- docs/paper.md and docs/notes/anchor-gap.md -----------------------------------------------
 
 CUES = {
-    "all cues": "all-cues",
-    "no Z": "no-z",
-    "no Z, no undocked repulsion": "no-z-no-undock",
+    "all cues": paper_facts.ALL,
+    "no Z": paper_facts.NO_Z,
+    "neither": paper_facts.NEITHER,
 }
 """Conditions of the scenarios paper and paper-sets, in the order of the paper's table."""
+
+OWN_AXIS = {
+    cues: condition if condition == paper_facts.ALL else paper_facts.OWN_AXIS + condition
+    for cues, condition in CUES.items()
+}
+"""The same if robots without Z start along their own z axis, not upward."""
 
 PAPER_SETS = {
     "J = 1": (
@@ -269,19 +281,24 @@ class PaperSet:
     """Mean share of a cantilever's robots beyond the edge [1]."""
 
     @classmethod
-    def of(cls, results: Results, scenario: str, tower: str, cantilever: str) -> "PaperSet":
+    def of(
+        cls,
+        results: Results,
+        scenario: str,
+        settings: tuple[str, str],
+        cues: Mapping[str, str] = CUES,
+    ) -> "PaperSet":
         """Collect the results of a scenario for the settings of both kinds of structures."""
         processor = OLDER_EPYC if scenario == paper_facts.SCENARIO else EPYC
+        tower, cantilever = settings
 
-        def of(settings: str, condition: str, measure: str) -> Result:
-            return results.of(scenario, condition, f"structure={settings}", measure, processor)
-
-        settings = {"tower": tower, "cantilever": cantilever}
+        def of(structure: str, condition: str, measure: str) -> Result:
+            return results.of(scenario, condition, f"structure={structure}", measure, processor)
 
         def by_kind(measure: str) -> dict[str, list[Result]]:
             return {
-                kind: [of(text, condition, measure) for condition in CUES.values()]
-                for kind, text in settings.items()
+                kind: [of(structure, condition, measure) for condition in cues.values()]
+                for kind, structure in zip(BOTH, settings, strict=True)
             }
 
         return cls(
@@ -292,7 +309,7 @@ class PaperSet:
             beyond_edge=of(cantilever, "all-cues", "beyond_edge").mean,
         )
 
-    def rmse_ratios(self, kind: str, radius: float = FIREANT_RHO) -> list[float]:
+    def rmse_ratios(self, kind: str, radius: float) -> list[float]:
         """Divide each RMSE by that of the paper, whose "robot radius" is `radius` [R]."""
         published = [cell.rmse_radii for key, cell in PAPER.items() if key[0] == kind]
         pairs = zip(self.rmse[kind], published, strict=True)
@@ -304,7 +321,7 @@ class PaperSet:
         pairs = zip(self.disparity[kind], published, strict=True)
         return [result.mean / disparity for result, disparity in pairs]
 
-    def mean_factor(self, radius: float = FIREANT_RHO) -> float:
+    def mean_factor(self, radius: float) -> float:
         """Return exp(mean |ln ratio|) of the twelve ratios."""
         ratios = [
             ratio
@@ -314,59 +331,125 @@ class PaperSet:
         return math.exp(sum(abs(math.log(ratio)) for ratio in ratios) / len(ratios))
 
 
-RADII = {"rho": FIREANT_RHO, "R": 1.0}
-"""What the paper's "robot radius" may be [R]."""
-
-
-def paper_sets(results: Results) -> dict[str, PaperSet]:
+def paper_sets(results: Results, cues: Mapping[str, str] = CUES) -> dict[str, PaperSet]:
     """Collect the results of the three sets of the scenario paper."""
     return {
-        name: PaperSet.of(results, paper_facts.SCENARIO, *settings)
+        name: PaperSet.of(results, paper_facts.SCENARIO, settings, cues)
         for name, settings in PAPER_SETS.items()
     }
 
 
-def _paper_table(measure: str) -> Statement:
-    """Tabulate RMSE, or disparity, of the three sets beside the paper's."""
+def _paper_rows(
+    results: Results, row_of: Callable[[str, str, list[PaperSet], int], list[str]]
+) -> list[list[str]]:
+    """Write a row for each kind and condition; those without Z by both starts.
 
-    def compose(results: Results) -> str:
-        sets = paper_sets(results)
-        is_rmse = measure == "rmse"
-        rows: list[list[str]] = []
-        for kind in BOTH:
-            for n, cues in enumerate(CUES):
-                cell = [*PAPER.values()][len(rows)]
-                published = f"{cell.rmse_radii:.2f}" if is_rmse else f"{cell.disparity:.3f}"
-                row = [f"{kind}, {cues}", published]
-                for ours in sets.values():
-                    result = (ours.rmse if is_rmse else ours.disparity)[kind][n]
-                    row.append(interval(result, 2 if is_rmse else 3))
-                row += [
-                    span([ratios(ours)[n] for ours in sets.values()], 2)
-                    for ratios in _ratios_of(measure, kind)
-                ]
-                rows.append(row)
-        unit, to = (
-            (" [R]", ["ratio, radius = rho", "ratio, radius = R"]) if is_rmse else ("", ["ratio"])
-        )
-        return table(["", "paper", *(f"{name}{unit}" for name in sets), *to], rows)
-
-    return compose
+    Args:
+        results: Results.
+        row_of: Writes a row from kind, label, sets, and number of the condition.
+    """
+    upward, own_axis = ([*paper_sets(results, cues).values()] for cues in (CUES, OWN_AXIS))
+    rows = []
+    for kind in BOTH:
+        for n, (cues, condition) in enumerate(CUES.items()):
+            rows.append(row_of(kind, f"{kind}, {cues}", upward, n))
+            if condition != paper_facts.ALL:
+                rows.append(row_of(kind, f"{kind}, {cues}, own axis", own_axis, n))
+    return rows
 
 
-def _ratios_of(measure: str, kind: str) -> list[Callable[[PaperSet], list[float]]]:
-    """List functions that divide the results of a set by the paper's."""
-    if measure == "disparity":
-        return [lambda ours: ours.disparity_ratios(kind)]
+@statement("paper-rmse")
+def _paper_rmse(results: Results) -> str:
+    """Tabulate the RMSE of the three sets beside the paper's."""
 
-    def by(radius: float) -> Callable[[PaperSet], list[float]]:
-        return lambda ours: ours.rmse_ratios(kind, radius)
+    def row_of(kind: str, label: str, sets: list[PaperSet], n: int) -> list[str]:
+        ratios = [[ours.rmse_ratios(kind, radius)[n] for ours in sets] for radius in RADII.values()]
+        published = [cell.rmse_radii for key, cell in PAPER.items() if key[0] == kind][n]
+        means = [interval(ours.rmse[kind][n], 2) for ours in sets]
+        return [label, fixed(published, 2), *means, *map(_judged, ratios)]
 
-    return [by(radius) for radius in RADII.values()]
+    sets = [f"{name} [R]" for name in PAPER_SETS]
+    by = [f"ratio by {radius}" for radius in RADII]
+    return table(["", "paper", *sets, *by], _paper_rows(results, row_of))
 
 
-for _measure in ("rmse", "disparity"):
-    statement(f"paper-{_measure}")(_paper_table(_measure))
+@statement("paper-disparity")
+def _paper_disparity(results: Results) -> str:
+    """Tabulate the disparity of the three sets beside the paper's."""
+
+    def row_of(kind: str, label: str, sets: list[PaperSet], n: int) -> list[str]:
+        ratios = [ours.disparity_ratios(kind)[n] for ours in sets]
+        published = [cell.disparity for key, cell in PAPER.items() if key[0] == kind][n]
+        means = [interval(ours.disparity[kind][n], 3) for ours in sets]
+        return [label, fixed(published, 3), *means, _judged(ratios)]
+
+    return table(["", "paper", *PAPER_SETS, "ratio"], _paper_rows(results, row_of))
+
+
+def _judged(ratios: Sequence[float]) -> str:
+    """Write the span of ratios, and whether they reproduce a number of the paper."""
+    return f"{span(ratios, 2)}, {verdict([reproduces(ratio) for ratio in ratios])}"
+
+
+@statement("paper-counts")
+def _paper_counts(results: Results) -> str:
+    """Count the numbers of the paper's table, and its sentences, by verdict and start without Z."""
+    starts = ((CUES, False), (OWN_AXIS, True))
+    rows = []
+    for radius, length in RADII.items():
+        row = [f"RMSE by {radius}"]
+        for cues, _ in starts:
+            row += _counts(_verdicts(results, cues, lambda o, k, r=length: o.rmse_ratios(k, r)))
+        rows.append(row)
+    disparity = ["d"]
+    sentences = ["sentences"]
+    for cues, own_axis in starts:
+        disparity += _counts(_verdicts(results, cues, PaperSet.disparity_ratios))
+        sentences += _counts(sentence_verdicts(paper_facts_of(results), own_axis=own_axis))
+    header = [f"{name}{axis}" for axis in ("", ", own axis") for name in VERDICTS]
+    return table(["", *header], [*rows, disparity, sentences])
+
+
+def _verdicts(
+    results: Results, cues: Mapping[str, str], ratios: Callable[[PaperSet, str], list[float]]
+) -> list[str]:
+    """Judge the six numbers of a column of the paper's table."""
+    sets = paper_sets(results, cues).values()
+    return [
+        verdict([reproduces(ratio) for ratio in of_number])
+        for kind in BOTH
+        for of_number in zip(*(ratios(ours, kind) for ours in sets), strict=True)
+    ]
+
+
+def _counts(verdicts: Sequence[str]) -> list[str]:
+    """Count each of `VERDICTS`."""
+    return [str(verdicts.count(name)) for name in VERDICTS]
+
+
+@statement("paper-ratios")
+def _paper_ratios(results: Results) -> str:
+    """Tabulate the ratios of all sets, the least and the greatest of their conditions."""
+    upward, own_axis = ([*paper_sets(results, cues).values()] for cues in (CUES, OWN_AXIS))
+    rows = {"the three sets": upward, "the three sets, own axis": own_axis} | {
+        name: [PaperSet.of(results, "paper-sets", settings)]
+        for name, settings in OTHER_SETS.items()
+    }
+    cells = [
+        [
+            label,
+            f"{span([100.0 * ours.beyond_edge for ours in sets], 0)} %",
+            *(
+                span([x for ours in sets for x in ours.rmse_ratios(kind, RADII[by])], 2)
+                for kind in BOTH
+                for by in ("R", "rho")
+            ),
+            span([x for ours in sets for kind in BOTH for x in ours.disparity_ratios(kind)], 2),
+        ]
+        for label, sets in rows.items()
+    ]
+    header = ["structures", "robots beyond the edge", "RMSE of towers by R"]
+    return table([*header, "by rho", "of cantilevers by R", "by rho", "d"], cells)
 
 
 def paper_facts_of(results: Results) -> dict[str, Facts]:
@@ -402,94 +485,138 @@ def _paper_method(results: Results) -> str:
         for of in ((), ("independent", 2.0))
     )
     attached = (
-        f"bridges over 30 R that close at patience 3, 32: {count(off)}, {count(patient_off)}; "
-        f"by the truth {count(truth)}, {count(patient_truth)}"
+        "bridges over 30 R that close if robots give up after 3, 32 steps without progress: "
+        f"{count(off)}, {count(patient_off)} by positions that are 2 R off, "
+        f"{count(truth)}, {count(patient_truth)} by true ones"
     )
     built_by = [
         fixed(built(results, "towers", by, "height_R").mean, 1)
         for by in ("the truth", "Algorithm 1")
     ]
-    gain = STATEMENTS["flip-axes-gain"](results)
+    axes = (
+        "`localization.flip_axes: 6` uses these, and removes "
+        f"{STATEMENTS['flip-axes-gain'](results)} of the error by yaw noise"
+    )
+    motions = (
+        f"free motions of 297, tower, cantilever: {floppy[0]} by contacts, {floppy[1]} with "
+        f"heights, {floppy[2]} with contacts of earlier stances too"
+    )
     rows = [
         [
             "II",
-            'the IMU leaves "a small set of candidate configurations"',
-            "depends",
-            f"flips end at any angle, about six axes; these remove {gain} of an error by yaw",
+            '"predictable rotation angles"; "a small set of candidate configurations"',
+            f"flips onto robots end at any angle, about one of six axes; {axes}",
         ],
         [
             "II",
-            "the height follows from flips",
-            "holds",
-            f"free motions of 297, tower, cantilever: {floppy[0]} without it, {floppy[1]} with it",
-        ],
-        [
-            "II",
-            'contacts leave a "near-unique localization"',
-            "depends",
-            f"free motions: {floppy[1]} by final contacts, {floppy[2]} with those of the way",
+            'contacts and heights leave "an almost unique relative placement"',
+            motions,
         ],
         [
             "III-A",
-            "vibrations name neighbors",
-            "depends",
+            '"vibration-based neighbor identification"',
             f"RMSE of `joint`: {names[0]} R if names are known, {names[1]} R with 8 time slots",
         ],
-        [
-            "V",
-            'errors of 2 R are "sufficient for reliable attachment"',
-            "depends",
-            attached,
-        ],
+        ["V", 'errors of a dock diameter are "sufficient for reliable attachment"', attached],
         [
             "VI",
             'the method "operates during" self-assembly',
-            "holds",
             f"towers of 60 robots that go by it rise {built_by[1]} R, by the truth {built_by[0]} R",
         ],
     ]
-    return table(["section", "the paper", "here", "number"], rows)
+    return table(["section", "the paper", "here"], rows)
 
 
-statement("paper-verdicts")(lambda results: verdict_counts(paper_facts_of(results)))
+@statement("paper-own-axis")
+def _paper_own_axis(results: Results) -> str:
+    """Write by how much the RMSE without Z changes if robots start along their own axis."""
+    upward, own_axis = (paper_sets(results, cues).values() for cues in (CUES, OWN_AXIS))
+
+    def changes(kind: str, condition: int) -> str:
+        pairs = zip(own_axis, upward, strict=True)
+        means = [[ours.rmse[kind][condition].mean for ours in pair] for pair in pairs]
+        change = [own / up - 1.0 for own, up in means]
+        return percents([min(change), max(change)])
+
+    no_z, neither = ([changes(kind, condition) for kind in BOTH] for condition in (1, 2))
+    return f"towers {no_z[0]} (no Z), {neither[0]} (neither); cantilevers {no_z[1]}, {neither[1]}"
+
+
+@statement("paper-settled")
+def _paper_settled(results: Results) -> str:
+    """Write the steps to within 10 % of the last RMSE."""
+    sets = paper_facts_of(results).values()
+    towers, cantilevers = (
+        span([facts.mean(kind, "settled_step") for facts in sets], 0) for kind in BOTH
+    )
+    return f"{towers} steps in towers, {cantilevers} in cantilevers"
 
 
 @statement("paper-structures")
 def _paper_structures(results: Results) -> str:
-    rows = []
-    for name, facts in paper_facts_of(results).items():
-        first, low, high = (
-            facts.mean("cantilever", f"{which}")
-            for which in ("first_median", "first_quartile", "third_quartile")
-        )
-        rows.append(
-            [
-                name,
-                fixed(facts.mean("tower", "height_R"), 1),
-                fixed(facts.mean("cantilever", "reach_R"), 1),
-                percent(facts.mean("cantilever", "beyond_edge")),
-                f"{first:.0f} ({low:.0f} to {high:.0f})",
-                percent(facts.mean("tower", "both_at_once")),
-            ]
-        )
-    header = ["set", "height of towers, goal 65 R", "reach of cantilevers, goal 45 R"]
-    header += [
-        "their robots beyond the edge",
-        "first on the anchor",
-        "towers with robots 2, 3 on it",
+    """Set what the text says of its structures beside the three sets."""
+    sets = paper_facts_of(results).values()
+    rows = [
+        [
+            "IV-B",
+            "towers: goal at 65 robot radii",
+            "height [R]; share of the goal by R, by rho",
+            *(_of_goal(facts.mean("tower", "height_R"), 65.0) for facts in sets),
+        ],
+        [
+            "IV-C",
+            "cantilevers: goal 45 robot radii out",
+            "reach [R]; share of the goal by R, by rho",
+            *(_of_goal(facts.mean("cantilever", "reach_R"), 45.0) for facts in sets),
+        ],
+        [
+            "IV-C",
+            'a cantilever "projects horizontally"',
+            "robots beyond the edge",
+            *(percent(facts.mean("cantilever", "beyond_edge")) for facts in sets),
+        ],
+        [
+            "IV-C 1, V",
+            'cantilevers: the first on the anchor "often appears much later" (e.g., N ≈ 13)',
+            "its number, median (quartiles)",
+            *(_first_on_anchor(facts) for facts in sets),
+        ],
+        [
+            "IV-C 1, V",
+            'towers: robots 2 and 3 "attach immediately to the anchor"',
+            "towers in which both do",
+            *(percent(facts.mean("tower", "both_at_once")) for facts in sets),
+        ],
     ]
-    return table(header, rows)
+    return table(["section", "the paper", "number", *PAPER_SETS], rows)
+
+
+def _of_goal(size: float, goal: float) -> str:
+    """Write a size [R] and its share of a goal in robot radii, by R and by rho."""
+    shares = ", ".join(percent(size / goal / RADII[by]) for by in ("R", "rho"))
+    return f"{fixed(size, 1)}; {shares}"
+
+
+def _first_on_anchor(facts: Facts) -> str:
+    """Write the number of the first robot on the anchor, which is robot 1."""
+    median, low, high = (
+        facts.mean("cantilever", which) + 1.0
+        for which in ("first_median", "first_quartile", "third_quartile")
+    )
+    return f"{median:.0f} ({low:.0f} to {high:.0f})"
 
 
 @statement("paper-sets")
 def _paper_sets(results: Results) -> str:
     sets = paper_sets(results)
-    sets |= {name: PaperSet.of(results, "paper-sets", *s) for name, s in OTHER_SETS.items()}
+    sets |= {name: PaperSet.of(results, "paper-sets", s) for name, s in OTHER_SETS.items()}
     rows = []
     for label, ours in sets.items():
         row = [label, f"{fixed(ours.reach, 0)}, {fixed(ours.height, 0)}"]
-        row += [_ratios_of_both(ours.rmse_ratios), _ratios_of_both(ours.disparity_ratios)]
-        rows.append([*row, *(fixed(ours.mean_factor(radius), 2) for radius in RADII.values())])
+        row.append(_ratios_of_both(lambda kind, o=ours: o.rmse_ratios(kind, RADII["rho"])))
+        row.append(_ratios_of_both(ours.disparity_ratios))
+        factors = [ours.mean_factor(RADII[radius]) for radius in ("rho", "R")]
+        rows.append([*row, *(fixed(factor, 2) for factor in factors)])
     header = ["set", "reach, height [R]", "RMSE to the paper, radius = rho: towers, cantilevers"]
     header += ["d to the paper: towers, cantilevers", "mean factor off, rho", "R"]
     return table(header, rows)
@@ -499,30 +626,9 @@ def _ratios_of_both(ratios: Callable[[str], list[float]]) -> str:
     return ", ".join(" ".join(fixed(ratio, 2) for ratio in ratios(kind)) for kind in BOTH)
 
 
-def _over_sets(compose: Callable[[PaperSet], Sequence[float]], decimals: int) -> Statement:
-    """Write the least and the greatest of numbers over the three sets."""
-
-    def write(results: Results) -> str:
-        return span([x for ours in paper_sets(results).values() for x in compose(ours)], decimals)
-
-    return write
-
-
-for _name, _radius in RADII.items():
-    statement(f"paper-mean-factors-{_name}")(
-        _over_sets(lambda ours, r=_radius: [ours.mean_factor(r)], 2)
-    )
-    for _kind in BOTH:
-        statement(f"paper-{_kind}-ratios-{_name}")(
-            _over_sets(lambda ours, k=_kind, r=_radius: ours.rmse_ratios(k, r), 2)
-        )
-statement("paper-disparity-ratios")(
-    _over_sets(lambda ours: [r for kind in BOTH for r in ours.disparity_ratios(kind)], 2)
+statement("paper-tower-rmse")(
+    lambda results: span([ours.rmse["tower"][0].mean for ours in paper_sets(results).values()], 2)
 )
-statement("paper-height")(_over_sets(lambda ours: [ours.height], 0))
-statement("paper-reach")(_over_sets(lambda ours: [ours.reach], 0))
-statement("paper-beyond-edge")(_over_sets(lambda ours: [100.0 * ours.beyond_edge], 0))
-statement("paper-tower-rmse")(_over_sets(lambda ours: [ours.rmse["tower"][0].mean], 2))
 
 
 GAP_SETS = {

@@ -1,9 +1,9 @@
 """Table II of *Contact-Driven Localization in a Freeform Robotic Self-Assembled Structure*.
 
 M. Rashidioun, M. Sosa, P. Swissler (2026); means over 25 structures of 100 robots. The paper does
-not define its length unit, the "robot radius". It may be the radius R of a dock sphere, or the
-distance rho of a dock from the center, 1.506 R. Ratios are stated for both, millimeters for
-neither: nobody has measured R. The disparity has no unit.
+not define its length unit, the "robot radius". It may be the radius R of a dock sphere, the
+distance rho of a dock from the center, 1.506 R, or their sum. Ratios are stated for R and rho,
+millimeters for none: the paper gives no length of a dock. The disparity has no unit.
 """
 
 from typing import NamedTuple
