@@ -1,8 +1,8 @@
 """Grows structures that lose robots by ReactiveBuild and by the rule of docs/guides/repair.md.
 
-python -m benchmarks.repair             # the table of the guide; 20 minutes
+python -m benchmarks.repair --rates 0 0.05 0.1                # tables of the guide and notes
 python -m benchmarks.repair --seeds 2 --robots 30
-python -m benchmarks.repair --seeds 8 --patience 16 --rates 0.1
+python -m benchmarks.repair --patience 16 --rates 0 0.1       # with more patience
 """
 
 import argparse
@@ -111,7 +111,7 @@ def main() -> None:
     """Print the table, row by row."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--robots", type=int, default=100)
-    parser.add_argument("--seeds", type=int, default=32)
+    parser.add_argument("--seeds", type=int, default=64)
     parser.add_argument("--patience", type=int, default=ClimbParams().patience)
     parser.add_argument("--rates", type=float, nargs="+", default=RATES)
     arguments = vars(parser.parse_args())
