@@ -248,6 +248,9 @@ PAPER_SETS = {
 }
 """Towers and cantilevers of the scenario paper, by set; the first is nearest by its facts."""
 
+SECOND_SET = "B = 1.5"
+"""Set of the scenario paper that was grown from other seeds, too."""
+
 OTHER_SETS = {
     "F = 10, 6.5 R: tiswarm's defaults": (
         "{kind: tower}",
@@ -289,7 +292,7 @@ class PaperSet:
         cues: Mapping[str, str] = CUES,
     ) -> "PaperSet":
         """Collect the results of a scenario for the settings of both kinds of structures."""
-        processor = OLDER_EPYC if scenario == paper_facts.SCENARIO else EPYC
+        processor = EPYC if scenario == "paper-sets" else OLDER_EPYC
         tower, cantilever = settings
 
         def of(structure: str, condition: str, measure: str) -> Result:
@@ -339,16 +342,24 @@ def paper_sets(results: Results, cues: Mapping[str, str] = CUES) -> dict[str, Pa
     }
 
 
+def _both_starts(results: Results) -> tuple[list[PaperSet], list[PaperSet]]:
+    """Collect the results of the three sets, from upward starts and from those on own axes."""
+    upward, own_axis = ([*paper_sets(results, cues).values()] for cues in (CUES, OWN_AXIS))
+    return upward, own_axis
+
+
 def _paper_rows(
-    results: Results, row_of: Callable[[str, str, list[PaperSet], int], list[str]]
+    upward: list[PaperSet],
+    own_axis: list[PaperSet],
+    row_of: Callable[[str, str, list[PaperSet], int], list[str]],
 ) -> list[list[str]]:
     """Write a row for each kind and condition; those without Z by both starts.
 
     Args:
-        results: Results.
+        upward: Sets whose robots without Z start upward.
+        own_axis: The same sets, with starts along robots' own axes.
         row_of: Writes a row from kind, label, sets, and number of the condition.
     """
-    upward, own_axis = ([*paper_sets(results, cues).values()] for cues in (CUES, OWN_AXIS))
     rows = []
     for kind in BOTH:
         for n, (cues, condition) in enumerate(CUES.items()):
@@ -370,7 +381,7 @@ def _paper_rmse(results: Results) -> str:
 
     sets = [f"{name} [R]" for name in PAPER_SETS]
     by = [f"ratio by {radius}" for radius in RADII]
-    return table(["", "paper", *sets, *by], _paper_rows(results, row_of))
+    return table(["", "paper", *sets, *by], _paper_rows(*_both_starts(results), row_of))
 
 
 @statement("paper-disparity")
@@ -383,7 +394,24 @@ def _paper_disparity(results: Results) -> str:
         means = [interval(ours.disparity[kind][n], 3) for ours in sets]
         return [label, fixed(published, 3), *means, _judged(ratios)]
 
-    return table(["", "paper", *PAPER_SETS, "ratio"], _paper_rows(results, row_of))
+    return table(["", "paper", *PAPER_SETS, "ratio"], _paper_rows(*_both_starts(results), row_of))
+
+
+@statement("paper-second-seeds")
+def _paper_second_seeds(results: Results) -> str:
+    """Tabulate one set on other seeds beside the paper's numbers."""
+    settings = PAPER_SETS[SECOND_SET]
+    starts = ([PaperSet.of(results, "paper-second", settings, cues)] for cues in (CUES, OWN_AXIS))
+
+    def row_of(kind: str, label: str, sets: list[PaperSet], n: int) -> list[str]:
+        (ours,) = sets
+        rmse, disparity = ours.rmse[kind][n], ours.disparity[kind][n]
+        ratios = [ours.rmse_ratios(kind, radius)[n] for radius in RADII.values()]
+        row = [label, interval(rmse, 2), *(fixed(ratio, 2) for ratio in ratios)]
+        return [*row, interval(disparity, 3), fixed(ours.disparity_ratios(kind)[n], 2)]
+
+    by = [f"ratio by {radius}" for radius in RADII]
+    return table(["", "RMSE [R]", *by, "d", "ratio"], _paper_rows(*starts, row_of))
 
 
 def _judged(ratios: Sequence[float]) -> str:
