@@ -59,7 +59,7 @@ lowest:  ## Run tests with the lowest versions of libraries that are allowed, in
 			&& echo "--extra open3d"); \
 		$(uv_install) --only-binary :all: --resolution lowest-direct \
 			--requirements pyproject.toml $$extra \
-			$(patsubst %,--extra %,cluster gsd large learn mcap parquet ros video)
+			$(patsubst %,--extra %,cluster gsd learn mcap parquet ros video)
 	@$(uv_install) --no-deps $(findable) --editable .
 	@$(uv_install) hypothesis pytest pytest-xdist
 	$(lowest)/bin/python -m pytest -n auto --dist worksteal $(old_warns) $(LOWEST_TESTS)

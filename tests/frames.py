@@ -2,9 +2,11 @@
 
 import dataclasses
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.structures import exact_estimate
@@ -16,6 +18,10 @@ from tiswarm.world.history import DIED, History
 from tiswarm.world.mechanics import Frames, Loads, MechanicsParams
 
 BODY = RobotGeometry().dock_offset_body
+
+needs_metis = pytest.mark.skipif(
+    find_spec("pymetis") is None, reason="needs pymetis, which has no wheel for every system"
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ of pytest and processes that tests start need not compile them again.
 import dataclasses
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -208,7 +209,7 @@ def _run(*sets: str) -> Work:
 WORKS: dict[str, Work] = {
     **{f"growth of a {kind}": _growth(kind, 1) for kind in ("cantilever", "bridge", "chain")},
     **{f"growth of a {kind} by three": _growth(kind, 3) for kind in ("tower", "cantilever")},
-    "growth by nested dissection": _growth_by_dissection,
+    **({"growth by nested dissection": _growth_by_dissection} if find_spec("pymetis") else {}),
     "growth on ground of bodies": _growth_on_ground,
     "sight": _sight,
     "joint": _joint,

@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.frames import needs_metis
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.world import mechanics, panels
@@ -40,6 +41,7 @@ def test_loads_have_the_bits_of_kernels_that_the_library_optimizes(
     _assert_equal_bits(by_llvm, by_library)
 
 
+@needs_metis
 def test_loads_have_the_bits_of_kernels_without_vectors(monkeypatch):
     """Registers of several numbers round each of them as one number is rounded."""
     tower = TowerParams(mechanics=MechanicsParams(order="nested-dissection"))

@@ -39,6 +39,7 @@ def _edges_when_eliminated(order, pairs):
     return edges
 
 
+@frames.needs_metis
 def test_a_grid_fills_in_as_theory_says():
     """Row by row, n edges a node fill in; dissected, some 31/4 log2 n (George, 1973)."""
     side = 32
@@ -52,6 +53,7 @@ def test_a_grid_fills_in_as_theory_says():
     assert edges < 0.6 * _edges_when_eliminated(nodes.tolist(), pairs)
 
 
+@frames.needs_metis
 def test_an_order_depends_on_the_graph_alone():
     """Two orders of one graph are one, whatever was ordered between."""
     nodes, pairs = _grid(20)
@@ -67,6 +69,7 @@ def test_nodes_without_neighbors_stay_as_they_are():
     assert dissected(np.array([2, 5]), np.empty((0, 2), np.int32)).tolist() == [2, 5]
 
 
+@frames.needs_metis
 @pytest.mark.parametrize("robots", [40, pytest.param(1_000, marks=pytest.mark.trial)])
 def test_forces_are_those_of_a_direct_solver(robots):
     """SciPy solves the system of a tower that grew by this order; the error is that of rounding."""
