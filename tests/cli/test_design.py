@@ -62,14 +62,11 @@ def test_a_design_has_a_table_a_scenario_and_the_runs(tiswarm, task, tmp_path):
 
 
 @pytest.mark.parametrize("options", [(), ("--out", "design")])
-def test_runs_are_named_where_a_reader_can_watch_them(
-    tiswarm, task, monkeypatch, tmp_path, options
-):
+def test_runs_are_named_where_a_reader_can_watch_them(tiswarm, task, tmp_path, options):
     """Without a folder, runs are in a temporary one, which is gone when the command ends."""
-    monkeypatch.chdir(tmp_path)
     goal = ("--goal", "rmse_R<20", "--condition", "plain", "--seeds", 1, "--fresh", 1)
 
-    done = tiswarm("design", task, *goal, *VARY[:2], *options)
+    done = tiswarm("design", task, *goal, *VARY[:2], *options, cwd=tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert ("to watch: tiswarm view --live design/" in done.stderr) is bool(options)

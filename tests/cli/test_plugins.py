@@ -123,7 +123,7 @@ def test_the_example_of_the_page_runs(tiswarm, tmp_path, workers):
 
     assert checked.returncode == 0, checked.stderr
     assert run.returncode == 0, run.stderr
-    assert re.search(r"^chain, .* \d", run.stdout, re.MULTILINE)
+    assert re.search(r"^chain / .* \d", run.stdout, re.MULTILINE)
     assert json.loads((case / "case.json").read_text())["status"] == "done"
     assert "-> estimate.csv" in done.stdout
 
