@@ -770,17 +770,18 @@ PATIENCE = 3
 DESIGNED_PATIENCE = 32
 """Patience by which most bridges over 30 R closed on the seeds of a search."""
 
+PATIENT_STRUCTURES = 64
+"""Structures of a row of the scenario closed-loop, if no other number is stated."""
+
 
 def built(results: Results, structures: str, by: str, measure: str, kind: str = EPYC) -> Result:
     """Return a result of the scenario closed-loop at the default patience."""
     return results.of(*_built_columns(structures, by, measure), kind)
 
 
-def built_patiently(
-    results: Results, by: str, measure: str, structures: str = "bridges over 30 R"
-) -> Result:
-    """Return a result of the scenario closed-loop at the patience of the search."""
-    columns = _built_columns(structures, by, measure, DESIGNED_PATIENCE)
+def built_patiently(results: Results, by: str, measure: str) -> Result:
+    """Return a result of bridges over 30 R at the patience of the search."""
+    columns = _built_columns("bridges over 30 R", by, measure, DESIGNED_PATIENCE)
     return results.of(*columns, OLDER_EPYC)
 
 
@@ -844,10 +845,14 @@ def _closed_loop_patient_sizes(results: Results) -> str:
     for by in NAVIGATION:
         row = [by]
         for structures, measure in (("towers", "height_R"), ("cantilevers", "reach_R")):
-            row += [
-                interval(built(results, structures, by, measure), 1),
-                interval(built_patiently(results, by, measure, structures), 1),
-            ]
+            columns = _built_columns(structures, by, measure, DESIGNED_PATIENCE)
+            row.append(interval(built(results, structures, by, measure), 1))
+            if not results.kinds(*columns):
+                row.append("")
+                continue
+            size = results.of(*columns, OLDER_EPYC)
+            seeds = "" if size.structures == PATIENT_STRUCTURES else f", of {size.structures}"
+            row.append(f"{interval(size, 1)}{seeds}")
         rows.append(row)
     patience = f"patience {DESIGNED_PATIENCE}"
     sizes = ["height of towers [R], patience 3", patience, "reach of cantilevers [R], patience 3"]
@@ -1284,6 +1289,20 @@ def _protocol(results: Results) -> str:
         )
     header = ["robots have", "RMSE [R]", *ROBOTS_SEND, "stored by the fullest [kB]", "rounds"]
     return table(header, rows)
+
+
+@statement("protocol-errors")
+def _protocol_errors(results: Results) -> str:
+    """Write the errors of robots without what they usually have."""
+
+    def rmse(condition: str) -> str:
+        return interval(of_channel(results, condition, "rmse_R", "protocol"), 2)
+
+    return (
+        f"learned ways {rmse('learned')} R for {rmse('known')} R; timers of 4 rounds "
+        f"{rmse('timer-4')} R; joins 10 rounds apart {rmse('joins-10')} R; all three with 30 % of "
+        f"transmissions lost {rmse('without-loss-30')} R"
+    )
 
 
 @statement("pose-channels")
