@@ -10,10 +10,14 @@ The figure is of `docs/results.csv`: the scenario large-structures, by its law a
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from benchmarks import result_texts, statements
 from benchmarks.results import read_results
-from tiswarm.report.figure_style import PAGE_WIDTH, STYLE, label_plainly, new_figure, png
+from tiswarm.report.figure_style import PAGE_WIDTH, STYLE, new_figure, png
+
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
 
 FILE = Path("docs/images/large-structures.png")
 
@@ -56,11 +60,17 @@ def draw(results: result_texts.Results) -> bytes:
         peaks.set(xscale="log", yscale="log", ylabel="Peak stress of a dock [W / R²]")
         for axes in (sizes, shares, peaks):
             axes.set_xlabel("Robots N")
-            axes.set_xticks([300, 1_000, 3_000, 10_000], ["300", "1,000", "3,000", "10,000"])
-            axes.minorticks_off()
-        label_plainly(sizes.yaxis)
+            _tick(axes.xaxis, (300, 1_000, 3_000, 10_000))
+        _tick(sizes.yaxis, (30, 100, 300, 600))
+        _tick(peaks.yaxis, (300, 1_000, 3_000, 10_000, 30_000))
         figure.legend(*sizes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         return png(figure)
+
+
+def _tick(axis: "Axis", ticks: Sequence[int]) -> None:
+    """Write plain numbers on a logarithmic axis."""
+    axis.set_ticks(ticks, [f"{tick:,}" for tick in ticks])
+    axis.set_ticks([], minor=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

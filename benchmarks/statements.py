@@ -248,6 +248,9 @@ PAPER_SETS = {
 }
 """Towers and cantilevers of the scenario paper, by set; the first is nearest by its facts."""
 
+SECOND_SET = "B = 1.5"
+"""Set of the scenario paper that was grown from other seeds, too."""
+
 OTHER_SETS = {
     "F = 10, 6.5 R: tiswarm's defaults": (
         "{kind: tower}",
@@ -289,7 +292,7 @@ class PaperSet:
         cues: Mapping[str, str] = CUES,
     ) -> "PaperSet":
         """Collect the results of a scenario for the settings of both kinds of structures."""
-        processor = OLDER_EPYC if scenario == paper_facts.SCENARIO else EPYC
+        processor = EPYC if scenario == "paper-sets" else OLDER_EPYC
         tower, cantilever = settings
 
         def of(structure: str, condition: str, measure: str) -> Result:
@@ -339,16 +342,24 @@ def paper_sets(results: Results, cues: Mapping[str, str] = CUES) -> dict[str, Pa
     }
 
 
+def _both_starts(results: Results) -> tuple[list[PaperSet], list[PaperSet]]:
+    """Collect the results of the three sets, from upward starts and from those on own axes."""
+    upward, own_axis = ([*paper_sets(results, cues).values()] for cues in (CUES, OWN_AXIS))
+    return upward, own_axis
+
+
 def _paper_rows(
-    results: Results, row_of: Callable[[str, str, list[PaperSet], int], list[str]]
+    upward: list[PaperSet],
+    own_axis: list[PaperSet],
+    row_of: Callable[[str, str, list[PaperSet], int], list[str]],
 ) -> list[list[str]]:
     """Write a row for each kind and condition; those without Z by both starts.
 
     Args:
-        results: Results.
+        upward: Sets whose robots without Z start upward.
+        own_axis: The same sets, with starts along robots' own axes.
         row_of: Writes a row from kind, label, sets, and number of the condition.
     """
-    upward, own_axis = ([*paper_sets(results, cues).values()] for cues in (CUES, OWN_AXIS))
     rows = []
     for kind in BOTH:
         for n, (cues, condition) in enumerate(CUES.items()):
@@ -370,7 +381,7 @@ def _paper_rmse(results: Results) -> str:
 
     sets = [f"{name} [R]" for name in PAPER_SETS]
     by = [f"ratio by {radius}" for radius in RADII]
-    return table(["", "paper", *sets, *by], _paper_rows(results, row_of))
+    return table(["", "paper", *sets, *by], _paper_rows(*_both_starts(results), row_of))
 
 
 @statement("paper-disparity")
@@ -383,7 +394,24 @@ def _paper_disparity(results: Results) -> str:
         means = [interval(ours.disparity[kind][n], 3) for ours in sets]
         return [label, fixed(published, 3), *means, _judged(ratios)]
 
-    return table(["", "paper", *PAPER_SETS, "ratio"], _paper_rows(results, row_of))
+    return table(["", "paper", *PAPER_SETS, "ratio"], _paper_rows(*_both_starts(results), row_of))
+
+
+@statement("paper-second-seeds")
+def _paper_second_seeds(results: Results) -> str:
+    """Tabulate one set on other seeds beside the paper's numbers."""
+    settings = PAPER_SETS[SECOND_SET]
+    starts = ([PaperSet.of(results, "paper-second", settings, cues)] for cues in (CUES, OWN_AXIS))
+
+    def row_of(kind: str, label: str, sets: list[PaperSet], n: int) -> list[str]:
+        (ours,) = sets
+        rmse, disparity = ours.rmse[kind][n], ours.disparity[kind][n]
+        ratios = [ours.rmse_ratios(kind, radius)[n] for radius in RADII.values()]
+        row = [label, interval(rmse, 2), *(fixed(ratio, 2) for ratio in ratios)]
+        return [*row, interval(disparity, 3), fixed(ours.disparity_ratios(kind)[n], 2)]
+
+    by = [f"ratio by {radius}" for radius in RADII]
+    return table(["", "RMSE [R]", *by, "d", "ratio"], _paper_rows(*starts, row_of))
 
 
 def _judged(ratios: Sequence[float]) -> str:
@@ -742,17 +770,18 @@ PATIENCE = 3
 DESIGNED_PATIENCE = 32
 """Patience by which most bridges over 30 R closed on the seeds of a search."""
 
+PATIENT_STRUCTURES = 64
+"""Structures of a row of the scenario closed-loop, if no other number is stated."""
+
 
 def built(results: Results, structures: str, by: str, measure: str, kind: str = EPYC) -> Result:
     """Return a result of the scenario closed-loop at the default patience."""
     return results.of(*_built_columns(structures, by, measure), kind)
 
 
-def built_patiently(
-    results: Results, by: str, measure: str, structures: str = "bridges over 30 R"
-) -> Result:
-    """Return a result of the scenario closed-loop at the patience of the search."""
-    columns = _built_columns(structures, by, measure, DESIGNED_PATIENCE)
+def built_patiently(results: Results, by: str, measure: str) -> Result:
+    """Return a result of bridges over 30 R at the patience of the search."""
+    columns = _built_columns("bridges over 30 R", by, measure, DESIGNED_PATIENCE)
     return results.of(*columns, OLDER_EPYC)
 
 
@@ -816,10 +845,14 @@ def _closed_loop_patient_sizes(results: Results) -> str:
     for by in NAVIGATION:
         row = [by]
         for structures, measure in (("towers", "height_R"), ("cantilevers", "reach_R")):
-            row += [
-                interval(built(results, structures, by, measure), 1),
-                interval(built_patiently(results, by, measure, structures), 1),
-            ]
+            columns = _built_columns(structures, by, measure, DESIGNED_PATIENCE)
+            row.append(interval(built(results, structures, by, measure), 1))
+            if not results.kinds(*columns):
+                row.append("")
+                continue
+            size = results.of(*columns, OLDER_EPYC)
+            seeds = "" if size.structures == PATIENT_STRUCTURES else f", of {size.structures}"
+            row.append(f"{interval(size, 1)}{seeds}")
         rows.append(row)
     patience = f"patience {DESIGNED_PATIENCE}"
     sizes = ["height of towers [R], patience 3", patience, "reach of cantilevers [R], patience 3"]
@@ -1256,6 +1289,20 @@ def _protocol(results: Results) -> str:
         )
     header = ["robots have", "RMSE [R]", *ROBOTS_SEND, "stored by the fullest [kB]", "rounds"]
     return table(header, rows)
+
+
+@statement("protocol-errors")
+def _protocol_errors(results: Results) -> str:
+    """Write the errors of robots without what they usually have."""
+
+    def rmse(condition: str) -> str:
+        return interval(of_channel(results, condition, "rmse_R", "protocol"), 2)
+
+    return (
+        f"learned ways {rmse('learned')} R for {rmse('known')} R; timers of 4 rounds "
+        f"{rmse('timer-4')} R; joins 10 rounds apart {rmse('joins-10')} R; all three with 30 % of "
+        f"transmissions lost {rmse('without-loss-30')} R"
+    )
 
 
 @statement("pose-channels")
