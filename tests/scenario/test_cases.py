@@ -80,9 +80,7 @@ def test_series_point_and_kind_of_each_case_are_stated(tmp_path):
     cases = load_run(folder).cases
     assert max(len(case.name) for case in cases) > 150
     assert [case.kind for case in cases] == ["tower"] * 4 + ["chain"] * 4
-    assert [case.point[-10:] for case in cases] == ["/ 4 robots"] * 2 + ["/ 5 robots"] * 2 + (
-        ["/ 4 robots"] * 2 + ["/ 5 robots"] * 2
-    )
+    assert [case.point[-11:] for case in cases] == 2 * (2 * [" / 4 robots"] + 2 * [" / 5 robots"])
     assert [case.series for case in cases] == [f"{c.point} / {c.condition}" for c in cases]
     assert len({case.point for case in cases}) == 4
     assert len(pd.read_csv(folder / "table.csv")) == 8
