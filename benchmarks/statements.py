@@ -401,7 +401,9 @@ def _paper_disparity(results: Results) -> str:
 def _paper_second_seeds(results: Results) -> str:
     """Tabulate one set on other seeds beside the paper's numbers."""
     settings = PAPER_SETS[SECOND_SET]
-    starts = ([PaperSet.of(results, "paper-second", settings, cues)] for cues in (CUES, OWN_AXIS))
+    upward, own_axis = (
+        [PaperSet.of(results, "paper-second", settings, cues)] for cues in (CUES, OWN_AXIS)
+    )
 
     def row_of(kind: str, label: str, sets: list[PaperSet], n: int) -> list[str]:
         (ours,) = sets
@@ -411,7 +413,7 @@ def _paper_second_seeds(results: Results) -> str:
         return [*row, interval(disparity, 3), fixed(ours.disparity_ratios(kind)[n], 2)]
 
     by = [f"ratio by {radius}" for radius in RADII]
-    return table(["", "RMSE [R]", *by, "d", "ratio"], _paper_rows(*starts, row_of))
+    return table(["", "RMSE [R]", *by, "d", "ratio"], _paper_rows(upward, own_axis, row_of))
 
 
 def _judged(ratios: Sequence[float]) -> str:
