@@ -707,6 +707,10 @@ LARGE_SHARES = {"tower": "above_crowd", "cantilever": "beyond_edge", "bridge": "
 """The share of their robots that are beyond the crowd at their foot."""
 
 
+LOCATED = (("tower", 300), ("cantilever", 300), ("tower", 1_000))
+"""Structures of the scenario large-located: kind and robots."""
+
+
 def large_point(kind: str, robots: int, *, by_law: bool) -> str:
     """Return the point of a structure of the scenario large-structures; empty if it has none."""
     default, law, patience = LARGE[kind, robots]
@@ -742,6 +746,23 @@ def _large_structures(results: Results) -> str:
             )
     header = ["structure, robots", "F, patience", "height or reach", "share beyond", "tries"]
     return table([*header, "peak stress [W / R^2]", "structures"], rows)
+
+
+@statement("large-located")
+def _large_located(results: Results) -> str:
+    """Tabulate errors in large structures: mean over three, or the one of 1,000 robots."""
+    rows = []
+    for kind, robots in LOCATED:
+        for by_law in (False, True):
+            point = large_point(kind, robots, by_law=by_law)
+            errors = [
+                results.of("large-located", condition, point, "rmse_R", OLDER_EPYC)
+                for condition in ("joint", "joint-final", "algorithm-1")
+            ]
+            rule = "law" if by_law else "defaults"
+            rows.append([f"{kind}, {robots:,}", rule, *(fixed(e.mean, 2) for e in errors)])
+    header = ["structure, robots", "F, patience", "`joint`", "`joint`, final contacts"]
+    return table([*header, "Algorithm 1"], rows)
 
 
 # --- docs/guides/closed-loop.md and docs/notes/measurements.md --------------------------------

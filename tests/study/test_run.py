@@ -90,6 +90,10 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
             "sweep={structure: [{kind: tower}, {kind: cantilever}, {kind: bridge}]}",
             "robots=8",
         ],
+        "large-located": [
+            "sweep={structure: [{kind: tower}, {kind: cantilever}]}",
+            "robots=8",
+        ],
         "patience": [
             "sweep={structure: [{kind: bridge}, {kind: tower}], structure.climb.patience: [3, 16]}",
             "robots=8",
