@@ -23,9 +23,9 @@ FILE = Path("docs/images/large-structures.png")
 
 _LOOKS = {
     ("tower", True): ("#0072B2", "o", "-", "tower by the law"),
-    ("tower", False): ("#0072B2", "o", "--", "heap by the defaults, tower's goal"),
+    ("tower", False): ("#0072B2", "o", "--", "heap by the defaults, up"),
     ("cantilever", True): ("#D55E00", "s", "-", "cantilever by the law"),
-    ("cantilever", False): ("#D55E00", "s", "--", "heap by the defaults, cantilever's goal"),
+    ("cantilever", False): ("#D55E00", "s", "--", "heap by the defaults, outward"),
 }
 """Color, marker, line and name of each series, by kind and whether it is of the law."""
 

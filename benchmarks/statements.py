@@ -4,6 +4,7 @@ Numbers that no row of the file has, such as p of a paired test, stand outside m
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -539,7 +540,7 @@ def _paper_method(results: Results) -> str:
         ],
         [
             "II",
-            'contacts and heights leave "an almost unique relative placement"',
+            'orientation, docks, tangency and flips leave "an almost unique relative placement"',
             motions,
         ],
         [
@@ -579,7 +580,19 @@ def _paper_settled(results: Results) -> str:
     towers, cantilevers = (
         span([facts.mean(kind, "settled_step") for facts in sets], 0) for kind in BOTH
     )
-    return f"{towers} steps in towers, {cantilevers} in cantilevers"
+    fewer = span(
+        [
+            facts.mean(kind, "settled_step", condition)
+            for facts in sets
+            for kind, condition in (
+                ("tower", paper_facts.NO_Z),
+                ("tower", paper_facts.NEITHER),
+                ("cantilever", paper_facts.NO_Z),
+            )
+        ],
+        0,
+    )
+    return f"{towers} steps in towers, {cantilevers} in cantilevers; with fewer cues {fewer}"
 
 
 @statement("paper-structures")
@@ -737,6 +750,7 @@ def _large_structures(results: Results) -> str:
                 [
                     f"{kind}, {robots:,}",
                     "law" if by_law else "defaults",
+                    f"{_goal(point):.0f} R",
                     f"{count(reached)} closed" if kind == "bridge" else f"{reached.mean:.0f} R",
                     percent(share.mean),
                     fixed(of_large(results, point, "tries_per_robot").mean, 0),
@@ -744,8 +758,16 @@ def _large_structures(results: Results) -> str:
                     str(reached.structures),
                 ]
             )
-    header = ["structure, robots", "F, patience", "height or reach", "share beyond", "tries"]
+    header = ["structure, robots", "F, patience", "goal or gap", "height or reach"]
+    header += ["share beyond", "tries"]
     return table([*header, "peak stress [W / R^2]", "structures"], rows)
+
+
+def _goal(point: str) -> float:
+    """Read the goal, or the gap, of a point of the scenario large-structures [R]."""
+    match = re.search(r"(?:goal_height|goal_reach|gap): ([\d.]+)", point)
+    assert match is not None  # noqa: S101 - every structure has one
+    return float(match[1])
 
 
 @statement("large-located")
