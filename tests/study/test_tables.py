@@ -226,7 +226,7 @@ def test_swept_values_are_written_as_in_a_scenario(tmp_path):
     assert words["structure"].unique().tolist() == ["tower", "chain"]
     assert words["sensing.heights"].unique().tolist() == ["with heights", "without heights"]
     assert words["sensing.spawn_noise"].unique().tolist() == ["no spawn noise", "spawn noise 0.5 R"]
-    assert {case.point for case in run.cases} >= {"tower, with heights, no spawn noise"}
+    assert {case.point for case in run.cases} >= {"tower / with heights / no spawn noise"}
     assert not re.search("True|nan|None|'|[{}=]", cells)
 
 
