@@ -21,7 +21,7 @@ def test_every_part_exists(part):
     ("name", "arguments", "row"),
     [
         ("growth", ["--quick"], "| 100 robots, 25 structures"),
-        ("growth", ["--robots", "100"], "100 robots: loads differ by "),
+        ("growth", ["--robots", "100"], "100 robots, minimum-degree: loads differ by "),
         ("million", ["--towers", "1", "--robots", "12"], "joint"),
         ("kernels", [*SMALL_STUDY, "--set", "seeds=1"], "| grow | climb |"),
     ],

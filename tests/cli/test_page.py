@@ -198,7 +198,7 @@ def test_the_view_moves(small_run, tmp_path):
     rmse = pd.read_csv(small_run / "table.csv").set_index("condition")["rmse_R_mean"]
     others = [name for name in rmse.index if name != rmse.idxmin()]  # all of Algorithm 1
     # Names of series have the measurements in which they differ.
-    conditions = [name.partition(",")[0] for name in moved["cases"]]
+    conditions = [name.partition(" / ")[0] for name in moved["cases"]]
     assert conditions == [rmse.idxmin(), others[0]]
     assert moved["panes"] == 2
     word, robots = moved["joining"]
@@ -207,7 +207,7 @@ def test_the_view_moves(small_run, tmp_path):
     assert moved["paused"] == "Play"
     first, *_, last = [text for text in moved["titles"] if text.startswith("baseline")]
     rmse = pd.read_csv(small_run / "cases/0-baseline/convergence.csv")["rmse_R"]
-    assert re.match(r"baseline, (.+, )?seed 0, iteration 0, RMSE ", first)
+    assert re.match(r"baseline( / .+)?, seed 0, iteration 0, RMSE ", first)
     shown = [float(re.search(r"RMSE ([\d.]+) R", text)[1]) for text in (first, last)]
     assert shown == pytest.approx([rmse.iloc[0], rmse.iloc[-1]], rel=0.01)  # three digits
 

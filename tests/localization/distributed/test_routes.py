@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tests.localization.distributed.test_distributed import grown
 from tests.structures import NOISY
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.distributed import wire
 from tiswarm.localization.distributed.channel import Channel, Message
 from tiswarm.localization.distributed.routes import ROUTE
@@ -192,7 +193,7 @@ def many_logs():
     return [
         observe(history, NOISY)
         for kind in kinds
-        for history in grow(kind, robots=30, seeds=range(1000, 1003))
+        for history in grow(kind, robots=30, seeds=[1000, 1001, 1002], robot=RobotGeometry())
     ]
 
 

@@ -306,9 +306,11 @@ class LocalLayers:
         """Try other places of the robot and of those it shares rows with, one after the other."""
         tried = 0
         for robot in [number, *sorted(self._sharing[number], reverse=True)]:
-            if not len(self.places[robot]):
+            partners = self.blocks[robot].partners
+            # Where robots join at once, one may hold places of another without its rows.
+            if not len(self.places[robot]) or not len(partners):
                 continue
-            touched = state.position[self.blocks[robot].partners].mean(axis=0)
+            touched = state.position[partners].mean(axis=0)
             for place in self.places[robot]:
                 if tried == NEIGHBORS.tried:
                     return state, linear
