@@ -186,15 +186,22 @@ def test_all_three_together_end(log, timer, join_rounds, loss):
     assert np.isfinite(estimate.position).all()
 
 
+class _Logs(list):
+    """Logs that a failing example does not print."""
+
+    def __repr__(self):
+        return f"{len(self)} logs"
+
+
 @pytest.fixture(scope="module")
 def many_logs():
     """Noisy logs of towers, cantilevers, and bridges whose sides meet."""
     kinds = (TowerParams(), CantileverParams(), BridgeParams(gap=20.0))
-    return [
+    return _Logs(
         observe(history, NOISY)
         for kind in kinds
         for history in grow(kind, robots=30, seeds=[1000, 1001, 1002], robot=RobotGeometry())
-    ]
+    )
 
 
 @pytest.mark.trial
@@ -218,18 +225,19 @@ def test_no_order_of_messages_goes_on_without_end(many_logs, number, given_setti
     (estimate,) = localize_many([many_logs[number]], [params])
 
     assert np.isfinite(estimate.position).all()
-    # Every message of a join and of its reviews is heard by few: none goes around.
-    assert estimate.traffic["messages"].sum() < 100_000
+    # None goes around: with 60 % lost, each is sent several times.
+    assert estimate.traffic["messages"].sum() < 1_000_000
 
 
-def test_robots_that_join_at_once_take_fewer_rounds(log):
-    """Their messages are under way at the same time, and all are placed in the end."""
+def test_robots_join_while_others_still_send(log):
+    """With a round from join to join, no more rounds pass than robots join; then all ends."""
     one_by_one = grown(log, DistributedParams(**QUICK))
     at_once = grown(log, DistributedParams(join_rounds=1, **QUICK))
-    at_once.settle()
 
-    assert at_once.channel.rounds < one_by_one.channel.rounds
-    assert np.isfinite(at_once.sd).all()
+    assert at_once.channel.rounds <= log.robot_count < one_by_one.channel.rounds
+    at_once.settle()
+    assert not at_once.channel.is_busy
+    assert np.isfinite(at_once.positions).all()
 
 
 @pytest.mark.parametrize("walk", range(wire.WALKS))
