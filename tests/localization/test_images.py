@@ -191,7 +191,7 @@ def test_images_of_many_robots_move_alone_before_all_robots_do(monkeypatch):
     for most in (200, 0):
         monkeypatch.setattr(mixture_module, "MIXTURE", replace(MIXTURE, image_robots=most))
         searched.append(0)
-        weights.append([each.weight for each in mixed(fit).solutions])
+        weights.append([solution.weight for solution in mixed(fit).solutions])
 
     assert len(weights[0]) > 1
     assert searched[1] < searched[0]

@@ -6,14 +6,14 @@ import pytest
 from tiswarm.base.errors import InputError
 from tiswarm.report import figure_style
 from tiswarm.report.explanation import (
-    Panel,
     Placement,
+    Stage,
     draw_placement,
     show_placement,
 )
 
 RING = np.column_stack([np.cos(np.arange(50.0)), np.sin(np.arange(50.0)), np.zeros(50)])
-PANELS = [Panel("touches robot 3", 4.0 * RING), Panel("height", RING[:1]), Panel("none", RING[:0])]
+PANELS = [Stage("touches robot 3", 4.0 * RING), Stage("height", RING[:1]), Stage("none", RING[:0])]
 DOCKS = np.array([[0.0, 0.0, 1.0], [90.0, 0.0, 0.0]])
 PLACEMENT = Placement(PANELS, np.zeros(3), DOCKS, radius=32.9, unit="mm")
 

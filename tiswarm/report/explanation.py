@@ -92,7 +92,7 @@ class Explanation:
 
     def _placement(self) -> "Placement":
         panels = [
-            Panel(f"{name}\n{three_digits(self.spread[name])} {self.unit}", places)
+            Stage(f"{name}\n{three_digits(self.spread[name])} {self.unit}", places)
             for name, places in self.places.items()
         ]
         return Placement(panels, self.center, self.docks, self.radius, self.unit)
@@ -165,7 +165,7 @@ _LONGEST_BAR = 0.4  # of the width of a panel
 _PAGE_DPI = 150  # of the points of a figure on a page
 
 
-class Panel(NamedTuple):
+class Stage(NamedTuple):
     """What one more measurement leaves."""
 
     title: str
@@ -176,7 +176,7 @@ class Panel(NamedTuple):
 class Placement(NamedTuple):
     """Places of a robot by measurement, and what is around them."""
 
-    panels: Sequence[Panel]
+    panels: Sequence[Stage]
     """One for each measurement, the first one first."""
 
     center: Reals

@@ -63,11 +63,11 @@ def _distance(links, start, end):
     contacts, queue = {start: 0}, deque([start])
     while queue:
         robot = queue.popleft()
-        for other in range(len(touching)):
-            near = other in touching[robot] or robot in touching[other]
-            if near and other not in contacts:
-                contacts[other] = contacts[robot] + 1
-                queue.append(other)
+        for neighbor in range(len(touching)):
+            is_near = neighbor in touching[robot] or robot in touching[neighbor]
+            if is_near and neighbor not in contacts:
+                contacts[neighbor] = contacts[robot] + 1
+                queue.append(neighbor)
     return contacts[end]
 
 

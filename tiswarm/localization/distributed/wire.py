@@ -317,9 +317,9 @@ def read_walk(content: bytes) -> tuple[int, int]:
     return source.number(NUMBER + 1), source.number(_WALK)
 
 
-def is_earlier(walk: int, other: int) -> bool:
-    """Return whether a walk began before another one, by numbers that begin anew (RFC 1982)."""
-    behind = (other - walk) % WALKS
+def is_earlier(walk: int, last: int) -> bool:
+    """Return whether a walk began before the last one, by numbers that begin anew (RFC 1982)."""
+    behind = (last - walk) % WALKS
     return 0 < behind < WALKS // 2
 
 
