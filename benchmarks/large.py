@@ -23,9 +23,9 @@ FILE = Path("docs/images/large-structures.png")
 
 _LOOKS = {
     ("tower", True): ("#0072B2", "o", "-", "tower by the law"),
-    ("tower", False): ("#0072B2", "o", "--", "heap by the defaults, up"),
+    ("tower", False): ("#0072B2", "o", "--", "tower by the defaults, a heap"),
     ("cantilever", True): ("#D55E00", "s", "-", "cantilever by the law"),
-    ("cantilever", False): ("#D55E00", "s", "--", "heap by the defaults, outward"),
+    ("cantilever", False): ("#D55E00", "s", "--", "cantilever by the defaults, a heap"),
 }
 """Color, marker, line and name of each series, by kind and whether it is of the law."""
 
@@ -56,7 +56,9 @@ def draw(results: result_texts.Results) -> bytes:
                     markerfacecolor=color if by_law else "white",
                 )  # fmt: skip
         sizes.set(xscale="log", yscale="log", ylabel="Height, or reach beyond the edge [R]")
-        shares.set(xscale="log", ylim=(0.0, 100.0), ylabel="Robots beyond the crowd [%]")
+        shares.set(
+            xscale="log", ylim=(0.0, 100.0), ylabel="Robots above 20 R, or beyond the edge [%]"
+        )
         peaks.set(xscale="log", yscale="log", ylabel="Peak stress of a dock [W / R²]")
         for axes in (sizes, shares, peaks):
             axes.set_xlabel("Robots N")
