@@ -62,6 +62,8 @@ MEASURES = {
     "worst_memory_B": "B",
     "rounds": "1",
     "joined": "1",
+    "located": "1",
+    "rmse_located_R": "R",
     "above_crowd": "1",
     "peak_stress": "W/R^2",
     "rmse_per_contact_R": "R",

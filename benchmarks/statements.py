@@ -1326,6 +1326,8 @@ def _protocol(results: Results) -> str:
             [
                 label,
                 interval(of_channel(*columns, "rmse_R", "protocol"), 2),
+                f"{fixed(100.0 * of_channel(*columns, 'located', 'protocol').mean, 1)} %",
+                interval(of_channel(*columns, "rmse_located_R", "protocol"), 2),
                 *(
                     kilobytes(of_channel(*columns, measure, "protocol"))
                     for measure in ("sent_B", "worst_sent_B", "worst_memory_B")
@@ -1333,8 +1335,8 @@ def _protocol(results: Results) -> str:
                 tens(of_channel(*columns, "rounds", "protocol")),
             ]
         )
-    header = ["robots have", "RMSE [R]", *ROBOTS_SEND, "stored by the fullest [kB]", "rounds"]
-    return table(header, rows)
+    header = ["robots have", "RMSE [R]", "located", "RMSE of located [R]", *ROBOTS_SEND]
+    return table([*header, "stored by the fullest [kB]", "rounds"], rows)
 
 
 @statement("protocol-errors")
